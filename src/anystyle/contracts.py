@@ -1,0 +1,285 @@
+"""What every plugin promises. If you read one file, read this one.
+
+Each class here is a socket: a plugin inherits from it, implements the abstract methods and is listed in one line of
+TOML. ``anystyle.testing`` holds each contract as plain functions; ``anystyle plugins check`` runs them. The user
+study's socket, :class:`anystyle.study.contract.StudyTest`, needs no torch and lives with the study.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import ClassVar, final
+
+import torch
+import torchmetrics
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.types import (
+    Attributes,
+    Cameras,
+    Clusters,
+    Comparison,
+    Features,
+    Flow,
+    Frames,
+    Gaussians,
+    Geometry,
+    Inject,
+    Renders,
+    Scene,
+    Site,
+    Style,
+    Stylization,
+    Tokens,
+    Views,
+    untouched,
+)
+
+
+class Embedder(nn.Module, ABC):
+    """From pixels to the tokens that every later part shares: the stem."""
+
+    @abstractmethod
+    def forward(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
+        """Embed sRGB images in [0, 1]; any normalisation is the embedder's own."""
+
+
+class Aggregator(nn.Module, ABC):
+    """The transformer that lets views see each other, and is copied when style enters it."""
+
+    @property
+    @abstractmethod
+    def sites(self) -> tuple[Site, ...]:
+        """Where style may enter, named ``aggregator/...``, in the order of the computation."""
+
+    @abstractmethod
+    def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
+        """Turn the stem into tapped features, calling ``inject`` at every site."""
+
+
+class GeometryHead(nn.Module, ABC):
+    """Cameras and depth from features; never styled."""
+
+    @abstractmethod
+    def forward(self, features: Features, size: tuple[int, int]) -> Geometry:
+        """Predict geometry at ``size``, height and width in pixels."""
+
+
+class GaussianHead(nn.Module, ABC):
+    """One raw Gaussian a pixel from features; the part of which the style branch is always a copy."""
+
+    @property
+    @abstractmethod
+    def sites(self) -> tuple[Site, ...]:
+        """Where style may enter, named ``head/...``, in the order of the computation."""
+
+    @abstractmethod
+    def forward(
+        self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched
+    ) -> Attributes:
+        """Predict raw attributes from features and sRGB images in [0, 1], calling ``inject`` at every site."""
+
+
+class Adapter(nn.Module, ABC):
+    """From raw attributes to Gaussians: activations, fusion, conventions."""
+
+    @abstractmethod
+    def cluster(self, geometry: Geometry, attributes: Attributes) -> Clusters | None:
+        """Decide once a scene which pixels become which Gaussian; ``None`` where each pixel is its own."""
+
+    @abstractmethod
+    def forward(self, attributes: Attributes, geometry: Geometry, clusters: Clusters | None) -> Gaussians:
+        """Activate and fuse. Differentiable in ``attributes``; linear work only in the number of Gaussians."""
+
+
+class Backbone(nn.Module, ABC):
+    """A feed-forward reconstruction network in five parts.
+
+    The constructor sets all five, ``patch_size`` (image sides are multiples of it) and ``resolution`` (the shorter
+    side, in pixels, that its weights were made for).
+    """
+
+    embedder: Embedder
+    aggregator: Aggregator
+    geometry_head: GeometryHead
+    gaussian_head: GaussianHead
+    adapter: Adapter
+    patch_size: int
+    resolution: int
+    frozen: bool = False
+
+    @property
+    @final
+    def sites(self) -> tuple[Site, ...]:
+        """Every place where style may enter."""
+        return self.aggregator.sites + self.gaussian_head.sites
+
+    @final
+    def encode(self, views: Views) -> Scene:
+        """Compute all that does not depend on style."""
+        stem = self.embedder(views.images)
+        features = self.aggregator(stem)
+        geometry = self.geometry_head(features, views.size)
+        attributes = self.gaussian_head(features, views.images)
+        clusters = self.adapter.cluster(geometry, attributes)
+        return Scene(views, stem, features, geometry, attributes, clusters)
+
+    @final
+    def freeze(self) -> "Backbone":
+        """Stop learning for good: no gradients, and ``eval`` mode whatever is asked for."""
+        self.frozen = True
+        return self.requires_grad_(False).train(False)
+
+    @final
+    def train(self, mode: bool = True) -> "Backbone":
+        """Set the mode; a frozen backbone stays in ``eval``."""
+        return super().train(mode and not self.frozen)
+
+
+class StyleEncoder(nn.Module, ABC):
+    """Images and texts in one space.
+
+    The constructor sets ``dim``, the space's dimensions, and ``neutral``, the prompt that stands for no style.
+    """
+
+    dim: int
+    neutral: str
+
+    @abstractmethod
+    def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
+        """Unit vectors of sRGB images in [0, 1] of any size; differentiable in the images."""
+
+    @abstractmethod
+    def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
+        """Unit vectors of texts.
+
+        Raises:
+            ValueError: A text is empty or longer than the encoder reads.
+        """
+
+
+class Injector(nn.Module, ABC):
+    """How style changes tokens at one site.
+
+    The framework passes ``dim`` (channels at the site) and ``style_dim`` to the constructor. At initialisation it is
+    the identity, bit for bit; it is equivariant to the order of views.
+    """
+
+    @abstractmethod
+    def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
+        """Tokens of the same shape, grid and kind."""
+
+
+class Placement(ABC):
+    """Which of a backbone's sites style enters."""
+
+    @abstractmethod
+    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
+        """The chosen sites, in the given order.
+
+        Raises:
+            ValueError: None is left.
+        """
+
+
+class Renderer(ABC):
+    """A differentiable 3DGS rasteriser."""
+
+    @abstractmethod
+    def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        """Render every camera of every scene, differentiable in the Gaussians and the camera poses."""
+
+
+class Loss(nn.Module, ABC):
+    """One unweighted term of the objective. The framework may pass ``style_encoder`` to the constructor."""
+
+    weight: float
+
+    @abstractmethod
+    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+        """The term's value for a batch; the framework multiplies by ``weight``."""
+
+
+class Metric(torchmetrics.Metric, ABC):
+    """A figure of merit. The framework may pass ``style_encoder`` and ``correspondence`` to the constructor."""
+
+    better: ClassVar[Mapping[str, str]]
+    """For each name that :meth:`compute` returns, ``higher`` or ``lower``."""
+
+    @abstractmethod
+    def update(self, comparison: Comparison) -> None:
+        """Take in stylized scenes."""
+
+    @abstractmethod
+    def compute(self) -> dict[str, Tensor]:
+        """The figures over all that was taken in; ``nan`` with a warning where there was too little."""
+
+
+class Correspondence(ABC):
+    """Where the pixels of one frame are seen in another."""
+
+    @abstractmethod
+    def __call__(self, source: Frames, target: Frames) -> Flow:
+        """Flow from ``source`` to ``target``, pair by pair.
+
+        Raises:
+            ValueError: The frames lack what this correspondence needs, or are too small for it.
+        """
+
+
+class SceneSource(ABC):
+    """Scenes to learn from or to be judged on, read at random; all views of one scene have one size."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """How many scenes there are."""
+
+    @abstractmethod
+    def name(self, scene: int) -> str:
+        """A name for a scene, unique within the source."""
+
+    @abstractmethod
+    def num_views(self, scene: int) -> int:
+        """How many views a scene has, in capture order."""
+
+    @abstractmethod
+    def read(self, scene: int, views: Sequence[int]) -> Views:
+        """Some views of one scene as a batch of one, on the CPU; nothing else is decoded."""
+
+
+class StyleSource(ABC):
+    """Styles to learn from or to be judged on, read at random; all images have one size."""
+
+    @abstractmethod
+    def __len__(self) -> int:
+        """How many styles there are."""
+
+    @abstractmethod
+    def read(self, style: int) -> Style:
+        """One style as a batch of one, on the CPU."""
+
+
+@torch.no_grad()
+def neutral_embedding(encoder: StyleEncoder) -> Float[Tensor, "1 D"]:
+    """The embedding of the encoder's neutral prompt, which style directions start from."""
+    return encoder.embed_texts([encoder.neutral])
+
+
+__all__ = [
+    "Adapter",
+    "Aggregator",
+    "Backbone",
+    "Correspondence",
+    "Embedder",
+    "GaussianHead",
+    "GeometryHead",
+    "Injector",
+    "Loss",
+    "Metric",
+    "Placement",
+    "Renderer",
+    "SceneSource",
+    "StyleEncoder",
+    "StyleSource",
+    "neutral_embedding",
+]

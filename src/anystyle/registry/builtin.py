@@ -1,0 +1,52 @@
+"""What is in the box, on one screen: the kinds of plugin, and the built-in plugins of each."""
+
+from typing import NamedTuple
+
+
+class Kind(NamedTuple):
+    """A socket that plugins fit.
+
+    Args:
+        base: The contract, as ``module:Class``.
+        many: Whether a configuration holds several at once.
+        runtime: Constructor arguments that the framework passes by name, and that are no options.
+    """
+
+    base: str
+    many: bool = False
+    runtime: tuple[str, ...] = ()
+
+
+KINDS: dict[str, Kind] = {
+    "backbone": Kind("anystyle.contracts:Backbone"),
+    "style_encoder": Kind("anystyle.contracts:StyleEncoder"),
+    "placement": Kind("anystyle.contracts:Placement"),
+    "injector": Kind("anystyle.contracts:Injector", runtime=("dim", "style_dim")),
+    "renderer": Kind("anystyle.contracts:Renderer"),
+    "loss": Kind("anystyle.contracts:Loss", many=True, runtime=("style_encoder",)),
+    "metric": Kind("anystyle.contracts:Metric", many=True, runtime=("style_encoder", "correspondence")),
+    "correspondence": Kind("anystyle.contracts:Correspondence"),
+    "scenes": Kind("anystyle.contracts:SceneSource"),
+    "styles": Kind("anystyle.contracts:StyleSource"),
+    "study_test": Kind("anystyle.study.contract:StudyTest", many=True),
+}
+
+BUILTIN: dict[str, dict[str, str]] = {
+    "backbone": {},
+    "style_encoder": {},
+    "placement": {
+        "head": "anystyle.placements.head:Head",
+        "aggregator": "anystyle.placements.aggregator:Aggregator",
+        "full": "anystyle.placements.full:Full",
+    },
+    "injector": {
+        "zero_conv": "anystyle.injectors.zero_conv:ZeroConv",
+    },
+    "renderer": {},
+    "loss": {},
+    "metric": {},
+    "correspondence": {},
+    "scenes": {},
+    "styles": {},
+    "study_test": {},
+}
