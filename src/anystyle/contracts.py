@@ -74,9 +74,7 @@ class GaussianHead(nn.Module, ABC):
         """Where style may enter, named ``head/...``, in the order of the computation."""
 
     @abstractmethod
-    def forward(
-        self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched
-    ) -> Attributes:
+    def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
         """Predict raw attributes from features and sRGB images in [0, 1], calling ``inject`` at every site."""
 
 

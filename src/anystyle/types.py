@@ -181,6 +181,10 @@ class Tokens(Value):
         """The tokens that stand for patches."""
         return self.data[:, :, self.special :]
 
+    def with_data(self, data: Float[Tensor, "B V P C"]) -> "Tokens":
+        """These tokens with other values."""
+        return replace(self, data=data)
+
     def with_patches(self, patches: Float[Tensor, "B V p C"]) -> "Tokens":
         """These tokens with other patches and the special tokens untouched."""
         if self.special == 0:

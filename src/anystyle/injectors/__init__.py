@@ -1,0 +1,1 @@
+"""Injectors: how style changes the tokens at a site."""

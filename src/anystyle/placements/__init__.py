@@ -1,0 +1,1 @@
+"""Placements: which sites of a backbone style enters."""

@@ -1,0 +1,23 @@
+"""Style in the aggregator only."""
+
+from collections.abc import Sequence
+
+from anystyle.contracts import Placement
+from anystyle.sites import select_sites
+from anystyle.types import Site
+
+
+class Aggregator(Placement):
+    """Style enters a copy of the aggregator, and reaches the copied head through its features alone.
+
+    Args:
+        every_layer: Inject before every layer, and not just before the first and those that heads read (the paper's
+            appendix: layers 0, 4, 11, 17 and 23).
+    """
+
+    def __init__(self, *, every_layer: bool = False) -> None:
+        self.every_layer = every_layer
+
+    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
+        """The aggregator's sites."""
+        return select_sites(sites, ["aggregator"], every_layer=self.every_layer)

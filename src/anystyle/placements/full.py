@@ -1,0 +1,23 @@
+"""Style in the aggregator and in the Gaussian head."""
+
+from collections.abc import Sequence
+
+from anystyle.contracts import Placement
+from anystyle.sites import select_sites
+from anystyle.types import Site
+
+
+class Full(Placement):
+    """Style enters a copy of the aggregator and the copied Gaussian head (the paper's "Agg", its best variant).
+
+    Args:
+        every_layer: Inject before every layer of the aggregator, and not just before the first and those that heads
+            read.
+    """
+
+    def __init__(self, *, every_layer: bool = False) -> None:
+        self.every_layer = every_layer
+
+    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
+        """The aggregator's sites, then the head's."""
+        return select_sites(sites, ["aggregator", "head"], every_layer=self.every_layer)

@@ -1,0 +1,18 @@
+"""Style in the Gaussian head only."""
+
+from collections.abc import Sequence
+
+from anystyle.contracts import Placement
+from anystyle.sites import select_sites
+from anystyle.types import Site
+
+
+class Head(Placement):
+    """Style enters the Gaussian head: its token maps and its direct path from the pixels (the paper's "Head").
+
+    The aggregator is not copied, so a further style costs the head alone.
+    """
+
+    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
+        """Every site of the head."""
+        return select_sites(sites, ["head"], every_layer=True)

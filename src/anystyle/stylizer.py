@@ -1,0 +1,105 @@
+"""The method in one file: Figure 2 of the paper, top to bottom."""
+
+from collections.abc import Sequence
+from typing import Self
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.branch import StyleBranch
+from anystyle.contracts import Backbone, Renderer, StyleEncoder, neutral_embedding
+from anystyle.types import Cameras, Gaussians, Renders, Scene, StyleEmbedding, Views
+
+
+class Stylizer(nn.Module):
+    """Photographs and a style in, a stylized Gaussian scene out.
+
+    The backbone and the style encoder are frozen; the style branch is what learns.
+
+    Example:
+        >>> stylizer = anystyle.load("tiny")
+        >>> scene = stylizer.encode(views)
+        >>> gaussians = stylizer.restyle(scene, stylizer.embed(text="thick swirling strokes in deep blue"))
+        >>> renders = stylizer.render(gaussians, scene.cameras)
+    """
+
+    def __init__(
+        self, *, backbone: Backbone, style_encoder: StyleEncoder, branch: StyleBranch, renderer: Renderer
+    ) -> None:
+        super().__init__()
+        self.backbone = backbone.freeze()
+        self.style_encoder = style_encoder.requires_grad_(False).eval()
+        self.branch = branch
+        self.renderer = renderer
+
+    def train(self, mode: bool = True) -> Self:
+        """Set the mode of the style branch; what is frozen stays in ``eval``."""
+        super().train(mode)
+        self.style_encoder.eval()
+        return self
+
+    @torch.no_grad()
+    def encode(self, views: Views) -> Scene:
+        """Compute, once a scene, all that does not depend on style."""
+        return self.backbone.encode(views)
+
+    @torch.no_grad()
+    def embed(
+        self, *, text: str | Sequence[str] | None = None, image: Float[Tensor, "B 3 h w"] | None = None
+    ) -> StyleEmbedding:
+        """Embed styles given as texts or as images; for a point between two, see :meth:`StyleEmbedding.toward`.
+
+        Args:
+            text: One description, or one a style.
+            image: sRGB in [0, 1].
+
+        Raises:
+            ValueError: Neither is given, or both are.
+        """
+        if (text is None) == (image is None):
+            raise ValueError("a style is either a text or an image; mix two embeddings with `toward`")
+        if image is not None:
+            vector = self.style_encoder.embed_images(image)
+        else:
+            assert text is not None
+            vector = self.style_encoder.embed_texts([text] if isinstance(text, str) else list(text))
+        direction = F.normalize(vector - neutral_embedding(self.style_encoder), dim=-1)
+        return StyleEmbedding(vector=vector, direction=direction)
+
+    def restyle(self, scene: Scene, embedding: StyleEmbedding) -> Gaussians:
+        """Give an encoded scene a style; several styles of one scene are one batch.
+
+        Raises:
+            ValueError: There are several scenes, and not as many styles.
+        """
+        scene = _paired(scene, embedding)
+        styled = self.branch(scene, embedding)
+        attributes = scene.attributes.with_(styled, self.branch.styled)
+        return self.backbone.adapter(attributes, scene.geometry, scene.clusters)
+
+    def unstyled(self, scene: Scene) -> Gaussians:
+        """The reconstruction itself, with colours of the degree that styled ones have."""
+        attributes = scene.attributes.with_degree(self.branch.sh_degree)
+        return self.backbone.adapter(attributes, scene.geometry, scene.clusters)
+
+    def render(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        """Render every scene from every camera; the cameras of one scene serve all styles of it."""
+        batch = gaussians.means.shape[0]
+        if cameras.intrinsics.shape[0] == 1 and batch > 1:
+            cameras = cameras.expand(batch)
+        return self.renderer(gaussians, cameras)
+
+    def forward(self, views: Views, embedding: StyleEmbedding) -> Gaussians:
+        """The single pass: encode, then restyle."""
+        return self.restyle(self.encode(views), embedding)
+
+
+def _paired(scene: Scene, embedding: StyleEmbedding) -> Scene:
+    styles = embedding.vector.shape[0]
+    if scene.batch == styles:
+        return scene
+    if scene.batch != 1:
+        raise ValueError(f"{scene.batch} scenes cannot take {styles} styles; give one style a scene, or one scene")
+    return scene.expand(styles)
