@@ -1,0 +1,133 @@
+"""Weights on disk: safetensors files that say what they hold, loaded strictly."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from anystyle.files import atomic_path
+
+FORMAT = "anystyle/1"
+
+
+@dataclass(frozen=True)
+class Header:
+    """What a weights file says of itself.
+
+    Args:
+        part: What it holds: ``backbone``, ``style_encoder``, ``branch`` or a network of ``perception``.
+        config: The configuration that builds the module the weights fit.
+        base: For each part the weights were trained on top of, the SHA-256 of its file.
+        provenance: Who made it: command, commit, seed, steps, data.
+    """
+
+    part: str
+    config: Mapping[str, Any] = field(default_factory=dict)
+    base: Mapping[str, str] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+def save_part(path: str | Path, module: nn.Module, header: Header, *, half: bool = False) -> None:
+    """Write a module's state and its header; whole or not at all.
+
+    Args:
+        path: A ``.safetensors`` file.
+        module: What to save.
+        header: What the file says of itself.
+        half: Store floating-point tensors as fp16, half the size; they are loaded as what the module holds.
+    """
+    state: dict[str, Tensor] = {}
+    for key, tensor in module.state_dict().items():
+        kept = tensor.detach().cpu().contiguous()
+        state[key] = kept.half() if half and kept.is_floating_point() else kept.clone()
+    metadata = {
+        "format": FORMAT,
+        "part": header.part,
+        "config": json.dumps(header.config, sort_keys=True),
+        "base": json.dumps(header.base, sort_keys=True),
+        "provenance": json.dumps(header.provenance, sort_keys=True),
+    }
+    with atomic_path(path) as temporary:
+        save_file(state, temporary, metadata=metadata)
+
+
+def read_header(path: str | Path) -> Header:
+    """What a weights file says of itself.
+
+    Raises:
+        ValueError: It is truncated, or not one of ours.
+    """
+    with _open(path) as file:
+        metadata = file.metadata() or {}
+    if metadata.get("format") != FORMAT:
+        raise ValueError(f"{path} is a safetensors file without an anystyle header; convert it with `anystyle weights`")
+    return Header(
+        part=metadata["part"],
+        config=json.loads(metadata["config"]),
+        base=json.loads(metadata["base"]),
+        provenance=json.loads(metadata["provenance"]),
+    )
+
+
+def load_part(path: str | Path, module: nn.Module, part: str) -> Header:
+    """Load weights into a module, strictly.
+
+    Raises:
+        ValueError: The file is truncated, holds another part, or its tensors are not the module's; up to five of the
+            missing, unexpected and misshapen keys are named.
+    """
+    header = read_header(path)
+    if header.part != part:
+        raise ValueError(f"{path} holds the weights of a {header.part}, but those of a {part} are needed")
+    with _open(path) as file:
+        state = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (no mapping)
+    load_strictly(module, state, source=str(path))
+    return header
+
+
+@torch.no_grad()
+def load_strictly(module: nn.Module, state: Mapping[str, Tensor], *, source: str) -> None:
+    """Copy tensors into a module whose keys and shapes are exactly theirs.
+
+    Raises:
+        ValueError: They differ; the message names up to five of each kind of difference.
+    """
+    own = module.state_dict()
+    missing = [key for key in own if key not in state]
+    unexpected = [key for key in state if key not in own]
+    misshapen = [
+        f"{key} is {list(state[key].shape)}, not {list(own[key].shape)}"
+        for key in own
+        if key in state and state[key].shape != own[key].shape
+    ]
+    problems = [
+        f"{what} {len(keys)} ({', '.join(keys[:5])}{', …' if len(keys) > 5 else ''})"
+        for what, keys in (("missing", missing), ("unexpected", unexpected), ("misshapen", misshapen))
+        if keys
+    ]
+    if problems:
+        raise ValueError(f"{source} does not fit this {type(module).__name__}: {'; '.join(problems)}")
+    for key, tensor in own.items():
+        tensor.copy_(state[key])
+
+
+def sha256(path: str | Path) -> str:
+    """The SHA-256 of a file, in hexadecimal."""
+    with Path(path).open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _open(path: str | Path) -> Any:
+    if not Path(path).is_file():
+        raise ValueError(f"there is no weights file {path}")
+    try:
+        return safe_open(path, framework="pt")
+    except SafetensorError as error:
+        raise ValueError(f"{path} is truncated or no safetensors file ({error})") from None
