@@ -1,9 +1,10 @@
 """Writing files so that nothing half-written ever stays under its final name."""
 
 import os
+import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 
@@ -27,3 +28,35 @@ def atomic_path(target: str | Path) -> Iterator[Path]:
         temporary.replace(target)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def atomic_directory(target: str | Path) -> Iterator[Path]:
+    """Yield a temporary directory whose entries move into ``target`` when the block ends well.
+
+    Entries of the same names are replaced whole, others in ``target`` stay; a failing block leaves nothing behind.
+
+    Raises:
+        ValueError: ``target`` is a file.
+        OSError: ``target`` cannot be written; found out before the block begins.
+    """
+    target = Path(target)
+    if target.exists() and not target.is_dir():
+        raise ValueError(f"{target} is a file; results need a directory")
+    made = [folder for folder in (target, *target.parents) if not folder.exists()]
+    target.mkdir(parents=True, exist_ok=True)
+    temporary = Path(tempfile.mkdtemp(prefix=".partial-", dir=target))
+    finished = False
+    try:
+        yield temporary
+        for entry in sorted(temporary.iterdir()):
+            place = target / entry.name
+            if place.is_dir() and not place.is_symlink():
+                shutil.rmtree(place)
+            entry.replace(place)
+        finished = True
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+        for folder in [] if finished else made:
+            with suppress(OSError):
+                folder.rmdir()
