@@ -1,0 +1,42 @@
+"""What a training promises: a Lightning module that says what it reads and what it leaves behind."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
+import lightning.pytorch as pl
+from torch import nn
+
+from anystyle.contracts import SceneSource, StyleSource
+from anystyle.training.data import BatchSource
+
+
+class Training(pl.LightningModule, ABC):
+    """One of the trainings that ``anystyle train`` runs.
+
+    The constructor names the parts it needs among ``backbone``, ``style_encoder``, ``renderer``, ``stylizer`` and
+    ``losses``, which the framework passes, and further options. A step draws no random number but from the global
+    generator, which the framework seeds anew before every step: so a continued run equals an uninterrupted one.
+    """
+
+    @abstractmethod
+    def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> BatchSource:
+        """What each step reads.
+
+        Raises:
+            ValueError: A source that this training needs is not configured.
+        """
+
+    @abstractmethod
+    def exports(self) -> Mapping[str, nn.Module]:
+        """What the run is for: modules to be written as weights files, by the part they are."""
+
+
+def required(source: SceneSource | StyleSource | None, kind: str) -> SceneSource | StyleSource:
+    """A source that must be configured.
+
+    Raises:
+        ValueError: It is not.
+    """
+    if source is None:
+        raise ValueError(f"this training needs {kind}; add {kind}=NAME (`anystyle plugins {kind}` lists them)")
+    return source

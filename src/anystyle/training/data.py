@@ -1,0 +1,315 @@
+"""Batches as functions of the step, and the Lightning data module that serves them."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Protocol
+
+import lightning.pytorch as pl
+import torch
+import torch.nn.functional as F
+from torch.utils.data import DataLoader, Dataset
+
+from anystyle.contracts import SceneSource, StyleSource
+from anystyle.training.sampling import Draw, any_views, batch_rows, bounded_views, generator, view_probabilities
+from anystyle.types import Cameras, Style, Value, Views
+
+
+@dataclass(frozen=True)
+class Batch(Value):
+    """What one step of a scene training sees.
+
+    Args:
+        views: The context views first, then the target views, which only losses look at.
+        context: How many views the network is given.
+        style: One style a scene, where the training has styles.
+        keys: Names the content of each row; equal keys mean equal context views.
+    """
+
+    views: Views
+    context: int
+    style: Style | None = None
+    keys: tuple[int, ...] = ()
+
+    @property
+    def inputs(self) -> Views:
+        """The context views."""
+        return self.views.select(list(range(self.context)))
+
+
+class BatchSource(Protocol):
+    """Anything that can say what a step sees; ``rank`` of ``world`` processes asks for its share."""
+
+    def batch(self, step: int, rank: int, world: int) -> Value:
+        """The rows of ``step`` that are this process's."""
+        ...
+
+
+class SceneBatches:
+    """Batches of scenes, with styles or without.
+
+    Args:
+        scenes: What is looked at.
+        styles: What is put on it.
+        seed: Of every choice.
+        batch_size: Scenes a step over all processes; ``None`` means as many as make ``images`` images.
+        images: Images a step, where ``batch_size`` is ``None`` (published: 36).
+        context_views: Least and most views the network is given (published: 2 to 18).
+        view_power: Numbers of views are drawn in proportion to their power (published: 2).
+        target_views: Further views, for losses.
+        spread: ``any`` views of a scene in any order, or the published ``bounded`` window of a video.
+        heights: Least and greatest height in pixels, in steps of ``multiple``; ``None`` leaves images as they are.
+        width: In pixels; ``None`` keeps the shape of the images.
+        multiple: Sides are multiples of it: the backbone's patch size.
+        flip: Chance of mirroring a scene.
+        pool: Draw from so many fixed selections of views instead of new ones each step, so that what is computed
+            from them can be kept; ``None`` means no limit.
+    """
+
+    def __init__(
+        self,
+        scenes: SceneSource,
+        styles: StyleSource | None = None,
+        *,
+        seed: int = 0,
+        batch_size: int | None = None,
+        images: int = 36,
+        context_views: Sequence[int] = (2, 18),
+        view_power: float = 2.0,
+        target_views: int = 0,
+        spread: Literal["any", "bounded"] = "bounded",
+        heights: Sequence[int] | None = None,
+        width: int | None = None,
+        multiple: int = 14,
+        flip: float = 0.0,
+        pool: int | None = None,
+    ) -> None:
+        low, high = context_views
+        if not 1 <= low <= high:
+            raise ValueError(f"data.context_views is [{low}, {high}]; give the least and the most views, at least 1")
+        if len(scenes) == 0:
+            raise ValueError("the scene source holds no scene; `anystyle data check PATH` says why")
+        self.scenes, self.styles, self.seed = scenes, styles, seed
+        self.batch_size, self.images = batch_size, images
+        self.counts = list(range(low, high + 1))
+        self.probabilities = view_probabilities(self.counts, view_power)
+        self.target_views = target_views
+        self.choose = {"any": any_views, "bounded": bounded_views}[spread]
+        self.heights, self.width, self.multiple = heights, width, multiple
+        self.flip, self.pool = flip, pool
+
+    def draws(self, step: int) -> tuple[int, list[Draw]]:
+        """The number of context views of ``step``, and all its rows."""
+        rng = generator(self.seed, 1, step)
+        context = int(rng.choice(self.counts, p=self.probabilities))
+        rows = self.batch_size or batch_rows(context, self.images)
+        return context, [self._draw(step, row, context) for row in range(rows)]
+
+    def _draw(self, step: int, row: int, context: int) -> Draw:
+        rng = generator(self.seed, 2, step, row)
+        content = int(rng.integers(0, self.pool or 2**62))
+        style = int(rng.integers(0, len(self.styles))) if self.styles is not None else 0
+        key = content * (self.counts[-1] + 1) + context
+        inner = generator(self.seed, 3, content, content >> 32, context)
+        scene = int(inner.integers(0, len(self.scenes)))
+        flip = bool(inner.random() < self.flip)
+        views = self.choose(inner, self.scenes.num_views(scene), context, self.target_views)
+        return Draw(key=key, scene=scene, views=views, style=style, flip=flip)
+
+    def batch(self, step: int, rank: int = 0, world: int = 1) -> Batch:
+        """The rows of ``step`` that process ``rank`` of ``world`` works on.
+
+        Raises:
+            ValueError: The rows cannot be shared out evenly.
+        """
+        context, draws = self.draws(step)
+        if len(draws) % world:
+            raise ValueError(f"{len(draws)} scenes a step cannot be shared by {world} processes; change data.batch_size")
+        mine = draws[rank::world]
+        rows = [self._read(draw) for draw in mine]
+        size = self._size(step, rows[0])
+        views = stack_views([row if size is None else fit_views(row, size) for row in rows])
+        style = None if self.styles is None else stack_styles([self.styles.read(draw.style) for draw in mine])
+        return Batch(views=views, context=context, style=style, keys=tuple(draw.key for draw in mine))
+
+    def _read(self, draw: Draw) -> Views:
+        views = self.scenes.read(draw.scene, list(draw.views))
+        return mirror_views(views) if draw.flip else views
+
+    def _size(self, step: int, views: Views) -> tuple[int, int] | None:
+        if self.heights is None:
+            return None
+        low, high = self.heights
+        steps = generator(self.seed, 4, step).integers(-(-low // self.multiple), high // self.multiple + 1)
+        height = int(steps) * self.multiple
+        if self.width is not None:
+            return height, self.width
+        aspect = views.size[1] / views.size[0]
+        return height, max(1, round(height * aspect / self.multiple)) * self.multiple
+
+
+def fit_views(views: Views, size: tuple[int, int]) -> Views:
+    """Views resized to cover ``size`` and cut to it around the middle; cameras and depth follow.
+
+    Depth is taken from the nearest pixel, for a mean over an edge lies on no surface.
+    """
+    if views.size == size:
+        return views
+    (height, width), (source_height, source_width) = size, views.size
+    scale = max(height / source_height, width / source_width)
+    cover = max(height, round(source_height * scale)), max(width, round(source_width * scale))
+    top, left = (cover[0] - height) // 2, (cover[1] - width) // 2
+    flat = F.interpolate(views.images.flatten(0, 1), size=cover, mode="bilinear", antialias=True, align_corners=False)
+    images = flat[..., top : top + height, left : left + width].unflatten(0, views.images.shape[:2])
+    depth = views.depth
+    if depth is not None:
+        depth = F.interpolate(depth, size=cover, mode="nearest-exact")[..., top : top + height, left : left + width]
+    cameras = views.cameras
+    if cameras is not None:
+        intrinsics = cameras.resized(cover).intrinsics.clone()
+        intrinsics[..., 0, 2] -= left
+        intrinsics[..., 1, 2] -= top
+        cameras = Cameras(cameras.world_from_camera, intrinsics, size)
+    return replace(views, images=images.clamp(0, 1), depth=depth, cameras=cameras)
+
+
+def mirror_views(views: Views) -> Views:
+    """Views of the mirrored scene."""
+    cameras = views.cameras
+    if cameras is not None:
+        mirror = torch.diag(cameras.world_from_camera.new_tensor([-1.0, 1.0, 1.0, 1.0]))
+        intrinsics = cameras.intrinsics.clone()
+        intrinsics[..., 0, 2] = views.size[1] - intrinsics[..., 0, 2]
+        cameras = Cameras(mirror @ cameras.world_from_camera @ mirror, intrinsics, cameras.size)
+    return replace(
+        views,
+        images=views.images.flip(-1),
+        depth=None if views.depth is None else views.depth.flip(-1),
+        cameras=cameras,
+    )
+
+
+def stack_views(rows: Sequence[Views]) -> Views:
+    """One batch of scenes with equally many views of one size; what one of them does not know is left out."""
+    sizes = {row.size for row in rows}
+    if len(sizes) > 1:
+        raise ValueError(f"scenes of sizes {sorted(sizes)} cannot be one batch; set data.heights (and data.width)")
+    cameras = [row.cameras for row in rows if row.cameras is not None]
+    depth = [row.depth for row in rows if row.depth is not None]
+    return Views(
+        images=torch.cat([row.images for row in rows]),
+        cameras=Cameras(
+            torch.cat([one.world_from_camera for one in cameras]),
+            torch.cat([one.intrinsics for one in cameras]),
+            rows[0].size,
+        )
+        if len(cameras) == len(rows)
+        else None,
+        depth=torch.cat(depth) if len(depth) == len(rows) else None,
+    )
+
+
+def stack_styles(rows: Sequence[Style]) -> Style:
+    """One batch of styles; a row without an image gets a black one that ``has_image`` denies."""
+    shape = next((row.image.shape[1:] for row in rows if row.image is not None), None)
+    image = has_image = None
+    if shape is not None:
+        image = torch.cat([torch.zeros(1, *shape) if row.image is None else row.image for row in rows])
+        has_image = torch.cat(
+            [
+                torch.tensor([row.image is not None]) if row.has_image is None else row.has_image
+                for row in rows
+            ]
+        )
+    texts = tuple(text for row in rows for text in (row.text or ("",)))
+    names = tuple(name for row in rows for name in row.names)
+    return Style(image=image, text=texts if any(texts) else None, has_image=has_image, names=names)
+
+
+class _Steps(Dataset[Value]):
+    """A batch source as a map from steps to batches, for one process."""
+
+    def __init__(self, source: BatchSource, rank: int, world: int) -> None:
+        self.source, self.rank, self.world = source, rank, world
+
+    def __getitem__(self, step: int) -> Value:
+        return self.source.batch(step, self.rank, self.world)
+
+
+class StepLoader:
+    """The batches of the steps from ``start`` to ``stop``, in order.
+
+    Its position is the number of steps done, which the trainer's checkpoint holds: it is as good as resumable, and
+    has the two methods by which Lightning recognises that.
+    """
+
+    def __init__(
+        self, source: BatchSource, *, start: int, stop: int, rank: int = 0, world: int = 1, workers: int = 0
+    ) -> None:
+        self.start, self.stop = start, stop
+        # DataLoader draws a base seed from the global generator; its own keeps the training's random numbers apart.
+        self.loader = DataLoader(
+            _Steps(source, rank, world),
+            batch_size=None,
+            sampler=range(start, stop),
+            num_workers=workers,
+            persistent_workers=False,
+            generator=torch.Generator().manual_seed(0),
+        )
+
+    def __len__(self) -> int:
+        return self.stop
+
+    def __iter__(self) -> Iterator[Value]:
+        return iter(self.loader)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Nothing: the trainer knows the step."""
+        return {}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Nothing to restore."""
+
+
+class StepData(pl.LightningDataModule):
+    """Serves a batch source, from wherever the trainer stands.
+
+    Args:
+        train: What training sees.
+        validation: What validation sees: its first ``validation_steps`` steps, the same each time.
+        validation_steps: How many.
+        workers: Processes that read ahead; 0 reads in the training process.
+    """
+
+    def __init__(
+        self,
+        train: BatchSource,
+        validation: BatchSource | None = None,
+        *,
+        validation_steps: int = 8,
+        workers: int = 0,
+    ) -> None:
+        super().__init__()
+        self.train, self.validation = train, validation
+        self.validation_steps, self.workers = validation_steps, workers
+
+    def train_dataloader(self) -> StepLoader:
+        """The steps that are left."""
+        trainer = self.trainer
+        assert trainer is not None
+        done, stop = trainer.global_step, trainer.max_steps
+        accumulate = trainer.accumulate_grad_batches
+        return StepLoader(
+            self.train,
+            start=done * accumulate,
+            stop=stop * accumulate,
+            rank=trainer.global_rank,
+            world=trainer.world_size,
+            workers=self.workers,
+        )
+
+    def val_dataloader(self) -> StepLoader | list[Value]:
+        """The validation steps; each process sees all of them."""
+        if self.validation is None:
+            return []
+        return StepLoader(self.validation, start=0, stop=self.validation_steps)
+

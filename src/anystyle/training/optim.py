@@ -1,0 +1,64 @@
+"""The schedule and the parameter groups of the published recipe."""
+
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import torch
+from torch import nn
+from torch.optim.lr_scheduler import LambdaLR
+
+
+def learning_rate(
+    step: int, *, peak: float, total: int, warmup: int = 100, start: float = 0.01, floor: float = 1e-5
+) -> float:
+    """The published schedule: a linear warm-up from ``start * peak``, then a cosine to ``floor``.
+
+    Args:
+        step: Steps done.
+        peak: The rate at the end of the warm-up.
+        total: The cosine ends this many steps after the warm-up, as published; the rate stays at ``floor`` then.
+        warmup: Steps of the warm-up.
+        start: Share of the peak at step 0.
+        floor: The last rate, the same for every parameter group.
+    """
+    if step < warmup:
+        return peak * (start + (1 - start) * step / warmup)
+    along = min(1.0, (step - warmup) / max(1, total))
+    return floor + (peak - floor) * 0.5 * (1 + math.cos(math.pi * along))
+
+
+def scheduled(
+    optimizer: torch.optim.Optimizer, *, total: int, warmup: int, floor: float, start: float = 0.01
+) -> dict[str, Any]:
+    """An optimiser with :func:`learning_rate` on each of its groups, as Lightning takes it."""
+
+    def share(peak: float) -> Any:
+        return lambda step: (
+            learning_rate(step, peak=peak, total=total, warmup=warmup, floor=floor, start=start) / peak
+        )
+
+    schedule = LambdaLR(optimizer, [share(group["lr"]) for group in optimizer.param_groups])
+    return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+
+
+def decayed_groups(modules: Sequence[nn.Module], *, lr: float, weight_decay: float) -> list[dict[str, Any]]:
+    """Parameter groups in which matrices decay; biases, gains and single vectors do not."""
+    matrices, vectors = [], []
+    for parameter in trainable(modules):
+        (matrices if parameter.ndim > 1 else vectors).append(parameter)
+    return [
+        {"params": params, "lr": lr, "weight_decay": decay}
+        for params, decay in ((matrices, weight_decay), (vectors, 0.0))
+        if params
+    ]
+
+
+def trainable(modules: Iterable[nn.Module]) -> list[nn.Parameter]:
+    """The parameters that want gradients, each once, in order."""
+    seen: dict[int, nn.Parameter] = {}
+    for module in modules:
+        for parameter in module.parameters():
+            if parameter.requires_grad:
+                seen.setdefault(id(parameter), parameter)
+    return list(seen.values())

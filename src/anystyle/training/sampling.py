@@ -1,0 +1,88 @@
+"""What a training step looks at: which scenes, which of their views, at which size, with which styles.
+
+Nothing here has a state. A draw is a function of the seed and the step, so that a run that is continued sees what an
+uninterrupted run sees, and so that every process of a distributed run agrees without a message.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Draw:
+    """One row of a batch.
+
+    Args:
+        key: Names the content; equal keys of equal draws see the same scene through the same views.
+        scene: Index into the scene source.
+        views: Indices of the context views, then of the target views.
+        style: Index into the style source, 0 where there are none.
+        flip: Whether the row is mirrored.
+    """
+
+    key: int
+    scene: int
+    views: tuple[int, ...]
+    style: int
+    flip: bool
+
+
+def view_probabilities(counts: Sequence[int], power: float) -> np.ndarray:
+    """Chances of the numbers of context views, in proportion to ``count**power``; the published runs use 2."""
+    weights = np.asarray(counts, dtype=np.float64) ** power
+    return weights / weights.sum()
+
+
+def batch_rows(context: int, images: int) -> int:
+    """How many scenes of ``context`` views make about ``images`` images."""
+    return max(1, images // context)
+
+
+def gap_bounds(context: int, total: int) -> tuple[int, int]:
+    """Least and largest distance between the first and the last context view of a capture of ``total`` frames.
+
+    Raises:
+        ValueError: The capture is too short for so many views.
+    """
+    low = min(3 * context, 32)
+    high = min(max(5 * context, context * context), 256, total - 1)
+    if high < low:
+        raise ValueError(
+            f"a scene of {total} frames is too short for {context} views at least {low} frames apart; "
+            f"lower data.context_views or use data.spread=any"
+        )
+    return low, high
+
+
+def bounded_views(rng: np.random.Generator, total: int, context: int, targets: int) -> tuple[int, ...]:
+    """A random window's left end, views from within in no order, its right end; then targets from the window."""
+    if context == 1:
+        return tuple(int(view) for view in rng.choice(total, 1 + targets, replace=total < 1 + targets))
+    low, high = gap_bounds(context, total)
+    gap = int(rng.integers(low, high + 1))
+    left = int(rng.integers(0, total - gap))
+    right = left + gap
+    between = rng.choice(np.arange(left + 1, right), context - 2, replace=False)
+    aims = rng.integers(left, right + 1, targets)
+    return tuple(int(view) for view in (left, *between, right, *aims))
+
+
+def any_views(rng: np.random.Generator, total: int, context: int, targets: int) -> tuple[int, ...]:
+    """Distinct views in random order.
+
+    Raises:
+        ValueError: The scene has fewer views than asked for.
+    """
+    if total < context + targets:
+        raise ValueError(
+            f"a scene has {total} views, and {context} context and {targets} target views are asked for; "
+            f"lower data.context_views or data.target_views"
+        )
+    return tuple(int(view) for view in rng.permutation(total)[: context + targets])
+
+
+def generator(*words: int) -> np.random.Generator:
+    """A generator that depends on all the words, and on their order."""
+    return np.random.default_rng(np.random.SeedSequence([word % 2**32 for word in words]))

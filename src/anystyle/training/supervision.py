@@ -1,0 +1,141 @@
+"""Losses that teach geometry: depth, cameras, and both at once through points."""
+
+from dataclasses import replace
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from anystyle.types import Cameras, Geometry, Views
+
+
+def canonical(views: Views, context: int) -> Views:
+    """Views in the frame that a backbone can know: the first camera at the origin, mean distance of what it sees 1.
+
+    Args:
+        views: With cameras and depth.
+        context: How many views lead that the network sees; the scale is the mean distance of their points from the
+            first camera.
+
+    Raises:
+        ValueError: Cameras or depth are not known.
+    """
+    if views.cameras is None or views.depth is None:
+        raise ValueError("reconstruction learns from scenes with cameras and depth; choose another scenes=")
+    first = views.cameras.camera_from_world[:, :1]
+    cameras = replace(views.cameras, world_from_camera=first @ views.cameras.world_from_camera)
+    seen = Geometry(cameras, views.depth, torch.ones_like(views.depth)).points()[:, :context]
+    known = (views.depth[:, :context] > 0).to(seen.dtype)
+    distance = (seen.norm(dim=-1) * known).sum((1, 2, 3)) / known.sum((1, 2, 3)).clamp_min(1)
+    scale = 1 / distance.clamp_min(1e-6)[:, None]
+    poses = cameras.world_from_camera.clone()
+    poses[..., :3, 3] = poses[..., :3, 3] * scale[..., None]
+    return replace(
+        views, cameras=replace(cameras, world_from_camera=poses), depth=views.depth * scale[..., None, None]
+    )
+
+
+def depth_loss(
+    predicted: Float[Tensor, "B V H W"],
+    confidence: Float[Tensor, "B V H W"],
+    true: Float[Tensor, "B V H W"],
+    *,
+    alpha: float = 0.2,
+    gradient: float = 1.0,
+) -> Float[Tensor, ""]:
+    """Confidence-weighted error of log depth and of its differences (after VGGT Eq. 3).
+
+    Args:
+        predicted: Depth, above 0.
+        confidence: Of each pixel, above 0.
+        true: Depth; 0 where it is not known.
+        alpha: Reward of ``log confidence``.
+        gradient: Weight of the differences at spacings of 1, 2 and 4 pixels.
+    """
+    known = true > 0
+    error = predicted.clamp_min(1e-4).log() - true.clamp_min(1e-4).log()
+    sure = confidence.clamp_min(1e-3)
+    loss = _mean(sure * error.abs() - alpha * sure.log(), known)
+    for step in (1, 2, 4):
+        for axis in (-1, -2):
+            count = error.shape[axis] - step
+            if count < 1:
+                continue
+            slope = error.narrow(axis, step, count) - error.narrow(axis, 0, count)
+            both = known.narrow(axis, step, count) & known.narrow(axis, 0, count)
+            loss = loss + gradient / 6 * _mean(slope.abs(), both)
+    return loss
+
+
+def camera_loss(predicted: Cameras, true: Cameras) -> Float[Tensor, ""]:
+    """Error of rotations (chordal), of positions and translations, and of log focal lengths."""
+    rotation = predicted.world_from_camera[..., :3, :3] - true.world_from_camera[..., :3, :3]
+    turned = huber(rotation.flatten(-2).square().sum(-1).add(1e-8).sqrt())
+    moved = huber((predicted.world_from_camera - true.world_from_camera)[..., :3, 3])
+    seen = huber((predicted.camera_from_world - true.camera_from_world)[..., :3, 3])
+    focal = torch.stack(
+        [(predicted.intrinsics[..., i, i] / true.intrinsics[..., i, i]).clamp_min(1e-3).log() for i in (0, 1)]
+    )
+    return turned + moved + seen + focal.abs().mean()
+
+
+def transfer_loss(
+    predicted: Cameras, true: Cameras, depth: Float[Tensor, "B V H W"], *, stride: int = 4
+) -> Float[Tensor, ""]:
+    """How far points of each view land from where its true camera sees them, as a share of their depth.
+
+    Unlike errors of rotation and translation it weighs both by what they do to the picture.
+    """
+    thin, depth = _thinned(true, depth, stride)
+    world = Geometry(thin, depth, depth).points()
+    local = _into(predicted.camera_from_world, world) - _into(true.camera_from_world, world)
+    return _mean(_smooth(local.norm(dim=-1) / depth.clamp_min(0.05)), depth > 0)
+
+
+def point_loss(geometry: Geometry, true: Cameras, depth: Float[Tensor, "B V H W"], *, stride: int = 2) -> Tensor:
+    """How far predicted world points lie from the true ones, as a share of their distance from the first camera."""
+    camera, thin_depth = _thinned(true, depth, stride)
+    own, predicted_depth = _thinned(geometry.cameras, geometry.depth, stride)
+    world = Geometry(camera, thin_depth, thin_depth).points()
+    predicted = Geometry(own, predicted_depth, predicted_depth).points()
+    share = (predicted - world).norm(dim=-1) / world.norm(dim=-1).clamp_min(0.1)
+    return _mean(_smooth(share), thin_depth > 0)
+
+
+def project(cameras: Cameras, world: Float[Tensor, "B M 3"]) -> tuple[Float[Tensor, "B V M 2"], Float[Tensor, "B V M"]]:
+    """Where every camera sees world points: pixels, and depth along z (points behind have none above 0)."""
+    local = _into(cameras.camera_from_world, world[:, None].expand(-1, cameras.intrinsics.shape[1], -1, -1))
+    depth = local[..., 2]
+    pixel = local @ cameras.intrinsics.mT
+    return pixel[..., :2] / depth.clamp_min(1e-4)[..., None], depth
+
+
+def huber(error: Float[Tensor, "..."], *, width: float = 0.1) -> Float[Tensor, ""]:
+    """The mean of ``|error|``, rounded off below ``width``."""
+    return F.smooth_l1_loss(error, torch.zeros_like(error), beta=width)
+
+
+def _smooth(error: Tensor, width: float = 0.05) -> Tensor:
+    return F.smooth_l1_loss(error, torch.zeros_like(error), beta=width, reduction="none")
+
+
+def _mean(values: Tensor, known: Bool[Tensor, "..."]) -> Tensor:
+    return (values * known).sum() / known.sum().clamp_min(1)
+
+
+def _into(frame: Float[Tensor, "B V 4 4"], points: Tensor) -> Tensor:
+    flat = points.flatten(2, -2)
+    local = flat @ frame[..., :3, :3].mT + frame[..., None, :3, 3]
+    return local.reshape(points.shape)
+
+
+def _thinned(cameras: Cameras, depth: Tensor, stride: int) -> tuple[Cameras, Tensor]:
+    """Every ``stride``-th pixel of a depth map, with the cameras that see those pixels in a small image."""
+    thin = depth[..., stride // 2 :: stride, stride // 2 :: stride]
+    intrinsics = cameras.intrinsics.clone()
+    intrinsics[..., :2, :] = intrinsics[..., :2, :] / stride
+    # Pixel i of the small image is pixel stride*i + stride//2 of the large one; both centres lie at +0.5.
+    shift = (stride // 2 + 0.5) / stride - 0.5
+    intrinsics[..., :2, 2] = intrinsics[..., :2, 2] - shift
+    return Cameras(cameras.world_from_camera, intrinsics, (thin.shape[-2], thin.shape[-1])), thin
