@@ -1,0 +1,1 @@
+"""Metrics: each a ``torchmetrics.Metric`` that is usable on its own."""
