@@ -1,0 +1,1 @@
+"""Pure functions of cameras, rotations, colours and projections."""

@@ -1,0 +1,106 @@
+"""Real spherical harmonics in the order and with the signs of 3DGS.
+
+Coefficient ``l * l + l + m`` has degree ``l`` and order ``m`` in ``-l .. l``; the sign is ``(-1) ** m`` times that of
+the real harmonics of mathematics, so that the three of degree 1 are ``-y, z, -x`` times 0.4886.
+"""
+
+from math import factorial, isqrt, pi, sqrt
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+CONSTANT = 0.5 / sqrt(pi)
+"""The harmonic of degree 0."""
+
+
+def degree_of(coefficients: int) -> int:
+    """The degree that a number of coefficients belongs to.
+
+    Raises:
+        ValueError: It is no square.
+    """
+    degree = isqrt(max(coefficients, 1)) - 1
+    if (degree + 1) ** 2 != coefficients:
+        raise ValueError(
+            f"{coefficients} spherical-harmonics coefficients; expected (degree + 1)², such as 1, 4, 9, 16 or 25"
+        )
+    return degree
+
+
+def basis(directions: Float[Tensor, "*batch 3"], degree: int) -> Float[Tensor, "*batch K"]:
+    """The ``(degree + 1)²`` harmonics at unit vectors.
+
+    With ``P`` the associated Legendre polynomials divided by ``sin(theta) ** m`` (Sloan, Efficient Spherical Harmonic
+    Evaluation, 2013), the harmonics are ``P(z)`` times the real and imaginary parts of ``(x + iy) ** m``.
+    """
+    x, y, z = directions.unbind(-1)
+    legendre = _legendre(z, degree)
+    cosine, sine = torch.ones_like(x), torch.zeros_like(x)  # parts of (x + iy) ** m
+    values: dict[int, Tensor] = {}
+    for m in range(degree + 1):
+        for l in range(m, degree + 1):  # noqa: E741
+            scale = normalisation(l, m)
+            values[l * l + l + m] = scale * legendre[l, m] * cosine
+            values[l * l + l - m] = scale * legendre[l, m] * (sine if m else cosine)
+        cosine, sine = x * cosine - y * sine, x * sine + y * cosine
+    return torch.stack([values[k] for k in range((degree + 1) ** 2)], dim=-1)
+
+
+def normalisation(degree: int, order: int) -> float:
+    """The factor that gives the harmonic of a degree and an order of at least 0 unit norm on the sphere, signed."""
+    ratio = factorial(degree - order) / factorial(degree + order)
+    return (-1) ** order * sqrt((2 if order else 1) * (2 * degree + 1) / (4 * pi) * ratio)
+
+
+def _legendre(z: Tensor, degree: int) -> dict[tuple[int, int], Tensor]:
+    polynomials = {(0, 0): torch.ones_like(z)}
+    for m in range(degree + 1):
+        if m:
+            polynomials[m, m] = (2 * m - 1) * polynomials[m - 1, m - 1]
+        for l in range(m + 1, degree + 1):  # noqa: E741
+            below = polynomials.get((l - 2, m), torch.zeros_like(z))
+            polynomials[l, m] = ((2 * l - 1) * z * polynomials[l - 1, m] - (l + m - 1) * below) / (l - m)
+    return polynomials
+
+
+def colors(harmonics: Float[Tensor, "*batch K 3"], directions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """What 3DGS shows of coefficients, seen along unit vectors: ``max(sum_k Y_k harmonics_k + 0.5, 0)``."""
+    degree = degree_of(harmonics.shape[-2])
+    if degree == 0:
+        return (CONSTANT * harmonics[..., 0, :] + 0.5).clamp_min(0)
+    weights = basis(directions, degree)  # ... K
+    return ((weights[..., None] * harmonics).sum(-2) + 0.5).clamp_min(0)
+
+
+def constant_from_rgb(rgb: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """The coefficients of degree 0 that show a colour in [0, 1]."""
+    return (rgb - 0.5) / CONSTANT
+
+
+def rgb_from_constant(constant: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """The colour that coefficients of degree 0 show, below 0 not yet cut."""
+    return constant * CONSTANT + 0.5
+
+
+def rotate(harmonics: Float[Tensor, "*batch K 3"], rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "*batch K 3"]:
+    """The coefficients of the same colours after the world was turned by ``rotation``.
+
+    Harmonics of one degree turn among themselves; how, follows from their values at more directions than they are.
+    """
+    degree = degree_of(harmonics.shape[-2])
+    directions = _spread(8 * (degree + 1) ** 2).to(harmonics.device)
+    turned = basis(directions, degree)  # M K, float64
+    straight = basis(directions @ rotation.double(), degree)  # seen in the axes of the unturned world
+    matrix = torch.linalg.lstsq(turned, straight).solution  # K K, block by block
+    return torch.einsum("kj,...jc->...kc", matrix.to(harmonics.dtype), harmonics)
+
+
+def _spread(count: int) -> Float[Tensor, "M 3"]:
+    """Unit vectors spread over the sphere, on a Fibonacci spiral."""
+    place = torch.arange(count, dtype=torch.float64) + 0.5
+    z = 1 - 2 * place / count
+    angle = place * (pi * (3 - sqrt(5)))
+    radius = (1 - z * z).sqrt()
+    return F.normalize(torch.stack([radius * angle.cos(), radius * angle.sin(), z], dim=-1), dim=-1)

@@ -1,0 +1,1 @@
+"""Renderers: one 3DGS rasteriser a file."""

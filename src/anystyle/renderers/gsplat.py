@@ -1,0 +1,107 @@
+"""The renderer for NVIDIA graphics cards: the gsplat package."""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import Renderer
+from anystyle.geometry.harmonics import colors, degree_of
+from anystyle.geometry.projection import covariances
+from anystyle.renderers._common import check, over
+from anystyle.types import Cameras, Gaussians, Renders
+
+
+class GsplatRenderer(Renderer):
+    """gsplat's CUDA kernels, all cameras of a scene at once; what the published models were trained with.
+
+    Differentiable in the Gaussians and the poses, not in the intrinsics. The most that one Gaussian covers of a pixel
+    is compiled into gsplat: 0.999 to version 1.5.3, 0.99 in 1.6.
+
+    Args:
+        background: Colour in [0, 1] behind the scene.
+        near: Distance along z, above 0, under which centres are not seen; the published renderer's default.
+        far: Distance along z over which centres are not seen.
+        eps2d: Low-pass filter of a pixel: variance in pixels² added to every Gaussian in the image.
+    """
+
+    def __init__(
+        self,
+        *,
+        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        near: float = 1e-10,
+        far: float = 1e10,
+        eps2d: float = 0.3,
+    ) -> None:
+        self.background = background
+        self.near = near
+        self.far = far
+        self.eps2d = eps2d
+
+    def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        """Render every camera of every scene.
+
+        Raises:
+            ValueError: The tensors are not on a CUDA device, or do not belong together.
+            ImportError: gsplat is not installed.
+        """
+        check(gaussians, cameras, self.background, self.near)
+        if gaussians.means.device.type != "cuda":
+            raise ValueError(
+                f"the renderer 'gsplat' was given tensors on {gaussians.means.device}; "
+                "use renderer=cpu there, or move the Gaussians and cameras with .to('cuda')"
+            )
+        image = self.accumulate(gaussians, cameras).to(gaussians.means.dtype)
+        return over(image, self.background)
+
+    def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
+        """Red, green, blue and depth over black and before any cut, and the share of light that passes."""
+        rasterization = _rasterization()
+        scenes = range(gaussians.means.shape[0])
+        with torch.autocast(gaussians.means.device.type, enabled=False):
+            # Scene by scene: later versions take no harmonics of several scenes at once.
+            return torch.stack([self._scene(rasterization, gaussians, cameras, b) for b in scenes])
+
+    def _scene(
+        self, rasterization: Callable[..., Any], gaussians: Gaussians, cameras: Cameras, scene: int
+    ) -> Float[Tensor, "V 5 H W"]:
+        height, width = cameras.size
+        means = gaussians.means[scene].float()  # N 3
+        rotations, scales = gaussians.rotations[scene].float(), gaussians.scales[scene].float()
+        harmonics = gaussians.harmonics[scene].float()  # N K 3
+        degree = degree_of(harmonics.shape[1])
+        if len(means) == 0:
+            nothing = means.new_zeros(cameras.intrinsics.shape[1], 5, height, width)
+            nothing[:, 4] = 1
+            return nothing
+        color, alpha, _ = rasterization(
+            means=means,
+            quats=rotations,
+            scales=scales,
+            opacities=gaussians.opacities[scene].float(),
+            # One coefficient is the same colour from everywhere, which gsplat takes without the directions.
+            colors=harmonics if degree else colors(harmonics, torch.zeros_like(means)),
+            sh_degree=degree or None,
+            viewmats=cameras.camera_from_world[scene].float(),
+            Ks=cameras.intrinsics[scene].float(),
+            width=width,
+            height=height,
+            near_plane=self.near,
+            far_plane=self.far,
+            eps2d=self.eps2d,
+            render_mode="RGB+D",
+            packed=False,
+            # Ours, so that quaternions of norm 0 mean what they mean in every renderer.
+            covars=covariances(rotations, scales),
+        )
+        return torch.cat([color, 1 - alpha], dim=-1).movedim(-1, 1)  # V 5 H W
+
+
+def _rasterization() -> Callable[..., Any]:
+    try:
+        from gsplat import rasterization
+    except ImportError as error:
+        raise ImportError('the renderer "gsplat" needs gsplat: pip install "anystyle[gpu]"') from error
+    return rasterization

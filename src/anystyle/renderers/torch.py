@@ -1,0 +1,135 @@
+"""The specification: what a render is, in plain PyTorch, on every device and in every precision."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import normalize
+from torch.utils.checkpoint import checkpoint
+
+from anystyle.contracts import Renderer
+from anystyle.geometry.harmonics import colors
+from anystyle.geometry.projection import MIN_ALPHA, Splats, covariances, project
+from anystyle.renderers._common import check, over
+from anystyle.types import Cameras, Gaussians, Renders
+
+MIN_TRANSMITTANCE = 1e-4
+"""A pixel is full before the Gaussian that would let less than this through."""
+
+TILE = 16
+"""Side in pixels of the squares that are blended at once; no result depends on it."""
+
+
+class TorchRenderer(Renderer):
+    """Tile by tile in PyTorch: slow, readable, differentiable in everything.
+
+    Args:
+        background: Colour in [0, 1] behind the scene.
+        near: Distance along z under which centres are not seen; the published renderer's default.
+        far: Distance along z over which centres are not seen.
+        eps2d: Low-pass filter of a pixel: variance in pixels² added to every Gaussian in the image.
+        alpha_cap: The most one Gaussian covers of a pixel: 0.999 in gsplat to 1.5.3, which the published models used,
+            0.99 in gsplat 1.6.
+    """
+
+    def __init__(
+        self,
+        *,
+        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        near: float = 1e-10,
+        far: float = 1e10,
+        eps2d: float = 0.3,
+        alpha_cap: float = 0.999,
+    ) -> None:
+        self.background = background
+        self.near = near
+        self.far = far
+        self.eps2d = eps2d
+        self.alpha_cap = alpha_cap
+
+    def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        """Render every camera of every scene, differentiable in the Gaussians, the poses and the intrinsics."""
+        check(gaussians, cameras, self.background, self.near)
+        return over(self.accumulate(gaussians, cameras), self.background)
+
+    def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
+        """Red, green, blue and depth over black and before any cut, and the share of light that passes."""
+        scenes, views = cameras.world_from_camera.shape[:2]
+        # Half precision would move Gaussians by pixels.
+        with torch.autocast(gaussians.means.device.type, enabled=False):
+            rows = [torch.stack([self._view(gaussians, cameras, b, v) for v in range(views)]) for b in range(scenes)]
+            return torch.stack(rows)
+
+    def _view(self, gaussians: Gaussians, cameras: Cameras, scene: int, view: int) -> Float[Tensor, "5 H W"]:
+        """Accumulated red, green, blue and depth of one view, and what light it lets through."""
+        means, opacities = gaussians.means[scene], gaussians.opacities[scene]  # N 3, N
+        splats = project(
+            means,
+            covariances(gaussians.rotations[scene], gaussians.scales[scene]),
+            opacities,
+            cameras.camera_from_world[scene, view],
+            cameras.intrinsics[scene, view],
+            cameras.size,
+            near=self.near,
+            far=self.far,
+            eps2d=self.eps2d,
+        )
+        rays = normalize(means[splats.index] - cameras.world_from_camera[scene, view, :3, 3], dim=-1)  # n 3
+        color = colors(gaussians.harmonics[scene, splats.index], rays)  # n 3
+        payload = torch.cat([color, splats.depths[:, None]], dim=-1)  # n 4
+        return self._blend(splats, opacities[splats.index], payload, cameras.size)
+
+    def _blend(
+        self, splats: Splats, opacities: Float[Tensor, " n"], payload: Float[Tensor, "n 4"], size: tuple[int, int]
+    ) -> Float[Tensor, "5 H W"]:
+        height, width = size
+        rows = []
+        for top in range(0, height, TILE):
+            tiles = []
+            for left in range(0, width, TILE):
+                y = torch.arange(top, min(top + TILE, height), device=payload.device, dtype=payload.dtype) + 0.5
+                x = torch.arange(left, min(left + TILE, width), device=payload.device, dtype=payload.dtype) + 0.5
+                near_x = (splats.means[:, 0] - x.mean()).abs() <= splats.radii[:, 0] + len(x) / 2
+                near_y = (splats.means[:, 1] - y.mean()).abs() <= splats.radii[:, 1] + len(y) / 2
+                index = (near_x & near_y).nonzero().squeeze(1)  # t, nearest first
+                here = [splats.means[index], splats.conics[index], opacities[index], payload[index], x, y]
+                # Recomputed when gradients are taken, as the alphas of all tiles together would not fit.
+                tiles.append(checkpoint(blend, *here, self.alpha_cap, use_reentrant=False, preserve_rng_state=False))
+            rows.append(torch.cat(tiles, dim=2))
+        return torch.cat(rows, dim=1)
+
+
+def blend(
+    means: Float[Tensor, "t 2"],
+    conics: Float[Tensor, "t 3"],
+    opacities: Float[Tensor, " t"],
+    payload: Float[Tensor, "t 4"],
+    x: Float[Tensor, " w"],
+    y: Float[Tensor, " h"],
+    alpha_cap: float,
+) -> Float[Tensor, "5 h w"]:
+    """Blend Gaussians, nearest first, in a rectangle of pixels.
+
+    Args:
+        means: Image positions in pixels.
+        conics: Inverse covariances ``xx, xy, yy``.
+        opacities: In [0, 1].
+        payload: What each shows: red, green, blue and depth.
+        x: Centres of the columns.
+        y: Centres of the rows.
+        alpha_cap: The most one covers of a pixel.
+
+    Returns:
+        The payload, accumulated over black, and the share of light that passes.
+    """
+    dx = (x - means[:, 0, None])[:, None, :]  # t 1 w
+    dy = (y - means[:, 1, None])[:, :, None]  # t h 1
+    xx, xy, yy = conics[:, :, None, None].unbind(1)  # t 1 1
+    sigma = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy  # t h w
+    alpha = (opacities[:, None, None] * (-sigma).exp()).clamp_max(alpha_cap)
+    alpha = torch.where((sigma >= 0) & (alpha >= MIN_ALPHA), alpha, 0)
+    after = (1 - alpha).cumprod(dim=0)  # what passes this Gaussian and all before it
+    alpha = torch.where(after > MIN_TRANSMITTANCE, alpha, 0)
+    before = torch.cat([torch.ones_like(after[:1]), after[:-1]])  # as many as t, also where t is 0
+    weights = alpha * before[: len(alpha)]  # t h w
+    image = torch.einsum("thw,tc->chw", weights, payload)
+    return torch.cat([image, (1 - alpha).prod(dim=0)[None]])
