@@ -1,7 +1,8 @@
 """What every plugin promises. If you read one file, read this one.
 
 Each class here is a socket: a plugin inherits from it, implements the abstract methods and is listed in one line of
-TOML. ``anystyle.testing`` holds each contract as plain functions; ``anystyle plugins check`` runs them. The user
+TOML. ``anystyle.testing`` holds each contract as plain functions; ``anystyle plugins check`` runs them, on an instance
+built with the options of :meth:`~anystyle.registry.socket.Socket.example`, the defaults unless overridden. The user
 study's socket, :class:`anystyle.study.contract.StudyTest`, needs no torch and lives with the study.
 """
 
@@ -14,6 +15,7 @@ import torchmetrics
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle.registry.socket import Socket
 from anystyle.types import (
     Attributes,
     Cameras,
@@ -90,7 +92,7 @@ class Adapter(nn.Module, ABC):
         """Activate and fuse. Differentiable in ``attributes``; linear work only in the number of Gaussians."""
 
 
-class Backbone(nn.Module, ABC):
+class Backbone(Socket, nn.Module, ABC):
     """A feed-forward reconstruction network in five parts.
 
     The constructor sets all five, ``patch_size`` (image sides are multiples of it) and ``resolution`` (the shorter
@@ -134,7 +136,7 @@ class Backbone(nn.Module, ABC):
         return super().train(mode and not self.frozen)
 
 
-class StyleEncoder(nn.Module, ABC):
+class StyleEncoder(Socket, nn.Module, ABC):
     """Images and texts in one space.
 
     The constructor sets ``dim``, the space's dimensions, and ``neutral``, the prompt that stands for no style.
@@ -156,7 +158,7 @@ class StyleEncoder(nn.Module, ABC):
         """
 
 
-class Injector(nn.Module, ABC):
+class Injector(Socket, nn.Module, ABC):
     """How style changes tokens at one site.
 
     The framework passes ``dim`` (channels at the site) and ``style_dim`` to the constructor. At initialisation it is
@@ -168,7 +170,7 @@ class Injector(nn.Module, ABC):
         """Tokens of the same shape, grid and kind."""
 
 
-class Placement(ABC):
+class Placement(Socket, ABC):
     """Which of a backbone's sites style enters."""
 
     @abstractmethod
@@ -180,7 +182,7 @@ class Placement(ABC):
         """
 
 
-class Renderer(ABC):
+class Renderer(Socket, ABC):
     """A differentiable 3DGS rasteriser."""
 
     @abstractmethod
@@ -188,7 +190,7 @@ class Renderer(ABC):
         """Render every camera of every scene, differentiable in the Gaussians and the camera poses."""
 
 
-class Loss(nn.Module, ABC):
+class Loss(Socket, nn.Module, ABC):
     """One unweighted term of the objective. The framework may pass ``style_encoder`` to the constructor."""
 
     weight: float
@@ -198,7 +200,7 @@ class Loss(nn.Module, ABC):
         """The term's value for a batch; the framework multiplies by ``weight``."""
 
 
-class Metric(torchmetrics.Metric, ABC):
+class Metric(Socket, torchmetrics.Metric, ABC):
     """A figure of merit. The framework may pass ``style_encoder`` and ``correspondence`` to the constructor."""
 
     better: ClassVar[Mapping[str, str]]
@@ -213,7 +215,7 @@ class Metric(torchmetrics.Metric, ABC):
         """The figures over all that was taken in; ``nan`` with a warning where there was too little."""
 
 
-class Correspondence(ABC):
+class Correspondence(Socket, ABC):
     """Where the pixels of one frame are seen in another."""
 
     @abstractmethod
@@ -225,7 +227,7 @@ class Correspondence(ABC):
         """
 
 
-class SceneSource(ABC):
+class SceneSource(Socket, ABC):
     """Scenes to learn from or to be judged on, read at random; all views of one scene have one size."""
 
     @abstractmethod
@@ -245,7 +247,7 @@ class SceneSource(ABC):
         """Some views of one scene as a batch of one, on the CPU; nothing else is decoded."""
 
 
-class StyleSource(ABC):
+class StyleSource(Socket, ABC):
     """Styles to learn from or to be judged on, read at random; all images have one size."""
 
     @abstractmethod
