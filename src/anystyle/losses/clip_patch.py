@@ -1,0 +1,138 @@
+"""CLIP patch: pieces of every view, seen askew, point where the style lies too."""
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from kornia.geometry.transform import get_perspective_transform, warp_perspective
+from torch import Tensor
+
+from anystyle.contracts import Loss, StyleEncoder
+from anystyle.types import Stylization
+
+
+class ClipPatch(Loss):
+    """Move random crops of every view in the direction of the style (paper section 3.3; CLIPstyler, equation 5).
+
+    ``mean (1 - cos(E(warp(crop(render))) - E(photograph), d))``. Crops and warps are drawn on the CPU from ``seed``
+    and the number of training steps so far, which the state dict keeps; out of training they are always the same.
+
+    Args:
+        style_encoder: The space; the framework passes the stylizer's own.
+        crops: How many a view.
+        crop_size: Side of a crop in pixels.
+        distortion: How far the corners move inwards at most, as a share of half a side.
+        shared_crop: One crop and one warp for all views and copies, as in the published code, where all crops of a
+            view are therefore the same picture.
+        size: Side that warped crops (bilinear) and photographs (bicubic) are resized to, as published; none leaves
+            that to the encoder.
+        seed: Of the crops and warps.
+        weight: In the objective.
+    """
+
+    steps: Tensor
+
+    def __init__(
+        self,
+        *,
+        style_encoder: StyleEncoder,
+        crops: int = 16,
+        crop_size: int = 64,
+        distortion: float = 0.5,
+        shared_crop: bool = False,
+        size: int | None = 224,
+        seed: int = 0,
+        weight: float = 4.0,
+    ) -> None:
+        super().__init__()
+        self._encoder = (style_encoder,)  # held, not owned
+        self.crops = crops
+        self.crop_size = crop_size
+        self.distortion = distortion
+        self.shared_crop = shared_crop
+        self.size = size
+        self.seed = seed
+        self.weight = weight
+        self.register_buffer("steps", torch.zeros((), dtype=torch.int64))
+
+    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+        """See :meth:`anystyle.contracts.Loss.forward`.
+
+        Raises:
+            ValueError: The views are smaller than a crop.
+        """
+        color, embed = result.renders.color.flatten(0, 1), self._encoder[0].embed_images
+        step = int(self.steps) if self.training else 0
+        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)
+        if self.training:
+            self.steps += 1
+        # The copies of the published code are one picture each, so one a view gives the same mean.
+        copies = 1 if self.shared_crop else self.crops
+        patches = self._patches(color.repeat_interleave(copies, 0), generator)
+        with torch.no_grad():
+            before = embed(_resized(result.views.images.flatten(0, 1), self.size, "bicubic"))
+        after = embed(_resized(patches, self.size, "bilinear"))
+        change = F.normalize(after - before.repeat_interleave(copies, 0), dim=-1, eps=1e-4)
+        wanted = result.embedding.direction.repeat_interleave(result.renders.color.shape[1] * copies, 0)
+        return (1 - (change * F.normalize(wanted, dim=-1)).sum(-1)).mean()
+
+    def _patches(self, images: Float[Tensor, "M 3 H W"], generator: torch.Generator) -> Float[Tensor, "M 3 c c"]:
+        count, _, height, width = images.shape
+        side = self.crop_size
+        if min(height, width) < side:
+            raise ValueError(
+                f"views are {height}x{width}, too small for crops of {side}; set loss.clip_patch.crop_size"
+            )
+        draws = 1 if self.shared_crop else count
+        top = torch.randint(height - side + 1, (draws,), generator=generator).expand(count).tolist()
+        left = torch.randint(width - side + 1, (draws,), generator=generator).expand(count).tolist()
+        corners = random_corners(draws, side, self.distortion, generator).expand(count, 4, 2)
+        cut = [image[:, y : y + side, x : x + side] for image, y, x in zip(images.unbind(), top, left, strict=True)]
+        return warp_to_corners(torch.stack(cut), corners.to(images))
+
+
+def random_corners(count: int, side: int, distortion: float, generator: torch.Generator) -> Float[Tensor, "count 4 2"]:
+    """Where the corners of a square image go: each moves inwards, a whole number of pixels on each axis.
+
+    Args:
+        count: How many images.
+        side: Of an image in pixels.
+        distortion: The largest move, as a share of half a side.
+        generator: The source of chance.
+
+    Returns:
+        x and y of the upper left, upper right, lower right and lower left corner; the image's own are at 0 and
+        ``side - 1``.
+    """
+    reach = int(distortion * (side // 2))
+    inwards = torch.randint(reach + 1, (count, 4, 2), generator=generator)
+    sign = torch.tensor([[1, 1], [-1, 1], [-1, -1], [1, -1]])
+    return (_square(side) + sign * inwards).float()
+
+
+def warp_to_corners(
+    images: Float[Tensor, "M 3 side side"], corners: Float[Tensor, "M 4 2"]
+) -> Float[Tensor, "M 3 side side"]:
+    """Images seen in perspective, black where they end.
+
+    Args:
+        images: Square.
+        corners: Where their corners go, as of :func:`random_corners`.
+    """
+    count, _, side, _ = images.shape
+    # Corners are read as points of a plane in which a pixel's centre lies at +0.5; kornia's pixels are at integers.
+    square = _square(side).to(images).expand(count, 4, 2)
+    motion = get_perspective_transform(square - 0.5, corners - 0.5)
+    covered = torch.cat([images, torch.ones_like(images[:, :1])], dim=1)
+    warped = warp_perspective(covered, motion, (side, side), mode="bilinear", padding_mode="zeros")
+    # Published transforms fade the border pixels once by interpolation with black and once by their coverage.
+    return warped[:, :3] * warped[:, 3:]
+
+
+def _square(side: int) -> Tensor:
+    return torch.tensor([[0, 0], [1, 0], [1, 1], [0, 1]]) * (side - 1)
+
+
+def _resized(images: Tensor, size: int | None, mode: str) -> Tensor:
+    if size is None or images.shape[-2:] == (size, size):
+        return images
+    return F.interpolate(images, size=(size, size), mode=mode, align_corners=False)

@@ -1,0 +1,57 @@
+"""Gram: match how features occur together."""
+
+from collections.abc import Sequence
+
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle import perception
+from anystyle.contracts import Loss
+from anystyle.perception.compare import style_distance
+from anystyle.perception.statistics import gram
+from anystyle.types import Stylization
+
+
+class Gram(Loss):
+    """Match the Gram matrices of features of the style image (Gatys et al. 2016, equations 3 to 5).
+
+    ``sum_l mean_ij (G_ij - G_ij^style)^2`` with ``G = F F^T / places``, averaged over views whose style has an image.
+
+    Args:
+        network: A network of :func:`anystyle.perception.load`.
+        layers: Whose matrices; ``rgb`` is the image itself.
+        size: Side that renders and style images are squashed to; none keeps each as it is.
+        relative: Each view's distance as the root of its ratio to the photograph's own; see ``style_distance``.
+        weight: In the objective.
+    """
+
+    def __init__(
+        self,
+        *,
+        network: str = "vgg19",
+        layers: Sequence[str] = ("relu1_1", "relu2_1", "relu3_1", "relu4_1", "relu5_1"),
+        size: int | None = 224,
+        relative: bool = False,
+        weight: float = 1.0,
+    ) -> None:
+        super().__init__()
+        self.network = perception.load(network)
+        self.layers = tuple(layers)
+        self.size = size
+        self.relative = relative
+        self.weight = weight
+
+    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+        """See :meth:`anystyle.contracts.Loss.forward`."""
+        return style_distance(
+            result,
+            network=self.network,
+            layers=self.layers,
+            size=self.size,
+            describe=_products,
+            relative=self.relative,
+        )
+
+
+def _products(layer: str, features: Tensor) -> Tensor:
+    return gram(features).flatten(1)[:, None]

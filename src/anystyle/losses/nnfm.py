@@ -1,0 +1,73 @@
+"""NNFM: every place of a render looks like some place of the style image."""
+
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from anystyle import perception
+from anystyle.contracts import Loss
+from anystyle.perception.compare import mean_where, squash, style_images
+from anystyle.types import Stylization
+
+
+class NNFM(Loss):
+    """Bring every feature of a render near its nearest of the style image (ARF, Zhang et al. 2022, equation 3).
+
+    ``mean_i min_j (1 - cos(F_i, F_j^style))`` on the channels of all ``layers`` together, averaged over views whose
+    style has an image. ARF reads VGG-16; the default layers are the same block of VGG-19.
+
+    Args:
+        network: A network of :func:`anystyle.perception.load`.
+        layers: Of one resolution.
+        size: Side that renders and style images are squashed to; none keeps each as it is.
+        weight: In the objective; 1 in ARF, 5 in StylizedGS, 10 or 100 in G-Style.
+    """
+
+    def __init__(
+        self,
+        *,
+        network: str = "vgg19",
+        layers: Sequence[str] = ("relu3_1", "relu3_2", "relu3_3"),
+        size: int | None = 224,
+        weight: float = 1.0,
+    ) -> None:
+        super().__init__()
+        self.network = perception.load(network)
+        self.layers = tuple(layers)
+        self.size = size
+        self.weight = weight
+
+    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+        """See :meth:`anystyle.contracts.Loss.forward`."""
+        styles = style_images(result)
+        color = result.renders.color
+        if styles is None:
+            return color.new_zeros(())
+        image, given = styles
+        with torch.no_grad():
+            wanted = self._features(image)
+        distances = [
+            _nearest_distance(view, wanted[scene])
+            for scene in range(color.shape[0])
+            for view in self._features(color[scene])
+        ]
+        return mean_where(torch.stack(distances), given.repeat_interleave(color.shape[1]))
+
+    def _features(self, images: Tensor) -> Tensor:
+        """Unit features of every place, ``M C S``."""
+        maps = torch.cat(self.network(squash(images, self.size), self.layers), dim=1)
+        return F.normalize(maps.flatten(2), dim=1, eps=1e-8)
+
+
+def _nearest_distance(found: Float[Tensor, "C S"], wanted: Float[Tensor, "C T"]) -> Float[Tensor, ""]:
+    nearest = _nearest(found, wanted)
+    return (1 - (found * wanted[:, nearest]).sum(0)).mean()
+
+
+@torch.no_grad()
+def _nearest(found: Float[Tensor, "C S"], wanted: Float[Tensor, "C T"]) -> Int[Tensor, " S"]:
+    # In pieces: all similarities of two 448 pixel images at once would be 0.6 GB.
+    return torch.cat([(piece.mT @ wanted).argmax(-1) for piece in found.split(4096, dim=1)])

@@ -1,0 +1,56 @@
+"""A small network that knows textures: trained on procedural patterns alone, bundled, no download.
+
+A judge of style must respond to what makes a texture. Random networks can be satisfied without any visible pattern;
+this one was trained to tell stripes from dots, mosaics, hatching and strokes at several scales, in any colours
+(``anystyle train experiment=tiny_perceptual``).
+"""
+
+from collections.abc import Iterator, Sequence
+
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.perception.features import RGB, FeatureNetwork, walk
+
+BLOCKS = ((32, 2), (64, 2), (96, 2), (128, 1))
+"""Channels and convolutions of each block; an average pooling lies between blocks."""
+
+
+class Texture(FeatureNetwork):
+    """Seven convolutions with reflecting borders and average pooling, 0.32 M parameters.
+
+    Layers are named as VGG's are: ``relu1_1, relu1_2, relu2_1, relu2_2, relu3_1, relu3_2, relu4_1``.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.features = nn.Sequential(*_stages())
+        self._names = _names()
+        self.layers = (RGB, *self._names)
+
+    def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
+        """See :meth:`FeatureNetwork.forward`."""
+        return walk(self.features, self._names, images, (images - 0.5) * 4, layers)
+
+
+def _stages() -> Iterator[nn.Module]:
+    channels = 3
+    for block, (width, count) in enumerate(BLOCKS):
+        if block:
+            yield nn.AvgPool2d(2)
+        for _ in range(count):
+            yield nn.Conv2d(channels, width, 3, padding=1, padding_mode="reflect")
+            yield nn.ReLU()
+            channels = width
+
+
+def _names() -> dict[str, int]:
+    """Place of each rectified output in the chain."""
+    names: dict[str, int] = {}
+    place = -1
+    for block, (_, count) in enumerate(BLOCKS, start=1):
+        for convolution in range(1, count + 1):
+            place += 2
+            names[f"relu{block}_{convolution}"] = place
+        place += 1
+    return names

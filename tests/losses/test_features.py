@@ -1,0 +1,142 @@
+"""Losses on features against the goldens, literal transcriptions of their equations, and what must not matter."""
+
+import pytest
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from anystyle import perception
+from anystyle.contracts import Loss
+from anystyle.losses.content import Content
+from anystyle.losses.gram import Gram
+from anystyle.losses.nnfm import NNFM
+from anystyle.losses.sliced_wasserstein import SlicedWasserstein
+from anystyle.losses.style import Style
+from oracle import assert_matches, golden, smooth_image
+from style_cases import filled_vgg_file, stylization
+
+RENDERED = smooth_image(4501, [2, 2, 3, 84, 112])
+PHOTOGRAPHS = smooth_image(4503, [2, 2, 3, 84, 112])
+STYLES = smooth_image(4505, [2, 3, 112, 112])
+SMALL = {"size": None, "layers": ("relu1_1", "relu2_1")}
+
+
+@pytest.fixture(scope="module")
+def vgg() -> perception.FeatureNetwork:
+    return perception.load("vgg19", filled_vgg_file())
+
+
+def test_style_and_content_match_the_reference() -> None:
+    expected = golden("golden_metrics")["style_content_loss"]
+    rendered = RENDERED.clone().requires_grad_()
+    style, content = Style(), Content()
+    with torch.no_grad():
+        everywhere = style.weight * style(stylization(rendered, PHOTOGRAPHS, STYLES))
+    assert everywhere.item() == pytest.approx(expected["mask_none"]["style"], rel=1e-4)
+    result = stylization(rendered, PHOTOGRAPHS, STYLES, has_image=torch.tensor([True, False]))
+    weighted = style.weight * style(result), content.weight * content(result)
+    assert weighted[0].item() == pytest.approx(expected["mask_1_0"]["style"], rel=1e-4)
+    assert weighted[1].item() == pytest.approx(expected["mask_1_0"]["content"], rel=1e-4)
+    sum(weighted).backward()
+    assert_matches(rendered.grad, expected["mask_1_0"]["grad_pred"], rtol=2e-3, atol=2e-8)
+
+
+@pytest.mark.parametrize("build", [Style, Gram, SlicedWasserstein])
+def test_a_style_without_an_image_adds_nothing(build: type[Loss]) -> None:
+    loss = build(network="vgg19", **SMALL)
+    images, photographs = RENDERED[:, :, :, :40, :40], PHOTOGRAPHS[:, :, :, :40, :40]
+    styles = STYLES[:, :, :50, :60].clone()
+    styles[1] = torch.nan  # undefined where there is none
+    half = loss(stylization(images, photographs, styles, has_image=torch.tensor([True, False])))
+    alone = loss(stylization(images[:1], photographs[:1], styles[:1]))
+    torch.testing.assert_close(half, alone)
+    assert loss(stylization(images, photographs, styles, has_image=torch.tensor([False, False]))) == 0
+    assert loss(stylization(images, photographs)) == 0
+
+
+@pytest.mark.parametrize("build", [Style, Gram, SlicedWasserstein, NNFM])
+def test_a_render_that_is_the_style_image_is_perfect(build: type[Loss]) -> None:
+    image = STYLES[:1, :, :48, :48]
+    loss = build(network="vgg19", size=None, layers=("relu2_1",))
+    assert loss(stylization(image[:, None], PHOTOGRAPHS[:1, :1, :, :48, :48], image)).item() == pytest.approx(
+        0, abs=1e-5
+    )
+
+
+def test_gram_is_its_equation(vgg: perception.FeatureNetwork) -> None:
+    images, styles = RENDERED[:1, :, :, :40, :48], STYLES[:1, :, :56, :40]
+    total = torch.zeros(())
+    for layer in ("relu1_1", "relu3_1"):
+        (target,) = vgg(styles, [layer])
+        expected = torch.einsum("cp,dp->cd", target[0].flatten(1), target[0].flatten(1)) / target[0, 0].numel()
+        for view in images[0]:
+            (found,) = vgg(view[None], [layer])
+            products = torch.einsum("cp,dp->cd", found[0].flatten(1), found[0].flatten(1)) / found[0, 0].numel()
+            total = total + ((products - expected) ** 2).mean() / 2
+    loss = Gram(size=None, layers=("relu1_1", "relu3_1"))
+    torch.testing.assert_close(loss(stylization(images, images, styles)), total, rtol=1e-4, atol=0)
+
+
+def test_relative_losses_are_one_at_the_photograph_and_shrink_on_the_way() -> None:
+    for build in (Style, Gram, SlicedWasserstein):
+        loss = build(network="vgg19", relative=True, **SMALL)
+        photographs, styles = PHOTOGRAPHS[:1, :1, :, :32, :32], STYLES[:1, :, :32, :32]
+        at_start = loss(stylization(photographs, photographs, styles))
+        assert at_start.item() == pytest.approx((1 + 1e-3) ** 0.5, rel=1e-4)
+        near = torch.lerp(photographs, styles[:, None], 0.97)
+        assert 0.03 < loss(stylization(near, photographs, styles)) < 0.5 * at_start
+
+
+def test_relative_losses_are_the_root_of_the_ratio_of_each_layer() -> None:
+    rendered, photographs = RENDERED[:1, :1, :, :40, :40], PHOTOGRAPHS[:1, :1, :, :40, :40]
+    styles = STYLES[:1, :, :40, :40]
+    ratios = []
+    for layer in ("relu1_1", "relu2_1"):
+        loss = Style(size=None, layers=(layer,))
+        ratio = loss(stylization(rendered, photographs, styles)) / loss(stylization(photographs, photographs, styles))
+        ratios.append((ratio + 1e-3).sqrt())
+    found = Style(relative=True, **SMALL)(stylization(rendered, photographs, styles))
+    torch.testing.assert_close(found, torch.stack(ratios).mean(), rtol=1e-4, atol=0)
+
+
+def test_nnfm_is_its_equation(vgg: perception.FeatureNetwork) -> None:
+    images, styles = RENDERED[:, :, :, :24, :32], STYLES[:, :, :40, :24]
+    layers = ("relu3_1", "relu3_2", "relu3_3")
+    total = torch.zeros(())
+    for scene in range(2):
+        wanted = torch.cat(vgg(styles[scene][None], layers), dim=1)[0].flatten(1).T
+        for view in images[scene]:
+            found = torch.cat(vgg(view[None], layers), dim=1)[0].flatten(1).T
+            similarity = F.cosine_similarity(found[:, None], wanted[None], dim=-1)
+            total = total + (1 - similarity).min(dim=1).values.mean() / 4
+    torch.testing.assert_close(NNFM(size=None)(stylization(images, images, styles)), total, rtol=1e-4, atol=1e-6)
+
+
+def test_nnfm_pulls_towards_the_style() -> None:
+    rendered = RENDERED[:1, :1, :, :24, :32].clone().requires_grad_()
+    loss = NNFM(size=None)
+    before = loss(stylization(rendered, rendered.detach(), STYLES[:1, :, :40, :24]))
+    before.backward()
+    moved = rendered.detach() - 0.05 * rendered.grad / rendered.grad.abs().max()
+    assert loss(stylization(moved, moved, STYLES[:1, :, :40, :24])) < before
+
+
+def test_a_palette_loss_tells_two_colours_from_their_mean() -> None:
+    """Stripes of orange and navy, against flat brown (their mean) and against the same two colours placed anew."""
+    orange, navy = torch.tensor([1.0, 0.5, 0.0]), torch.tensor([0.0, 0.0, 0.5])
+    stripes = torch.where((torch.arange(32) % 8 < 4)[None, None, :], orange[:, None, None], navy[:, None, None])
+    stripes = stripes.expand(3, 32, 32)
+    flat = ((orange + navy) / 2)[:, None, None].expand(3, 32, 32)
+    halves = stripes.mT
+    loss = SlicedWasserstein(network="vgg19")
+
+    def against(image: Tensor) -> float:
+        return loss(stylization(image[None, None], PHOTOGRAPHS[:1, :1, :, :32, :32], stripes[None])).item()
+
+    assert against(halves) == pytest.approx(0, abs=1e-10)
+    assert against(flat) > 0.05
+
+
+def test_no_loss_repeats_the_weights_of_its_network() -> None:
+    assert Style().state_dict() == {}
+    assert list(Style().parameters())  # it has some, frozen

@@ -1,0 +1,64 @@
+"""Losses on images, depths and colours against closed forms."""
+
+import pytest
+import torch
+
+from anystyle.losses.depth_consistency import DepthConsistency
+from anystyle.losses.histogram import Histogram
+from anystyle.losses.luminance import Luminance
+from anystyle.losses.total_variation import TotalVariation
+from anystyle.types import Geometry
+from oracle import golden, hashed, smooth_image
+from style_cases import cameras, stylization
+
+PHOTOGRAPHS = smooth_image(11, [2, 2, 3, 28, 35])
+
+
+def test_total_variation_of_a_ramp_and_of_a_constant() -> None:
+    ramp = (torch.arange(35.0) / 100 + torch.arange(28.0)[:, None] / 50).expand(2, 2, 3, 28, 35)
+    assert TotalVariation()(stylization(ramp, ramp)).item() == pytest.approx(0.01**2 + 0.02**2, rel=1e-4)
+    flat = torch.full_like(ramp, 0.4)
+    assert TotalVariation()(stylization(flat, flat)) == 0
+
+
+def test_depth_consistency_is_the_mean_square_against_the_predicted_depth() -> None:
+    depth, rendered = hashed(1, [2, 2, 28, 35], 1, 3), hashed(2, [2, 2, 28, 35], 1, 3)
+    geometry = Geometry(cameras(2, 2, (28, 35)), depth, torch.ones_like(depth))
+    result = stylization(PHOTOGRAPHS, PHOTOGRAPHS, rendered_depth=rendered, geometry=geometry)
+    expected = ((rendered - depth) ** 2).sum() / depth.numel()
+    torch.testing.assert_close(DepthConsistency()(result), expected)
+
+
+def test_histogram_is_the_published_distance() -> None:
+    first, second = hashed(1080, [1, 3, 16, 16]), hashed(1081, [1, 3, 16, 16]) ** 2
+    rendered = torch.stack([first[0], second[0]])[None]  # the second view is the style itself
+    result = stylization(rendered, rendered, second)
+    expected = golden("anystyle_golden")["rgb_uv_hist"]["hellinger"] / 2
+    assert Histogram()(result).item() == pytest.approx(expected, rel=1e-4)
+    assert Histogram()(stylization(rendered, rendered)) == 0
+
+
+def test_luminance_ignores_mean_contrast_and_what_is_finer_than_its_scale() -> None:
+    loss = Luminance(scales=(8,), shares=(1.0,))
+    photographs = smooth_image(13, [1, 1, 3, 56, 56])
+    fine = 0.1 * ((torch.arange(56) % 4 < 2).float() - 0.5)  # stripes that average to nothing over 8 pixels
+    recoloured = 0.6 * photographs + 0.2 + fine
+    assert loss(stylization(recoloured, photographs)).item() == pytest.approx(0, abs=2e-3)
+    turned = 1 - photographs
+    assert loss(stylization(turned, photographs)).item() == pytest.approx(4, rel=0.05)
+
+
+def test_luminance_weighs_its_scales() -> None:
+    rendered, photographs = smooth_image(15, [1, 2, 3, 56, 56]), smooth_image(13, [1, 2, 3, 56, 56])
+    result = stylization(rendered, photographs)
+    coarse, fine = (Luminance(scales=(scale,), shares=(1.0,))(result) for scale in (8, 4))
+    both = Luminance(scales=(8, 4), shares=(1.0, 0.15))(result)
+    torch.testing.assert_close(both, coarse + 0.15 * fine)
+    with pytest.raises(ValueError, match="2 scales and 1 shares"):
+        Luminance(shares=(1.0,))
+
+
+def test_luminance_of_a_flat_view_is_finite() -> None:
+    flat = torch.full((1, 1, 3, 56, 56), 0.5, requires_grad=True)
+    Luminance()(stylization(flat, smooth_image(13, [1, 1, 3, 56, 56]))).backward()
+    assert torch.isfinite(flat.grad).all()

@@ -1,0 +1,79 @@
+"""Summaries of features against the goldens, closed forms and SciPy."""
+
+import numpy as np
+import pytest
+import torch
+from scipy.stats import wasserstein_distance
+from torch import Tensor
+
+from anystyle.perception.histogram import hellinger, rgb_uv_histogram
+from anystyle.perception.statistics import gram, mean_std, sliced_quantiles, unit_directions
+from oracle import assert_matches, golden, hashed
+
+
+def test_mean_std_match_the_reference() -> None:
+    record = golden("anystyle_golden")["calc_mean_std"]
+    mean, std = mean_std(hashed(1070, [2, 3, 4, 5], -1, 1))
+    torch.testing.assert_close(mean, torch.tensor(record["mean"]).flatten(1))
+    torch.testing.assert_close(std, torch.tensor(record["std"]).flatten(1))
+
+
+def test_a_constant_channel_has_no_gradient_rather_than_a_wrong_one() -> None:
+    features = torch.ones(1, 2, 3, 3, requires_grad=True)
+    mean_std(features)[1].sum().backward()
+    torch.testing.assert_close(features.grad, torch.zeros_like(features))
+
+
+def test_gram_is_the_mean_of_outer_products() -> None:
+    features = hashed(5, [2, 3, 4, 5], -1, 1)
+    expected = np.zeros((2, 3, 3))
+    for row in range(4):
+        for column in range(5):
+            vectors = features[:, :, row, column].numpy()
+            expected += np.einsum("mi,mj->mij", vectors, vectors) / 20
+    torch.testing.assert_close(gram(features), torch.from_numpy(expected).float())
+
+
+def test_sliced_quantiles_give_the_wasserstein_distance_of_scipy() -> None:
+    first, second = hashed(6, [1, 3, 10, 20], 0, 1), hashed(7, [1, 3, 10, 20], 0, 1) ** 2
+    directions = unit_directions(5, 3, torch.Generator().manual_seed(3))
+    torch.testing.assert_close(directions.norm(dim=1), torch.ones(5))
+    distance = (sliced_quantiles(first, directions, 200) - sliced_quantiles(second, directions, 200)).abs().mean(-1)
+    for place, direction in enumerate(directions):
+        expected = wasserstein_distance(
+            (direction @ first.flatten(2)[0]).numpy(), (direction @ second.flatten(2)[0]).numpy()
+        )
+        assert distance[0, place].item() == pytest.approx(expected, rel=1e-5)
+
+
+def test_sliced_quantiles_do_not_depend_on_the_number_of_places() -> None:
+    once = hashed(8, [1, 3, 1, 500], 0, 1)
+    directions = unit_directions(4, 3, torch.Generator().manual_seed(0))
+    torch.testing.assert_close(
+        sliced_quantiles(once, directions, 64),
+        sliced_quantiles(once.repeat(1, 1, 4, 1), directions, 64),
+        atol=2e-2,
+        rtol=0,
+    )
+
+
+@pytest.fixture
+def pair() -> tuple[Tensor, Tensor]:
+    return hashed(1080, [1, 3, 16, 16]), hashed(1081, [1, 3, 16, 16]) ** 2
+
+
+def test_histogram_and_hellinger_match_the_reference(pair: tuple[Tensor, Tensor]) -> None:
+    record = golden("anystyle_golden")["rgb_uv_hist"]
+    first, second = (rgb_uv_histogram(image) for image in pair)
+    assert_matches(first, record["hist1"])
+    assert hellinger(first, second).item() == pytest.approx(record["hellinger"], rel=1e-4)
+    assert_matches(rgb_uv_histogram(hashed(1082, [1, 3, 300, 200])), record["hist_resized"])
+
+
+def test_histogram_has_a_finite_gradient_even_where_images_agree(pair: tuple[Tensor, Tensor]) -> None:
+    image = pair[0].clone().requires_grad_()
+    other = rgb_uv_histogram(pair[0])
+    hellinger(rgb_uv_histogram(image), other).sum().backward()
+    assert torch.isfinite(image.grad).all()
+    same = hellinger(other, other)
+    torch.testing.assert_close(same, torch.zeros_like(same))
