@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, TypeVar
 
 import torch
 import torch.utils._pytree as pytree
@@ -33,6 +33,10 @@ def _unflatten(cls: type, children: Any, names: Any) -> Any:
     return value
 
 
+# Not `Self`: the type checker of the test suite decorates methods, not classes, and reads no `Self` there.
+AnyValue = TypeVar("AnyValue", bound="Value")
+
+
 class Value:
     """A frozen dataclass of tensors that torch can traverse as a pytree."""
 
@@ -40,21 +44,21 @@ class Value:
         super().__init_subclass__()
         pytree.register_pytree_node(cls, _flatten, partial(_unflatten, cls))
 
-    def map(self, function: Callable[[Tensor], Tensor]) -> Self:
+    def map(self: AnyValue, function: Callable[[Tensor], Tensor]) -> AnyValue:
         """This value with ``function`` applied to every tensor in it."""
         return pytree.tree_map_only(Tensor, function, self)
 
-    def to(self, target: torch.device | torch.dtype | str) -> Self:
+    def to(self: AnyValue, target: torch.device | torch.dtype | str) -> AnyValue:
         """This value on another device, or with its floating-point tensors in another dtype."""
         if isinstance(target, torch.dtype):
             return self.map(lambda tensor: tensor.to(target) if tensor.is_floating_point() else tensor)
         return self.map(lambda tensor: tensor.to(target))
 
-    def detach(self) -> Self:
+    def detach(self: AnyValue) -> AnyValue:
         """This value without its history of gradients."""
         return self.map(Tensor.detach)
 
-    def expand(self, batch: int) -> Self:
+    def expand(self: AnyValue, batch: int) -> AnyValue:
         """This value of one scene seen as ``batch`` equal scenes, without a copy."""
         return self.map(lambda tensor: tensor.expand(batch, *tensor.shape[1:]))
 
