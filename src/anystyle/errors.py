@@ -1,0 +1,26 @@
+"""Errors for the person who caused them, each told in one line."""
+
+import difflib
+from collections.abc import Iterable
+
+
+class UserError(ValueError):
+    """What was given, what was expected, what to do: one line, and no traceback on the command line."""
+
+
+def one_line(message: object) -> str:
+    """A message of several lines as one."""
+    return " ".join(str(message).split())
+
+
+def did_you_mean(word: str, words: Iterable[str]) -> str:
+    """``Did you mean 'this'?`` with a leading space where a known word is near, else nothing."""
+    near = difflib.get_close_matches(word, list(words), n=1, cutoff=0.6)
+    return f" Did you mean '{near[0]}'?" if near else ""
+
+
+def unknown(what: str, word: str, words: Iterable[str]) -> str:
+    """Say that no ``what`` has this name, with the nearest one and all there are."""
+    known = sorted(words)
+    listing = ", ".join(known) if known else "none"
+    return f"no {what} is named '{word}'.{did_you_mean(word, known)} Available: {listing}"

@@ -1,0 +1,105 @@
+"""From a configuration node to an object: the only door, and it opens for the catalog alone."""
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from anystyle.errors import did_you_mean
+from anystyle.registry.builtin import KINDS
+from anystyle.registry.catalog import Plugin, PluginError, catalog, kind_named
+from anystyle.registry.schema import fitted, node, options, runtime_arguments
+
+if TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+T = TypeVar("T")
+
+
+def kind_of(base: type) -> str:
+    """The kind of plugin whose contract a class is.
+
+    Raises:
+        PluginError: It is no contract.
+    """
+    name = f"{base.__module__}:{base.__qualname__}"
+    for kind, row in KINDS.items():
+        if row.base == name:
+            return kind
+    raise PluginError(f"{name} is not the contract of any kind of plugin")
+
+
+def build(base: type[T], config: "DictConfig | Mapping[str, Any] | str", /, **runtime: Any) -> T:
+    """Construct the plugin that a configuration node describes.
+
+    Every value is checked against the constructor's signature, whether or not the node was composed by Hydra; the
+    constructor receives plain Python values.
+
+    Args:
+        base: The contract that the plugin fulfils, such as :class:`anystyle.contracts.Backbone`.
+        config: A node with the plugin's class as ``_target_``; or a plugin's name, for its defaults.
+        runtime: What the framework injects by name; a constructor that does not name it does not get it.
+
+    Raises:
+        PluginError: The catalog does not list the class, or the plugin is broken.
+        ValueError: An option is unknown, missing or of the wrong type, or the constructor refuses it.
+    """
+    kind = kind_of(base)
+    strange = [name for name in runtime if name not in kind_named(kind).runtime]
+    assert not strange, f"{strange[0]!r} is not a runtime argument of a {kind}"
+    if isinstance(config, str):
+        plugin = catalog().find(kind, config)
+        given: dict[str, Any] = {}
+    else:
+        given = _container(config)
+        plugin = catalog().owner(kind, str(given.pop("_target_", None)))
+    values = _checked(plugin, given)
+    named = runtime_arguments(plugin)
+    for name, required in named.items():
+        if required and name not in runtime:
+            raise PluginError(f"{plugin} needs '{name}', which there is none of here")
+    # Checked above against the constructor itself, which the contract's signature does not show.
+    constructor: Any = plugin.load()
+    return constructor(**values, **{name: runtime[name] for name in named if name in runtime})
+
+
+def build_all(base: type[T], configs: "Mapping[str, Any] | None", /, **runtime: Any) -> dict[str, T]:
+    """Construct every plugin of a group that holds several at once, by the names the group gives them."""
+    return {name: build(base, configs[name], **runtime) for name in configs or {}}
+
+
+def _container(config: Any) -> dict[str, Any]:
+    """A node as plain Python, interpolations resolved against the configuration it is part of."""
+    from omegaconf import OmegaConf
+
+    if not OmegaConf.is_config(config):
+        return dict(config)
+    container = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
+    if not isinstance(container, dict):
+        raise PluginError(f"a plugin's options with a _target_ are expected, and {container!r} is given")
+    return {str(key): value for key, value in container.items()}
+
+
+def _checked(plugin: Plugin, given: Mapping[str, Any]) -> dict[str, Any]:
+    """The values of all options, as the constructor expects them."""
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
+    known = options(plugin)
+    names = [item.name for item in known]
+    for name in given:
+        if name not in names:
+            raise ValueError(f"{plugin} has no option '{name}'.{did_you_mean(name, names)} Options: {', '.join(names)}")
+    merged = node(plugin)
+    values: dict[str, Any] = {}
+    for item in known:
+        try:
+            if item.name in given:
+                OmegaConf.update(merged, item.name, given[item.name])
+            if OmegaConf.is_missing(merged, item.name):
+                where = f"{plugin.kind}.{plugin.name}" if KINDS[plugin.kind].many else plugin.kind
+                raise ValueError(f"it has no default; give it one with {where}.{item.name}=...")
+            value = OmegaConf.to_container(merged)[item.name]  # pyright: ignore[reportArgumentType, reportCallIssue]
+            values[item.name] = fitted(value, item.hint)
+        except (OmegaConfBaseException, ValueError) as error:
+            message = str(error).partition("\n")[0]
+            raise ValueError(f"{plugin}, option '{item.name}': {message}") from error
+    return values

@@ -1,0 +1,304 @@
+"""The static catalog: every plugin by name, none imported until it is chosen.
+
+Plugins are declared in three places: the table in :mod:`anystyle.registry.builtin`; entry points
+``anystyle.<kind>`` of installed packages; the same lines in the ``pyproject.toml`` of folders that are not
+installed, under ``plugins/`` or in a folder that ``ANYSTYLE_PLUGINS`` lists. A running process adds its own
+with :func:`plugin`.
+"""
+
+import importlib
+import logging
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import Any, TypeVar
+
+from anystyle import paths
+from anystyle.errors import UserError, one_line, unknown
+from anystyle.registry.builtin import BUILTIN, KINDS, Kind
+
+VARIABLE = "ANYSTYLE_PLUGINS"
+_PREFIX = "anystyle."
+_log = logging.getLogger(__name__)
+_Class = TypeVar("_Class", bound=type)
+
+
+class PluginError(UserError):
+    """A plugin that does not exist, cannot be imported or breaks its contract."""
+
+
+def kind_named(kind: str) -> Kind:
+    """A row of :data:`~anystyle.registry.builtin.KINDS`.
+
+    Raises:
+        PluginError: There is no such kind.
+    """
+    if kind not in KINDS:
+        raise PluginError(unknown("kind of plugin", kind, KINDS))
+    return KINDS[kind]
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """One declaration.
+
+    Args:
+        kind: A key of :data:`~anystyle.registry.builtin.KINDS`.
+        name: How configurations call it.
+        target: ``module:Class``.
+        origin: Who declares it, for people.
+        root: The folder its module is imported from, where it is not installed.
+        project: The distribution it belongs to, where it belongs to one.
+        defined: The class itself, where a running process declared it.
+    """
+
+    kind: str
+    name: str
+    target: str
+    origin: str
+    root: Path | None = None
+    project: str | None = None
+    defined: type | None = field(default=None, repr=False)
+
+    @property
+    def path(self) -> str:
+        """The class as configurations write it, ``module.Class``."""
+        return self.target.replace(":", ".")
+
+    def __str__(self) -> str:
+        return f"{self.kind} '{self.name}' ({self.target}, declared by {self.origin})"
+
+    def load(self) -> type:
+        """Import the class.
+
+        Raises:
+            PluginError: It cannot be imported, or does not inherit from its kind's contract.
+        """
+        loaded = self.defined if self.defined is not None else _import(self)
+        base = base_of(self.kind)
+        if not (isinstance(loaded, type) and issubclass(loaded, base)):
+            raise PluginError(f"{self} must inherit from {base.__module__}.{base.__qualname__}")
+        return loaded
+
+
+def base_of(kind: str) -> type:
+    """Import the contract of a kind."""
+    module, _, name = kind_named(kind).base.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _import(plugin: Plugin) -> Any:
+    module_name, _, qualified = plugin.target.partition(":")
+    if plugin.root is not None and str(plugin.root) not in sys.path:
+        # Last, so that a plugin's folder hides nothing; worker processes that are spawned inherit it.
+        sys.path.append(str(plugin.root))
+        importlib.invalidate_caches()
+    try:
+        module = importlib.import_module(module_name)
+        value: Any = module
+        for name in qualified.split("."):
+            value = getattr(value, name)
+    except Exception as error:
+        raise PluginError(f"{plugin} cannot be imported: {one_line(error) or type(error).__name__}") from error
+    if plugin.root is not None:
+        found = [Path(place).resolve() for place in (module.__file__, *getattr(module, "__path__", ())) if place]
+        if not any(place.is_relative_to(plugin.root) for place in found):
+            raise PluginError(
+                f"{plugin} cannot be imported: another module is called '{module_name}' ({found[0]}); "
+                "rename one of them, or uninstall the other"
+            )
+    return value
+
+
+class Catalog:
+    """Every declared plugin.
+
+    Args:
+        plugins: The declarations, in the order of their origins.
+        problems: What could not be read, one line each; shown to those who ask for a name that is not there.
+    """
+
+    def __init__(self, plugins: Iterable[Plugin], problems: Sequence[str] = ()) -> None:
+        self._plugins = tuple(plugins)
+        self.problems = tuple(problems)
+
+    def __iter__(self) -> Iterator[Plugin]:
+        return iter(self._plugins)
+
+    def names(self, kind: str) -> list[str]:
+        """The names of one kind, sorted."""
+        kind_named(kind)
+        return sorted({plugin.name for plugin in self._plugins if plugin.kind == kind})
+
+    def declarations(self, kind: str, name: str) -> list[Plugin]:
+        """All declarations of a name; a good one has exactly one."""
+        return [plugin for plugin in self._plugins if (plugin.kind, plugin.name) == (kind, name)]
+
+    def find(self, kind: str, name: str) -> Plugin:
+        """The plugin of that name.
+
+        Raises:
+            PluginError: No plugin, or more than one, is declared under it.
+        """
+        kind_named(kind)
+        found = self.declarations(kind, name)
+        if len(found) > 1:
+            raise PluginError(f"{kind} '{name}' is declared more than once: {'; '.join(map(str, found))}; rename one")
+        if not found:
+            ignored = f" (ignored: {'; '.join(self.problems)})" if self.problems else ""
+            raise PluginError(unknown(kind, name, self.names(kind)) + ignored)
+        return found[0]
+
+    def owner(self, kind: str, path: str) -> Plugin:
+        """The plugin whose class a configuration's ``_target_`` names.
+
+        Raises:
+            PluginError: The catalog lists no such class for this kind.
+        """
+        found = [plugin for plugin in self._plugins if plugin.path == path]
+        if not found:
+            raise PluginError(
+                f"_target_ '{path}' is not a plugin; a config may build only what `anystyle plugins` lists"
+            )
+        for plugin in found:
+            if plugin.kind == kind:
+                return self.find(kind, plugin.name)
+        raise PluginError(f"_target_ '{path}' is a {found[0].kind}, and a {kind} is expected here")
+
+
+def _builtin() -> Iterator[Plugin]:
+    for kind, rows in BUILTIN.items():
+        for name, target in rows.items():
+            yield Plugin(kind, name, target, "anystyle", project="anystyle")
+
+
+def _declared(point: EntryPoint, origin: str, problems: list[str]) -> dict[str, str] | None:
+    """Kind, name and target of an entry point, or a note on what is wrong with it."""
+    kind, target = point.group.removeprefix(_PREFIX), point.value.partition("[")[0].strip()
+    if kind not in KINDS:
+        problems.append(f"{origin} declares '{point.group}', and there is no such kind of plugin")
+    elif not point.name.isidentifier():
+        problems.append(f"{origin} names a {kind} '{point.name}'; a name is made of letters, digits and '_'")
+    elif not all(word.isidentifier() for word in target.replace(":", ".", 1).split(".")) or ":" not in target:
+        problems.append(f"{origin} declares {kind} '{point.name}' as '{point.value}', which is not 'module:Class'")
+    else:
+        return {"kind": kind, "name": point.name, "target": target}
+    return None
+
+
+def _installed(problems: list[str]) -> Iterator[Plugin]:
+    points = entry_points()
+    groups = sorted(group for group in points.groups if group.startswith(_PREFIX))
+    for point in (point for group in groups for point in points.select(group=group)):
+        name = point.dist.name if point.dist else None
+        origin = f"{name} {point.dist.version}" if point.dist else "an installed package"
+        row = _declared(point, origin, problems)
+        if row is not None:
+            yield Plugin(**row, origin=origin, project=name)
+
+
+def _local(root: Path, problems: list[str]) -> Iterator[Plugin]:
+    import tomllib
+
+    origin = paths.shown(root)
+    try:
+        project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8")).get("project", {})
+        name = project.get("name")
+        tables = {group: dict(rows) for group, rows in project.get("entry-points", {}).items()}
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        problems.append(f"{origin}/pyproject.toml cannot be read: {one_line(error)}")
+        return
+    for group, rows in tables.items():
+        if not group.startswith(_PREFIX):
+            continue
+        for key, value in rows.items():
+            row = _declared(EntryPoint(key, str(value), group), origin, problems)
+            if row is not None:
+                yield Plugin(**row, origin=origin, root=root, project=name)
+
+
+def _roots(folders: Sequence[str], problems: list[str]) -> list[Path]:
+    """The plugin folders: each listed one, or else the folders in it, that hold a ``pyproject.toml``."""
+    roots: dict[Path, None] = {}
+    for folder in (paths.PLUGINS, *map(Path, folders)):
+        if not folder.is_dir():
+            if folder != paths.PLUGINS:
+                problems.append(f"{VARIABLE} lists {folder}, which is not a folder")
+            continue
+        own = [folder] if (folder / "pyproject.toml").is_file() else sorted(folder.iterdir())
+        roots |= {root.resolve(): None for root in own if (root / "pyproject.toml").is_file()}
+    return list(roots)
+
+
+def _project(name: str | None) -> str:
+    return (name or "").lower().replace("-", "_").replace(".", "_")
+
+
+@cache
+def _static(folders: tuple[str, ...]) -> Catalog:
+    problems: list[str] = []
+    local = [plugin for root in _roots(folders, problems) for plugin in _local(root, problems)]
+    # A folder that is installed too, in place as a rule, is one plugin, not two of one name.
+    seen = {(plugin.kind, plugin.name, plugin.target, _project(plugin.project)) for plugin in local}
+    installed = [
+        plugin
+        for plugin in _installed(problems)
+        if (plugin.kind, plugin.name, plugin.target, _project(plugin.project)) not in seen
+    ]
+    for problem in problems:
+        _log.warning("ignored: %s", problem)
+    return Catalog([*_builtin(), *installed, *local], problems)
+
+
+_OWN: dict[tuple[str, str], Plugin] = {}
+
+
+def catalog() -> Catalog:
+    """The catalog of this process.
+
+    Relative folders in ``ANYSTYLE_PLUGINS`` are made absolute there, so that the processes this one starts find them
+    from wherever they run.
+    """
+    listed = [folder for folder in os.environ.get(VARIABLE, "").split(os.pathsep) if folder]
+    folders = tuple(str(Path(folder).expanduser().absolute()) for folder in listed)
+    if folders:
+        os.environ[VARIABLE] = os.pathsep.join(folders)
+    static = _static(folders)
+    return Catalog([*static, *_OWN.values()], static.problems) if _OWN else static
+
+
+def plugin(kind: str, name: str) -> Callable[[_Class], _Class]:
+    """Add a class to the catalog of the running process; for notebooks.
+
+    Declaring a class of the same name again, as running a cell twice does, replaces it.
+
+    Args:
+        kind: What it is, such as ``backbone``.
+        name: How configurations call it.
+
+    Raises:
+        PluginError: The kind is unknown, the name is taken or is no identifier, or the class breaks the contract.
+    """
+
+    def add(declared: _Class) -> _Class:
+        target = f"{declared.__module__}:{declared.__qualname__}"
+        row = Plugin(kind, name, target, "this process", defined=declared)
+        kind_named(kind)
+        if not name.isidentifier():
+            raise PluginError(f"{row} needs another name: one made of letters, digits and '_'")
+        declared_before = catalog().declarations(kind, name)
+        taken = [other for other in declared_before if other.defined is None or other.target != target]
+        if taken:
+            raise PluginError(f"{kind} '{name}' is declared already: {taken[0]}; choose another name")
+        row.load()
+        _OWN[kind, name] = row
+        return declared
+
+    return add
+
+
+__all__ = ["Catalog", "Plugin", "PluginError", "base_of", "catalog", "kind_named", "plugin"]

@@ -1,0 +1,200 @@
+"""A constructor's signature as a configuration schema."""
+
+import inspect
+import types
+import typing
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, make_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+from anystyle.errors import one_line
+from anystyle.registry.catalog import Plugin, PluginError, base_of, kind_named
+
+if typing.TYPE_CHECKING:
+    from omegaconf import DictConfig
+
+REQUIRED: Any = inspect.Parameter.empty
+_PLAIN = (int, float, bool, str)
+_SEQUENCES = (list, tuple, Sequence)
+_MAPPINGS = (dict, Mapping)
+
+
+class _Choice(Enum):
+    """The values of a ``Literal``; what Hydra read as a number may stand for the text of it."""
+
+    @classmethod
+    def _missing_(cls, value: object) -> "_Choice | None":
+        return cls.__members__.get(str(value))
+
+
+@dataclass(frozen=True)
+class Option:
+    """One constructor argument that a configuration may set.
+
+    Args:
+        name: As in the signature.
+        hint: The annotation, evaluated.
+        default: What it is if nobody sets it; ``REQUIRED`` where there is none.
+    """
+
+    name: str
+    hint: Any
+    default: Any = REQUIRED
+
+    @property
+    def required(self) -> bool:
+        """Whether a configuration has to give it."""
+        return self.default is REQUIRED
+
+
+def _constructor(plugin: Plugin) -> tuple[list[inspect.Parameter], dict[str, Any]]:
+    """Parameters and evaluated annotations of a plugin's own constructor; none where it only inherits one."""
+    cls = plugin.load()
+    if cls.__init__ is base_of(plugin.kind).__init__:
+        return [], {}
+    parameters = list(inspect.signature(cls.__init__).parameters.values())[1:]
+    try:
+        hints = typing.get_type_hints(cls.__init__)
+    except Exception as error:
+        raise PluginError(f"{plugin} has an annotation that cannot be evaluated: {one_line(error)}") from error
+    return parameters, hints
+
+
+def options(plugin: Plugin) -> tuple[Option, ...]:
+    """What a configuration may set of a plugin, in the order of the signature.
+
+    Raises:
+        PluginError: The plugin cannot be imported, or its constructor does not name and annotate every option.
+    """
+    parameters, hints = _constructor(plugin)
+    runtime = kind_named(plugin.kind).runtime
+    found: list[Option] = []
+    for parameter in parameters:
+        if parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL, parameter.POSITIONAL_ONLY):
+            raise PluginError(
+                f"{plugin} takes '{parameter}'; name and annotate every option so that a config can be checked"
+            )
+        if parameter.name in runtime:
+            continue
+        if parameter.annotation is parameter.empty:
+            raise PluginError(f"{plugin} does not annotate '{parameter.name}'; a config cannot check it")
+        found.append(Option(parameter.name, hints[parameter.name], parameter.default))
+    return tuple(found)
+
+
+def runtime_arguments(plugin: Plugin) -> dict[str, bool]:
+    """The runtime arguments of its kind that a plugin's constructor names, and whether it requires each."""
+    parameters, _ = _constructor(plugin)
+    runtime = kind_named(plugin.kind).runtime
+    return {item.name: item.default is item.empty for item in parameters if item.name in runtime}
+
+
+def node(plugin: Plugin) -> "DictConfig":
+    """A typed configuration node with a plugin's options and defaults, and its class as ``_target_``.
+
+    Raises:
+        PluginError: As :func:`options`; or a default does not fit its annotation.
+    """
+    from omegaconf import MISSING, OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+
+    known = options(plugin)
+    fields: list[Any] = [("_target_", str, field(default=plugin.path))]
+    try:
+        for item in known:
+            default = MISSING if item.required else plain(item.default)
+            fields.append((item.name, option(item.hint), _field(default)))
+        return OmegaConf.structured(make_dataclass(plugin.load().__name__, fields))
+    except (OmegaConfBaseException, TypeError, ValueError) as error:
+        message = str(error).partition("\n")[0]
+        raise PluginError(f"{plugin} has an option that a config cannot hold: {message}") from error
+
+
+def _field(default: Any) -> Any:
+    if isinstance(default, (list, dict)):
+        return field(default_factory=default.copy)
+    return field(default=default)
+
+
+def option(hint: Any) -> Any:
+    """The type by which OmegaConf checks an option annotated with ``hint``; ``Any`` where it cannot.
+
+    ``int``, ``float``, ``bool``, ``str`` and paths stand for themselves, as do unions of them; sequences become lists,
+    ``Literal`` of texts or of numbers an enumeration, so that an error lists the choices.
+    """
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if hint in _PLAIN or hint is Path:
+        return hint
+    if origin in (typing.Union, types.UnionType):
+        inner = tuple(item for item in arguments if item is not type(None))
+        optional = len(inner) < len(arguments)
+        checked = option(inner[0]) if len(inner) == 1 else _union(inner)
+        return typing.Optional[checked] if optional else checked  # noqa: UP045 (of a value)
+    if origin is typing.Literal:
+        return _choices(arguments)
+    if origin in _SEQUENCES or hint in _SEQUENCES:
+        return list[_element(arguments)]
+    if origin in _MAPPINGS and arguments[0] in _PLAIN:
+        return dict[arguments[0], option(arguments[1])]
+    return Any
+
+
+def _union(members: tuple[Any, ...]) -> Any:
+    return typing.Union[members] if all(item in _PLAIN for item in members) else Any  # noqa: UP007 (of a value)
+
+
+def _element(arguments: tuple[Any, ...]) -> Any:
+    kinds = {item for item in arguments if item is not Ellipsis}
+    return option(kinds.pop()) if len(kinds) == 1 else Any
+
+
+def _choices(values: tuple[Any, ...]) -> Any:
+    inner = tuple(value for value in values if value is not None)
+    if not all(type(value) in (str, int) for value in inner):
+        return Any
+    enumeration = _Choice("Choice", {str(value): value for value in inner})
+    return typing.Optional[enumeration] if len(inner) < len(values) else enumeration  # noqa: UP045
+
+
+def plain(value: Any) -> Any:
+    """A default as a configuration holds it: sequences as lists."""
+    if isinstance(value, (list, tuple)):
+        return [plain(item) for item in value]
+    if isinstance(value, Mapping):
+        return {key: plain(item) for key, item in value.items()}
+    return value
+
+
+def fitted(value: Any, hint: Any) -> Any:
+    """A checked value as a constructor expects it: sequences as tuples unless ``hint`` says list, choices as given.
+
+    Raises:
+        ValueError: A tuple of fixed length has another length.
+    """
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if isinstance(value, Enum):
+        return value.value
+    if origin in (typing.Union, types.UnionType):
+        inner = [item for item in arguments if item is not type(None)]
+        sequences = [item for item in inner if typing.get_origin(item) in _SEQUENCES]
+        best = inner if len(inner) == 1 else sequences[:1] if isinstance(value, list) else []
+        return fitted(value, best[0]) if best else value
+    if isinstance(value, list):
+        return _fitted_sequence(value, origin or hint, arguments)
+    if isinstance(value, dict) and arguments:
+        return {key: fitted(item, arguments[-1]) for key, item in value.items()}
+    return value
+
+
+def _fitted_sequence(value: list[Any], origin: Any, arguments: tuple[Any, ...]) -> Any:
+    if origin is tuple and arguments and arguments[-1] is not Ellipsis:
+        if len(value) != len(arguments):
+            raise ValueError(f"{len(arguments)} values are expected, and {len(value)} are given: {value}")
+        return tuple(fitted(item, hint) for item, hint in zip(value, arguments, strict=True))
+    items = [fitted(item, arguments[0] if arguments else Any) for item in value]
+    return items if origin is list else tuple(items)
+
+
+__all__ = ["Option", "REQUIRED", "fitted", "node", "option", "options", "plain", "runtime_arguments"]

@@ -1,0 +1,216 @@
+"""Who declares which plugin, and what happens when somebody gets it wrong."""
+
+import inspect
+import os
+import subprocess
+import sys
+from importlib.metadata import EntryPoint, EntryPoints
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import anystyle.registry.catalog as module
+from anystyle.contracts import Placement
+from anystyle.registry.builtin import BUILTIN, KINDS
+from anystyle.registry.catalog import PluginError, catalog, plugin
+
+GOOD = """
+from anystyle.contracts import Placement
+class Good(Placement):
+    def select(self, sites):
+        return tuple(sites)
+"""
+
+
+def test_builtins_load_and_inherit():
+    for name in BUILTIN["placement"]:
+        assert issubclass(catalog().find("placement", name).load(), Placement)
+
+
+def test_unknown_name_suggests():
+    with pytest.raises(PluginError, match=r"no placement is named 'heads'. Did you mean 'head'\? Available: .*full, head"):
+        catalog().find("placement", "heads")
+
+
+def test_unknown_kind_suggests():
+    with pytest.raises(PluginError, match=r"no kind of plugin is named 'losses'\. Did you mean 'loss'\?"):
+        catalog().names("losses")
+
+
+def test_folder_is_listed_without_import(plugin_folder):
+    root = plugin_folder("raise RuntimeError('imported')", mine="Mine")
+    row = catalog().find("placement", "mine")
+    assert row.origin == str(root)
+    assert "mine" in catalog().names("placement")
+    with pytest.raises(PluginError, match=r"placement 'mine' \(.*:Mine, declared by .*\) cannot be imported: imported"):
+        row.load()
+
+
+def test_folder_of_folders(plugin_folder, tmp_path, monkeypatch):
+    plugin_folder(GOOD, one="Good")
+    plugin_folder(GOOD, two="Good")
+    monkeypatch.setenv("ANYSTYLE_PLUGINS", str(tmp_path))
+    assert {"one", "two"} <= set(catalog().names("placement"))
+    assert catalog().find("placement", "two").load().__name__ == "Good"
+
+
+def test_relative_folder_becomes_absolute(plugin_folder, tmp_path, monkeypatch):
+    plugin_folder(GOOD, folder="here", good="Good")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("ANYSTYLE_PLUGINS", "here")
+    assert "good" in catalog().names("placement")
+    assert os.environ["ANYSTYLE_PLUGINS"] == str(tmp_path / "here")
+
+
+def test_same_folder_twice_is_one_plugin(plugin_folder, monkeypatch):
+    root = plugin_folder(GOOD, good="Good")
+    monkeypatch.setenv("ANYSTYLE_PLUGINS", os.pathsep.join([str(root), str(root.parent)]))
+    assert catalog().find("placement", "good").root == root
+
+
+def test_broken_plugin_harms_nobody(plugin_folder):
+    plugin_folder("import does_not_exist_anywhere", broken="Broken")
+    plugin_folder("", toml="[project\nnonsense")
+    plugin_folder("", toml='project = "text"')
+    assert issubclass(catalog().find("placement", "head").load(), Placement)
+    with pytest.raises(PluginError, match="cannot be imported: No module named 'does_not_exist_anywhere'"):
+        catalog().find("placement", "broken").load()
+
+
+def test_syntax_error_is_one_line(plugin_folder):
+    plugin_folder("class Broken(:\n", broken="Broken")
+    with pytest.raises(PluginError, match="cannot be imported: invalid syntax") as caught:
+        catalog().find("placement", "broken").load()
+    assert "\n" not in str(caught.value)
+
+
+def test_not_a_subclass(plugin_folder):
+    plugin_folder("class Other: pass\nvalue = 3", other="Other", value="value")
+    for name in ("other", "value"):
+        with pytest.raises(PluginError, match=r"must inherit from anystyle\.contracts\.Placement"):
+            catalog().find("placement", name).load()
+
+
+def test_missing_class(plugin_folder):
+    plugin_folder(GOOD, typo="Goood")
+    with pytest.raises(PluginError, match="has no attribute 'Goood'"):
+        catalog().find("placement", "typo").load()
+
+
+def test_two_declarations_fail_on_use_only(plugin_folder):
+    root = plugin_folder(GOOD, head="Good")
+    assert catalog().names("placement").count("head") == 1
+    with pytest.raises(PluginError, match=r"'head' is declared more than once: .*by anystyle\); .*" + root.name):
+        catalog().find("placement", "head")
+    assert catalog().find("placement", "full").name == "full"
+
+
+@pytest.mark.parametrize(
+    ("toml", "problem"),
+    [
+        ('[project.entry-points."anystyle.backbon"]\nx = "a:B"', "no such kind"),
+        ('[project.entry-points."anystyle.loss"]\n"a b" = "a:B"', "letters, digits"),
+        ('[project.entry-points."anystyle.loss"]\nx = "a.B"', "not 'module:Class'"),
+        ('[project.entry-points."anystyle.loss"]\nx = 3', "not 'module:Class'"),
+        ("[project", "cannot be read"),
+    ],
+)
+def test_problems_are_told(plugin_folder, toml, problem):
+    plugin_folder("", toml=toml)
+    assert any(problem in line for line in catalog().problems)
+    with pytest.raises(PluginError, match=f"no loss is named 'nothing'.*ignored: .*{problem}"):
+        catalog().find("loss", "nothing")
+
+
+def test_folder_that_is_none(monkeypatch, tmp_path):
+    monkeypatch.setenv("ANYSTYLE_PLUGINS", str(tmp_path / "nowhere"))
+    assert any("nowhere, which is not a folder" in line for line in catalog().problems)
+
+
+def _installed(monkeypatch: pytest.MonkeyPatch, *points: tuple[str, str, str, str]) -> None:
+    found = []
+    for project, group, name, value in points:
+        point = EntryPoint(name, value, group)
+        vars(point)["dist"] = SimpleNamespace(name=project, version="1.2")
+        found.append(point)
+    monkeypatch.setattr(module, "entry_points", lambda: EntryPoints(found))
+    monkeypatch.setattr(module, "_static", inspect.unwrap(module._static))
+
+
+def test_installed_packages(monkeypatch):
+    _installed(
+        monkeypatch,
+        ("acme-placements", "anystyle.placement", "acme", "anystyle.placements.head:Head [extra]"),
+        ("other", "console_scripts", "acme", "x:y"),
+    )
+    row = catalog().find("placement", "acme")
+    assert (row.origin, row.target) == ("acme-placements 1.2", "anystyle.placements.head:Head")
+    assert row.load().__name__ == "Head"
+
+
+def test_folder_that_is_installed_too_is_one_plugin(monkeypatch, plugin_folder):
+    root = plugin_folder(GOOD, toml="")
+    code = next(root.glob("*.py")).stem
+    (root / "pyproject.toml").write_text(
+        f'[project]\nname = "acme-good"\n[project.entry-points."anystyle.placement"]\ngood = "{code}:Good"'
+    )
+    _installed(monkeypatch, ("acme_good", "anystyle.placement", "good", f"{code}:Good"))
+    assert catalog().find("placement", "good").root == root
+    _installed(monkeypatch, ("somebody-else", "anystyle.placement", "good", f"{code}:Good"))
+    with pytest.raises(PluginError, match=r"declared more than once: .*somebody-else 1\.2"):
+        catalog().find("placement", "good")
+
+
+def test_module_of_another_place_is_refused(plugin_folder):
+    root = plugin_folder("", toml='[project.entry-points."anystyle.placement"]\nx = "json:JSONDecoder"')
+    with pytest.raises(PluginError, match="another module is called 'json'"):
+        catalog().find("placement", "x").load()
+    assert root.is_dir()
+
+
+def test_owner_is_the_whitelist():
+    assert catalog().owner("placement", "anystyle.placements.head.Head").name == "head"
+    with pytest.raises(PluginError, match=r"_target_ 'os.system' is not a plugin; a config may build only"):
+        catalog().owner("placement", "os.system")
+    with pytest.raises(PluginError, match=r"is a placement, and a renderer is expected"):
+        catalog().owner("renderer", "anystyle.placements.head.Head")
+
+
+def test_decorator_for_notebooks(monkeypatch):
+    monkeypatch.setattr(module, "_OWN", {})
+
+    class Mine(Placement):
+        def select(self, sites):
+            return tuple(sites)
+
+    assert plugin("placement", "mine")(Mine) is Mine
+    assert catalog().find("placement", "mine").load() is Mine
+    again = type("Mine", (Mine,), {"__qualname__": Mine.__qualname__, "__module__": Mine.__module__})
+    plugin("placement", "mine")(again)
+    assert catalog().find("placement", "mine").load() is again
+    with pytest.raises(PluginError, match="is declared already: .*by anystyle"):
+        plugin("placement", "head")(Mine)
+    with pytest.raises(PluginError, match="is declared already: .*by this process"):
+        plugin("placement", "mine")(type("Other", (Mine,), {}))
+    with pytest.raises(PluginError, match="another name"):
+        plugin("placement", "my own")(Mine)
+    with pytest.raises(PluginError, match="must inherit from"):
+        plugin("renderer", "mine")(Mine)
+    with pytest.raises(PluginError, match="no kind of plugin is named 'plcement'"):
+        plugin("plcement", "mine")(Mine)
+
+
+def test_every_kind_has_rows_and_a_contract():
+    assert set(BUILTIN) == set(KINDS)
+
+
+def test_catalog_imports_neither_torch_nor_hydra():
+    code = (
+        "import sys; from anystyle.registry.catalog import catalog; from anystyle.registry.builtin import KINDS;"
+        "[catalog().names(kind) for kind in KINDS];"
+        "print([name for name in ('torch', 'hydra', 'omegaconf', 'lightning') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+    assert Path(module.__file__).is_file()

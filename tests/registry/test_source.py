@@ -1,0 +1,138 @@
+"""The catalog seen through Hydra."""
+
+import pytest
+from hydra import compose, initialize_config_dir
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.object_type import ObjectType
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+
+from anystyle.contracts import Placement
+from anystyle.registry.build import build
+from anystyle.registry.builtin import KINDS
+from anystyle.registry.catalog import catalog
+from anystyle.registry.source import PluginSource, register
+
+PLACEMENTS = """
+from typing import Literal
+from anystyle.contracts import Placement
+class Deep(Placement):
+    def __init__(self, *, depth: int = 2, attention: Literal["sdpa", "math"] = "sdpa") -> None:
+        self.depth, self.attention = depth, attention
+    def select(self, sites):
+        return tuple(sites)
+"""
+LOSSES = """
+from anystyle.contracts import Loss
+class One(Loss):
+    def __init__(self, *, weight: float = 1.0, layers: tuple[int, ...] = (1, 2)) -> None:
+        super().__init__()
+        self.weight, self.layers = weight, layers
+    def forward(self, result):
+        return result.renders.color.mean()
+class Two(One):
+    pass
+"""
+
+
+@pytest.fixture
+def composed(plugin_folder, tmp_path):
+    """Compose a configuration of a made-up project: ``composed("placement=deep", ...)``."""
+    plugin_folder(PLACEMENTS, deep="Deep")
+    plugin_folder(LOSSES, "loss", one="One", two="Two")
+    conf = tmp_path / "conf"
+    (conf / "placement").mkdir(parents=True)
+    (conf / "loss").mkdir()
+    (conf / "config.yaml").write_text(
+        "defaults: [{placement: deep}, {loss: [one]}, _self_]\nhydra: {searchpath: ['anystyle://']}\nseed: 0\n"
+    )
+    (conf / "placement" / "deeper.yaml").write_text("defaults: [deep, _self_]\ndepth: 9\n")
+    (conf / "placement" / "typo.yaml").write_text("defaults: [deep, _self_]\ndpeth: 9\n")
+    (conf / "loss" / "light.yaml").write_text(
+        "# @package loss.light\ndefaults: [one@_here_, _self_]\nweight: 0.5\n"
+    )
+    register()
+    register()
+
+    def run(*overrides: str):
+        with initialize_config_dir(str(conf), version_base="1.3"):
+            return compose("config", overrides=list(overrides))
+
+    return run
+
+
+def test_defaults_and_overrides(composed):
+    assert composed().placement.depth == 2
+    config = composed("placement.depth=3", "placement.attention=math")
+    built = build(Placement, config.placement)
+    assert (built.depth, built.attention) == (3, "math")
+    assert composed("placement=head").placement._target_ == "anystyle.placements.head.Head"
+
+
+def test_preset_extends_a_plugin(composed):
+    config = composed("placement=deeper", "placement.attention=math")
+    assert build(Placement, config.placement).depth == 9
+
+
+def test_many_stand_side_by_side(composed):
+    config = composed("loss=[one,two]", "loss.two.weight=2")
+    assert {name: loss.weight for name, loss in config.loss.items()} == {"one": 1.0, "two": 2.0}
+    config = composed("loss=[one,light]", "loss.one.layers=[3]")
+    assert (config.loss.light.weight, config.loss.one.layers) == (0.5, [3])
+    assert config.loss.light._target_ == config.loss.one._target_
+
+
+@pytest.mark.parametrize(
+    ("override", "message"),
+    [
+        ("placement=deeep", "Could not find 'placement/deeep'"),
+        ("placement.dpeth=3", "Key 'dpeth' not in 'Deep'"),
+        ("placement.depth=deep", "Value 'deep' of type 'str' could not be converted to Integer"),
+        ("placement.attention=maths", "Invalid value 'maths', expected one of"),
+        ("placement=typo", "In 'placement/typo': .*Key 'dpeth' not in 'Deep'"),
+        ("loss.two.weight=3", "two"),
+    ],
+)
+def test_mistakes_end_at_composition(composed, override, message):
+    with pytest.raises(HydraException) as caught:
+        composed(override)
+    assert __import__("re").search(message, f"{caught.value} {caught.value.__cause__}", __import__("re").DOTALL)
+
+
+def test_broken_plugin_is_told_when_chosen(composed, plugin_folder):
+    plugin_folder("import does_not_exist_anywhere", broken="Broken")
+    assert composed().placement.depth == 2
+    with pytest.raises(HydraException, match="placement 'broken' .* cannot be imported: No module named"):
+        composed("placement=broken")
+
+
+def test_two_of_one_name_are_told_when_chosen(composed, plugin_folder):
+    plugin_folder(PLACEMENTS, deep="Deep")
+    assert composed("placement=head").placement._target_.endswith("Head")
+    with pytest.raises(HydraException, match="placement 'deep' is declared more than once"):
+        composed()
+
+
+def test_a_target_of_ones_own_builds_nothing(composed):
+    config = composed("placement._target_=os.system")
+    with pytest.raises(ValueError, match=r"_target_ 'os.system' is not a plugin"):
+        build(Placement, config.placement)
+
+
+def test_source_lists_the_catalog(composed):
+    source = PluginSource("test", "anystyle://")
+    assert source.available()
+    assert source.list("", None) == source.list("", ObjectType.GROUP) == sorted(KINDS)
+    assert source.list("", ObjectType.CONFIG) == []
+    assert source.list("placement", ObjectType.CONFIG) == catalog().names("placement")
+    assert source.list("placement", ObjectType.GROUP) == []
+    assert source.is_group("loss") and not source.is_group("lost") and not source.is_group("loss/one")
+    assert source.is_config("loss/one") and source.is_config("loss/one.yaml") and not source.is_config("loss")
+
+
+def test_composed_configurations_can_be_written(composed):
+    text = OmegaConf.to_yaml(composed("placement.attention=math"))
+    assert "attention: math" in text
+    again = OmegaConf.create(text)
+    assert build(Placement, again.placement).attention == "math"
+    assert issubclass(ConfigSearchPath, object)
