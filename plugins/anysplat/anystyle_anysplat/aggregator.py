@@ -1,0 +1,100 @@
+"""VGGT's alternating attention: within each view, then across all views."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.utils.checkpoint import checkpoint
+
+from anystyle import contracts
+from anystyle.types import Features, Inject, Site, Tokens, untouched
+from anystyle_anysplat.attention import Block
+from anystyle_anysplat.rope import Rotary, grid_rotary
+
+
+class Aggregator(contracts.Aggregator):
+    """Pairs of a frame block, which sees one view, and a global block, which sees all.
+
+    Style may enter ahead of every pair, on the residual stream; the published method uses the first layer and those
+    that heads read. A tapped feature is the outputs of both blocks of the layer, side by side in the channels.
+
+    Args:
+        dim: Channels.
+        depth: Pairs of blocks.
+        heads: Attention heads; ``dim / heads`` is a multiple of 4.
+        mlp_ratio: Width of the blocks' MLPs.
+        layer_scale: Initial LayerScale.
+        rope_base: Of the frequencies of the rotary position embedding.
+        taps: The layers that heads read, in rising order.
+        checkpointing: Whether training recomputes blocks in the backward pass to save memory.
+    """
+
+    def __init__(
+        self,
+        *,
+        dim: int,
+        depth: int,
+        heads: int,
+        mlp_ratio: float,
+        layer_scale: float,
+        rope_base: float,
+        taps: Sequence[int],
+        checkpointing: bool,
+    ) -> None:
+        super().__init__()
+        self.dim, self.head_dim = dim, dim // heads
+        self.taps = tuple(taps)
+        self.rope_base = rope_base
+        self.checkpointing = checkpointing
+
+        def blocks() -> nn.ModuleList:
+            return nn.ModuleList(
+                Block(dim, heads, mlp_ratio=mlp_ratio, layer_scale=layer_scale, qk_norm=True) for _ in range(depth)
+            )
+
+        self.frame_blocks = blocks()
+        self.global_blocks = blocks()
+
+    @property
+    def sites(self) -> tuple[Site, ...]:
+        """``aggregator/<layer>`` for every layer."""
+        return tuple(
+            Site(_site(layer), self.dim, tapped=layer == 0 or layer in self.taps)
+            for layer in range(len(self.frame_blocks))
+        )
+
+    def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
+        """Turn the stem into tapped features; no other layer's output is kept."""
+        views = stem.data.shape[1]
+        within = grid_rotary(
+            stem.grid,
+            stem.special,
+            self.head_dim,
+            base=self.rope_base,
+            dtype=stem.data.dtype,
+            device=stem.data.device,
+        )
+        across = within.repeat(views)
+        features: dict[int, Tokens] = {}
+        tokens = stem
+        for layer, (frame_block, global_block) in enumerate(zip(self.frame_blocks, self.global_blocks, strict=True)):
+            tokens = inject(_site(layer), tokens)
+            batch, _, count, _ = tokens.data.shape
+            framed = self._run(frame_block, tokens.data.flatten(0, 1), within)  # BV P C
+            joint = self._run(global_block, framed.unflatten(0, (batch, views)).flatten(1, 2), across)  # B VP C
+            tokens = tokens.with_data(joint.unflatten(1, (views, count)))
+            if layer in self.taps:
+                features[layer] = tokens.with_data(
+                    torch.cat([framed.unflatten(0, (batch, views)), tokens.data], dim=-1)
+                )
+        return features
+
+    def _run(self, block: nn.Module, x: Float[Tensor, "M L C"], rotary: Rotary) -> Float[Tensor, "M L C"]:
+        if self.checkpointing and self.training and torch.is_grad_enabled():
+            return checkpoint(block, x, rotary, use_reentrant=False)
+        return block(x, rotary)
+
+
+def _site(layer: int) -> str:
+    return f"aggregator/{layer}"

@@ -1,0 +1,215 @@
+"""The network: five parts, and every option that its weights fix."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from anystyle import contracts
+from anystyle_anysplat.adapter import Adapter
+from anystyle_anysplat.aggregator import Aggregator
+from anystyle_anysplat.camera_head import CameraHead
+from anystyle_anysplat.dpt import Dpt
+from anystyle_anysplat.embedder import Embedder
+from anystyle_anysplat.gaussian_head import GaussianHead
+from anystyle_anysplat.geometry_head import GeometryHead
+from anystyle_anysplat.scratch import start_from_scratch
+
+
+class AnySplat(contracts.Backbone):
+    """Cameras, depth and one Gaussian a pixel of a set of photographs, in one pass (AnySplat, arXiv 2505.23716).
+
+    The defaults are the published network of 1.19 billion parameters. The published weights fix every option but
+    ``fuse``, ``sh_mode``, ``chunk`` and ``checkpointing``.
+
+    Args:
+        resolution: Shorter side, in pixels, that the weights were made for.
+        patch_size: Pixels a patch; image sides are multiples of it.
+        native_resolution: Side of the square image that position embeddings are stored for; others are resampled.
+        embed: ``dino``, or ``conv`` for a linear embedding of patches.
+        dim: Channels of the transformers.
+        embed_depth: Blocks of the embedder.
+        depth: Pairs of frame and global blocks.
+        heads: Attention heads of the transformers.
+        mlp_ratio: Width of all MLPs of transformers, in their channels.
+        registers: Register tokens a view.
+        rope_base: Of the frequencies of the rotary position embedding.
+        layer_scale: Initial LayerScale of the aggregator and the camera head.
+        taps: The four layers that the heads read; the last is the aggregator's last.
+        camera_depth: Blocks of the camera head.
+        camera_heads: Its attention heads.
+        camera_iterations: Its passes.
+        focal_epsilon: Added to the tangent of half a field of view where focal lengths are decoded.
+        depth_features: Channels of the depth head's decoder.
+        depth_channels: Channels of its four levels.
+        depth_hidden: Channels of its last hidden layer.
+        gaussian_features: Channels of the Gaussian head's decoder.
+        gaussian_channels: Channels of its four levels.
+        gaussian_hidden: Channels of its last hidden layer.
+        sh_degree: Of its harmonics.
+        sh_mode: ``reference`` reproduces a side effect of the published code on styled colours; see
+            :class:`anystyle_anysplat.adapter.Adapter`.
+        pixel_center: Where in its pixel a point is seen; the published weights were trained with 0.
+        fuse: Whether pixels that share a voxel become one Gaussian.
+        voxel_size: Side of a voxel, in world units.
+        scale_unit: World units of a Gaussian's scale a unit of softplus.
+        scale_max: Largest scale, in world units.
+        chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; a matter of memory alone.
+        checkpointing: Whether training recomputes blocks of the aggregator to save memory.
+        init: ``published``: initial values as DINOv2's, VGGT's and AnySplat's; ``scratch``: values from which
+            photographs are reproduced on a plane at depth 1, for training without pretrained weights (see
+            :func:`anystyle_anysplat.scratch.start_from_scratch`). The computation is the same.
+
+    Raises:
+        ValueError: Options contradict each other.
+    """
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """A few thin layers for small images."""
+        return {
+            "resolution": 56,
+            "native_resolution": 56,
+            "dim": 32,
+            "embed_depth": 1,
+            "depth": 5,
+            "heads": 2,
+            "taps": (1, 2, 3, 4),
+            "camera_depth": 1,
+            "camera_heads": 2,
+            "depth_features": 16,
+            "depth_channels": (8, 8, 8, 8),
+            "depth_hidden": 8,
+            "gaussian_features": 16,
+            "gaussian_channels": (8, 8, 8, 8),
+            "gaussian_hidden": 8,
+            "sh_degree": 1,
+            "voxel_size": 0.02,
+            "scale_unit": 0.01,
+            "init": "scratch",
+        }
+
+    def __init__(
+        self,
+        *,
+        resolution: int = 448,
+        patch_size: int = 14,
+        native_resolution: int = 518,
+        embed: Literal["dino", "conv"] = "dino",
+        dim: int = 1024,
+        embed_depth: int = 24,
+        depth: int = 24,
+        heads: int = 16,
+        mlp_ratio: float = 4.0,
+        registers: int = 4,
+        rope_base: float = 100.0,
+        layer_scale: float = 0.01,
+        taps: Sequence[int] = (4, 11, 17, 23),
+        camera_depth: int = 4,
+        camera_heads: int = 16,
+        camera_iterations: int = 4,
+        focal_epsilon: float = 1e-3,
+        depth_features: int = 256,
+        depth_channels: Sequence[int] = (256, 512, 1024, 1024),
+        depth_hidden: int = 32,
+        gaussian_features: int = 256,
+        gaussian_channels: Sequence[int] = (256, 512, 1024, 1024),
+        gaussian_hidden: int = 128,
+        sh_degree: int = 4,
+        sh_mode: Literal["reference", "dc_only"] = "reference",
+        pixel_center: float = 0.0,
+        fuse: bool = True,
+        voxel_size: float = 0.002,
+        scale_unit: float = 0.001,
+        scale_max: float = 0.3,
+        chunk: int = 4,
+        checkpointing: bool = False,
+        init: Literal["published", "scratch"] = "published",
+    ) -> None:
+        super().__init__()
+        _check(dim=dim, heads=heads, depth=depth, camera_heads=camera_heads, taps=taps)
+        for features, channels in ((depth_features, depth_channels), (gaussian_features, gaussian_channels)):
+            _check_decoder(features, channels)
+        if chunk < 1:
+            raise ValueError(f"chunk is {chunk}; at least 1 view is decoded at a time")
+        self.patch_size = patch_size
+        self.resolution = resolution
+        self.embedder = Embedder(
+            embed=embed,
+            dim=dim,
+            depth=embed_depth,
+            heads=heads,
+            mlp_ratio=mlp_ratio,
+            registers=registers,
+            patch_size=patch_size,
+            grid=native_resolution // patch_size,
+        )
+        self.aggregator = Aggregator(
+            dim=dim,
+            depth=depth,
+            heads=heads,
+            mlp_ratio=mlp_ratio,
+            layer_scale=layer_scale,
+            rope_base=rope_base,
+            taps=taps,
+            checkpointing=checkpointing,
+        )
+        self.geometry_head = GeometryHead(
+            camera=CameraHead(
+                dim=2 * dim,
+                depth=camera_depth,
+                heads=camera_heads,
+                mlp_ratio=mlp_ratio,
+                layer_scale=layer_scale,
+                iterations=camera_iterations,
+            ),
+            depth=Dpt(dim=2 * dim, features=depth_features, channels=depth_channels, hidden=depth_hidden, outputs=2),
+            taps=taps,
+            chunk=2 * chunk,
+            focal_epsilon=focal_epsilon,
+        )
+        self.gaussian_head = GaussianHead(
+            dim=2 * dim,
+            features=gaussian_features,
+            channels=gaussian_channels,
+            hidden=gaussian_hidden,
+            sh_degree=sh_degree,
+            taps=taps,
+            chunk=chunk,
+        )
+        self.adapter = Adapter(
+            sh_degree=sh_degree,
+            sh_mode=sh_mode,
+            pixel_center=pixel_center,
+            fuse=fuse,
+            voxel_size=voxel_size,
+            scale_unit=scale_unit,
+            scale_max=scale_max,
+        )
+        if init == "scratch":
+            start_from_scratch(
+                self.embedder,
+                self.geometry_head,
+                self.gaussian_head,
+                resolution=resolution,
+                focal_epsilon=focal_epsilon,
+                scale_unit=scale_unit,
+            )
+
+
+def _check(*, dim: int, heads: int, depth: int, camera_heads: int, taps: Sequence[int]) -> None:
+    if dim % (4 * heads):
+        raise ValueError(f"dim {dim} with {heads} heads; the channels of a head must be a multiple of 4")
+    if 2 * dim % camera_heads:
+        raise ValueError(f"camera_heads is {camera_heads}, which does not divide the camera head's {2 * dim} channels")
+    if len(taps) != 4 or list(taps) != sorted(set(taps)) or taps[0] < 0 or taps[-1] != depth - 1:
+        raise ValueError(
+            f"taps are {list(taps)}; give four layers in rising order, of which the last is depth - 1 = {depth - 1}"
+        )
+
+
+def _check_decoder(features: int, channels: Sequence[int]) -> None:
+    if features % 8 or len(channels) != 4 or any(width % 4 for width in channels):
+        raise ValueError(
+            f"a decoder of {features} features and levels of {list(channels)} channels; features must be a multiple "
+            "of 8, and the four levels multiples of 4"
+        )

@@ -1,0 +1,144 @@
+"""From photographs to tokens: DINOv2 with registers, then one camera token and register tokens a view."""
+
+import math
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle import contracts
+from anystyle.types import Tokens
+from anystyle_anysplat.attention import Block
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+
+
+class Dino(nn.Module):
+    """DINOv2's vision transformer with registers.
+
+    Args:
+        dim: Channels.
+        depth: Blocks.
+        heads: Attention heads.
+        patch_size: Pixels a patch.
+        grid: Side, in patches, of the square grid that position embeddings are stored for.
+        mlp_ratio: Width of the blocks' MLPs.
+        registers: Tokens of its own, dropped at the end.
+    """
+
+    def __init__(
+        self, *, dim: int, depth: int, heads: int, patch_size: int, grid: int, mlp_ratio: float, registers: int = 4
+    ) -> None:
+        super().__init__()
+        self.grid = grid
+        self.proj = nn.Conv2d(3, dim, patch_size, stride=patch_size)
+        self.cls_token = nn.Parameter(torch.empty(1, 1, dim))
+        self.register_tokens = nn.Parameter(torch.empty(1, registers, dim))
+        self.pos_embed = nn.Parameter(torch.empty(1, 1 + grid**2, dim))
+        self.blocks = nn.ModuleList(
+            Block(dim, heads, mlp_ratio=mlp_ratio, layer_scale=1.0, eps=1e-6) for _ in range(depth)
+        )
+        self.norm = nn.LayerNorm(dim, eps=1e-6)
+        nn.init.normal_(self.cls_token, std=1e-6)
+        nn.init.normal_(self.register_tokens, std=1e-6)
+        nn.init.trunc_normal_(self.pos_embed, std=0.02)
+        for module in self.modules():
+            if isinstance(module, nn.Linear):
+                nn.init.trunc_normal_(module.weight, std=0.02)
+                nn.init.zeros_(module.bias)
+
+    def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M p C"]:
+        """Embed normalised images; only the patches' tokens are returned, in row-major order."""
+        patches = self.proj(images)
+        positions = self.positions((patches.shape[-2], patches.shape[-1])).to(patches.dtype)
+        tokens = torch.cat([self.cls_token.expand(len(images), -1, -1), patches.flatten(2).mT], dim=1) + positions
+        registers = self.register_tokens.expand(len(images), -1, -1)
+        tokens = torch.cat([tokens[:, :1], registers, tokens[:, 1:]], dim=1)
+        for block in self.blocks:
+            tokens = block(tokens)
+        return self.norm(tokens)[:, 1 + registers.shape[1] :]
+
+    def positions(self, grid: tuple[int, int]) -> Float[Tensor, "1 L C"]:
+        """Position embeddings of the class token and of a grid, resampled from the stored one where it differs."""
+        if grid == (self.grid, self.grid):
+            return self.pos_embed
+        stored = self.pos_embed[:, 1:].float().mT.unflatten(2, (self.grid, self.grid))
+        resampled = F.interpolate(stored, size=grid, mode="bicubic", antialias=True)
+        return torch.cat([self.pos_embed[:, :1].float(), resampled.flatten(2).mT], dim=1)
+
+
+class Patches(nn.Module):
+    """A linear embedding of patches, with no transformer behind it."""
+
+    def __init__(self, *, dim: int, patch_size: int) -> None:
+        super().__init__()
+        self.proj = nn.Conv2d(3, dim, patch_size, stride=patch_size)
+
+    def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M p C"]:
+        """Embed normalised images, patches in row-major order."""
+        return self.proj(images).flatten(2).mT
+
+
+class Embedder(contracts.Embedder):
+    """Patch tokens of each view behind a camera token and register tokens.
+
+    The first view has camera and register tokens of its own; all others share theirs.
+
+    Args:
+        embed: ``dino``, or ``conv`` for a linear embedding.
+        dim: Channels.
+        depth: Blocks of ``dino``.
+        heads: Its attention heads.
+        mlp_ratio: Width of its MLPs.
+        registers: Register tokens a view.
+        patch_size: Pixels a patch.
+        grid: Side, in patches, of the grid that ``dino`` stores position embeddings for.
+    """
+
+    def __init__(
+        self,
+        *,
+        embed: Literal["dino", "conv"],
+        dim: int,
+        depth: int,
+        heads: int,
+        mlp_ratio: float,
+        registers: int,
+        patch_size: int,
+        grid: int,
+    ) -> None:
+        super().__init__()
+        self.patch_size = patch_size
+        self.patches = (
+            Dino(dim=dim, depth=depth, heads=heads, patch_size=patch_size, grid=grid, mlp_ratio=mlp_ratio)
+            if embed == "dino"
+            else Patches(dim=dim, patch_size=patch_size)
+        )
+        self.camera_token = nn.Parameter(torch.empty(1, 2, 1, dim))
+        self.register_token = nn.Parameter(torch.empty(1, 2, registers, dim))
+        nn.init.normal_(self.camera_token, std=1e-6)
+        nn.init.normal_(self.register_token, std=1e-6)
+
+    def forward(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
+        """Embed sRGB images in [0, 1].
+
+        Raises:
+            ValueError: A side is no multiple of the patch size.
+        """
+        batch, views, _, height, width = images.shape
+        grid = (height // self.patch_size, width // self.patch_size)
+        if (height, width) != (grid[0] * self.patch_size, grid[1] * self.patch_size) or math.prod(grid) == 0:
+            raise ValueError(
+                f"images are {height}x{width} pixels; both sides must be multiples of {self.patch_size}: resize them"
+            )
+        images = images.to(self.camera_token.dtype)
+        mean, std = images.new_tensor(IMAGENET_MEAN), images.new_tensor(IMAGENET_STD)
+        normalised = (images - mean[:, None, None]) / std[:, None, None]
+        patches = self.patches(normalised.flatten(0, 1)).unflatten(0, (batch, views))
+        special = torch.cat([self.camera_token, self.register_token], dim=2)  # 1 2 special C
+        special = torch.cat([special[:, :1], special[:, 1:].expand(-1, views - 1, -1, -1)], dim=1)
+        tokens = torch.cat([special.expand(batch, -1, -1, -1).to(patches.dtype), patches], dim=2)
+        return Tokens(data=tokens, grid=grid, special=special.shape[2])

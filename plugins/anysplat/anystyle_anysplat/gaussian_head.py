@@ -1,0 +1,89 @@
+"""One raw Gaussian a pixel, from tokens and straight from the colours."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle import contracts
+from anystyle.types import Attributes, Features, Inject, Site, Tokens, untouched
+from anystyle_anysplat.dpt import Dpt, by_views
+
+
+class GaussianHead(contracts.GaussianHead):
+    """A DPT whose decoded map is joined by features of the image itself.
+
+    The channels of the result: opacity (1), scale (3), quaternion xyzw (4), harmonics (3 K, colour-major), and the
+    confidence (1) that weighs pixels where they are fused.
+
+    Args:
+        dim: Channels of the tokens.
+        features: Channels of the decoder.
+        channels: Channels of the levels.
+        hidden: Channels of the last hidden layer.
+        sh_degree: Of the harmonics.
+        taps: The layers it reads, four, in rising order.
+        chunk: Views decoded at a time, and so passed to ``inject`` at a time; a matter of memory alone.
+    """
+
+    def __init__(
+        self,
+        *,
+        dim: int,
+        features: int,
+        channels: Sequence[int],
+        hidden: int,
+        sh_degree: int,
+        taps: Sequence[int],
+        chunk: int,
+    ) -> None:
+        super().__init__()
+        self.dim, self.direct_dim = dim, features // 2
+        self.coefficients = (sh_degree + 1) ** 2
+        self.taps = tuple(taps)
+        self.chunk = chunk
+        self.dpt = Dpt(dim=dim, features=features, channels=channels, hidden=hidden, outputs=9 + 3 * self.coefficients)
+        self.direct = nn.Conv2d(3, self.direct_dim, 7, padding=3)
+
+    @property
+    def sites(self) -> tuple[Site, ...]:
+        """``head/tokens/0..3``, normalised patch tokens; ``head/direct``, features of every pixel."""
+        tokens = tuple(Site(_site(level), self.dim) for level in range(len(self.taps)))
+        return (*tokens, Site("head/direct", self.direct_dim))
+
+    def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
+        """Predict raw attributes; quaternions are xyzw."""
+        batch, views = images.shape[:2]
+        raw = by_views(lambda some: self._raw(features, images, inject, some), views, max(1, self.chunk // batch))
+        channels_last = raw.movedim(2, -1)  # B V H W F
+        return Attributes(
+            opacity=raw[:, :, 0],
+            scale=channels_last[..., 1:4],
+            rotation=channels_last[..., 4:8],
+            color=channels_last[..., 8:-1].unflatten(-1, (3, self.coefficients)),
+            confidence=raw[:, :, -1],
+        )
+
+    def _raw(
+        self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject, views: slice
+    ) -> Float[Tensor, "B v F H W"]:
+        images = images[:, views].to(self.direct.weight.dtype)
+        batch, count, _, height, width = images.shape
+        levels = []
+        for level, layer in enumerate(self.taps):
+            tokens = features[layer]
+            patches = self.dpt.norm(tokens.patches[:, views].to(self.dpt.norm.weight.dtype))
+            styled = inject(_site(level), replace(tokens, data=patches, special=0))
+            levels.append(styled.data.flatten(0, 1))
+        decoded = self.dpt.decode(levels, features[self.taps[0]].grid, (height, width))
+        # Pixels as tokens are a view of the convolution's output: nothing is copied, with or without style.
+        direct = F.relu(self.direct(images.flatten(0, 1))).flatten(2).mT.unflatten(0, (batch, count))
+        direct = inject("head/direct", Tokens(direct, grid=(height, width))).data
+        direct = direct.flatten(0, 1).mT.unflatten(2, (height, width)).contiguous()
+        return self.dpt.predict(decoded + direct).unflatten(0, (batch, count))
+
+
+def _site(level: int) -> str:
+    return f"head/tokens/{level}"

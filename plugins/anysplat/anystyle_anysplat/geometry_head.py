@@ -1,0 +1,57 @@
+"""Cameras and depth."""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle import contracts
+from anystyle.types import Features, Geometry
+from anystyle_anysplat.camera_head import CameraHead
+from anystyle_anysplat.dpt import Dpt, by_views
+from anystyle_anysplat.pose import decode_pose
+
+
+class GeometryHead(contracts.GeometryHead):
+    """The camera head on the last tap's camera tokens, and a DPT for depth; in the weights' precision throughout.
+
+    Args:
+        camera: Predicts pose encodings.
+        depth: Predicts the logarithm of depth, and of confidence less one.
+        taps: The layers that the depth head reads, four, in rising order.
+        chunk: Views that the depth head decodes at a time; a matter of memory alone.
+        focal_epsilon: See :func:`anystyle_anysplat.pose.decode_pose`.
+    """
+
+    def __init__(
+        self, *, camera: CameraHead, depth: Dpt, taps: Sequence[int], chunk: int, focal_epsilon: float
+    ) -> None:
+        super().__init__()
+        self.camera = camera
+        self.depth = depth
+        self.taps = tuple(taps)
+        self.chunk = chunk
+        self.focal_epsilon = focal_epsilon
+
+    def forward(self, features: Features, size: tuple[int, int]) -> Geometry:
+        """Predict geometry; depth is the distance along z."""
+        last = features[self.taps[-1]].data
+        with torch.autocast(last.device.type, enabled=False):
+            encodings = self.camera(last[:, :, 0].to(self.camera.embed_pose.weight.dtype))
+            logs = self.log_depth(features, size)
+        cameras = decode_pose(encodings[-1].float(), size, focal_epsilon=self.focal_epsilon)
+        depth, confidence = logs.float().exp().unbind(2)
+        return Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
+
+    def log_depth(self, features: Features, size: tuple[int, int]) -> Float[Tensor, "B V 2 H W"]:
+        """The depth head's two maps, before the exponential."""
+        tokens = [features[layer] for layer in self.taps]
+        batch, views = tokens[0].data.shape[:2]
+        dtype = self.depth.norm.weight.dtype
+
+        def some(chosen: slice) -> Tensor:
+            levels = [self.depth.norm(level.patches[:, chosen].to(dtype)).flatten(0, 1) for level in tokens]
+            return self.depth.predict(self.depth.decode(levels, tokens[0].grid, size)).unflatten(0, (batch, -1))
+
+        return by_views(some, views, max(1, self.chunk // batch))
