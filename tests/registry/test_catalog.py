@@ -29,7 +29,9 @@ def test_builtins_load_and_inherit():
 
 
 def test_unknown_name_suggests():
-    with pytest.raises(PluginError, match=r"no placement is named 'heads'. Did you mean 'head'\? Available: .*full, head"):
+    with pytest.raises(
+        PluginError, match=r"no placement is named 'heads'. Did you mean 'head'\? Available: .*full, head"
+    ):
         catalog().find("placement", "heads")
 
 
@@ -189,9 +191,9 @@ def test_decorator_for_notebooks(monkeypatch):
     again = type("Mine", (Mine,), {"__qualname__": Mine.__qualname__, "__module__": Mine.__module__})
     plugin("placement", "mine")(again)
     assert catalog().find("placement", "mine").load() is again
-    with pytest.raises(PluginError, match="is declared already: .*by anystyle"):
+    with pytest.raises(PluginError, match=r"is declared already: .*by anystyle"):
         plugin("placement", "head")(Mine)
-    with pytest.raises(PluginError, match="is declared already: .*by this process"):
+    with pytest.raises(PluginError, match=r"is declared already: .*by this process"):
         plugin("placement", "mine")(type("Other", (Mine,), {}))
     with pytest.raises(PluginError, match="another name"):
         plugin("placement", "my own")(Mine)

@@ -3,13 +3,15 @@
 import re
 
 import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from anystyle.contracts import Injector, Placement, Renderer
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import PluginError, catalog
-from anystyle.registry.schema import node, options
+from anystyle.registry.schema import literal, node, options
 
 EVERYTHING = """
 from collections.abc import Mapping, Sequence
@@ -74,6 +76,7 @@ def test_defaults_arrive_as_the_constructor_has_them(everything):
         ("whole", "7", 7),
         ("real", 3, 3.0),
         ("word", 12, "12"),
+        ("word", r"\\\${x} \${y}", r"\${x} ${y}"),
         ("maybe", None, None),
         ("either", 3, 3),
         ("several", [4], (4,)),
@@ -93,8 +96,9 @@ def test_defaults_arrive_as_the_constructor_has_them(everything):
 def test_values_are_converted(everything, name, value, expected):
     config = node(everything)
     OmegaConf.update(config, name, value)
-    for given in (config, {"_target_": everything.path, name: value}):
-        result = build(Placement, given).given[name]
+    literally = expected if name == "word" else value
+    for source in (config, {"_target_": everything.path, name: literally}):
+        result = build(Placement, source).given[name]
         assert result == expected
         assert type(result) is type(expected)
 
@@ -104,7 +108,7 @@ def test_values_are_converted(everything, name, value, expected):
     [
         ("whole", "deep", "Value 'deep' of type 'str' could not be converted to Integer"),
         ("whole", 1.5, "could not be converted to Integer"),
-        ("whole", None, "non optional"),
+        ("whole", None, "field 'whole' is not Optional"),
         ("yes", "perhaps", "not a valid bool"),
         ("choice", "maths", r"Invalid value 'maths', expected one of [sdpa, math]"),
         ("number", 7, "expected one of [0, 1, 2]"),
@@ -129,8 +133,14 @@ def test_length_of_a_tuple(everything):
 def test_unknown_option(everything):
     with pytest.raises(OmegaConfBaseException, match="Key 'wohle' not in 'Everything'"):
         OmegaConf.update(node(everything), "wohle", 3)
-    with pytest.raises(ValueError, match="has no option 'wohle'. Did you mean 'whole'?"):
+    with pytest.raises(ValueError, match=r"has no option 'wohle'\. Did you mean 'whole'\?"):
         build(Placement, {"_target_": everything.path, "wohle": 3})
+
+
+@given(st.text(alphabet=st.sampled_from("a\\${}:\n'\",=x ")))
+def test_literal_texts_survive(text):
+    assume(text != "???")
+    assert OmegaConf.create({"x": literal(text)}).x == text
 
 
 def test_interpolations_are_resolved_in_the_whole_configuration(everything):

@@ -48,9 +48,7 @@ def composed(plugin_folder, tmp_path):
     )
     (conf / "placement" / "deeper.yaml").write_text("defaults: [deep, _self_]\ndepth: 9\n")
     (conf / "placement" / "typo.yaml").write_text("defaults: [deep, _self_]\ndpeth: 9\n")
-    (conf / "loss" / "light.yaml").write_text(
-        "# @package loss.light\ndefaults: [one@_here_, _self_]\nweight: 0.5\n"
-    )
+    (conf / "loss" / "light.yaml").write_text("# @package loss.light\ndefaults: [one@_here_, _self_]\nweight: 0.5\n")
     register()
     register()
 
@@ -102,7 +100,7 @@ def test_mistakes_end_at_composition(composed, override, message):
 def test_broken_plugin_is_told_when_chosen(composed, plugin_folder):
     plugin_folder("import does_not_exist_anywhere", broken="Broken")
     assert composed().placement.depth == 2
-    with pytest.raises(HydraException, match="placement 'broken' .* cannot be imported: No module named"):
+    with pytest.raises(HydraException, match=r"placement 'broken' .* cannot be imported: No module named"):
         composed("placement=broken")
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from anystyle.errors import did_you_mean
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import Plugin, PluginError, catalog, kind_named
-from anystyle.registry.schema import fitted, node, options, runtime_arguments
+from anystyle.registry.schema import fitted, node, options, plain, runtime_arguments
 
 if TYPE_CHECKING:
     from omegaconf import DictConfig
@@ -63,7 +63,7 @@ def build(base: type[T], config: "DictConfig | Mapping[str, Any] | str", /, **ru
 
 def build_all(base: type[T], configs: "Mapping[str, Any] | None", /, **runtime: Any) -> dict[str, T]:
     """Construct every plugin of a group that holds several at once, by the names the group gives them."""
-    return {name: build(base, configs[name], **runtime) for name in configs or {}}
+    return {} if configs is None else {name: build(base, configs[name], **runtime) for name in configs}
 
 
 def _container(config: Any) -> dict[str, Any]:
@@ -93,12 +93,12 @@ def _checked(plugin: Plugin, given: Mapping[str, Any]) -> dict[str, Any]:
     for item in known:
         try:
             if item.name in given:
-                OmegaConf.update(merged, item.name, given[item.name])
+                OmegaConf.update(merged, item.name, plain(given[item.name]))
             if OmegaConf.is_missing(merged, item.name):
                 where = f"{plugin.kind}.{plugin.name}" if KINDS[plugin.kind].many else plugin.kind
                 raise ValueError(f"it has no default; give it one with {where}.{item.name}=...")
-            value = OmegaConf.to_container(merged)[item.name]  # pyright: ignore[reportArgumentType, reportCallIssue]
-            values[item.name] = fitted(value, item.hint)
+            container: Any = OmegaConf.to_container(merged, resolve=True)
+            values[item.name] = fitted(container[item.name], item.hint)
         except (OmegaConfBaseException, ValueError) as error:
             message = str(error).partition("\n")[0]
             raise ValueError(f"{plugin}, option '{item.name}': {message}") from error

@@ -176,8 +176,8 @@ def _builtin() -> Iterator[Plugin]:
             yield Plugin(kind, name, target, "anystyle", project="anystyle")
 
 
-def _declared(point: EntryPoint, origin: str, problems: list[str]) -> dict[str, str] | None:
-    """Kind, name and target of an entry point, or a note on what is wrong with it."""
+def _rows(point: EntryPoint, problems: list[str], origin: str, **place: Any) -> Iterator[Plugin]:
+    """The plugin that an entry point declares, or a note on what is wrong with it."""
     kind, target = point.group.removeprefix(_PREFIX), point.value.partition("[")[0].strip()
     if kind not in KINDS:
         problems.append(f"{origin} declares '{point.group}', and there is no such kind of plugin")
@@ -186,8 +186,7 @@ def _declared(point: EntryPoint, origin: str, problems: list[str]) -> dict[str, 
     elif not all(word.isidentifier() for word in target.replace(":", ".", 1).split(".")) or ":" not in target:
         problems.append(f"{origin} declares {kind} '{point.name}' as '{point.value}', which is not 'module:Class'")
     else:
-        return {"kind": kind, "name": point.name, "target": target}
-    return None
+        yield Plugin(kind, point.name, target, origin, **place)
 
 
 def _installed(problems: list[str]) -> Iterator[Plugin]:
@@ -196,9 +195,7 @@ def _installed(problems: list[str]) -> Iterator[Plugin]:
     for point in (point for group in groups for point in points.select(group=group)):
         name = point.dist.name if point.dist else None
         origin = f"{name} {point.dist.version}" if point.dist else "an installed package"
-        row = _declared(point, origin, problems)
-        if row is not None:
-            yield Plugin(**row, origin=origin, project=name)
+        yield from _rows(point, problems, origin, project=name)
 
 
 def _local(root: Path, problems: list[str]) -> Iterator[Plugin]:
@@ -216,9 +213,7 @@ def _local(root: Path, problems: list[str]) -> Iterator[Plugin]:
         if not group.startswith(_PREFIX):
             continue
         for key, value in rows.items():
-            row = _declared(EntryPoint(key, str(value), group), origin, problems)
-            if row is not None:
-                yield Plugin(**row, origin=origin, root=root, project=name)
+            yield from _rows(EntryPoint(key, str(value), group), problems, origin, root=root, project=name)
 
 
 def _roots(folders: Sequence[str], problems: list[str]) -> list[Path]:

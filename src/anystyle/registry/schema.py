@@ -1,6 +1,7 @@
 """A constructor's signature as a configuration schema."""
 
 import inspect
+import re
 import types
 import typing
 from collections.abc import Mapping, Sequence
@@ -158,8 +159,15 @@ def _choices(values: tuple[Any, ...]) -> Any:
     return typing.Optional[enumeration] if len(inner) < len(values) else enumeration  # noqa: UP045
 
 
+def literal(text: str) -> str:
+    """A text as a configuration holds it: ``${`` escaped, for it would be read as an interpolation."""
+    return re.sub(r"(\\*)\$\{", lambda match: match[1] * 2 + r"\${", text)
+
+
 def plain(value: Any) -> Any:
-    """A default as a configuration holds it: sequences as lists."""
+    """A Python value as a configuration holds it: sequences as lists, texts as :func:`literal`."""
+    if isinstance(value, str):
+        return literal(value)
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
     if isinstance(value, Mapping):
@@ -197,4 +205,4 @@ def _fitted_sequence(value: list[Any], origin: Any, arguments: tuple[Any, ...]) 
     return items if origin is list else tuple(items)
 
 
-__all__ = ["Option", "REQUIRED", "fitted", "node", "option", "options", "plain", "runtime_arguments"]
+__all__ = ["REQUIRED", "Option", "fitted", "literal", "node", "option", "options", "plain", "runtime_arguments"]

@@ -52,9 +52,7 @@ class PluginSource(ConfigSource):
         except PluginError as error:
             raise ConfigCompositionException(str(error)) from error
         package = f"{kind}.{name}" if KINDS[kind].many else None
-        return ConfigResult(
-            provider=self.provider, path=self.full_path(), config=config, header={"package": package}
-        )
+        return ConfigResult(provider=self.provider, path=self.full_path(), config=config, header={"package": package})
 
 
 def register() -> None:
