@@ -1,7 +1,7 @@
 """The method in one file: Figure 2 of the paper, top to bottom."""
 
 from collections.abc import Sequence
-from typing import Self
+
 
 import torch
 import torch.nn.functional as F
@@ -34,7 +34,7 @@ class Stylizer(nn.Module):
         self.branch = branch
         self.renderer = renderer
 
-    def train(self, mode: bool = True) -> Self:
+    def train(self, mode: bool = True) -> "Stylizer":
         """Set the mode of the style branch; what is frozen stays in ``eval``."""
         super().train(mode)
         self.style_encoder.eval()

@@ -1,0 +1,36 @@
+import numpy as np
+import pytest
+import torch
+from PIL import Image, ImageFont
+
+from anystyle.sheet import TextCard, contact_sheet, to_pil, wrap
+
+
+def test_pixels_are_rounded_to_nearest():
+    values = torch.tensor([0.0, 0.4999 / 255, 0.5001 / 255, 1.0, 1.5]).repeat(3, 1)[:, None]
+    assert np.asarray(to_pil(values))[0, :, 0].tolist() == [0, 0, 1, 255, 255]
+
+
+def test_cells_keep_their_aspect_and_stand_in_their_places():
+    red, wide = Image.new("RGB", (10, 10), (255, 0, 0)), Image.new("RGB", (40, 10), (0, 0, 255))
+    sheet = np.asarray(contact_sheet([[red, wide], [None, TextCard("blue")]], cell=(40, 40), gap=4))
+    assert sheet.shape == (4 + 2 * 44, 4 + 2 * 44, 3)
+    assert (sheet[4:44, 4:44] == (255, 0, 0)).all()
+    blue = (sheet == (0, 0, 255)).all(-1)
+    assert blue.sum() == 40 * 10
+    assert (sheet[48:88, 4:44] == 255).all()
+    assert (sheet[48:88, 48:88] < 100).any()
+
+
+def test_words_are_wrapped_and_endless_ones_end_in_an_ellipsis():
+    font = ImageFont.load_default(size=15)
+    lines = wrap("thick swirling strokes in deep blue " * 40, font, 150, max_lines=3).split("\n")
+    assert len(lines) == 3 and lines[-1].endswith("…")
+    assert all(font.getlength(line) <= 150 for line in lines)
+    assert wrap("a\nb", font, 150, max_lines=2) == "a b"
+    assert wrap("x" * 500, font, 100, max_lines=1).endswith("…")
+
+
+def test_ragged_rows_are_refused():
+    with pytest.raises(ValueError, match="rows of one length"):
+        contact_sheet([[None], [None, None]])

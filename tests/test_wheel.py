@@ -1,0 +1,62 @@
+"""The wheel alone, in an environment that holds nothing of this project, does the main job from any folder."""
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+from plyfile import PlyData
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("wheel")
+    command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(ROOT)]
+    subprocess.run(command, check=True, capture_output=True, text=True)
+    return next(folder.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def environment(wheel, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("environment")
+    venv.create(folder, with_pip=False)
+    own = Path(sysconfig.get_path("purelib", vars={"base": str(folder), "platbase": str(folder)}))
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(own)
+    # The dependencies, but not this project: path files in that folder, such as an editable install's, are not read.
+    (own / "dependencies.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    return folder / "bin" / "python"
+
+
+def test_it_carries_configurations_plugins_and_weights(wheel):
+    names = zipfile.ZipFile(wheel).namelist()
+    for part in ("conf/stylize.yaml", "plugins/anysplat/pyproject.toml", "conf/model/tiny.yaml"):
+        assert f"anystyle/_shared/{part}" in names
+    assert any(name.startswith("anystyle/assets/") and name.endswith(".safetensors") for name in names)
+    assert not [name for name in names if "__pycache__" in name or name.endswith((".nbi", ".nbc"))]
+
+
+def test_it_stylizes_from_another_folder(environment, tmp_path):
+    clean = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "ANYSTYLE"))}
+    command = [environment, "-m", "anystyle", "stylize", "scenes=procedural", "--text", "red and white stripes"]
+    options = ["--out", "result", "views.max_views=2", "video.frames=4", "video.scale=1"]
+    run = subprocess.run([*command, *options], cwd=tmp_path, env=clean, capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    report = json.loads((tmp_path / "result" / "report.json").read_text())
+    assert report["views"] == 2
+    assert PlyData.read(tmp_path / "result" / "scene.ply")["vertex"].count == report["gaussians"]
+    where = subprocess.run(
+        [environment, "-c", "import anystyle; print(anystyle.__file__)"],
+        cwd=tmp_path,
+        env=clean,
+        capture_output=True,
+        text=True,
+    )
+    assert str(ROOT) not in where.stdout
