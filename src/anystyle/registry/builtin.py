@@ -33,7 +33,9 @@ KINDS: dict[str, Kind] = {
 
 BUILTIN: dict[str, dict[str, str]] = {
     "backbone": {},
-    "style_encoder": {},
+    "style_encoder": {
+        "tiny": "anystyle.style_encoders.tiny:Tiny",
+    },
     "placement": {
         "head": "anystyle.placements.head:Head",
         "aggregator": "anystyle.placements.aggregator:Aggregator",

@@ -1,0 +1,1 @@
+"""Style encoders: images and texts in one space."""

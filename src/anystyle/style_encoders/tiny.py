@@ -1,0 +1,201 @@
+"""A small style encoder, trained on procedural styles and their captions."""
+
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from anystyle.contracts import StyleEncoder
+from anystyle.perception.texture import Texture
+from anystyle.style_encoders.words import hash_words
+
+TAPS = ("relu1_2", "relu2_2", "relu3_2", "relu4_1")
+TAP_CHANNELS = (32, 64, 96, 128)
+SIDE = 64
+COLORS = 4
+
+
+class Tiny(StyleEncoder):
+    """Images and texts in a space of textures and palettes; 0.9 M parameters, no download.
+
+    Images go through the convolutions of the texture network, pooled to mean and deviation at every scale, beside a
+    learnt soft histogram of colours. Texts go through hashed words and a small transformer. Each modality is centred,
+    both are whitened by one matrix, so that patterns weigh as much as the colours that dominate raw embeddings.
+
+    Args:
+        dim: Of the space.
+        text_width: Channels of the text transformer.
+        text_layers: Its layers.
+        buckets: Rows of the table of hashed words.
+        max_words: The longest text it reads.
+    """
+
+    image_mean: Tensor
+    text_mean: Tensor
+    whitening: Tensor
+
+    def __init__(
+        self,
+        *,
+        dim: int = 128,
+        text_width: int = 96,
+        text_layers: int = 2,
+        buckets: int = 2048,
+        max_words: int = 64,
+    ) -> None:
+        super().__init__()
+        self.dim = dim
+        self.neutral = "a photo"
+        self.image_tower = ImageTower(dim)
+        self.text_tower = TextTower(dim, text_width, text_layers, buckets, max_words)
+        self.palette_head = nn.Sequential(nn.Linear(dim, 192), nn.GELU(), nn.Linear(192, 3 * COLORS))
+        self.register_buffer("image_mean", torch.zeros(dim))
+        self.register_buffer("text_mean", torch.zeros(dim))
+        self.register_buffer("whitening", torch.eye(dim))
+
+    def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
+        """See :meth:`StyleEncoder.embed_images`; the shorter side is brought to 64 pixels first."""
+        return self._whiten(self.image_tower(images), self.image_mean)
+
+    def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
+        """See :meth:`StyleEncoder.embed_texts`."""
+        return self._whiten(self.text_tower(texts), self.text_mean)
+
+    def palette(self, vectors: Float[Tensor, "M D"]) -> Float[Tensor, "M colors 3"]:
+        """Four sRGB colours in [0, 1], each for a quarter of the pixels, that an embedding stands for."""
+        return self.palette_head(vectors * self.dim**0.5).sigmoid().unflatten(-1, (COLORS, 3))
+
+    @torch.no_grad()
+    def whiten(self, images: Float[Tensor, "N 3 H W"], texts: Sequence[str], *, floor: float = 0.02) -> None:
+        """Fix centres and whitening matrix from examples of both modalities.
+
+        Args:
+            images: Of styles; a few thousand.
+            texts: Of styles; a few thousand.
+            floor: Added to the covariance's eigenvalues, as a share of the largest: directions below it are noise.
+        """
+        raw_images = torch.cat([self.image_tower(batch) for batch in images.split(256)])
+        raw_texts = torch.cat([self.text_tower(texts[at : at + 256]) for at in range(0, len(texts), 256)])
+        self.image_mean.copy_(raw_images.mean(0))
+        self.text_mean.copy_(raw_texts.mean(0))
+        covariance = (torch.cov((raw_images - self.image_mean).T) + torch.cov((raw_texts - self.text_mean).T)) / 2
+        values, axes = torch.linalg.eigh(covariance.double())
+        scale = (values + floor * values[-1]).rsqrt()
+        # The largest direction keeps its length, so that embeddings before and after are of one size.
+        self.whitening.copy_((axes * (scale / scale[-1])) @ axes.T)
+
+    def _whiten(self, raw: Float[Tensor, "M D"], mean: Float[Tensor, " D"]) -> Float[Tensor, "M D"]:
+        return F.normalize((raw - mean) @ self.whitening, dim=-1)
+
+
+class ImageTower(nn.Module):
+    """From images to raw vectors of about unit norm.
+
+    Args:
+        dim: Of the vectors.
+    """
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.texture = Texture()
+        self.colors = nn.Sequential(nn.Conv2d(3, 48, 1), nn.ReLU(), nn.Conv2d(48, 64, 1), nn.ReLU())
+        pooled = 2 * sum(TAP_CHANNELS) + 64
+        self.norm = nn.LayerNorm(pooled)
+        self.head = nn.Sequential(nn.Linear(pooled, 192), nn.GELU(), nn.Linear(192, dim))
+
+    def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
+        """Embed images of any size."""
+        images = shorter_side(images, SIDE)
+        pooled = [part for tap in self.texture(images, TAPS) for part in _moments(tap)]
+        # One pixel in four of a picture has the same colours, at a quarter of the cost.
+        pooled.append(self.colors((images[..., ::2, ::2] - 0.5) * 4).mean((-2, -1)))
+        return F.normalize(self.head(self.norm(torch.cat(pooled, dim=-1))), dim=-1)
+
+
+class TextTower(nn.Module):
+    """From texts to raw vectors of unit norm.
+
+    Args:
+        dim: Of the vectors.
+        width: Channels within.
+        layers: Of the transformer.
+        buckets: Rows of the table of hashed words.
+        max_words: The longest text it reads.
+    """
+
+    def __init__(self, dim: int, width: int, layers: int, buckets: int, max_words: int) -> None:
+        super().__init__()
+        self.buckets = buckets
+        self.max_words = max_words
+        self.table = nn.EmbeddingBag(buckets, width, mode="mean")
+        self.places = nn.Parameter(0.1 * torch.randn(max_words, width))
+        self.blocks = nn.ModuleList(Block(width) for _ in range(layers))
+        self.norm = nn.LayerNorm(width)
+        self.head = nn.Linear(width, dim)
+
+    def forward(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
+        """Embed texts; in training they start at a random place, so that all places are learnt."""
+        hashed = [hash_words(text, buckets=self.buckets, max_words=self.max_words).words for text in texts]
+        device = self.places.device
+        lengths = torch.tensor([len(words) for words in hashed], device=device)
+        present = torch.arange(int(lengths.max()), device=device) < lengths[:, None]
+        bags = [word for words in hashed for word in words]
+        places = torch.tensor([place for bag in bags for place in bag], device=device)
+        starts = torch.tensor([0, *(len(bag) for bag in bags[:-1])], device=device).cumsum(0)
+        tokens = self.places.new_zeros(*present.shape, self.places.shape[1])
+        tokens[present] = self.table(places, starts)
+        tokens = tokens + self.places[self._positions(lengths, present.shape[1])]
+        for block in self.blocks:
+            tokens = block(tokens, present)
+        mean = (tokens * present[..., None]).sum(1) / lengths[:, None]
+        return F.normalize(self.head(self.norm(mean)), dim=-1)
+
+    def _positions(self, lengths: Int[Tensor, " M"], longest: int) -> Int[Tensor, "M L"]:
+        steps = torch.arange(longest, device=lengths.device).expand(len(lengths), longest)
+        if not self.training:
+            return steps
+        room = self.max_words - lengths
+        start = (torch.rand(len(lengths), device=lengths.device) * (room + 1)).long()
+        return (steps + start[:, None]).clamp_max(self.max_words - 1)
+
+
+class Block(nn.Module):
+    """A pre-norm transformer layer.
+
+    Args:
+        width: Channels.
+        heads: Of the attention.
+    """
+
+    def __init__(self, width: int, heads: int = 4) -> None:
+        super().__init__()
+        self.heads = heads
+        self.norm1, self.norm2 = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.qkv, self.proj = nn.Linear(width, 3 * width), nn.Linear(width, width)
+        self.mlp = nn.Sequential(nn.Linear(width, 3 * width), nn.GELU(), nn.Linear(3 * width, width))
+
+    def forward(self, tokens: Float[Tensor, "M L C"], present: Bool[Tensor, "M L"]) -> Float[Tensor, "M L C"]:
+        """Mix the words that are there."""
+        parts = self.qkv(self.norm1(tokens)).chunk(3, dim=-1)
+        q, k, v = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in parts)
+        mixed = F.scaled_dot_product_attention(q, k, v, attn_mask=present[:, None, None, :])
+        tokens = tokens + self.proj(mixed.transpose(1, 2).flatten(2))
+        return tokens + self.mlp(self.norm2(tokens))
+
+
+def shorter_side(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "M 3 h w"]:
+    """Images whose shorter side is ``side`` pixels, their aspect kept."""
+    height, width = images.shape[-2:]
+    scale = side / min(height, width)
+    size = max(side, round(height * scale)), max(side, round(width * scale))
+    if size == (height, width):
+        return images
+    return F.interpolate(images, size=size, mode="bilinear", align_corners=False, antialias=True)
+
+
+def _moments(features: Float[Tensor, "M C h w"]) -> tuple[Float[Tensor, "M C"], Float[Tensor, "M C"]]:
+    mean = features.mean((-2, -1))
+    # Inside the root, for a channel that is constant has no slope there.
+    return mean, (features.var((-2, -1), correction=0) + 1e-4).sqrt()
