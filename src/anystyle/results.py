@@ -82,7 +82,11 @@ def write_report(path: Path, report: dict[str, object]) -> None:
 
 
 def write_sheet(
-    path: Path, photographs: Sequence[Image.Image], columns: Sequence[tuple[str, Cell, Sequence[Cell]]], *, rows: int = 4
+    path: Path,
+    photographs: Sequence[Image.Image],
+    columns: Sequence[tuple[str, Cell, Sequence[Cell]]],
+    *,
+    rows: int = 4,
 ) -> None:
     """Write the sheet: photographs on the left, then for each column its style on top and its renders below.
 

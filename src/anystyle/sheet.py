@@ -80,7 +80,7 @@ def contact_sheet(
     return sheet
 
 
-def wrap(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, width: float, max_lines: int) -> str:
+def wrap(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, width: int, max_lines: int) -> str:
     """Break text into lines no wider than ``width`` pixels; what is too long ends in an ellipsis."""
     lines: list[str] = []
     rest = " ".join(text.split())
@@ -97,7 +97,7 @@ def wrap(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, width: f
     return "\n".join(lines)
 
 
-def _fitting(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, width: float) -> int:
+def _fitting(text: str, font: ImageFont.ImageFont | ImageFont.FreeTypeFont, width: int) -> int:
     count = 1
     while count < len(text) and font.getlength(text[: count + 1]) <= width:
         count += 1
