@@ -76,6 +76,8 @@ def test_a_frozen_network_never_learns_and_adds_nothing_to_a_state_dict(vgg: per
     assert not vgg.training
     assert not any(parameter.requires_grad for parameter in vgg.parameters())
     owner = nn.ModuleDict({"network": vgg, "own": nn.Linear(2, 2)})
+    owner.train()
+    assert not vgg.training
     state = owner.state_dict()
     assert set(state) == {"own.weight", "own.bias"}
     before = next(vgg.parameters()).clone()

@@ -13,8 +13,8 @@ from anystyle.types import Stylization
 class ClipPatch(Loss):
     """Move random crops of every view in the direction of the style (paper section 3.3; CLIPstyler, equation 5).
 
-    ``mean (1 - cos(E(warp(crop(render))) - E(photograph), d))``. Crops and warps are drawn on the CPU from ``seed``
-    and the number of training steps so far, which the state dict keeps; out of training they are always the same.
+    ``mean (1 - cos(E(warp(crop(render))) - E(photograph), d))``. In training, crops and warps are drawn on the CPU from
+    the global generator, as dropout's are; out of training they are always the same.
 
     Args:
         style_encoder: The space; the framework passes the stylizer's own.
@@ -25,11 +25,8 @@ class ClipPatch(Loss):
             view are therefore the same picture.
         size: Side that warped crops (bilinear) and photographs (bicubic) are resized to, as published; none leaves
             that to the encoder.
-        seed: Of the crops and warps.
         weight: In the objective.
     """
-
-    steps: Tensor
 
     def __init__(
         self,
@@ -40,7 +37,6 @@ class ClipPatch(Loss):
         distortion: float = 0.5,
         shared_crop: bool = False,
         size: int | None = 224,
-        seed: int = 0,
         weight: float = 4.0,
     ) -> None:
         super().__init__()
@@ -50,9 +46,7 @@ class ClipPatch(Loss):
         self.distortion = distortion
         self.shared_crop = shared_crop
         self.size = size
-        self.seed = seed
         self.weight = weight
-        self.register_buffer("steps", torch.zeros((), dtype=torch.int64))
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`.
@@ -61,10 +55,7 @@ class ClipPatch(Loss):
             ValueError: The views are smaller than a crop.
         """
         color, embed = result.renders.color.flatten(0, 1), self._encoder[0].embed_images
-        step = int(self.steps) if self.training else 0
-        generator = torch.Generator().manual_seed(self.seed * 1_000_003 + step)
-        if self.training:
-            self.steps += 1
+        generator = None if self.training else torch.Generator().manual_seed(0)
         # The copies of the published code are one picture each, so one a view gives the same mean.
         copies = 1 if self.shared_crop else self.crops
         patches = self._patches(color.repeat_interleave(copies, 0), generator)
@@ -75,7 +66,7 @@ class ClipPatch(Loss):
         wanted = result.embedding.direction.repeat_interleave(result.renders.color.shape[1] * copies, 0)
         return (1 - (change * F.normalize(wanted, dim=-1)).sum(-1)).mean()
 
-    def _patches(self, images: Float[Tensor, "M 3 H W"], generator: torch.Generator) -> Float[Tensor, "M 3 c c"]:
+    def _patches(self, images: Float[Tensor, "M 3 H W"], generator: torch.Generator | None) -> Float[Tensor, "M 3 c c"]:
         count, _, height, width = images.shape
         side = self.crop_size
         if min(height, width) < side:
@@ -90,14 +81,16 @@ class ClipPatch(Loss):
         return warp_to_corners(torch.stack(cut), corners.to(images))
 
 
-def random_corners(count: int, side: int, distortion: float, generator: torch.Generator) -> Float[Tensor, "count 4 2"]:
+def random_corners(
+    count: int, side: int, distortion: float, generator: torch.Generator | None = None
+) -> Float[Tensor, "count 4 2"]:
     """Where the corners of a square image go: each moves inwards, a whole number of pixels on each axis.
 
     Args:
         count: How many images.
         side: Of an image in pixels.
         distortion: The largest move, as a share of half a side.
-        generator: The source of chance.
+        generator: The source of chance; ``None`` for the global one.
 
     Returns:
         x and y of the upper left, upper right, lower right and lower left corner; the image's own are at 0 and

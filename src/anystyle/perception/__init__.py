@@ -38,7 +38,7 @@ def load(name: str, path: str | Path | None = None) -> FeatureNetwork:
         shown = ", ".join(wrong[:5]) + (", …" if len(wrong) > 5 else "")
         raise ValueError(f"{file} does not hold the weights of {name}: {len(wrong)} keys differ ({shown})")
     network.load_state_dict(state)
-    return freeze(network)
+    return freeze(network.train(False))
 
 
 __all__ = ["NETWORKS", "VGG19", "FeatureNetwork", "Texture", "load"]

@@ -3,7 +3,7 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, final
 
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -20,6 +20,11 @@ class FeatureNetwork(nn.Module, ABC):
     """
 
     layers: tuple[str, ...]
+
+    @final
+    def train(self, mode: bool = True) -> "FeatureNetwork":
+        """Stay in ``eval``, whatever is asked for: whoever owns this network may be training, it is not."""
+        return super().train(False)
 
     @abstractmethod
     def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
@@ -67,12 +72,12 @@ def walk(
 
 
 def freeze(network: FeatureNetwork) -> FeatureNetwork:
-    """Fix a network for good: ``eval`` mode, no gradients, and no copy of its weights in anyone's state dict.
+    """Fix a network for good: no gradients, and no copy of its weights in anyone's state dict.
 
     A loss that holds it moves with it from device to device, but a training checkpoint does not repeat weights that
     lie in a file of their own.
     """
-    network.eval().requires_grad_(False)
+    network.requires_grad_(False)
     keys = tuple(network.state_dict())
     network.register_state_dict_post_hook(_leave_out)
     network.register_load_state_dict_pre_hook(partial(_put_back, keys))

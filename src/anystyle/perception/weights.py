@@ -40,6 +40,16 @@ class WeightsFile:
     bundled: bool = False
 
 
+def _ours(name: str, purpose: str, experiment: str) -> WeightsFile:
+    return WeightsFile(
+        file=f"{name}.safetensors",
+        purpose=purpose,
+        license="Apache-2.0",
+        source=f"bundled; made by `anystyle train experiment={experiment}`",
+        bundled=True,
+    )
+
+
 FILES: dict[str, WeightsFile] = {
     "vgg19": WeightsFile(
         file="vgg19-dcbb9e9d.pth",
@@ -48,20 +58,10 @@ FILES: dict[str, WeightsFile] = {
         source="https://download.pytorch.org/models/vgg19-dcbb9e9d.pth",
         sha256="dcbb9e9d",
     ),
-    "texture": WeightsFile(
-        file="tiny_texture.safetensors",
-        purpose="style losses of the tiny recipes",
-        license="Apache-2.0",
-        source="bundled; made by `anystyle train experiment=tiny_perceptual`",
-        bundled=True,
-    ),
-    "tiny_style_encoder": WeightsFile(
-        file="tiny_style_encoder.safetensors",
-        purpose="style_encoder=tiny",
-        license="Apache-2.0",
-        source="bundled; made by `anystyle train experiment=tiny_embedding`",
-        bundled=True,
-    ),
+    "texture": _ours("tiny_texture", "style losses of the tiny recipes", "tiny_perceptual"),
+    "tiny_style_encoder": _ours("tiny_style_encoder", "style_encoder=tiny", "tiny_embedding"),
+    "tiny_backbone": _ours("tiny_backbone", "model=tiny", "tiny_reconstruction"),
+    "tiny_head": _ours("tiny_head", "model=tiny, placement=head", "tiny_style"),
 }
 
 
