@@ -6,8 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from anystyle.data.procedural import raycast as rc
+from anystyle.data.procedural import light as lt
+from anystyle.data.procedural import solids as sd
 from anystyle.data.procedural import textures as tx
+from anystyle.data.procedural.volumes import sine
 
 Array = NDArray[np.float64]
 
@@ -34,9 +36,13 @@ NATURAL = (
 )
 
 
+CLEARANCE = 0.6
+"""How near a camera a group of solids may stand, in sizes of a group."""
+
+
 @dataclass(frozen=True)
 class World:
-    """The tables of :mod:`anystyle.data.procedural.raycast`."""
+    """The tables of :mod:`anystyle.data.procedural.solids`, ``light`` and ``textures``."""
 
     settings: Array
     solids: Array
@@ -79,7 +85,7 @@ class Draw:
 
 def unit_circle(angle: float) -> tuple[float, float]:
     """Cosine and sine with bits that depend on no library, of exactly unit length but for rounding."""
-    s, c = float(tx.sine(angle)), float(tx.sine(angle + 0.5 * np.pi))
+    s, c = float(sine(angle)), float(tx.sine(angle + 0.5 * np.pi))
     length = float(np.sqrt(c * c + s * s))
     return c / length, s / length
 
@@ -122,33 +128,34 @@ class Builder:
         turn: tuple[float, float] = (1.0, 0.0),
     ) -> None:
         """Add a solid."""
-        row = np.zeros(rc.SOLID_COLUMNS)
-        row[rc.SHAPE] = shape
-        row[rc.CENTRE : rc.CENTRE + 3] = centre
-        row[rc.HALF : rc.HALF + 3] = half
-        row[rc.COS], row[rc.SIN] = turn
+        row = np.zeros(sd.SOLID_COLUMNS)
+        row[sd.SHAPE] = shape
+        row[sd.CENTRE : sd.CENTRE + 3] = centre
+        row[sd.HALF : sd.HALF + 3] = half
+        row[sd.INVERSE : sd.INVERSE + 3] = [1.0 / side for side in half]
+        row[sd.COS], row[sd.SIN] = turn
         x, y, z = half
-        row[rc.BOUND] = {
-            rc.SPHERE: max(half),
-            rc.BOX: np.sqrt(x * x + y * y + z * z),
+        row[sd.BOUND] = {
+            sd.SPHERE: max(half),
+            sd.BOX: np.sqrt(x * x + y * y + z * z),
         }.get(shape, np.sqrt(max(x, z) ** 2 + y * y)) * 1.0001
-        row[rc.BULK] = 0.75 * min(sorted(half)[1], 1.5 * min(half))
-        row[rc.PAINT] = material
+        row[sd.BULK] = 0.75 * min(sorted(half)[1], 1.5 * min(half))
+        row[sd.PAINT] = material
         self.solids.append(row)
 
     def thing(self, x: float, y: float, z: float, size: float) -> float:
         """Stand a simple object of about ``size`` on the height ``y``; return the height of a flat top or -1."""
         draw = self.draw
         texture = self.material(tuple(range(len(tx.TEXTURES))), (0.18 * size + 0.05, 0.6 * size + 0.1))
-        shape = (rc.SPHERE, rc.BOX, rc.BOX, rc.CYLINDER, rc.CYLINDER, rc.CONE, rc.SPHERE)[draw.below(7)]
+        shape = (sd.SPHERE, sd.BOX, sd.BOX, sd.CYLINDER, sd.CYLINDER, sd.CONE, sd.SPHERE)[draw.below(7)]
         a, b, c = size * draw.between(0.6, 1.0), size * draw.between(0.6, 1.4), size * draw.between(0.6, 1.0)
-        if shape == rc.SPHERE:
+        if shape == sd.SPHERE:
             b = a if draw.chance(0.6) else b
             a, b, c = 0.85 * a, 0.85 * b, 0.85 * a
-        elif shape != rc.BOX:
+        elif shape != sd.BOX:
             a = c = 0.8 * a
         self.solid(shape, (x, y + b, z), (a, b, c), texture, draw.turn())
-        return y + 2 * b if shape in (rc.BOX, rc.CYLINDER) else -1.0
+        return y + 2 * b if shape in (sd.BOX, sd.CYLINDER) else -1.0
 
 
 def _stack(build: Builder, x: float, z: float, size: float) -> None:
@@ -163,13 +170,13 @@ def _table(build: Builder, x: float, z: float, size: float) -> None:
     wood = build.material((tx.WOOD, tx.PLANKS, tx.PLAIN, tx.MARBLE), (0.1, 0.4))
     turn, height = draw.turn(), size * draw.between(0.8, 1.2)
     a, c, thick = size * draw.between(1.0, 1.5), size * draw.between(0.7, 1.1), 0.07 * size
-    build.solid(rc.BOX, (x, height, z), (a, thick, c), wood, turn)
+    build.solid(sd.BOX, (x, height, z), (a, thick, c), wood, turn)
     for sx in (-1, 1):
         for sz in (-1, 1):
             px, pz = sx * 0.88 * a, sz * 0.88 * c
             wx, wz = turn[0] * px + turn[1] * pz, -turn[1] * px + turn[0] * pz
             leg = (0.07 * size, 0.5 * (height - thick), 0.07 * size)
-            build.solid(rc.CYLINDER, (x + wx, leg[1], z + wz), leg, wood)
+            build.solid(sd.CYLINDER, (x + wx, leg[1], z + wz), leg, wood)
     for side in (-1, 1):
         px, pz = side * 0.5 * a, draw.between(-0.4, 0.4) * c
         build.thing(
@@ -182,20 +189,20 @@ def _chair(build: Builder, x: float, z: float, size: float) -> None:
     draw = build.draw
     cloth = build.material((tx.STRIPES, tx.CHECKER, tx.NOISE, tx.PLAIN, tx.DOTS), (0.1, 0.3))
     turn, half, low = draw.turn(), 0.7 * size, 0.4 * size
-    build.solid(rc.BOX, (x, low, z), (half, low, half), cloth, turn)
+    build.solid(sd.BOX, (x, low, z), (half, low, half), cloth, turn)
     for sx, sz, a, b, c in ((0, -1, 1.0, 1.7, 0.18), (-1, 0, 0.18, 1.25, 1.0), (1, 0, 0.18, 1.25, 1.0)):
         px, pz = sx * half, sz * half
         place = (x + turn[0] * px + turn[1] * pz, b * low, z - turn[1] * px + turn[0] * pz)
-        build.solid(rc.BOX, place, (a * half, b * low, c * half), cloth, turn)
+        build.solid(sd.BOX, place, (a * half, b * low, c * half), cloth, turn)
 
 
 def _lamp(build: Builder, x: float, z: float, size: float) -> None:
     pole = build.material((tx.PLAIN, tx.WOOD), (0.1, 0.3), 0.2)
     shade = build.material((tx.PLAIN, tx.STRIPES, tx.NOISE), (0.1, 0.3))
     height = size * build.draw.between(1.8, 2.6)
-    build.solid(rc.CYLINDER, (x, 0.5 * height, z), (0.06 * size, 0.5 * height, 0.06 * size), pole)
-    build.solid(rc.CYLINDER, (x, 0.05 * size, z), (0.4 * size, 0.05 * size, 0.4 * size), pole)
-    build.solid(rc.CONE, (x, height + 0.2 * size, z), (0.6 * size, 0.5 * size, 0.6 * size), shade)
+    build.solid(sd.CYLINDER, (x, 0.5 * height, z), (0.06 * size, 0.5 * height, 0.06 * size), pole)
+    build.solid(sd.CYLINDER, (x, 0.05 * size, z), (0.4 * size, 0.05 * size, 0.4 * size), pole)
+    build.solid(sd.CONE, (x, height + 0.2 * size, z), (0.6 * size, 0.5 * size, 0.6 * size), shade)
 
 
 def _plant(build: Builder, x: float, z: float, size: float) -> None:
@@ -204,12 +211,12 @@ def _plant(build: Builder, x: float, z: float, size: float) -> None:
     green = build.material((tx.LEAVES, tx.NOISE), (0.5, 1.2), 0.0)
     for start, scale in ((tx.COLOR_A, 0.5), (tx.COLOR_B, 1.0), (tx.COLOR_C, 0.25)):
         build.materials[green][start : start + 3] = scale * np.array([draw.between(0.1, 0.35), 0.36, 0.08])
-    build.solid(rc.CYLINDER, (x, 0.35 * size, z), (0.4 * size, 0.35 * size, 0.4 * size), pot)
+    build.solid(sd.CYLINDER, (x, 0.35 * size, z), (0.4 * size, 0.35 * size, 0.4 * size), pot)
     for _ in range(1 + draw.below(3)):
         r = size * draw.between(0.45, 0.7)
         shift = 0.3 * size
         place = (x + draw.between(-shift, shift), size * draw.between(1.0, 1.5), z + draw.between(-shift, shift))
-        build.solid(rc.SPHERE, place, (r, r * draw.between(0.8, 1.3), r), green, draw.turn())
+        build.solid(sd.SPHERE, place, (r, r * draw.between(0.8, 1.3), r), green, draw.turn())
 
 
 def _tree(build: Builder, x: float, z: float, size: float) -> None:
@@ -220,11 +227,11 @@ def _tree(build: Builder, x: float, z: float, size: float) -> None:
     for start, scale in ((tx.COLOR_A, 0.6), (tx.COLOR_B, 1.0), (tx.COLOR_C, 0.3)):
         build.materials[green][start : start + 3] = scale * np.array([autumn, 0.28, 0.06])
     height = size * draw.between(1.0, 1.6)
-    build.solid(rc.CYLINDER, (x, 0.5 * height, z), (0.15 * size, 0.5 * height, 0.15 * size), bark)
+    build.solid(sd.CYLINDER, (x, 0.5 * height, z), (0.15 * size, 0.5 * height, 0.15 * size), bark)
     if draw.chance(0.35):
         for k in range(2):
             r = size * (0.95 - 0.25 * k)
-            build.solid(rc.CONE, (x, height + 0.7 * size * (k + 0.5), z), (r, 0.8 * size, r), green, draw.turn())
+            build.solid(sd.CONE, (x, height + 0.7 * size * (k + 0.5), z), (r, 0.8 * size, r), green, draw.turn())
         return
     for k in range(2 + draw.below(2)):
         r, shift = size * draw.between(0.55, 0.85), 0.45 * size * min(k, 1)
@@ -233,7 +240,7 @@ def _tree(build: Builder, x: float, z: float, size: float) -> None:
             height + size * draw.between(0.2, 0.6),
             z + draw.between(-shift, shift),
         )
-        build.solid(rc.SPHERE, place, (r, 0.85 * r, r), green, draw.turn())
+        build.solid(sd.SPHERE, place, (r, 0.85 * r, r), green, draw.turn())
 
 
 def _house(build: Builder, x: float, z: float, size: float) -> None:
@@ -244,31 +251,31 @@ def _house(build: Builder, x: float, z: float, size: float) -> None:
     build.materials[dark][tx.COLOR_A : tx.COLOR_A + 3] *= 0.3
     turn = draw.turn()
     a, b, c = size * draw.between(0.9, 1.3), size * draw.between(0.8, 1.3), size * draw.between(0.8, 1.1)
-    build.solid(rc.BOX, (x, b, z), (a, b, c), wall, turn)
+    build.solid(sd.BOX, (x, b, z), (a, b, c), wall, turn)
     reach = 1.15 * np.sqrt(a * a + c * c)
     if draw.chance(0.6):
-        build.solid(rc.CONE, (x, 2 * b + 0.5 * size, z), (reach, 0.5 * size, reach), roof, turn)
+        build.solid(sd.CONE, (x, 2 * b + 0.5 * size, z), (reach, 0.5 * size, reach), roof, turn)
     else:
-        build.solid(rc.BOX, (x, 2 * b + 0.08 * size, z), (1.15 * a, 0.08 * size, 1.15 * c), roof, turn)
+        build.solid(sd.BOX, (x, 2 * b + 0.08 * size, z), (1.15 * a, 0.08 * size, 1.15 * c), roof, turn)
     for side in (-0.5, 0.5):
         px, pz = side * a, c
         place = (x + turn[0] * px + turn[1] * pz, 1.1 * b, z - turn[1] * px + turn[0] * pz)
-        build.solid(rc.BOX, place, (0.2 * a, 0.3 * b, 0.03 * size), dark, turn)
+        build.solid(sd.BOX, place, (0.2 * a, 0.3 * b, 0.03 * size), dark, turn)
 
 
 def _boulder(build: Builder, x: float, z: float, size: float) -> None:
     draw = build.draw
     stone = build.material((tx.NOISE, tx.MARBLE, tx.CELLS, tx.LEAVES), (0.3, 1.0), 0.1)
     a, b, c = size * draw.between(0.7, 1.1), size * draw.between(0.4, 0.8), size * draw.between(0.6, 1.0)
-    build.solid(rc.SPHERE, (x, 0.7 * b, z), (a, b, c), stone, draw.turn())
+    build.solid(sd.SPHERE, (x, 0.7 * b, z), (a, b, c), stone, draw.turn())
 
 
 def _pillar(build: Builder, x: float, z: float, size: float) -> None:
     stone = build.material((tx.STRIPES, tx.MARBLE, tx.PLAIN, tx.TILES, tx.CELLS), (0.15, 0.5))
     height, r = size * build.draw.between(1.0, 1.7), 0.35 * size
-    build.solid(rc.CYLINDER, (x, height, z), (r, height, r), stone)
+    build.solid(sd.CYLINDER, (x, height, z), (r, height, r), stone)
     for y in (0.1 * size, 2 * height):
-        build.solid(rc.BOX, (x, y, z), (1.4 * r, 0.1 * size, 1.4 * r), stone)
+        build.solid(sd.BOX, (x, y, z), (1.4 * r, 0.1 * size, 1.4 * r), stone)
 
 
 INDOORS: tuple[Callable[[Builder, float, float, float], None], ...] = (_stack, _stack, _table, _chair, _lamp, _plant)
@@ -282,14 +289,23 @@ OUTDOORS: tuple[Callable[[Builder, float, float, float], None], ...] = (
 )
 
 
-def _spread(build: Builder, makers: tuple[Callable[[Builder, float, float, float], None], ...], reach: float) -> None:
-    """Stand groups of solids on the floor within ``reach`` of the middle, none inside another."""
+def _spread(
+    build: Builder,
+    makers: tuple[Callable[[Builder, float, float, float], None], ...],
+    reach: float,
+    eyes: Array,
+    *,
+    room: bool,
+) -> None:
+    """Stand groups of solids on the floor within ``reach`` of the middle, none inside another or before a camera."""
     draw = build.draw
-    taken: list[tuple[float, float, float]] = []
-    for _ in range(4 + draw.below(4)):
-        size = draw.between(0.34, 0.72) * (1.0 if reach < 3 else 1.15)
+    taken: list[tuple[float, float, float]] = [(float(x), float(z), CLEARANCE) for x, _, z in eyes]
+    for _ in range(5 + draw.below(4)):
+        size = draw.between(0.34, 0.72) * (1.0 if room else 1.25)
         for _ in range(12):
-            x, z = draw.between(-reach, reach), draw.between(-reach, reach)
+            # The first group stands near the middle, where the cameras look.
+            wide = reach if len(taken) > len(eyes) else 0.3 * reach
+            x, z = draw.between(-wide, wide), draw.between(-wide, wide)
             apart = all((x - a) ** 2 + (z - b) ** 2 > (1.25 * (size + s)) ** 2 for a, b, s in taken)
             if apart and x * x + z * z < reach * reach:
                 taken.append((x, z, size))
@@ -299,28 +315,28 @@ def _spread(build: Builder, makers: tuple[Callable[[Builder, float, float, float
 
 def _light(draw: Draw, settings: Array, *, room: bool, height: float) -> None:
     strength, warm = draw.between(0.7, 1.3), draw.between(-0.12, 0.16)
-    settings[rc.SUN : rc.SUN + 3] = strength * np.array([1.0 + warm, 1.0, 1.0 - 1.4 * warm])
+    settings[lt.SUN : lt.SUN + 3] = strength * np.array([1.0 + warm, 1.0, 1.0 - 1.4 * warm])
     dim = draw.between(0.3, 0.75)
     cool = -0.5 * warm
-    settings[rc.ABOVE : rc.ABOVE + 3] = dim * np.array([1.0 + cool, 1.0, 1.0 - cool])
-    settings[rc.BELOW : rc.BELOW + 3] = dim * draw.between(0.4, 0.75) * np.array([1.05, 1.0, 0.9])
+    settings[lt.ABOVE : lt.ABOVE + 3] = dim * np.array([1.0 + cool, 1.0, 1.0 - cool])
+    settings[lt.BELOW : lt.BELOW + 3] = dim * draw.between(0.4, 0.75) * np.array([1.05, 1.0, 0.9])
     if room and draw.chance(0.6):
-        settings[rc.LIGHT : rc.LIGHT + 3] = [draw.between(-1.5, 1.5), 0.95 * height, draw.between(-1.5, 1.5)]
-        settings[rc.NEARBY] = draw.between(0.7, 1.1) * height
-        settings[rc.SPREAD] = draw.between(0.05, 0.6)
+        settings[lt.LIGHT : lt.LIGHT + 3] = [draw.between(-1.5, 1.5), 0.95 * height, draw.between(-1.5, 1.5)]
+        settings[lt.NEARBY] = draw.between(0.7, 1.1) * height
+        settings[lt.SPREAD] = draw.between(0.05, 0.6)
         return
     c, s = draw.turn()
     slant = draw.between(0.35, 1.3)
-    settings[rc.LIGHT : rc.LIGHT + 3] = [slant * c, 1.0, slant * s]
-    settings[rc.SPREAD] = draw.between(0.0, 0.16)
+    settings[lt.LIGHT : lt.LIGHT + 3] = [slant * c, 1.0, slant * s]
+    settings[lt.SPREAD] = draw.between(0.0, 0.16)
 
 
-def lay_out(draw: Draw) -> World:
-    """Compose one scene around the origin, its floor at y = 0 and its things within about three metres."""
+def lay_out(draw: Draw, eyes: Array) -> World:
+    """Compose one scene around the origin, its floor at y = 0, for cameras at ``eyes`` (views x 3, metres, y up)."""
     room = draw.chance(0.55)
     build = Builder(draw, vividness=draw.between(0.1, 0.75))
-    settings = np.zeros(rc.SETTING_COLUMNS)
-    settings[rc.ROOM] = float(room)
+    settings = np.zeros(lt.SETTING_COLUMNS)
+    settings[lt.ROOM] = float(room)
     height = draw.between(2.6, 4.2)
     if room:
         build.material((tx.PLANKS, tx.TILES, tx.CHECKER, tx.NOISE, tx.WOOD, tx.STRIPES, tx.MARBLE), (0.25, 0.9), 0.3)
@@ -328,17 +344,18 @@ def lay_out(draw: Draw) -> World:
             (tx.PLAIN, tx.PLAIN, tx.BRICKS, tx.STRIPES, tx.NOISE, tx.TILES, tx.DOTS, tx.LEAVES), (0.3, 1.1), 0.35
         )
         build.material((tx.PLAIN, tx.PLANKS), (0.4, 0.9), 0.1)
-        settings[rc.EXTENT : rc.EXTENT + 3] = [draw.between(3.2, 4.8), height, draw.between(3.2, 4.8)]
+        settings[lt.EXTENT : lt.EXTENT + 3] = [draw.between(3.2, 4.8), height, draw.between(3.2, 4.8)]
     else:
         build.material((tx.NOISE, tx.NOISE, tx.LEAVES, tx.CELLS, tx.PLANKS, tx.TILES, tx.BRICKS), (0.5, 1.8), 0.15)
+        build.materials[0][tx.GLOSS] = 0.0
         build.material((tx.PLAIN,), (1.0, 2.0))
         build.material((tx.PLAIN,), (1.0, 2.0))
-        settings[rc.EXTENT] = draw.between(8.0, 12.0)
-    _spread(build, INDOORS if room else OUTDOORS, 2.3 if room else 3.4)
+        settings[lt.EXTENT] = draw.between(8.0, 12.0)
+    _spread(build, INDOORS if room else OUTDOORS, 2.3 if room else 3.1, eyes, room=room)
     if room and draw.chance(0.6):
         rug = build.material((tx.STRIPES, tx.DOTS, tx.CHECKER, tx.LEAVES, tx.CELLS), (0.2, 0.7))
         build.solid(
-            rc.BOX,
+            sd.BOX,
             (draw.between(-0.8, 0.8), 0.01, draw.between(-0.8, 0.8)),
             (draw.between(0.9, 1.7), 0.015, draw.between(0.9, 1.7)),
             rug,
@@ -348,12 +365,12 @@ def lay_out(draw: Draw) -> World:
         _pictures(build, settings, height)
     _light(draw, settings, room=room, height=height)
     haze = draw.between(0.55, 0.95)
-    settings[rc.HORIZON : rc.HORIZON + 3] = haze * np.array([0.95, 0.95, 0.92 + draw.between(-0.2, 0.1)])
-    blue = draw.between(0.3, 1.0)
-    settings[rc.ZENITH : rc.ZENITH + 3] = haze * np.array([0.75 - 0.6 * blue, 0.8 - 0.4 * blue, 0.95])
-    settings[rc.CLOUDS] = draw.between(0.0, 0.9)
-    settings[rc.HILLS : rc.HILLS + 3] = draw.color(0.1) * 0.7
-    settings[rc.HILL_HEIGHT] = draw.between(0.0, 0.22)
+    settings[lt.HORIZON : lt.HORIZON + 3] = haze * np.array([0.95, 0.95, 0.92 + draw.between(-0.2, 0.1)])
+    blue = draw.between(0.45, 1.0)
+    settings[lt.ZENITH : lt.ZENITH + 3] = haze * np.array([0.75 - 0.6 * blue, 0.8 - 0.4 * blue, 0.95])
+    settings[lt.CLOUDS] = draw.between(-0.1, 0.6)
+    settings[lt.HILLS : lt.HILLS + 3] = draw.color(0.1) * 0.7
+    settings[lt.HILL_HEIGHT] = draw.between(0.0, 0.22)
     return World(settings, np.stack(build.solids), np.stack(build.materials))
 
 
@@ -367,6 +384,6 @@ def _pictures(build: Builder, settings: Array, height: float) -> None:
             canvas = build.material((tx.LEAVES, tx.CELLS, tx.NOISE, tx.MARBLE, tx.DOTS), (0.3, 1.0), 0.6)
             along, up = draw.between(-1.8, 1.8), draw.between(0.4, 0.6) * height
             half = (draw.between(0.35, 0.8), draw.between(0.3, 0.6), 0.04)
-            wall = side * (settings[rc.EXTENT + axis] - 0.03)
+            wall = side * (settings[lt.EXTENT + axis] - 0.03)
             place = (wall, up, along) if axis == 0 else (along, up, wall)
-            build.solid(rc.BOX, place, half, canvas, (0.0, 1.0) if axis == 0 else (1.0, 0.0))
+            build.solid(sd.BOX, place, half, canvas, (0.0, 1.0) if axis == 0 else (1.0, 0.0))

@@ -9,9 +9,11 @@ import torch
 from numpy.typing import NDArray
 
 from anystyle.contracts import SceneSource
-from anystyle.data.procedural import raycast as rc
 from anystyle.data.procedural.layout import Draw, World, lay_out, unit_circle
-from anystyle.data.procedural.textures import tiles
+from anystyle.data.procedural.light import EXTENT, ROOM
+from anystyle.data.procedural.raycast import cast
+from anystyle.data.procedural.solids import SOLIDS
+from anystyle.data.procedural.volumes import volumes
 from anystyle.types import Cameras, Views
 
 Array = NDArray[np.float64]
@@ -20,6 +22,8 @@ SPLITS = ("train", "validation", "heldout")
 # Rejection looks at small square previews: what a scene is does not depend on the size it is rendered at.
 PREVIEW = 24
 ATTEMPTS = 60
+# Linear light of the mean pixel before the film's curve.
+EXPOSED = 0.36
 # From y up in the ray caster to OpenCV's y down in the world that is handed out.
 FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -136,7 +140,8 @@ class ProceduralScenes(SceneSource):
         """Draw scenes until one passes; the last one is taken as it is."""
         for attempt in range(ATTEMPTS):
             draw = Draw((self.seed, SPLITS.index(self.split), scene, attempt))
-            shot = _inspect(lay_out(draw), *_path(draw, self.views))
+            poses, focal = _path(draw, self.views)
+            shot = _inspect(lay_out(draw, poses[:, :3, 3]), poses, focal)
             if shot is not None:
                 return shot
         raise AssertionError(f"no acceptable scene in {ATTEMPTS} draws")
@@ -144,7 +149,7 @@ class ProceduralScenes(SceneSource):
 
 def _cast(world: World, pose: Array, focal: float, color: Array, depth: Array, samples: int) -> NDArray[np.int64]:
     labels = np.empty(depth.shape, np.int64)
-    rc.cast(world.settings, world.solids, world.materials, tiles(), pose, focal, color, depth, labels, samples)
+    cast(world.settings, world.solids, world.materials, volumes(), pose, focal, color, depth, labels, samples)
     return labels
 
 
@@ -197,36 +202,34 @@ def _path(draw: Draw, views: int) -> tuple[Array, float]:
 
 def _inspect(world: World, poses: Array, focal: float) -> Shot | None:
     """Accept or reject a scene by small previews of all its views."""
-    if world.settings[rc.ROOM] > 0:
+    if world.settings[ROOM] > 0:
         margin = np.abs(poses[:, :3, 3]) + 0.25
-        if (margin[:, [0, 2]] > world.settings[rc.EXTENT : rc.EXTENT + 3 : 2]).any():
+        if (margin[:, [0, 2]] > world.settings[EXTENT : EXTENT + 3 : 2]).any():
             return None
-    light, depths, labels = [], [], []
+    depths: list[Array] = []
+    color = np.empty((PREVIEW, PREVIEW, 3))
     for pose in poses:
-        color, depth = np.empty((PREVIEW, PREVIEW, 3)), np.empty((PREVIEW, PREVIEW))
-        label = _cast(world, pose, focal * PREVIEW, color, depth, 1)
-        if not _presentable(depth, label):
+        depth = np.empty((PREVIEW, PREVIEW))
+        if not _presentable(depth, _cast(world, pose, focal * PREVIEW, color, depth, 0)):
             return None
-        light.append(color)
         depths.append(depth)
-        labels.append(label)
-    if _shared(poses, focal, depths, labels) < 0.45:
+    if _shared(poses, focal, depths) < 0.4:
         return None
-    mean = float(np.stack(light).mean())
-    return Shot(world, poses, focal, float(depths[0].mean()), 0.42 / mean)
+    _cast(world, poses[len(poses) // 2], focal * PREVIEW, color, depths[-1].copy(), 1)
+    return Shot(world, poses, focal, float(depths[0].mean()), EXPOSED / float(color.mean()))
 
 
 def _presentable(depth: Array, labels: NDArray[np.int64]) -> bool:
     """Whether nothing near fills the view and something stands in it."""
     counts = np.bincount(labels.ravel()) / labels.size
-    if depth.min() < 0.9 or len(counts) <= rc.SOLIDS:
+    if depth.min() < 0.9 or len(counts) <= SOLIDS:
         return False
-    things = counts[rc.SOLIDS :]
-    near = depth < 0.6 * np.median(depth)
-    return bool(things.max() < 0.3 and 0.12 < things.sum() < 0.75 and (things > 0.01).sum() >= 3 and near.mean() < 0.35)
+    things = counts[SOLIDS:]
+    near = depth < 0.45 * np.median(depth)
+    return bool(things.max() < 0.3 and 0.12 < things.sum() < 0.75 and (things > 0.01).sum() >= 3 and near.mean() < 0.3)
 
 
-def _shared(poses: Array, focal: float, depths: list[Array], labels: list[NDArray[np.int64]]) -> float:
+def _shared(poses: Array, focal: float, depths: list[Array]) -> float:
     """The smallest share of the first view's pixels that another view sees too."""
     grid = (np.arange(PREVIEW) + 0.5 - PREVIEW / 2) / (focal * PREVIEW)
     x, y = np.meshgrid(grid, grid)
