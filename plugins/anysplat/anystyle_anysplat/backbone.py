@@ -1,10 +1,13 @@
 """The network: five parts, and every option that its weights fix."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
+from torch import Tensor
+
 from anystyle import contracts
+from anystyle_anysplat import keys
 from anystyle_anysplat.adapter import Adapter
 from anystyle_anysplat.aggregator import Aggregator
 from anystyle_anysplat.camera_head import CameraHead
@@ -194,6 +197,14 @@ class AnySplat(contracts.Backbone):
                 focal_epsilon=focal_epsilon,
                 scale_unit=scale_unit,
             )
+
+    def load_reference(self, state: Mapping[str, Tensor]) -> None:
+        """Load the published weights: the state dict of AnySplat's file, or of an AnyStyle checkpoint.
+
+        Raises:
+            ValueError: They do not fit; up to five missing, unexpected and misshapen keys are named.
+        """
+        keys.load_backbone(self, state)
 
 
 def _check(*, dim: int, heads: int, depth: int, camera_heads: int, taps: Sequence[int]) -> None:

@@ -105,7 +105,8 @@ class Dpt(nn.Module):
         super().__init__()
         fine, medium, _, coarse = channels
         self.norm = nn.LayerNorm(dim)
-        self.projects = nn.ModuleList(nn.Conv2d(dim, width, 1) for width in channels)
+        # A 1x1 convolution, on tokens instead of a map: no transposed copy of many channels is needed.
+        self.projects = nn.ModuleList(nn.Linear(dim, width) for width in channels)
         self.resize = nn.ModuleList(
             [
                 nn.ConvTranspose2d(fine, fine, 4, stride=4),
@@ -134,8 +135,7 @@ class Dpt(nn.Module):
         aspect = size[1] / size[0]
         maps = []
         for tokens, project, resize, reduce in zip(levels, self.projects, self.resize, self.reduce, strict=True):
-            # A 1x1 convolution is a linear map of the tokens: no transposed copy of them is needed.
-            small = F.linear(tokens, project.weight.flatten(1), project.bias).mT.unflatten(2, grid)
+            small = project(tokens).mT.unflatten(2, grid)
             maps.append(reduce(resize(_with_positions(small.contiguous(), aspect))))
         x = self.fusions[3](maps[3], None, _size(maps[2]))
         x = self.fusions[2](x, maps[2], _size(maps[1]))

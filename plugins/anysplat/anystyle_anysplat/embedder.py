@@ -75,11 +75,11 @@ class Patches(nn.Module):
 
     def __init__(self, *, dim: int, patch_size: int) -> None:
         super().__init__()
-        self.proj = nn.Conv2d(3, dim, patch_size, stride=patch_size)
+        self.conv = nn.Conv2d(3, dim, patch_size, stride=patch_size)
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M p C"]:
         """Embed normalised images, patches in row-major order."""
-        return self.proj(images).flatten(2).mT
+        return self.conv(images).flatten(2).mT
 
 
 class Embedder(contracts.Embedder):
