@@ -1,0 +1,88 @@
+import numpy as np
+import pytest
+import torch
+from plyfile import PlyData
+
+from anystyle.geometry.harmonics import basis
+from anystyle.geometry.rotations import matrix_from_wxyz
+from anystyle.ply import read, write
+from anystyle.types import Gaussians
+
+
+def random_gaussians(count=50, coefficients=4):
+    generator = torch.Generator().manual_seed(0)
+    return Gaussians(
+        means=torch.randn(1, count, 3, generator=generator),
+        rotations=torch.randn(1, count, 4, generator=generator),
+        scales=torch.rand(1, count, 3, generator=generator) * 0.1,
+        opacities=torch.rand(1, count, generator=generator) * 0.98 + 0.01,
+        harmonics=torch.randn(1, count, coefficients, 3, generator=generator),
+    )
+
+
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+def test_what_is_written_is_read_back(tmp_path, coefficients):
+    gaussians = random_gaussians(coefficients=coefficients)
+    write(gaussians, tmp_path / "scene.ply")
+    back = read(tmp_path / "scene.ply")
+    for name in ("means", "scales", "opacities", "harmonics"):
+        torch.testing.assert_close(getattr(back, name), getattr(gaussians, name), rtol=1e-5, atol=1e-6)
+    unit = torch.nn.functional.normalize(gaussians.rotations, dim=-1)
+    torch.testing.assert_close(back.rotations, unit, rtol=1e-6, atol=1e-6)
+
+
+def test_the_layout_is_that_of_3dgs(tmp_path):
+    gaussians = random_gaussians(count=3, coefficients=4)
+    write(gaussians, tmp_path / "scene.ply")
+    vertex = PlyData.read(tmp_path / "scene.ply")["vertex"]
+    assert [item.name for item in vertex.properties] == [
+        *["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"],
+        *(f"f_rest_{place}" for place in range(9)),
+        *["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"],
+    ]
+    assert {item.dtype().lstrip("<=") for item in vertex.properties} == {"f4"}
+    opacity = gaussians.opacities[0].double().numpy()
+    np.testing.assert_allclose(vertex["opacity"], np.log(opacity / (1 - opacity)), rtol=1e-4, atol=1e-5)
+    np.testing.assert_allclose(vertex["scale_1"], np.log(gaussians.scales[0, :, 1].numpy()), rtol=1e-5)
+    # Colour-major: green's second coefficient is the fifth of the rest.
+    np.testing.assert_array_equal(vertex["f_rest_4"], gaussians.harmonics[0, :, 2, 1].numpy())
+
+
+def test_extremes_stay_finite_and_padding_is_left_out(tmp_path):
+    gaussians = random_gaussians(count=4, coefficients=1)
+    gaussians.opacities[0] = torch.tensor([0.0, 1.0, 1e-9, 0.5])
+    gaussians.scales[0, 1] = 0.0
+    write(gaussians, tmp_path / "scene.ply")
+    vertex = PlyData.read(tmp_path / "scene.ply")["vertex"]
+    assert vertex.count == 3
+    assert all(np.isfinite(vertex[item.name]).all() for item in vertex.properties)
+
+
+def test_y_up_turns_positions_orientations_and_colours_together(tmp_path):
+    gaussians = random_gaussians(coefficients=16)
+    write(gaussians, tmp_path / "scene.ply", y_up=True)
+    turned = read(tmp_path / "scene.ply")
+    flip = torch.tensor([1.0, -1.0, -1.0])
+    torch.testing.assert_close(turned.means, gaussians.means * flip)
+    before, after = matrix_from_wxyz(gaussians.rotations), matrix_from_wxyz(turned.rotations)
+    torch.testing.assert_close(after, torch.diag(flip) @ before, rtol=1e-4, atol=1e-5)
+    directions = torch.nn.functional.normalize(torch.randn(5, 3), dim=-1)
+    seen = torch.einsum("dk,bnkc->dbnc", basis(directions, 3), gaussians.harmonics)
+    again = torch.einsum("dk,bnkc->dbnc", basis(directions * flip, 3), turned.harmonics)
+    torch.testing.assert_close(again, seen, rtol=1e-4, atol=1e-4)
+
+
+def test_coefficients_that_no_viewer_reads_are_left_out(tmp_path):
+    write(random_gaussians(coefficients=25), tmp_path / "scene.ply")
+    assert read(tmp_path / "scene.ply").harmonics.shape[2] == 16
+
+
+def test_other_files_are_refused(tmp_path):
+    (tmp_path / "text.ply").write_text("no ply")
+    with pytest.raises(ValueError, match="is no PLY file of Gaussians"):
+        read(tmp_path / "text.ply")
+    write(random_gaussians(), tmp_path / "scene.ply")
+    data = (tmp_path / "scene.ply").read_bytes().replace(b"property float opacity", b"property float opulence")
+    (tmp_path / "other.ply").write_bytes(data)
+    with pytest.raises(ValueError, match="without the properties opacity"):
+        read(tmp_path / "other.ply")
