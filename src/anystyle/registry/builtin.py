@@ -29,6 +29,10 @@ KINDS: dict[str, Kind] = {
     "scenes": Kind("anystyle.contracts:SceneSource"),
     "styles": Kind("anystyle.contracts:StyleSource"),
     "study_test": Kind("anystyle.study.contract:StudyTest", many=True),
+    "training": Kind(
+        "anystyle.training.contract:Training",
+        runtime=("backbone", "renderer", "style_encoder", "stylizer", "losses"),
+    ),
 }
 
 BUILTIN: dict[str, dict[str, str]] = {
@@ -70,5 +74,16 @@ BUILTIN: dict[str, dict[str, str]] = {
         "procedural": "anystyle.data.procedural.scenes:ProceduralScenes",
     },
     "styles": {},
-    "study_test": {},
+    "study_test": {
+        "cluster_bootstrap": "anystyle.study.tests.cluster_bootstrap:ClusterBootstrap",
+        "equivalence": "anystyle.study.tests.equivalence:Equivalence",
+        "one_sample_t": "anystyle.study.tests.one_sample_t:OneSampleT",
+        "ordinal_mixed": "anystyle.study.tests.ordinal_mixed:OrdinalMixed",
+        "sign_flip": "anystyle.study.tests.sign_flip:SignFlip",
+        "wilcoxon": "anystyle.study.tests.wilcoxon:Wilcoxon",
+    },
+    "training": {
+        "reconstruction": "anystyle.training.reconstruction:ReconstructionTraining",
+        "stylization": "anystyle.training.stylization:StylizationTraining",
+    },
 }

@@ -1,0 +1,1 @@
+"""The built-in tests of a user study, one plugin a file."""
