@@ -13,7 +13,7 @@ def test_a_video_has_every_frame_in_its_colours(tmp_path):
         assert (stream.codec_context.name, stream.format.name, stream.average_rate) == ("h264", "yuv420p", 24)
         frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
     assert [frame.shape for frame in frames] == [(32, 50, 3)] * 9
-    means = torch.tensor([frame.mean() / 255 for frame in frames])
+    means = torch.tensor([float(frame.mean()) / 255 for frame in frames])
     torch.testing.assert_close(means, shades, rtol=0, atol=0.015)
 
 

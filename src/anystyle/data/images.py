@@ -1,0 +1,83 @@
+"""Reading image files of any kind, without trusting them."""
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image, ImageOps, UnidentifiedImageError
+from torch import Tensor
+
+MAX_PIXELS = 178_000_000
+"""What an image may hold before it is decoded; more is taken for an attack, as Pillow does."""
+
+SUFFIXES = frozenset({".avif", ".bmp", ".gif", ".jfif", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp"})
+"""File names that are taken for images in a folder."""
+
+
+def open_image(path: Path, *, longest: int = 4096) -> Image.Image:
+    """Read an image as upright 8-bit sRGB: grey, 16-bit, CMYK, palette and transparent ones too.
+
+    What is transparent shows white. The size is checked before any pixel is decoded, and a larger image is reduced
+    while it is read, so that memory stays bounded.
+
+    Args:
+        path: A file that Pillow opens.
+        longest: Images with a longer side are reduced to no less than this.
+
+    Raises:
+        ValueError: It is no image, a damaged one, or too large.
+        OSError: It cannot be read.
+    """
+    if not path.is_file():
+        raise ValueError(f"there is no image {path}")
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            with Image.open(path) as image:
+                if image.width * image.height > MAX_PIXELS:
+                    raise ValueError(f"{path} has {image.width}x{image.height} pixels; at most {MAX_PIXELS:,} are read")
+                image.draft("RGB", (longest, longest))
+                factor = max(1, max(image.size) // longest)
+                small = image.reduce(factor) if factor > 1 and image.mode not in ("P", "I;16", "I", "F") else image
+                upright = ImageOps.exif_transpose(small)
+                return _to_rgb(upright)
+    except Image.DecompressionBombError:
+        raise ValueError(f"{path} has too many pixels; at most {MAX_PIXELS:,} are read") from None
+    except UnidentifiedImageError:
+        raise ValueError(f"{path} is no image, whatever its name says") from None
+    except (OSError, SyntaxError, EOFError, IndexError, TypeError) as error:
+        if isinstance(error, OSError) and error.errno is not None:
+            raise
+        raise ValueError(f"{path} is a damaged image ({str(error).strip() or type(error).__name__})") from None
+
+
+def read_image(path: Path, *, longest: int = 1024) -> Float[Tensor, "3 H W"]:
+    """Read an image as sRGB in [0, 1], reduced so that its longer side is at most ``longest``.
+
+    Raises:
+        ValueError: It is no image, a damaged one, or too large.
+        OSError: It cannot be read.
+    """
+    image = open_image(path, longest=longest)
+    image.thumbnail((longest, longest), Image.Resampling.LANCZOS)
+    return to_tensor(image)
+
+
+def to_tensor(image: Image.Image) -> Float[Tensor, "3 H W"]:
+    """An 8-bit RGB image as a tensor in [0, 1]."""
+    return torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255
+
+
+def _to_rgb(image: Image.Image) -> Image.Image:
+    if image.mode.startswith("I") or image.mode == "F":
+        values = np.asarray(image, dtype=np.float64)
+        # 16-bit files hold up to 65535, whatever the mode's own range; floating-point ones up to 1.
+        full = 65535.0 if image.mode.startswith("I") else 1.0
+        return Image.fromarray((values / full * 255).round().clip(0, 255).astype(np.uint8)).convert("RGB")
+    if image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
+        image = image.convert("RGBA")
+        white = Image.new("RGBA", image.size, "white")
+        return Image.alpha_composite(white, image).convert("RGB")
+    return image.convert("RGB")

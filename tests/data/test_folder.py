@@ -1,0 +1,114 @@
+import logging
+
+import av
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from anystyle.data.folder import read_views
+from anystyle.data.video import read_frames
+from anystyle.export import write_video
+
+
+def save(path, width=64, height=48, shade=100):
+    Image.new("RGB", (width, height), (shade, shade, shade)).save(path)
+
+
+def read(*inputs, **options):
+    return read_views(list(inputs), **{"short_side": 32, "multiple": 8, "max_views": 16, **options})
+
+
+def test_a_folder_in_natural_order_with_its_aspect_kept(tmp_path):
+    for number in (1, 2, 10):
+        save(tmp_path / f"v{number}.png", shade=number * 20)
+    (tmp_path / "notes.txt").write_text("no image")
+    views, sources = read(tmp_path)
+    assert [source.name for source in sources] == ["v1", "v2", "v10"] == list(views.names)
+    assert views.images.shape == (1, 3, 3, 32, 40)
+    torch.testing.assert_close(views.images.mean((0, 2, 3, 4)) * 255, torch.tensor([20.0, 40, 200]))
+
+
+@pytest.mark.parametrize(("width", "height"), [(64, 48), (48, 64), (100, 33), (50, 50), (7, 900)])
+def test_sides_are_multiples_and_points_map_back_to_the_source(tmp_path, width, height):
+    across = np.linspace(0, 255, width)[None, :, None].repeat(height, 0).repeat(3, 2)
+    Image.fromarray(across.astype(np.uint8)).save(tmp_path / "a.png")
+    views, (source,) = read(tmp_path / "a.png")
+    h, w = views.size
+    assert h % 8 == 0 and w % 8 == 0 and min(h, w) == 32 and max(h, w) <= 96
+    pixel_from_camera = torch.tensor([[40.0, 0, w / 2], [0, 40, h / 2], [0, 0, 1]])
+    mapped = source.source_intrinsics(pixel_from_camera)
+    assert mapped[0, 2].item() == pytest.approx(width / 2) and mapped[1, 2].item() == pytest.approx(height / 2)
+    assert mapped[0, 0].item() == pytest.approx(mapped[1, 1].item())
+    if width > 20:
+        # The ramp's brightness tells which source column a view column shows.
+        column = w // 4
+        shown = views.images[0, 0, 0, h // 2, column].item() * (width - 1)
+        expected = source.box[0] + (column + 0.5) * (source.box[2] - source.box[0]) / w - 0.5
+        assert abs(shown - expected) < 1.0
+
+
+def test_different_sizes_and_a_bad_file_among_good_ones(tmp_path, caplog):
+    save(tmp_path / "a.png")
+    save(tmp_path / "b.png")
+    save(tmp_path / "c.png", width=30, height=90)
+    (tmp_path / "d.jpg").write_text("nonsense")
+    with caplog.at_level(logging.WARNING):
+        views, sources = read(tmp_path)
+    assert views.images.shape == (1, 3, 3, 32, 40)
+    assert "d.jpg" in caplog.text
+    assert sources[2].size == (90, 30)
+
+
+def test_many_photographs_are_thinned_evenly(tmp_path):
+    for number in range(20):
+        save(tmp_path / f"{number}.png", shade=number)
+    _, sources = read(tmp_path, max_views=4)
+    assert [source.name for source in sources] == ["0", "6", "13", "19"]
+
+
+def test_patterns_and_single_files(tmp_path):
+    save(tmp_path / "a1.png")
+    save(tmp_path / "b1.png")
+    assert len(read(tmp_path / "a*.png")[1]) == 1
+    assert len(read(tmp_path / "b1.png")[1]) == 1
+
+
+def test_a_video_gives_evenly_spaced_frames(tmp_path):
+    write_video((torch.full((3, 48, 64), place / 29) for place in range(30)), tmp_path / "walk.mp4")
+    views, sources = read(tmp_path / "walk.mp4", max_views=5)
+    assert views.images.shape == (1, 5, 3, 32, 40)
+    numbers = [int(source.name.rpartition("_")[2]) for source in sources]
+    assert [number // 6 for number in numbers] == [0, 1, 2, 3, 4]
+    shades = views.images.mean((0, 2, 3, 4))
+    torch.testing.assert_close(shades, torch.tensor(numbers) / 29, rtol=0, atol=0.03)
+
+
+def test_the_sharpest_frame_of_each_part_is_taken(tmp_path):
+    noise = torch.rand(3, 64, 64, generator=torch.Generator().manual_seed(0))
+    frames = [noise if place in (3, 7) else torch.full((3, 64, 64), 0.5) for place in range(10)]
+    write_video(frames, tmp_path / "a.mp4")
+    assert [number for number, _ in read_frames(tmp_path / "a.mp4", 2)] == [3, 7]
+
+
+def test_bad_inputs_end_in_one_line(tmp_path):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "bad.png").write_text("nonsense")
+    (tmp_path / "bad.mp4").write_text("nonsense")
+    with av.open(str(tmp_path / "sound.mp4"), "w") as container:
+        stream = container.add_stream("aac", rate=44100)
+        stream.layout = "mono"
+        frame = av.AudioFrame.from_ndarray(np.zeros((1, 1024), np.float32), format="fltp", layout="mono")
+        frame.sample_rate = 44100
+        for packet in [*stream.encode(frame), *stream.encode()]:
+            container.mux(packet)
+    for name, words in (
+        ("empty", "no images in the folder"),
+        ("absent", "no folder, image or video"),
+        ("bad.png", "no photograph can be read"),
+        ("bad.mp4", "is no video"),
+        ("sound.mp4", "no video in it"),
+    ):
+        with pytest.raises(ValueError, match=words) as caught:
+            read(tmp_path / name)
+        assert "\n" not in str(caught.value)

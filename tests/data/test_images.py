@@ -1,0 +1,79 @@
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from anystyle.data.images import MAX_PIXELS, open_image, read_image
+
+
+def gradient(height=20, width=30):
+    across = np.linspace(0, 255, width)[None].repeat(height, 0)
+    down = np.linspace(255, 0, height)[:, None].repeat(width, 1)
+    return np.stack([across, down, np.full((height, width), 90.0)], -1).astype(np.uint8)
+
+
+def test_modes_that_hold_the_same_picture_read_the_same(tmp_path):
+    colour = Image.fromarray(gradient())
+    for mode, suffix, tolerance in (("RGB", "png", 0), ("RGBA", "png", 0), ("CMYK", "tif", 3), ("P", "gif", 60)):
+        colour.convert(mode).save(tmp_path / f"a.{suffix}")
+        picture = open_image(tmp_path / f"a.{suffix}")
+        assert picture.mode == "RGB"
+        assert np.abs(np.asarray(picture).astype(int) - gradient()).max() <= tolerance
+
+
+def test_grey_and_sixteen_bits(tmp_path):
+    grey = gradient()[..., 0]
+    Image.fromarray(grey).save(tmp_path / "grey.png")
+    Image.fromarray(grey.astype(np.uint16) * 257).save(tmp_path / "deep.png")
+    for name in ("grey.png", "deep.png"):
+        assert (np.asarray(open_image(tmp_path / name)) == grey[..., None]).all()
+
+
+def test_transparency_shows_white(tmp_path):
+    pixels = np.dstack([gradient(), np.zeros((20, 30), np.uint8)])
+    pixels[:10, :, 3] = 255
+    Image.fromarray(pixels).save(tmp_path / "a.png")
+    picture = np.asarray(open_image(tmp_path / "a.png"))
+    assert (picture[10:] == 255).all() and (picture[:10] == gradient()[:10]).all()
+
+
+def test_a_turned_camera_gives_an_upright_picture(tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.fromarray(gradient()).save(tmp_path / "a.png", exif=exif)
+    assert (np.asarray(open_image(tmp_path / "a.png")) == np.rot90(gradient(), -1)).all()
+
+
+@pytest.mark.parametrize("suffix", ["jpg", "png"])
+def test_a_hundred_megapixels_are_reduced_while_they_are_read(tmp_path, suffix):
+    Image.new("RGB", (10000, 10000), (200, 100, 50)).save(tmp_path / f"a.{suffix}")
+    image = read_image(tmp_path / f"a.{suffix}", longest=512)
+    assert max(image.shape) <= 512
+    torch.testing.assert_close(image.mean((1, 2)) * 255, torch.tensor([200.0, 100, 50]), rtol=0, atol=2)
+
+
+def test_what_is_no_picture_is_refused_in_one_line(tmp_path):
+    (tmp_path / "text.png").write_text("not an image at all")
+    (tmp_path / "empty.jpg").touch()
+    noise = Image.fromarray(np.random.default_rng(0).integers(0, 255, (200, 300, 3), dtype=np.uint8))
+    noise.save(tmp_path / "whole.png")
+    (tmp_path / "half.png").write_bytes((tmp_path / "whole.png").read_bytes()[:20000])
+    noise.save(tmp_path / "whole.jpg")
+    (tmp_path / "half.jpg").write_bytes((tmp_path / "whole.jpg").read_bytes()[:2000])
+    for name, words in (
+        ("text.png", "is no image"),
+        ("empty.jpg", "is no image"),
+        ("half.png", "damaged"),
+        ("half.jpg", "damaged"),
+        ("absent.png", "there is no image"),
+    ):
+        with pytest.raises(ValueError, match=words) as caught:
+            open_image(tmp_path / name)
+        assert "\n" not in str(caught.value) and name in str(caught.value)
+
+
+def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):
+    side = int(MAX_PIXELS**0.5) + 1000
+    Image.new("1", (side, side)).save(tmp_path / "bomb.png")
+    with pytest.raises(ValueError, match="pixels"):
+        open_image(tmp_path / "bomb.png")
