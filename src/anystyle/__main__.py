@@ -1,0 +1,70 @@
+"""``anystyle COMMAND ...``: find the command and become it; nothing else is imported."""
+
+import ast
+import runpy
+import sys
+
+from anystyle.errors import UserError, did_you_mean
+from anystyle.paths import PACKAGE
+
+COMMANDS = ("stylize", "train", "report", "evaluate", "study", "plugins", "weights", "benchmark")
+_HELP = """\
+usage: anystyle COMMAND ...
+
+Single-pass stylization of 3D Gaussian scenes, guided by text and images.
+
+{commands}
+
+anystyle COMMAND --help says more; anystyle plugins lists what there is to choose from.
+Shell completion: eval "$(anystyle -sc install=bash)"  (or zsh, fish)"""
+
+
+def available() -> dict[str, str]:
+    """Every command with the first line that describes it, none of them imported."""
+    found: dict[str, str] = {}
+    for name in COMMANDS:
+        file = PACKAGE / "commands" / f"{name}.py"
+        if file.is_file():
+            text = ast.get_docstring(ast.parse(file.read_bytes())) or ""
+            found[name] = text.partition("\n")[0]
+    return found
+
+
+def main() -> None:
+    """Run one command as the program ``python -m anystyle.commands.COMMAND``.
+
+    A training that starts itself again for each device then finds its way back to the same command.
+    """
+    first, *rest = sys.argv[1:] or ["--help"]
+    if first in ("-h", "--help", "help"):
+        rows = "\n".join(f"  {name:<10} {text}" for name, text in available().items())
+        print(_HELP.format(commands=rows))
+    elif first == "--version":
+        from importlib.metadata import version
+
+        print(f"anystyle {version('anystyle')}")
+    elif first in ("-sc", "--shell-completion"):
+        from anystyle.commands._completion import complete
+        from anystyle.commands._run import run
+
+        run(lambda: complete(available(), rest))
+    elif first not in COMMANDS or first not in available():
+        from anystyle.commands._run import run
+
+        run(lambda: _unknown(first))
+    else:
+        sys.argv = [sys.argv[0], *rest]
+        try:
+            runpy.run_module(f"anystyle.commands.{first}", run_name="__main__", alter_sys=True)
+        except KeyboardInterrupt:  # while the command's imports were under way
+            sys.exit(130)
+
+
+def _unknown(word: str) -> None:
+    known = list(available())
+    what = "flag" if word.startswith("-") else "command"
+    raise UserError(f"no {what} is named '{word}'.{did_you_mean(word, known)} Commands: {', '.join(known)}")
+
+
+if __name__ == "__main__":
+    main()

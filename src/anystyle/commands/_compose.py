@@ -1,0 +1,119 @@
+"""Running a command on a configuration composed by Hydra: once, or once for each combination of a multirun."""
+
+import argparse
+import functools
+import os
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig
+
+from anystyle import paths
+from anystyle.commands._flags import EPILOG, split
+from anystyle.commands._run import run, words_of
+from anystyle.registry.builtin import KINDS
+from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import VERSION_BASE, compose, explain, override
+from anystyle.registry.source import register
+
+
+def main(
+    config_name: str,
+    function: Callable[..., Any],
+    parser: argparse.ArgumentParser | None = None,
+    words: Sequence[str] | None = None,
+) -> None:
+    """Be a command: read the words, compose the configuration, run, and end with one line if it fails.
+
+    Args:
+        config_name: The configuration's root in ``conf/``.
+        function: Called with the configuration; with the flags as a second argument where there is a parser.
+        parser: The command's ordinary flags; every other word goes to Hydra.
+        words: Instead of the process's arguments.
+    """
+
+    def command() -> None:
+        flags = parser or argparse.ArgumentParser(prog=f"anystyle {config_name}", allow_abbrev=False)
+        describe(flags)
+        arguments, rest = split(flags, words_of(words))
+        task = functools.partial(function, arguments=arguments) if parser else function
+        launch(config_name, functools.update_wrapper(lambda config: task(config), function), rest)
+
+    run(command)
+
+
+def describe(parser: argparse.ArgumentParser) -> None:
+    """Let a parser's help say what Hydra takes, and what there is to choose from."""
+    groups = "".join(f"  {kind}: {', '.join(options(kind))}\n" for kind in configured())
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = "\n".join(filter(None, [parser.epilog, EPILOG, f"Groups:\n{groups}"]))
+
+
+def configured() -> list[str]:
+    """Every configuration group: the kinds of plugins and the folders of ``conf/``."""
+    folders = [path.name for path in sorted(paths.CONF.iterdir()) if path.is_dir()] if paths.CONF.is_dir() else []
+    return [*KINDS, *(name for name in folders if name not in KINDS)]
+
+
+def options(group: str) -> list[str]:
+    """What a configuration group has to choose from: plugins and presets."""
+    presets = [path.stem for path in (paths.CONF / group).glob("*.yaml")]
+    return sorted({*presets, *(catalog().names(group) if group in KINDS else ())})
+
+
+def launch(config_name: str, function: Callable[[DictConfig], Any], words: Sequence[str]) -> None:
+    """Hand words to Hydra, which composes the configuration and calls ``function``, maybe many times.
+
+    Raises:
+        Exception: What Hydra or ``function`` raises, as it is.
+    """
+    register()
+    failures: list[Exception] = []
+
+    @functools.wraps(function)
+    def task(config: DictConfig) -> Any:
+        if HydraConfig.get().mode is RunMode.MULTIRUN:
+            return function(config)  # Hydra reports which job failed
+        try:
+            return function(config)
+        except Exception as error:
+            failures.append(error)
+            return None
+
+    with _arguments(words), _raising():
+        hydra.main(version_base=VERSION_BASE, config_path=str(paths.CONF), config_name=config_name)(task)()
+    if failures:
+        raise failures[0]
+
+
+@contextmanager
+def _arguments(words: Sequence[str]) -> Iterator[None]:
+    """Hydra reads the process's arguments, and so does whatever starts this process again for more devices."""
+    before = sys.argv
+    sys.argv = [before[0], *words]
+    try:
+        yield
+    finally:
+        sys.argv = before
+
+
+@contextmanager
+def _raising() -> Iterator[None]:
+    """Let Hydra raise instead of printing an error and leaving with status 1."""
+    before = os.environ.get("HYDRA_FULL_ERROR")
+    os.environ["HYDRA_FULL_ERROR"] = "1"
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["HYDRA_FULL_ERROR"]
+        else:
+            os.environ["HYDRA_FULL_ERROR"] = before
+
+
+__all__ = ["compose", "explain", "launch", "main", "override", "run", "split"]

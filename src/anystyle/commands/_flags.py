@@ -1,0 +1,86 @@
+"""Telling a command's ordinary flags from what goes to Hydra."""
+
+import argparse
+import re
+from collections.abc import Sequence
+from typing import NoReturn
+
+from anystyle.errors import UserError, did_you_mean
+
+_OVERRIDE = re.compile(r"(\+\+?)?[A-Za-z_][\w./@:$-]*=|~[A-Za-z_][\w./@:-]*(=|$)")
+HYDRA: dict[str, int] = {
+    "-m": 0, "--multirun": 0,
+    "-c": 1, "--cfg": 1, "--resolve": 0, "-p": 1, "--package": 1,
+    "-cd": 1, "--config-dir": 1, "-cp": 1, "--config-path": 1, "-cn": 1, "--config-name": 1,
+    "-sc": 0, "--shell-completion": 0, "--hydra-help": 0, "-i": 0, "--info": 0, "-r": 0, "--run": 0,
+}  # fmt: skip
+"""Hydra's own flags, and how many words follow each."""
+
+EPILOG = """\
+Hydra: GROUP=NAME picks a component, KEY=VALUE sets an option; ./ before a file name keeps a '=' in it from being read so.
+  -m, --multirun         run every combination of the values given as KEY=A,B
+  -c, --cfg job          show the configuration instead of running
+  -cd, --config-dir DIR  add a folder of configurations
+  --info [defaults|...]  show how the configuration is composed; --hydra-help lists the rest
+"""
+
+
+def is_override(word: str) -> bool:
+    """Whether a word is an override in Hydra's grammar: ``key=value``, ``+key=value``, ``~key``."""
+    return _OVERRIDE.match(word) is not None
+
+
+def split(parser: argparse.ArgumentParser, words: Sequence[str]) -> tuple[argparse.Namespace, list[str]]:
+    """Read a command's flags, and return the words that are Hydra's: overrides and its own flags.
+
+    A word after a flag that takes a value is that value, whatever it looks like: ``--text "a=b"`` is a text. Words
+    after ``--`` are inputs.
+
+    Raises:
+        UserError: A flag is unknown or lacks its value.
+    """
+    actions = parser._option_string_actions
+    own: list[str] = []
+    hydra: list[str] = []
+    place = 0
+    while place < len(words):
+        word = words[place]
+        flag, has_value = word.partition("=")[0], "=" in word
+        place += 1
+        if word == "--":
+            own.extend(words[place - 1 :])
+            break
+        if flag in actions:
+            own.append(word)
+            if not has_value and actions[flag].nargs != 0 and place < len(words):
+                own.append(words[place])
+                place += 1
+        elif flag in HYDRA:
+            follow = 0 if has_value else HYDRA[flag]
+            if flag in ("-i", "--info") and place < len(words) and re.fullmatch(r"[a-z-]+", words[place]):
+                follow = 1
+            hydra.extend(words[place - 1 : place + follow])
+            place += follow
+        elif is_override(word):
+            hydra.append(word)
+        else:
+            own.append(word)
+    return parse(parser, own), hydra
+
+
+def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
+    """Read words none of which is Hydra's.
+
+    Raises:
+        UserError: A flag is unknown or lacks its value, or a word is missing or too many.
+    """
+
+    def fail(message: str) -> NoReturn:
+        unknown = re.search(r"unrecognized arguments: (-\S+)", message)
+        near = did_you_mean(unknown[1], [*parser._option_string_actions, *HYDRA]) if unknown else ""
+        raise UserError(f"{message}.{near} See: {parser.prog} --help")
+
+    parser.error = fail
+    special = (argparse.PARSER, argparse.REMAINDER)
+    mixed = not any(action.nargs in special for action in parser._actions)
+    return parser.parse_intermixed_args(list(words)) if mixed else parser.parse_args(words)

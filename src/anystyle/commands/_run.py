@@ -1,0 +1,63 @@
+"""How a command ends: quietly, or with one line and an exit status."""
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from anystyle.errors import one_line
+
+FAILED, INTERRUPTED = 2, 130
+_FULL = ("ANYSTYLE_TRACEBACK", "HYDRA_FULL_ERROR")
+
+
+def run(command: Callable[[], Any]) -> None:
+    """Run a command and leave the process as people expect.
+
+    An error of the user's ends in one line on the standard error stream and exit status 2, an interruption in 130. A
+    mistake of the program's shows its traceback, and so does every error where ``ANYSTYLE_TRACEBACK=1``.
+    """
+    try:
+        command()
+        sys.stdout.flush()
+    except KeyboardInterrupt:
+        print("anystyle: interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    except BrokenPipeError:
+        # Whoever read our output has had enough, such as `| head`; Python would complain once more while it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
+    except Exception as error:
+        told = message(error)
+        if told is None or wants_traceback():
+            raise
+        print(f"anystyle: error: {told}", file=sys.stderr)
+        sys.exit(FAILED)
+
+
+def wants_traceback() -> bool:
+    """Whether the user asked for tracebacks of every error."""
+    return any(os.environ.get(name) == "1" for name in _FULL)
+
+
+def message(error: BaseException) -> str | None:
+    """What to tell the user in one line, or ``None`` where the program is to blame."""
+    if "omegaconf" in sys.modules:
+        from anystyle.registry.compose import ERRORS, explain
+
+        if isinstance(error, ERRORS):
+            return explain(error)
+    if isinstance(error, OSError) and error.filename is not None and error.strerror:
+        return f"{error.filename}: {error.strerror}"
+    if isinstance(error, (ValueError, OSError)):
+        return one_line(error) or type(error).__name__
+    if type(error) is ImportError and error.name is None:
+        return one_line(error)  # raised by hand where an optional dependency is missing: it names the extra
+    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
+        return f"out of memory: {one_line(error) or 'use fewer views or a smaller size'}"
+    return None
+
+
+def words_of(words: Sequence[str] | None) -> list[str]:
+    """The words of a command line after the command."""
+    return list(sys.argv[1:] if words is None else words)

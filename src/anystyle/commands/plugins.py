@@ -1,0 +1,152 @@
+"""List the plugins, show one with its options, check one, or begin a new one."""
+
+import argparse
+import importlib
+import re
+import shutil
+import sys
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import get_args
+
+from anystyle import paths
+from anystyle.commands._flags import parse
+from anystyle.commands._run import run, words_of
+from anystyle.registry.builtin import KINDS
+from anystyle.registry.catalog import Catalog, Plugin, catalog, kind_named
+from anystyle.registry.peek import peek
+
+SUBCOMMANDS = ("check", "new")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The words of ``anystyle plugins``."""
+    words = argparse.ArgumentParser(
+        prog="anystyle plugins",
+        description="Without arguments: every plugin by name. With a KIND: what each is, and its options. With a NAME: "
+        "one plugin in full; only this imports it.",
+        epilog="anystyle plugins check KIND NAME runs a plugin's contract; anystyle plugins new KIND NAME begins one.",
+        allow_abbrev=False,
+    )
+    words.add_argument("kind", nargs="?", help="one of: " + ", ".join(KINDS))
+    words.add_argument("name", nargs="?", help="a plugin of that kind")
+    return words
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run ``anystyle plugins``."""
+    given = words_of(words)
+    if given and given[0] in SUBCOMMANDS:
+        importlib.import_module(f"anystyle.commands.plugins_{given[0]}").main(given[1:])
+        return
+    arguments = parse(parser(), given)
+    known = catalog()
+    if arguments.kind is None:
+        lines = overview(known)
+    elif arguments.name is None:
+        lines = of_kind(known, arguments.kind)
+    else:
+        lines = in_full(known.find(arguments.kind, arguments.name))
+    print("\n".join(lines))
+    for problem in known.problems:
+        print(f"ignored: {problem}", file=sys.stderr)
+
+
+def width() -> int:
+    """How wide lines may be: the terminal, or 100 columns where there is none."""
+    return max(60, shutil.get_terminal_size((100, 24)).columns) if sys.stdout.isatty() else 100
+
+
+def overview(known: Catalog) -> Iterator[str]:
+    """Every kind with the names of its plugins."""
+    column = max(map(len, KINDS)) + 3
+    for kind, row in KINDS.items():
+        names = ", ".join(known.names(kind)) or "-"
+        title = f"{kind}{'*' if row.many else ''}"
+        yield from _hanging(f"{title:<{column}}", names)
+    yield ""
+    yield "* several at once, as in loss=[content,style]. More: anystyle plugins KIND [NAME]"
+
+
+def of_kind(known: Catalog, kind: str) -> Iterator[str]:
+    """Every plugin of a kind: name, description, origin, options as its source writes them."""
+    kind_named(kind)
+    names = known.names(kind)
+    column = max(map(len, names), default=0) + 2
+    if not names:
+        yield f"no {kind} is declared"
+    for name in names:
+        for plugin in known.declarations(kind, name):
+            summary = peek(plugin)
+            origin = "" if plugin.origin == "anystyle" else f"  [{plugin.origin}]"
+            yield from _hanging(f"{name:<{column}}", summary.description + origin)
+            for option in summary.options:
+                yield from _hanging(" " * column + "  ", option, hang=4)
+        if len(known.declarations(kind, name)) > 1:
+            yield " " * column + "(declared more than once: it cannot be used until one is renamed)"
+    yield from _presets(kind, names)
+
+
+def _presets(kind: str, names: Sequence[str]) -> Iterator[str]:
+    """The presets of a kind, with the comment that each begins with."""
+    files = [file for file in sorted((paths.CONF / kind).glob("*.yaml")) if file.stem not in names]
+    column = max((len(file.stem) for file in files), default=0) + 2
+    if files:
+        yield ""
+        yield "Presets:"
+    for file in files:
+        comments = [line for line in file.read_text(encoding="utf-8").splitlines() if re.match(r"# *[^@ ]", line)]
+        yield from _hanging(f"{file.stem:<{column}}", comments[0].lstrip("# ") if comments else paths.shown(file))
+
+
+def in_full(plugin: Plugin) -> Iterator[str]:
+    """One plugin, imported: its documentation, and every option with type and default."""
+    import inspect
+
+    from anystyle.registry.schema import options
+
+    known = options(plugin)
+    documentation = inspect.getdoc(plugin.load()) or ""
+    yield f"{plugin.kind}={plugin.name}  ({plugin.target}, declared by {plugin.origin})"
+    yield ""
+    yield documentation.partition("\n\nArgs:")[0]
+    yield ""
+    if not known:
+        yield "It takes no options."
+        return
+    yield "Options:"
+    told = _arguments(documentation)
+    prefix = f"{plugin.kind}.{plugin.name}" if KINDS[plugin.kind].many else plugin.kind
+    for option in known:
+        default = "  (must be given)" if option.required else f" = {option.default!r}"
+        yield f"  {prefix}.{option.name}: {_hint(option.hint)}{default}"
+        if option.name in told:
+            yield from _hanging(" " * 6, told[option.name])
+
+
+def _hint(hint: object) -> str:
+    text = hint.__name__ if isinstance(hint, type) and not get_args(hint) else str(hint)
+    return re.sub(r"\b(typing|collections\.abc)\.", "", text)
+
+
+def _arguments(documentation: str) -> dict[str, str]:
+    """The ``Args`` section of a docstring, by argument."""
+    section = re.search(r"^Args:\n((?:[ \t]+.*\n?|\n)*)", documentation, re.MULTILINE)
+    found: dict[str, str] = {}
+    for entry in re.split(
+        r"\n(?=    \w)", "\n" + textwrap.dedent(section[1] if section else "").replace("\n", "\n    ")
+    ):
+        name, _, text = entry.strip().partition(":")
+        found[name.partition(" ")[0]] = " ".join(text.split())
+    return found
+
+
+def _hanging(lead: str, text: str, hang: int = 0) -> list[str]:
+    indent = " " * (len(lead) + hang)
+    return textwrap.wrap(
+        text, width(), initial_indent=lead, subsequent_indent=indent, break_on_hyphens=False, break_long_words=False
+    ) or [lead.rstrip()]
+
+
+if __name__ == "__main__":
+    run(main)

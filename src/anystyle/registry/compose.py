@@ -1,0 +1,102 @@
+"""Composing a configuration: ``conf/`` and the catalog through Hydra's compose API, with errors in one line."""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from hydra.core.override_parser.types import Quote, QuotedString
+from hydra.errors import HydraException, MissingConfigException, OverrideParseException
+from omegaconf import DictConfig
+from omegaconf.errors import OmegaConfBaseException
+
+from anystyle import paths
+from anystyle.errors import UserError, did_you_mean, one_line
+from anystyle.registry.schema import literal
+from anystyle.registry.source import register
+
+VERSION_BASE = "1.3"
+ERRORS = (HydraException, OmegaConfBaseException)
+"""What Hydra and OmegaConf raise."""
+
+_NOISE = re.compile(r"\s*(full_key:|object_type=|reference_type=|To append to your config|Search path:|See https)")
+
+
+def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | None = None) -> DictConfig:
+    """Compose a configuration, as a command does.
+
+    Args:
+        config_name: A file of the folder, such as ``stylize``.
+        overrides: In Hydra's grammar, such as ``backbone=anysplat_tiny``; see :func:`override`.
+        conf: The folder; the one that comes with the package if it is not given.
+
+    Raises:
+        UserError: Something is unknown or of the wrong type; one line says what.
+    """
+    register()
+    try:
+        with initialize_config_dir(
+            str((conf or paths.CONF).absolute()), job_name=config_name, version_base=VERSION_BASE
+        ):
+            return hydra_compose(config_name, overrides=list(overrides))
+    except ERRORS as error:
+        raise UserError(explain(error)) from error
+
+
+def override(key: str, value: object) -> str:
+    """``key=value`` in Hydra's grammar, whatever the value holds.
+
+    Args:
+        key: Where in the configuration.
+        value: Text, number, truth value, ``None``, or a sequence of these.
+    """
+    return f"{key}={_written(value)}"
+
+
+def _written(value: object) -> str:
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (int, float)):
+        return repr(value)
+    if isinstance(value, (list, tuple)):
+        return f"[{','.join(_written(item) for item in value)}]"
+    return QuotedString(literal(str(value)), Quote.single).with_quotes()
+
+
+def explain(error: Exception) -> str:
+    """One line for an error of Hydra or OmegaConf: what was given, and what there is."""
+    if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options is not None:
+        group, _, name = error.missing_cfg_file.rpartition("/")
+        known = [option for option in error.options if not option.startswith("_")]
+        listing = f" Available in '{group}': {', '.join(known) or 'nothing'}"
+        return f"Could not find '{error.missing_cfg_file}'.{did_you_mean(name, known)}{listing}"
+    if isinstance(error, OverrideParseException):
+        reason = error.message.splitlines()[0] if error.message else "no such syntax"
+        return f"cannot read the override '{one_line(error.override)}': {reason}; quote special characters twice: 'key=\"a, b\"'"
+    cause = error.__cause__
+    parts = [_told(error)]
+    if isinstance(cause, OmegaConfBaseException):
+        parts.append(_told(cause))
+    return ": ".join(part.rstrip(".:") for part in parts if part) + _nearest(error, cause)
+
+
+def _told(error: BaseException) -> str:
+    told = "\n".join(line for line in str(error).splitlines() if not _NOISE.match(line))
+    return one_line(told).replace("is not in struct", "is unknown")
+
+
+def _nearest(*errors: BaseException | None) -> str:
+    """The key that may have been meant, where a key was not found."""
+    for error in errors:
+        if isinstance(error, OmegaConfBaseException) and isinstance(error.parent_node, DictConfig):
+            keys = [str(key) for key in error.parent_node if key not in ("_target_", "hydra")]
+            if error.key is not None and error.key not in keys:
+                near = did_you_mean(str(error.key), keys)
+                return f".{near}" if near else f". There are: {', '.join(keys)}"
+    return ""
+
+
+__all__ = ["ERRORS", "VERSION_BASE", "compose", "explain", "override"]
