@@ -10,6 +10,7 @@ from PIL import Image
 from safetensors.torch import save_file
 from torch import Tensor
 
+from anystyle.data.folder import SourceImage
 from anystyle.export import write_video
 from anystyle.geometry.cameras import smooth_path
 from anystyle.sheet import Cell, contact_sheet, to_pil
@@ -74,6 +75,26 @@ def write_scene(
     route = smooth_path(cameras, path.frames).resized((size[0], size[1]))
     write_video(render_each(stylizer, gaussians, route), directory / "video.mp4", fps=path.fps)
     return renders
+
+
+def write_cameras(path: Path, cameras: Cameras, sources: Sequence[SourceImage]) -> None:
+    """Write the cameras of one scene, with intrinsics in pixels of the source images, as readable JSON."""
+    views = []
+    for place, source in enumerate(sources):
+        intrinsics = source.source_intrinsics(cameras.intrinsics[0, place].cpu())
+        views.append(
+            {
+                "name": source.name,
+                "height": source.size[0],
+                "width": source.size[1],
+                "intrinsics": intrinsics.tolist(),
+                "world_from_camera": cameras.world_from_camera[0, place].tolist(),
+            }
+        )
+    convention = (
+        "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
+    )
+    write_report(path, {"convention": convention, "views": views})
 
 
 def write_report(path: Path, report: dict[str, object]) -> None:

@@ -19,9 +19,8 @@ from anystyle.contracts import SceneSource, StyleSource
 from anystyle.data.folder import SourceImage, read_views
 from anystyle.data.images import read_image
 from anystyle.files import atomic_directory
-from anystyle.geometry.cameras import write_cameras
 from anystyle.registry.build import build
-from anystyle.results import Path3D, write_report, write_scene, write_sheet
+from anystyle.results import Path3D, write_cameras, write_report, write_scene, write_sheet
 from anystyle.sheet import Cell, TextCard, to_pil
 from anystyle.stylizer import Stylizer
 from anystyle.types import StyleEmbedding, Views
@@ -76,7 +75,7 @@ def check_arguments(arguments: argparse.Namespace, config: DictConfig) -> list[f
     """
     styles = len(arguments.text) + len(arguments.image) + len(config.style)
     if not styles:
-        raise ValueError("no style is given; add --text \"...\" or --image FILE")
+        raise ValueError('no style is given; add --text "..." or --image FILE')
     for text in arguments.text:
         if not text.strip():
             raise ValueError("--text is empty; say what the result should look like")
@@ -98,7 +97,9 @@ def check_arguments(arguments: argparse.Namespace, config: DictConfig) -> list[f
     return amounts
 
 
-def read_inputs(arguments: argparse.Namespace, config: DictConfig, multiple: int, side: int) -> tuple[Views, list[SourceImage]]:
+def read_inputs(
+    arguments: argparse.Namespace, config: DictConfig, multiple: int, side: int
+) -> tuple[Views, list[SourceImage]]:
     """The input views and where each came from: files, or a scene of a registered source."""
     if arguments.inputs:
         return read_views(
@@ -205,7 +206,8 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
         if len(styles) > 1:
             write_sheet(out / "sheet.png", photographs, columns)
             write_report(out / "report.json", report | {"style": [style.title for style in styles]})
-    print(f"{len(styles)} stylized scene{'s' if len(styles) > 1 else ''} in {arguments.out}; look at {Path(arguments.out) / 'sheet.png'}")
+    count = f"{len(styles)} stylized scene{'s' if len(styles) > 1 else ''}"
+    print(f"{count} in {arguments.out}; look at {Path(arguments.out) / 'sheet.png'}")
 
 
 def _unique(names: Sequence[str]) -> list[str]:
