@@ -73,7 +73,9 @@ BUILTIN: dict[str, dict[str, str]] = {
     "scenes": {
         "procedural": "anystyle.data.procedural.scenes:ProceduralScenes",
     },
-    "styles": {},
+    "styles": {
+        "procedural": "anystyle.data.procedural.styles:ProceduralStyles",
+    },
     "study_test": {
         "cluster_bootstrap": "anystyle.study.tests.cluster_bootstrap:ClusterBootstrap",
         "equivalence": "anystyle.study.tests.equivalence:Equivalence",
@@ -83,6 +85,8 @@ BUILTIN: dict[str, dict[str, str]] = {
         "wilcoxon": "anystyle.study.tests.wilcoxon:Wilcoxon",
     },
     "training": {
+        "embedding": "anystyle.training.embedding:EmbeddingTraining",
+        "perceptual": "anystyle.training.perceptual:PerceptualTraining",
         "reconstruction": "anystyle.training.reconstruction:ReconstructionTraining",
         "stylization": "anystyle.training.stylization:StylizationTraining",
     },
