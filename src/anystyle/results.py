@@ -114,19 +114,15 @@ def write_sheet(
     Args:
         path: A PNG.
         photographs: The input views.
-        columns: Title, style and one render for each photograph.
+        columns: Title, style image if there is one, and one render for each photograph.
         rows: At most so many views, evenly chosen.
     """
     count = min(rows, len(photographs))
     chosen = [round(place * (len(photographs) - 1) / max(count - 1, 1)) for place in range(count)]
-    head: list[Cell] = [None, *(style for _, style, _ in columns)]
+    pictured = any(style is not None for _, style, _ in columns)
+    head: list[list[Cell]] = [[None, *(style for _, style, _ in columns)]] if pictured else []
     body: list[list[Cell]] = [[photographs[view], *(renders[view] for _, _, renders in columns)] for view in chosen]
     aspect = photographs[0].width / photographs[0].height
     cell = (224, round(224 / aspect)) if aspect >= 1 else (round(224 * aspect), 224)
-    sheet = contact_sheet(
-        [head, *body],
-        column_titles=["photograph", *(title for title, _, _ in columns)],
-        row_titles=["style", *("" for _ in chosen)],
-        cell=cell,
-    )
+    sheet = contact_sheet([*head, *body], column_titles=["photograph", *(title for title, _, _ in columns)], cell=cell)
     sheet.save(path)

@@ -21,7 +21,7 @@ from anystyle.data.images import read_image
 from anystyle.files import atomic_directory
 from anystyle.registry.build import build
 from anystyle.results import Path3D, write_cameras, write_report, write_scene, write_sheet
-from anystyle.sheet import Cell, TextCard, to_pil
+from anystyle.sheet import Cell, to_pil
 from anystyle.stylizer import Stylizer
 from anystyle.types import StyleEmbedding, Views
 
@@ -123,7 +123,7 @@ def named_styles(arguments: argparse.Namespace, config: DictConfig, stylizer: St
     device = next(stylizer.parameters()).device
     styles: list[NamedStyle] = []
     for text in arguments.text:
-        styles.append(NamedStyle(slug(text), text, TextCard(text), stylizer.embed(text=text)))
+        styles.append(NamedStyle(slug(text), f"“{' '.join(text.split())}”", None, stylizer.embed(text=text)))
     images: list[tuple[str, Tensor]] = [(Path(word).stem, read_image(Path(word))[None]) for word in arguments.image]
     if config.style:
         source = build(StyleSource, config.styles)
@@ -143,16 +143,12 @@ def mixed(styles: Sequence[NamedStyle], amounts: Sequence[float]) -> list[NamedS
     return [
         NamedStyle(
             name=f"{slug(first.name, 24)}_{amount:.2f}_{slug(second.name, 24)}",
-            title=f"{1 - amount:.0%} / {amount:.0%}",
-            cell=first.cell if amount == 0 else second.cell if amount == 1 else TextCard(_share(first, second, amount)),
+            title=f"{1 - amount:.0%} {first.title}, {amount:.0%} {second.title}",
+            cell=first.cell if amount == 0 else second.cell if amount == 1 else None,
             embedding=first.embedding.toward(second.embedding, amount),
         )
         for amount in amounts
     ]
-
-
-def _share(first: NamedStyle, second: NamedStyle, amount: float) -> str:
-    return f"{1 - amount:.0%} {first.title}, {amount:.0%} {second.title}"
 
 
 def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:

@@ -1,0 +1,159 @@
+import json
+
+import av
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from plyfile import PlyData
+
+from anystyle.commands import stylize as command
+from anystyle.commands._compose import main
+from anystyle.commands.stylize import parser, slug, stylize
+from anystyle.export import write_video
+
+SMALL = ["video.frames=3", "video.scale=0.5", "views.max_views=3", "views.short_side=48"]
+
+
+def run(*words):
+    main("stylize", stylize, parser(), [str(word) for word in words])
+
+
+def fails(capsys, *words):
+    """Run a command that must end in one line and status 2; return the line."""
+    with pytest.raises(SystemExit) as caught:
+        run(*words)
+    assert caught.value.code == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("…")]
+    assert len(lines) == 1 and lines[0].startswith("anystyle: error: "), lines
+    return lines[0]
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("photographs")
+    pixels = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
+    for number in range(2):
+        Image.fromarray(np.roll(pixels, 3 * number, 1)).save(folder / f"IMG {number}.png")
+    return folder
+
+
+def test_every_file_is_there_and_agrees(photographs, tmp_path):
+    run(photographs, "--text", "red and white stripes", "--out", tmp_path / "out", *SMALL)
+    out = tmp_path / "out"
+    assert sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()) == [
+        "cameras.json",
+        "renders/img-0.png",
+        "renders/img-1.png",
+        "report.json",
+        "scene.ply",
+        "scene.safetensors",
+        "sheet.png",
+        "video.mp4",
+    ]
+    report = json.loads((out / "report.json").read_text())
+    assert {"gaussians", "views", "seconds", "weights", "seed", "config", "versions"} <= report.keys()
+    assert PlyData.read(out / "scene.ply")["vertex"].count == report["gaussians"] > 0
+    assert report["views"] == 2 and all(seconds >= 0 for seconds in report["seconds"].values())
+    assert set(report["weights"]) == {"backbone", "style_encoder", "branch"}
+    assert Image.open(out / "renders" / "img-0.png").size == (64, 48)
+    cameras = json.loads((out / "cameras.json").read_text())
+    assert [view["name"] for view in cameras["views"]] == ["IMG 0", "IMG 1"]
+    assert cameras["views"][0]["width"] == 80
+    with av.open(str(out / "video.mp4")) as container:
+        assert sum(1 for _ in container.decode(video=0)) == 3
+
+
+def test_several_styles_share_one_encoding_and_have_folders_of_their_own(photographs, tmp_path, monkeypatch):
+    Image.new("RGB", (40, 30), (200, 30, 30)).save(tmp_path / "Red Painting.jpg")
+    encoded = []
+    original = command.Stylizer.encode
+    monkeypatch.setattr(command.Stylizer, "encode", lambda self, views: encoded.append(1) or original(self, views))
+    words = ["--text", "a, 'b' = \"c\"\nd {x: [1, 2]} ${y}", "--image", tmp_path / "Red Painting.jpg"]
+    run(photographs, *words, "--out", tmp_path / "out", *SMALL)
+    assert len(encoded) == 1
+    folders = sorted(path.name for path in (tmp_path / "out").iterdir() if path.is_dir())
+    assert folders == ["01-a-b-c-d-x-1-2-y", "02-red-painting"]
+    assert (tmp_path / "out" / "sheet.png").is_file()
+
+
+def test_the_ends_of_a_mixture_are_its_styles(photographs, tmp_path):
+    styles = ["--text", "blue dots", "--text", "green mosaic tiles"]
+    run(photographs, *styles, "--out", tmp_path / "both", *SMALL)
+    run(photographs, *styles, "--mix", "0,0.5", "--mix", "1", "--out", tmp_path / "mixed", *SMALL)
+    scenes = [sorted((tmp_path / name).glob("*/scene.ply")) for name in ("both", "mixed")]
+    assert [len(paths) for paths in scenes] == [2, 3]
+    assert scenes[0][0].read_bytes() == scenes[1][0].read_bytes()
+    assert scenes[0][1].read_bytes() == scenes[1][2].read_bytes()
+
+
+def test_the_same_command_twice_gives_the_same_bytes(photographs, tmp_path):
+    for name in ("a", "b"):
+        run(photographs, "--text", "swirling strokes", "--out", tmp_path / name, *SMALL)
+    for file in ("scene.ply", "scene.safetensors", "renders/img-1.png", "sheet.png", "cameras.json"):
+        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
+
+
+def test_a_single_view_and_a_video_just_work(photographs, tmp_path):
+    run(photographs / "IMG 0.png", "--text", "dots", "--out", tmp_path / "one", *SMALL)
+    write_video((torch.rand(3, 48, 64) for _ in range(6)), tmp_path / "walk.mp4")
+    run(tmp_path / "walk.mp4", "--text", "dots", "--out", tmp_path / "walk", *SMALL)
+    assert len(list((tmp_path / "walk" / "renders").iterdir())) == 3
+
+
+def test_bad_input_ends_in_one_line_and_leaves_nothing(photographs, tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "file").touch()
+    (tmp_path / "fake.png").write_text("no image")
+    text, out = ("--text", "dots"), ("--out", tmp_path / "out")
+    cases = {
+        "no style is given": (photographs, *out),
+        "--text is empty": (photographs, "--text", "  ", *out),
+        "has 10000 characters": (photographs, "--text", "x" * 10000, *out),
+        "no images in the folder": (tmp_path / "empty", *text, *out),
+        "no folder, image or video": (tmp_path / "absent", *text, *out),
+        "no photographs are given": (*text, *out),
+        "is no image": (photographs, "--image", tmp_path / "fake.png", *out),
+        "exactly two styles": (photographs, *text, "--mix", "0.5", *out),
+        "between 0 and 1, not 1.5": (photographs, *text, *text, "--mix", "1.5", *out),
+        "not 'half'": (photographs, *text, *text, "--mix", "half", *out),
+        "is a file": (photographs, *text, "--out", tmp_path / "file"),
+        "Not a directory": (photographs, *text, "--out", tmp_path / "file" / "out"),
+        "no weights file": (photographs, *text, *out, "weights.branch=absent.safetensors"),
+        "does not fit this StyleBranch": (photographs, *text, *out, "placement=full"),
+        "backbone": (photographs, *text, *out, "backbone=anysplatt"),
+        "dpeth": (photographs, *text, *out, "backbone.dpeth=3"),
+    }
+    for expected, words in cases.items():
+        assert expected in fails(capsys, *words, *SMALL)
+        assert not (tmp_path / "out").exists(), expected
+
+
+def test_a_truncated_weights_file_and_one_of_another_part(photographs, tmp_path, capsys):
+    from anystyle.assemble import weights_file
+
+    whole = weights_file("tiny_head").read_bytes()
+    (tmp_path / "half.safetensors").write_bytes(whole[: len(whole) // 2])
+    words = (photographs, "--text", "dots", "--out", tmp_path / "out", *SMALL)
+    assert "truncated" in fails(capsys, *words, f"weights.branch={tmp_path / 'half.safetensors'}")
+    assert "but those of a branch are needed" in fails(capsys, *words, "weights.branch=tiny_backbone")
+
+
+def test_a_full_disk_leaves_the_results_of_the_last_run(photographs, tmp_path, capsys, monkeypatch):
+    words = (photographs, "--text", "dots", "--out", tmp_path / "out", *SMALL)
+    run(*words)
+    before = {path: path.read_bytes() for path in sorted((tmp_path / "out").rglob("*")) if path.is_file()}
+
+    def full(*args, **kwargs):
+        raise OSError(28, "No space left on device", "scene.ply")
+
+    monkeypatch.setattr("anystyle.ply.PlyData.write", full)
+    assert "No space left on device" in fails(capsys, *words)
+    after = {path: path.read_bytes() for path in sorted((tmp_path / "out").rglob("*")) if path.is_file()}
+    assert after == before
+
+
+def test_names_are_plain_and_bounded():
+    assert slug("Étude in Blau/Weiß\n../../etc") == "etude-in-blau-wei-etc"
+    assert slug("…") == "style"
+    assert len(slug("word " * 100)) <= 40
