@@ -69,14 +69,15 @@ def _start_gaussians(head: GaussianHead, *, resolution: int, focal_epsilon: floa
 def _pass_colors_on(head: GaussianHead) -> None:
     """Open a way for red, green and blue from the image to the constant coefficients, through every layer.
 
-    The way uses the channels to which the position embedding adds least: the slowest sines, under 0.01 everywhere.
+    The way uses the channels whose position embedding varies least: the slowest waves of each direction. Cosines of
+    them are nearly 1, which a bias takes off; the sine is under 0.01 in all but the thinnest decoders.
     """
     first, last, neck = head.dpt.output[0], head.dpt.output[2], head.dpt.neck
     assert isinstance(first, nn.Conv2d) and isinstance(last, nn.Conv2d)
     assert first.bias is not None and last.bias is not None and neck.bias is not None and head.direct.bias is not None
     quarter = head.direct_dim // 4
-    carriers = (quarter - 1, 3 * quarter - 1, quarter - 2)
-    for color, carrier in enumerate(carriers):
+    carriers = ((2 * quarter - 1, 0.1), (4 * quarter - 1, 0.1), (quarter - 1, 0.0))
+    for color, (carrier, offset) in enumerate(carriers):
         head.direct.weight[carrier] = 0
         head.direct.weight[carrier, color, 3, 3] = 1
         head.direct.bias[carrier] = 0
@@ -84,8 +85,9 @@ def _pass_colors_on(head: GaussianHead) -> None:
         neck.bias[carrier] = 0
         first.weight[color] = 0
         first.weight[color, carrier, 1, 1] = 1
-        first.bias[color] = 0
+        first.bias[color] = -offset
         start = 8 + color * head.coefficients
         last.weight[start : start + head.coefficients] = 0
         last.weight[start, color] = 1 / SH_CONSTANT
+        last.bias[start : start + head.coefficients] = 0
         last.bias[start] = -0.5 / SH_CONSTANT
