@@ -1,5 +1,7 @@
 """Inputs that the tests of perception, losses and style encoders share."""
 
+import atexit
+import shutil
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -31,7 +33,9 @@ VGG_RULES = [[r"\.weight$", {"scale": 2**0.5}]]
 @cache
 def filled_vgg_file() -> Path:
     """A file with the goldens' VGG-19, under the published keys."""
-    path = Path(mkdtemp(prefix="anystyle-vgg-")) / "vgg19.safetensors"
+    folder = mkdtemp(prefix="anystyle-vgg-")
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    path = Path(folder) / "vgg19.safetensors"
     save_file(fill_named(VGG19().state_dict(), VGG_RULES), path)
     return path
 

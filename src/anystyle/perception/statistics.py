@@ -18,6 +18,15 @@ def mean_std(features: Float[Tensor, "M C *S"]) -> tuple[Float[Tensor, "M C"], F
     return flat.mean(-1), flat.std(-1) + 1e-8
 
 
+def pooled_moments(features: Float[Tensor, "M C *S"]) -> Float[Tensor, "M 2*C"]:
+    """Mean and deviation of every channel side by side, smooth everywhere: what a linear layer reads of a map.
+
+    Unlike :func:`mean_std` the deviation has its floor inside the root, so that a dead channel can come to life.
+    """
+    flat = features.flatten(2)
+    return torch.cat([flat.mean(-1), (flat.var(-1, correction=0) + 1e-4).sqrt()], dim=-1)
+
+
 def gram(features: Float[Tensor, "M C *S"]) -> Float[Tensor, "M C C"]:
     """Mean product of every two channels over all places (Gatys et al. 2016, equation 3, divided by the places)."""
     flat = features.flatten(2)

@@ -25,12 +25,17 @@ class Texture(FeatureNetwork):
     def __init__(self) -> None:
         super().__init__()
         self.features = nn.Sequential(*_stages())
-        self._names = _names()
-        self.layers = (RGB, *self._names)
+        self.names = _names()
+        self.layers = (RGB, *self.names)
 
     def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
         """See :meth:`FeatureNetwork.forward`."""
-        return walk(self.features, self._names, images, (images - 0.5) * 4, layers)
+        return walk(self.features, self.names, images, centred(images), layers)
+
+
+def centred(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 H W"]:
+    """Images in [0, 1] as the first convolution reads them: of mean about 0 and deviation about 1."""
+    return (images - 0.5) * 4
 
 
 def _stages() -> Iterator[nn.Module]:

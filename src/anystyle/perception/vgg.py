@@ -28,14 +28,14 @@ class VGG19(FeatureNetwork):
     def __init__(self) -> None:
         super().__init__()
         self.features = nn.Sequential(*_stages())
-        self._names = _names()
-        self.layers = (RGB, *self._names)
+        self.names = _names()
+        self.layers = (RGB, *self.names)
         self.register_buffer("mean", torch.tensor(MEAN).view(3, 1, 1), persistent=False)
         self.register_buffer("std", torch.tensor(STD).view(3, 1, 1), persistent=False)
 
     def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
         """See :meth:`FeatureNetwork.forward`."""
-        return walk(self.features, self._names, images, (images - self.mean) / self.std, layers)
+        return walk(self.features, self.names, images, (images - self.mean) / self.std, layers)
 
 
 def _stages() -> Iterator[nn.Module]:

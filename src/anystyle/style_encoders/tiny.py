@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from anystyle.contracts import StyleEncoder
+from anystyle.perception.statistics import pooled_moments
 from anystyle.perception.texture import Texture
 from anystyle.style_encoders.words import hash_words
 
@@ -57,7 +58,11 @@ class Tiny(StyleEncoder):
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """See :meth:`StyleEncoder.embed_images`; the shorter side is brought to 64 pixels first."""
-        return self._whiten(self.image_tower(images), self.image_mean)
+        return self.from_image_tower(self.image_tower(images))
+
+    def from_image_tower(self, raw: Float[Tensor, "M D"]) -> Float[Tensor, "M D"]:
+        """The embeddings of images from what their tower says; in training the tower alone is of low precision."""
+        return self._whiten(raw, self.image_mean)
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
         """See :meth:`StyleEncoder.embed_texts`."""
@@ -108,7 +113,7 @@ class ImageTower(nn.Module):
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """Embed images of any size."""
         images = shorter_side(images, SIDE)
-        pooled = [part for tap in self.texture(images, TAPS) for part in _moments(tap)]
+        pooled = [pooled_moments(tap) for tap in self.texture(images, TAPS)]
         # One pixel in four of a picture has the same colours, at a quarter of the cost.
         pooled.append(self.colors((images[..., ::2, ::2] - 0.5) * 4).mean((-2, -1)))
         return F.normalize(self.head(self.norm(torch.cat(pooled, dim=-1))), dim=-1)
@@ -193,9 +198,3 @@ def shorter_side(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "
     if size == (height, width):
         return images
     return F.interpolate(images, size=size, mode="bilinear", align_corners=False, antialias=True)
-
-
-def _moments(features: Float[Tensor, "M C h w"]) -> tuple[Float[Tensor, "M C"], Float[Tensor, "M C"]]:
-    mean = features.mean((-2, -1))
-    # Inside the root, for a channel that is constant has no slope there.
-    return mean, (features.var((-2, -1), correction=0) + 1e-4).sqrt()

@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from typing import TypeVar
 
 import lightning.pytorch as pl
 from torch import nn
@@ -31,7 +32,10 @@ class Training(pl.LightningModule, ABC):
         """What the run is for: modules to be written as weights files, by the part they are."""
 
 
-def required(source: SceneSource | StyleSource | None, kind: str) -> SceneSource | StyleSource:
+Source = TypeVar("Source", SceneSource, StyleSource)
+
+
+def required(source: Source | None, kind: str) -> Source:
     """A source that must be configured.
 
     Raises:

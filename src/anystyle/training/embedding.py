@@ -1,0 +1,200 @@
+"""Training the tiny style encoder: pictures of styles and their captions, brought together."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle import perception
+from anystyle.contracts import SceneSource, StyleSource
+from anystyle.style_encoders.tiny import Tiny
+from anystyle.training.contract import Training
+from anystyle.training.optim import decayed_groups, scheduled
+from anystyle.training.palette import palette_loss
+from anystyle.training.styles import StyleBatch, StyleBatches, TraitHeads
+
+
+class EmbeddingTraining(Training):
+    """Bring pictures and captions of procedural styles into one space in which patterns and palettes are plain to see.
+
+    Contrast alone lets colours crowd out patterns, so both modalities must also name pattern and scale and give the
+    palette, each from the embedding alone. Part of the way through, centres and whitening are fixed and learning goes
+    on behind them.
+
+    Args:
+        style_encoder: What learns.
+        texture: Start the convolutions from this network of :func:`anystyle.perception.load`; none for random ones.
+        tune_texture: Whether the convolutions go on learning; they cost most of a step.
+        batch_size: Styles a step.
+        photos: Photographs a step, which stand for no style.
+        pool: Styles to draw from, kept in memory; none means all there are.
+        names_weight: Of naming pattern, scale and brushwork.
+        palette_weight: Of the palette.
+        noise_words: Share of captions with a word put in that means nothing.
+        whiten_at: Where whitening is fixed, as a share of the training.
+        whiten_on: How many styles it is computed from.
+        learning_rate: Peak, of AdamW.
+        texture_rate: Of the convolutions, times ``learning_rate``.
+        warmup: Steps of the warm-up.
+        weight_decay: Of matrices.
+        bf16: Whether the image tower computes in bfloat16.
+    """
+
+    def __init__(
+        self,
+        *,
+        style_encoder: Tiny,
+        texture: str | None = "texture",
+        tune_texture: bool = True,
+        batch_size: int = 96,
+        photos: int = 8,
+        pool: int | None = 8000,
+        names_weight: float = 0.5,
+        palette_weight: float = 10.0,
+        noise_words: float = 0.2,
+        whiten_at: float = 0.6,
+        whiten_on: int = 2048,
+        learning_rate: float = 2e-3,
+        texture_rate: float = 0.2,
+        warmup: int = 50,
+        weight_decay: float = 0.05,
+        bf16: bool = True,
+    ) -> None:
+        super().__init__()
+        self.style_encoder = style_encoder
+        if texture is not None:
+            start = dict(perception.load(texture).named_parameters())
+            with torch.no_grad():
+                for name, parameter in style_encoder.image_tower.texture.named_parameters():
+                    parameter.copy_(start[name])
+        style_encoder.image_tower.texture.requires_grad_(tune_texture)
+        self.batch_size, self.photos, self.pool = batch_size, photos, pool
+        self.names_weight, self.palette_weight, self.noise_words = names_weight, palette_weight, noise_words
+        self.whiten_at, self.whiten_on = whiten_at, whiten_on
+        self.learning_rate, self.texture_rate = learning_rate, texture_rate
+        self.warmup, self.weight_decay, self.bf16 = warmup, weight_decay, bf16
+        self.traits = TraitHeads(style_encoder.dim)
+        self.log_temperature = nn.Parameter(torch.tensor(0.07).log())
+        self.source: StyleBatches | None = None
+
+    def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> StyleBatches:
+        """Styles with captions, and photographs of scenes."""
+        self.source = StyleBatches(
+            styles, scenes, seed=seed, batch_size=self.batch_size, photos=self.photos, pool=self.pool
+        )
+        return self.source
+
+    def exports(self) -> Mapping[str, nn.Module]:
+        """The encoder."""
+        return {"style_encoder": self.style_encoder}
+
+    def on_train_batch_start(self, batch: StyleBatch, batch_idx: int) -> None:
+        """Fix the whitening when it is time."""
+        if self.global_step == int(self.whiten_at * self.trainer.max_steps):
+            self.whiten()
+
+    def whiten(self) -> None:
+        """Fix centres and whitening from the first styles of the source."""
+        assert self.source is not None
+        examples = self.source.examples(self.whiten_on)
+        self.style_encoder.eval()
+        self.style_encoder.whiten(examples.images, examples.texts)
+        self.style_encoder.train()
+
+    def training_step(self, batch: StyleBatch, step: int) -> Tensor:
+        """Contrast between modalities, and what each must say of the style by itself."""
+        styles = len(batch.texts)
+        images = varied(torch.cat([batch.images, batch.photos]))
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.bf16):
+            raw = self.style_encoder.image_tower(images.contiguous(memory_format=torch.channels_last))
+        pictures = self.style_encoder.from_image_tower(raw.float())
+        captions = self.style_encoder.embed_texts(
+            [_noisy(text, self.noise_words) for text in batch.texts + batch.photo_texts]
+        )
+        terms = {"contrast": self.contrast(pictures, captions, len(batch.photos))}
+        for name, vectors in (("image", pictures), ("text", captions)):
+            named = self.traits.losses(self._scaled(vectors[:styles]), batch.traits)
+            terms[f"{name}_names"] = torch.stack([*named.values()]).sum()
+            terms[f"{name}_palette"] = palette_loss(self.style_encoder.palette(vectors), images).mean()
+        weights = {"contrast": 1.0, "names": self.names_weight, "palette": self.palette_weight}
+        total = torch.stack([weights[name.split("_")[-1]] * value for name, value in terms.items()]).sum()
+        self.log("train/loss", total, batch_size=styles, prog_bar=True)
+        self.log_dict({f"train/{name}": value for name, value in terms.items()}, batch_size=styles)
+        return total
+
+    def contrast(
+        self, pictures: Float[Tensor, "M D"], captions: Float[Tensor, "M D"], photos: int
+    ) -> Float[Tensor, ""]:
+        """Symmetric cross-entropy of who belongs to whom.
+
+        Args:
+            pictures: Of styles, then of ``photos`` photographs.
+            captions: In the same order.
+            photos: How many of the last rows belong to each other's captions as much as to their own.
+        """
+        logits = pictures @ captions.T / self.log_temperature.exp().clamp(0.02, 1.0)
+        together = torch.eye(len(pictures), device=pictures.device)
+        if photos:
+            together[-photos:, -photos:] = 1 / photos
+        return (F.cross_entropy(logits, together) + F.cross_entropy(logits.T, together)) / 2
+
+    def validation_step(self, batch: StyleBatch, step: int) -> None:
+        """Log how often the right partner is found among the styles of a batch, and what embeddings tell."""
+        pictures = self.style_encoder.embed_images(batch.images)
+        captions = self.style_encoder.embed_texts(batch.texts)
+        similarity = pictures @ captions.T
+        own = torch.arange(len(captions), device=similarity.device)
+        found = {
+            "retrieval_image_to_text": (similarity.argmax(1) == own).float().mean(),
+            "retrieval_text_to_image": (similarity.argmax(0) == own).float().mean(),
+        }
+        for name, vectors in (("image", pictures), ("text", captions)):
+            named = self.traits.accuracies(self._scaled(vectors), batch.traits)
+            found |= {f"{name}_{trait}": value for trait, value in named.items()}
+            palette = self.style_encoder.palette(vectors)
+            found[f"{name}_palette_rms"] = palette_loss(palette, batch.images).sqrt().mean()
+        self.log_dict({f"val/{name}": value for name, value in found.items()}, batch_size=len(captions))
+
+    def _scaled(self, vectors: Float[Tensor, "M D"]) -> Float[Tensor, "M D"]:
+        """Unit vectors with elements of about unit size, as linear layers expect them."""
+        return vectors * self.style_encoder.dim**0.5
+
+    def configure_optimizers(self) -> Any:
+        """AdamW with a warm-up and a cosine to 1 % of the rate."""
+        texture = self.style_encoder.image_tower.texture
+        slow = {id(parameter) for parameter in texture.parameters()}
+        groups = decayed_groups([self], lr=self.learning_rate, weight_decay=self.weight_decay)
+        for group in groups:
+            group["params"] = [parameter for parameter in group["params"] if id(parameter) not in slow]
+        groups += decayed_groups([texture], lr=self.texture_rate * self.learning_rate, weight_decay=self.weight_decay)
+        return scheduled(
+            torch.optim.AdamW(groups, betas=(0.9, 0.98)),
+            total=self.trainer.max_steps - self.warmup,
+            warmup=self.warmup,
+            floor=0.01 * self.texture_rate * self.learning_rate,
+        )
+
+
+def _noisy(text: str, share: float) -> str:
+    """The caption, at times with a made-up word in it, so that unknown words come to mean nothing."""
+    if torch.rand(()) >= share:
+        return text
+    letters = torch.randint(26, (int(torch.randint(2, 9, ())),)).tolist()
+    words = text.split()
+    words.insert(int(torch.randint(len(words) + 1, ())), "".join(chr(97 + letter) for letter in letters))
+    return " ".join(words)
+
+
+def varied(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 h w"]:
+    """Pictures mirrored and turned by quarters, cut to nine tenths and more, a little noisy."""
+    _, _, height, width = images.shape
+    keep = 0.9 + 0.1 * float(torch.rand(()))
+    tall, wide = round(keep * height), round(keep * width)
+    top, left = int(torch.randint(height - tall + 1, ())), int(torch.randint(width - wide + 1, ()))
+    cut = images[..., top : top + tall, left : left + wide]
+    flips = [axis for axis in (-2, -1) if torch.rand(()) < 0.5]
+    cut = cut.flip(flips) if flips else cut
+    return (cut + 0.02 * torch.randn_like(cut)).clamp(0, 1)
