@@ -18,65 +18,63 @@ from anystyle.types import Cameras, Features, Geometry, Tokens
 
 @dataclass(frozen=True)
 class Matches:
-    """What is known of patch centres.
+    """What is known of patch centres, and of where the first view sees them.
 
     Args:
-        points: World points of the patch centres.
+        points: World points.
         known: Whether a centre has a point.
-        target: Of the patches of view i, the patch of view j that shows the same point.
+        target: The patch of the first view that shows the same point.
         visible: Whether there is one: inside the image, and not hidden.
-        first: Where the first view sees the point, in [-1, 1] over its image; may lie outside.
+        shift: From where the own view sees the point to where the first view does, in half images.
+        own: Where the patches lie in their image, in [-1, 1].
     """
 
     points: Float[Tensor, "B V P 3"]
     known: Bool[Tensor, "B V P"]
-    target: Int[Tensor, "B V V P"]
-    visible: Bool[Tensor, "B V V P"]
-    first: Float[Tensor, "B V P 2"]
+    target: Int[Tensor, "B V P"]
+    visible: Bool[Tensor, "B V P"]
+    shift: Float[Tensor, "B V P 2"]
+    own: Float[Tensor, "P 2"]
 
 
 def patch_matches(
     cameras: Cameras, depth: Float[Tensor, "B V H W"], grid: tuple[int, int], *, tolerance: float = 0.05
 ) -> Matches:
-    """Correspondences between the patches of all pairs of views.
+    """Correspondences of the patches of all views with those of the first.
 
     Args:
         cameras: True cameras.
         depth: True depth; 0 where it is not known.
         grid: Rows and columns of patches.
-        tolerance: A point is hidden where the other view's depth differs from its own by more than this share.
+        tolerance: A point is hidden where the first view's depth differs from its own by more than this share.
     """
-    height, width = cameras.size
-    rows, columns = grid
-    batch, count = depth.shape[:2]
+    (height, width), (rows, columns) = cameras.size, grid
     v = ((torch.arange(rows, device=depth.device) + 0.5) * height / rows).long()
     u = ((torch.arange(columns, device=depth.device) + 0.5) * width / columns).long()
     world = Geometry(cameras, depth, depth).points()[:, :, v][:, :, :, u].flatten(2, 3)
     known = (depth[:, :, v][:, :, :, u] > 0).flatten(2, 3)
-    pixel, distance = project(cameras, world.flatten(1, 2))
-    pixel = pixel.unflatten(2, (count, -1)).transpose(1, 2)  # B from to P 2
-    distance = distance.unflatten(2, (count, -1)).transpose(1, 2)
+    pixel, distance = project(cameras.select([0]), world.flatten(1, 2))
+    pixel, distance = pixel[:, 0].unflatten(1, known.shape[1:]), distance[:, 0].unflatten(1, known.shape[1:])
     x, y = pixel[..., 0], pixel[..., 1]
     inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (distance > 1e-3)
     column, row = x.clamp(0, width - 1).long(), y.clamp(0, height - 1).long()
-    flat = depth.flatten(2)[:, None].expand(-1, count, -1, -1)
-    seen = flat.gather(3, row * width + column)
+    seen = depth[:, 0].flatten(1).gather(1, (row * width + column).flatten(1)).unflatten(1, known.shape[1:])
     unhidden = (seen - distance).abs() < tolerance * distance.clamp_min(1e-3)
-    target = (y * rows / height).clamp(0, rows - 1).long() * columns + (x * columns / width).clamp(
-        0, columns - 1
-    ).long()
+    line_v, line_u = torch.meshgrid(v + 0.5, u + 0.5, indexing="ij")
     scale = depth.new_tensor([2 / width, 2 / height])
+    own = torch.stack([line_u, line_v], dim=-1).flatten(0, 1) * scale - 1
     return Matches(
         points=world,
         known=known,
-        target=target,
-        visible=inside & unhidden & known[:, :, None],
-        first=(pixel[:, :, 0] * scale - 1).clamp(-2, 2),
+        target=row * rows // height * columns + column * columns // width,
+        visible=inside & unhidden & known,
+        shift=(pixel * scale - 1).clamp(-2, 2) - own,
+        own=own,
     )
 
 
 class FeatureProbes(nn.Module):
-    """Projections of tapped features that must tell matches, points and positions in the first view.
+    """Projections of tapped features that must tell matches, points and shifts.
 
     Args:
         dims: Channels of each tapped layer.
@@ -91,30 +89,39 @@ class FeatureProbes(nn.Module):
         self.compare = nn.ModuleDict({str(layer): nn.Linear(dim, descriptor) for layer, dim in dims.items()})
         self.locate = nn.ModuleDict({str(layer): nn.Linear(dim, 5) for layer, dim in dims.items()})
 
-    def forward(
-        self, features: Features, matches: Matches
-    ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
-        """The loss of matching, and that of locating, each a mean over layers."""
-        matching, locating = [], []
+    def forward(self, features: Features, matches: Matches) -> dict[str, Float[Tensor, ""]]:
+        """Means over layers.
+
+        Returns:
+            ``match``: cross entropy of each patch's match in the first view; ``glide``: how far the expected match
+            lies from the true one, in half images; ``locate``: how far the patch's world point is off, as a share of
+            its distance; ``shift``: how far its shift toward the first view is off, in half images.
+        """
+        terms: dict[str, list[Tensor]] = {"match": [], "glide": [], "locate": [], "shift": []}
+        others = matches.visible[:, 1:]
         for layer, tokens in features.items():
-            patches = self.normal[str(layer)](in_input_order(tokens).patches)
-            matching.append(self._matching(self.compare[str(layer)](patches), matches))
-            locating.append(self._locating(self.locate[str(layer)](patches), matches))
-        return torch.stack(matching).mean(), torch.stack(locating).mean()
+            patches = self.normal[str(layer)](in_input_order(tokens).patches.float())
+            alike = self._alike(self.compare[str(layer)](patches))
+            entropy = F.cross_entropy(alike.movedim(-1, 1), matches.target[:, 1:], reduction="none")
+            expected = alike.softmax(-1) @ matches.own
+            glide = (expected - (matches.own + matches.shift[:, 1:])).abs().mean(-1)
+            located = self.locate[str(layer)](patches)
+            point = (located[..., :3] - matches.points).norm(dim=-1) / matches.points.norm(dim=-1).clamp_min(0.1)
+            shift = (located[..., 3:] - matches.shift).abs().mean(-1)[:, 1:]
+            terms["match"].append(_mean(entropy, others))
+            terms["glide"].append(_mean(glide, others))
+            terms["locate"].append(_mean(point, matches.known))
+            terms["shift"].append(_mean(shift, matches.known[:, 1:]))
+        return {name: torch.stack(values).mean() for name, values in terms.items()}
 
-    def _matching(self, descriptors: Float[Tensor, "B V P d"], matches: Matches) -> Tensor:
+    def _alike(self, descriptors: Float[Tensor, "B V P d"]) -> Float[Tensor, "B v P P"]:
+        """How alike the patches of the other views are to those of the first."""
         unit = F.normalize(descriptors, dim=-1)
-        alike = torch.einsum("bipd,bjqd->bijpq", unit, unit) / self.temperature
-        count = unit.shape[1]
-        pairs = ~torch.eye(count, dtype=torch.bool, device=unit.device)
-        chosen = matches.visible & pairs[None, :, :, None]
-        loss = F.cross_entropy(alike.flatten(0, 3), matches.target.flatten(), reduction="none")
-        return (loss * chosen.flatten()).sum() / chosen.sum().clamp_min(1)
+        return torch.einsum("bipd,bqd->bipq", unit[:, 1:], unit[:, 0]) / self.temperature
 
-    def _locating(self, located: Float[Tensor, "B V P 5"], matches: Matches) -> Tensor:
-        point = (located[..., :3] - matches.points).norm(dim=-1) / matches.points.norm(dim=-1).clamp_min(0.1)
-        place = (located[..., 3:] - matches.first).abs().mean(-1)
-        return ((point + place) * matches.known).sum() / matches.known.sum().clamp_min(1)
+
+def _mean(values: Float[Tensor, "B V P"], chosen: Bool[Tensor, "B V P"]) -> Float[Tensor, ""]:
+    return (values * chosen).sum() / chosen.sum().clamp_min(1)
 
 
 def in_input_order(tokens: Tokens) -> Tokens:

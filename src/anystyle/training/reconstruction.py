@@ -7,6 +7,7 @@ from typing import Any
 import kornia
 import torch
 import torch.nn.functional as F
+import torch.utils._pytree as pytree
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -16,7 +17,7 @@ from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.matching import FeatureProbes, patch_matches
 from anystyle.training.optim import decayed_groups, scheduled
 from anystyle.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
-from anystyle.types import Cameras, Gaussians, Renders, Scene, Views
+from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Views
 
 
 class ReconstructionTraining(Training):
@@ -31,6 +32,7 @@ class ReconstructionTraining(Training):
         renderer: Draws the Gaussians.
         batch_size: Scenes a step over all processes.
         context_views: Least and most views the network is given.
+        view_power: Numbers of views are drawn in proportion to their power.
         target_views: Further views that only the rendering loss looks at.
         heights: Least and greatest image height; ``None`` leaves images as they are.
         learning_rate: Of AdamW, at the end of the warm-up.
@@ -41,10 +43,13 @@ class ReconstructionTraining(Training):
         transfer_weight: Of the camera errors measured on points.
         point_weight: Of the errors of world points.
         match_weight: Of matching patches across views, through a projection that is not kept.
-        locate_weight: Of telling each patch's point in the first view's frame, likewise.
+        glide_weight: Of the expected place of the match, likewise.
+        locate_weight: Of telling each patch's world point, likewise.
+        shift_weight: Of telling how each patch moves toward the first view, likewise.
         render_weight: Of the squared error of renders.
         ssim_weight: Of their structural dissimilarity.
-        render_after: The first step with renders.
+        render_every: Steps from one with renders to the next.
+        render_scenes: So many scenes of the batch are rendered then: the target views and one context view each.
     """
 
     def __init__(
@@ -54,7 +59,8 @@ class ReconstructionTraining(Training):
         renderer: Renderer,
         batch_size: int = 8,
         context_views: Sequence[int] = (2, 4),
-        target_views: int = 2,
+        view_power: float = 0.0,
+        target_views: int = 1,
         heights: Sequence[int] | None = None,
         learning_rate: float = 1e-3,
         warmup: int = 200,
@@ -63,18 +69,22 @@ class ReconstructionTraining(Training):
         camera_weight: float = 1.0,
         transfer_weight: float = 1.0,
         point_weight: float = 0.5,
-        match_weight: float = 0.2,
+        match_weight: float = 0.1,
+        glide_weight: float = 1.0,
         locate_weight: float = 1.0,
+        shift_weight: float = 5.0,
         render_weight: float = 5.0,
         ssim_weight: float = 0.2,
-        render_after: int = 0,
+        render_every: int = 4,
+        render_scenes: int = 4,
     ) -> None:
         super().__init__()
         self.backbone = backbone
         self.renderer = renderer
         self.probes = FeatureProbes(feature_dims(backbone))
         self.batch_size, self.context_views, self.target_views = batch_size, context_views, target_views
-        self.heights, self.warmup, self.render_after = heights, warmup, render_after
+        self.view_power, self.heights, self.warmup = view_power, heights, warmup
+        self.render_every, self.render_scenes = render_every, render_scenes
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
         self.weights = {
             "depth": depth_weight,
@@ -82,7 +92,9 @@ class ReconstructionTraining(Training):
             "transfer": transfer_weight,
             "point": point_weight,
             "match": match_weight,
+            "glide": glide_weight,
             "locate": locate_weight,
+            "shift": shift_weight,
             "render": render_weight,
             "ssim": ssim_weight,
         }
@@ -94,7 +106,7 @@ class ReconstructionTraining(Training):
             seed=seed,
             batch_size=self.batch_size,
             context_views=self.context_views,
-            view_power=0.0,
+            view_power=self.view_power,
             target_views=self.target_views,
             spread="any",
             heights=self.heights,
@@ -108,67 +120,88 @@ class ReconstructionTraining(Training):
     def training_step(self, batch: Batch, step: int) -> Tensor:
         """The weighted sum of all losses."""
         views = canonical(batch.views, batch.context)
-        scene = self.backbone.encode(views.select(list(range(batch.context))))
-        losses = self.losses(scene, views, rendering=self.global_step >= self.render_after)
-        total = torch.stack([self.weights[name] * loss for name, loss in losses.items()]).sum()
+        inputs = views.select(list(range(batch.context)))
+        backbone = self.backbone
+        stem = backbone.embedder(inputs.images)
+        features = backbone.aggregator(stem)
+        geometry = backbone.geometry_head(features, inputs.size)
+        losses = self.geometry_losses(features, geometry, inputs)
         rows = len(batch.keys)
+        if self.global_step % self.render_every == 0:
+            some = slice(0, min(self.render_scenes, rows))
+            drawn = [step // self.render_every % batch.context, *range(batch.context, views.images.shape[1])]
+            losses |= self.render_losses(_rows(features, some), _rows(geometry, some), _rows(views, some), drawn)
+        total = self.total(losses)
         self.log("train/loss", total, batch_size=rows, prog_bar=True)
         self.log_dict({f"train/{name}": loss for name, loss in losses.items()}, batch_size=rows)
         return total
 
-    def losses(self, scene: Scene, views: Views, *, rendering: bool = True) -> dict[str, Float[Tensor, ""]]:
-        """Every unweighted term.
+    def total(self, losses: Mapping[str, Float[Tensor, ""]]) -> Float[Tensor, ""]:
+        """The weighted sum."""
+        return torch.stack([self.weights[name] * loss for name, loss in losses.items()]).sum()
+
+    def geometry_losses(self, features: Features, geometry: Geometry, inputs: Views) -> dict[str, Float[Tensor, ""]]:
+        """The unweighted terms that need no renders; in full precision.
 
         Args:
-            scene: Of the context views.
-            views: Context and target views in the canonical frame.
-            rendering: Whether to render.
+            features: Of the context views.
+            geometry: As predicted.
+            inputs: The context views in the canonical frame.
         """
-        context = scene.views.images.shape[1]
-        assert views.cameras is not None and views.depth is not None
-        cameras, depth = views.cameras.select(slice(context)), views.depth[:, :context]
-        geometry = scene.geometry
-        grid = next(iter(scene.features.values())).grid
-        matching, locating = self.probes(scene.features, patch_matches(cameras, depth, grid))
-        losses = {
-            "depth": depth_loss(geometry.depth, geometry.confidence, depth),
-            "camera": camera_loss(geometry.cameras, cameras),
-            "transfer": transfer_loss(geometry.cameras, cameras, depth),
-            "point": point_loss(geometry, cameras, depth),
-            "match": matching,
-            "locate": locating,
-        }
-        if rendering:
-            renders = self.renderer(self.gaussians_at(scene, cameras), views.cameras)
-            losses |= photometric(renders, views.images)
-        return losses
+        cameras, depth = inputs.cameras, inputs.depth
+        assert cameras is not None and depth is not None
+        grid = next(iter(features.values())).grid
+        with torch.autocast(depth.device.type, enabled=False):
+            return {
+                "depth": depth_loss(geometry.depth, geometry.confidence, depth),
+                "camera": camera_loss(geometry.cameras, cameras),
+                "transfer": transfer_loss(geometry.cameras, cameras, depth),
+                "point": point_loss(geometry, cameras, depth),
+                **self.probes(features, patch_matches(cameras, depth, grid)),
+            }
 
-    def gaussians_at(self, scene: Scene, cameras: Cameras) -> Gaussians:
-        """The scene's Gaussians as if its cameras were these."""
-        geometry = replace(scene.geometry, cameras=cameras)
-        adapter = self.backbone.adapter
-        return adapter(scene.attributes, geometry, adapter.cluster(geometry, scene.attributes))
+    def render_losses(
+        self, features: Features, geometry: Geometry, views: Views, drawn: Sequence[int]
+    ) -> dict[str, Float[Tensor, ""]]:
+        """The unweighted terms of renders.
+
+        Args:
+            features: Of the context views.
+            geometry: As predicted.
+            views: Context and target views in the canonical frame.
+            drawn: Which of them are rendered, from their true cameras.
+        """
+        context = geometry.depth.shape[1]
+        attributes = self.backbone.gaussian_head(features, views.images[:, :context])
+        assert views.cameras is not None
+        with torch.autocast(views.images.device.type, enabled=False):
+            gaussians = self.gaussians_at(attributes.to(torch.float32), geometry, views.cameras.select(slice(context)))
+            aims = views.select(list(drawn))
+            assert aims.cameras is not None
+            return photometric(self.renderer(gaussians, aims.cameras), aims.images)
+
+    def gaussians_at(self, attributes: Attributes, geometry: Geometry, cameras: Cameras) -> Gaussians:
+        """The Gaussians as if the cameras were these."""
+        geometry, adapter = replace(geometry, cameras=cameras), self.backbone.adapter
+        return adapter(attributes, geometry, adapter.cluster(geometry, attributes))
 
     def validation_step(self, batch: Batch, step: int) -> None:
         """Log how far depth, cameras and renders are off."""
         views = canonical(batch.views, batch.context)
-        scene = self.backbone.encode(views.select(list(range(batch.context))))
-        losses = self.losses(scene, views)
-        total = torch.stack([self.weights[name] * loss for name, loss in losses.items()]).sum()
-        assert views.cameras is not None and views.depth is not None
-        rows = len(batch.keys)
-        self.log("val/loss", total, batch_size=rows)
-        found = geometry_errors(scene, views.select(list(range(batch.context))))
-        true = self.renderer(self.gaussians_at(scene, views.cameras.select(slice(batch.context))), views.cameras)
-        known = psnr(true.color, views.images)
+        inputs = views.select(list(range(batch.context)))
+        scene = self.backbone.encode(inputs)
+        found = geometry_errors(scene.geometry, inputs)
+        found["loss"] = self.total(self.geometry_losses(scene.features, scene.geometry, inputs))
+        assert views.cameras is not None and inputs.cameras is not None
+        drawn = self.renderer(self.gaussians_at(scene.attributes, scene.geometry, inputs.cameras), views.cameras)
+        known = psnr(drawn.color, views.images)
         found["psnr_input_true_cameras"] = known[:, : batch.context].mean()
         if self.target_views:
             found["psnr_novel_true_cameras"] = known[:, batch.context :].mean()
-        own = self.renderer(
-            self.backbone.adapter(scene.attributes, scene.geometry, scene.clusters), scene.geometry.cameras
-        )
-        found["psnr_input_own_cameras"] = psnr(own.color, scene.views.images).mean()
-        self.log_dict({f"val/{name}": value for name, value in found.items()}, batch_size=rows)
+        own = self.backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
+        redrawn = self.renderer(own, scene.geometry.cameras)
+        found["psnr_input_own_cameras"] = psnr(redrawn.color, inputs.images).mean()
+        self.log_dict({f"val/{name}": value for name, value in found.items()}, batch_size=len(batch.keys))
 
     def configure_optimizers(self) -> Any:
         """AdamW with a warm-up and a cosine to 1 % of the rate."""
@@ -194,17 +227,17 @@ def psnr(drawn: Float[Tensor, "B V 3 H W"], seen: Float[Tensor, "B V 3 H W"]) ->
     return -10 * (drawn - seen).square().mean((2, 3, 4)).clamp_min(1e-10).log10()
 
 
-def geometry_errors(scene: Scene, views: Views) -> dict[str, Float[Tensor, ""]]:
+def geometry_errors(geometry: Geometry, views: Views) -> dict[str, Float[Tensor, ""]]:
     """Errors of depth (relative, after one median scale a scene) and of cameras relative to the first view.
 
     Rotations and the directions of translations are compared pair by pair with the first view, in degrees; medians.
     """
     assert views.cameras is not None and views.depth is not None
     known = views.depth > 0
-    ratio = torch.where(known, views.depth / scene.geometry.depth.clamp_min(1e-6), torch.nan)
+    ratio = torch.where(known, views.depth / geometry.depth.clamp_min(1e-6), torch.nan)
     scale = ratio.flatten(1).nanmedian(dim=1).values[:, None, None, None]
-    relative = ((scene.geometry.depth * scale - views.depth).abs() / views.depth.clamp_min(1e-6))[known].mean()
-    found = scene.geometry.cameras.camera_from_world[:, :1] @ scene.geometry.cameras.world_from_camera[:, 1:]
+    relative = ((geometry.depth * scale - views.depth).abs() / views.depth.clamp_min(1e-6))[known].mean()
+    found = geometry.cameras.camera_from_world[:, :1] @ geometry.cameras.world_from_camera[:, 1:]
     true = views.cameras.camera_from_world[:, :1] @ views.cameras.world_from_camera[:, 1:]
     errors = {"depth_abs_rel": relative}
     if found.shape[1]:
@@ -214,6 +247,11 @@ def geometry_errors(scene: Scene, views: Views) -> dict[str, Float[Tensor, ""]]:
         errors["rotation_error_median_deg"] = cosine.clamp(-1, 1).acos().rad2deg().median()
         errors["translation_direction_error_median_deg"] = toward.clamp(-1, 1).acos().rad2deg().median()
     return errors
+
+
+def _rows(value: Any, rows: slice) -> Any:
+    """Some scenes of a batch of values."""
+    return pytree.tree_map_only(Tensor, lambda tensor: tensor[rows], value)
 
 
 @torch.no_grad()

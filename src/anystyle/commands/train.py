@@ -1,0 +1,47 @@
+"""Train a component, or continue to: every word is a Hydra override."""
+
+from pathlib import Path
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig
+
+from anystyle.commands._compose import main
+from anystyle.training.run import train
+
+
+def run(config: DictConfig) -> dict[str, float]:
+    """Train, and say where the results are.
+
+    Raises:
+        ValueError: Several devices are asked for inside a multirun.
+    """
+    check_devices(config)
+    outcome = train(config, Path(config.out))
+    where = Path(config.out)
+    if outcome.finished:
+        names = ", ".join(path.name for path in outcome.weights) or "nothing to keep"
+        print(f"{outcome.steps} steps done; {names} in {where}")
+    else:
+        print(f"stopped after step {outcome.steps}; the same command continues from {where}")
+    return dict(outcome.metrics)
+
+
+def check_devices(config: DictConfig) -> None:
+    """Refuse what would start the sweep again in every process.
+
+    Raises:
+        ValueError: Several devices are asked for inside a multirun whose jobs are not processes of their own.
+    """
+    state = HydraConfig.get()
+    one = config.trainer.devices in (1, "1") and config.trainer.num_nodes == 1
+    launcher = str(state.runtime.choices.get("hydra/launcher"))
+    if state.mode is RunMode.MULTIRUN and not one and not launcher.startswith("submitit"):
+        raise ValueError(
+            f"trainer.devices={config.trainer.devices} inside a multirun would start the sweep again in every "
+            "process; use hydra/launcher=submitit_slurm, or trainer.devices=1"
+        )
+
+
+if __name__ == "__main__":
+    main("train", run)

@@ -1,0 +1,297 @@
+"""What a run needs besides its maths: seeds, safety, averages and signs of life."""
+
+import logging
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import lightning.pytorch as pl
+import torch
+from torch import Tensor, nn
+
+from anystyle.files import atomic_path
+
+log = logging.getLogger(__name__)
+
+
+class StepSeed(pl.Callback):
+    """Seed the global generators before every step with the run's seed, the step and the rank.
+
+    A step's randomness is then a function of the step, and a continued run needs no generator's state.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self.seed = seed
+
+    def on_train_batch_start(self, trainer: pl.Trainer, *args: Any) -> None:
+        """Seed."""
+        words = torch.tensor([self.seed, trainer.fit_loop.total_batch_idx + 1, trainer.global_rank], dtype=torch.int64)
+        mixed = 0
+        for word in words.tolist():
+            # SplitMix64: near words give unrelated seeds.
+            mixed = (mixed + word + 0x9E3779B97F4A7C15) % 2**64
+            mixed = ((mixed ^ (mixed >> 30)) * 0xBF58476D1CE4E5B9) % 2**64
+            mixed = ((mixed ^ (mixed >> 27)) * 0x94D049BB133111EB) % 2**64
+            mixed ^= mixed >> 31
+        torch.manual_seed(mixed % 2**63)
+
+
+class LastCheckpoint(pl.Callback):
+    """Keep one checkpoint that a run can be continued from, and write it before an orderly end.
+
+    The file is written beside its place and then takes its name, so that a kill or a full disk leaves the last good
+    one. SIGTERM and the first Ctrl-C end the run after the current step.
+
+    Args:
+        path: Where it goes.
+        every_steps: Steps between two writings.
+        every_minutes: Minutes between two writings, whichever comes first.
+    """
+
+    def __init__(self, path: str | Path, *, every_steps: int = 500, every_minutes: float = 5.0) -> None:
+        self.path = Path(path)
+        self.every_steps, self.every_seconds = every_steps, 60 * every_minutes
+        self.stopped_by: str | None = None
+        self._written = time.monotonic()
+        self._previous: dict[signal.Signals, Any] = {}
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Listen to signals, in place of Lightning's own handler, which would end the run without saving."""
+        self._written = time.monotonic()
+        if threading.current_thread() is threading.main_thread():
+            for name in (signal.SIGTERM, signal.SIGINT):
+                self._previous[name] = signal.signal(name, self._stop)
+
+    def _stop(self, number: int, frame: Any) -> None:
+        name = signal.Signals(number)
+        self.stopped_by = name.name
+        # A second Ctrl-C ends at once.
+        if name is signal.SIGINT:
+            signal.signal(signal.SIGINT, signal.default_int_handler)
+
+    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *args: Any) -> None:
+        """Save if it is time, or if the run is to end."""
+        stop = trainer.strategy.reduce_boolean_decision(self.stopped_by is not None, all=False)
+        step = trainer.global_step
+        late = trainer.strategy.reduce_boolean_decision(
+            time.monotonic() - self._written > self.every_seconds, all=False
+        )
+        if stop or late or step % self.every_steps == 0:
+            self.save(trainer)
+        if stop:
+            log.warning("stopped by %s after step %d; the same command continues", self.stopped_by, step)
+            trainer.should_stop = True
+
+    def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Save where the run ended."""
+        self._restore()
+        if trainer.global_step and self.stopped_by is None:
+            self.save(trainer)
+
+    def on_exception(self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException) -> None:
+        """Give the signals back; the last checkpoint stays as it is."""
+        self._restore()
+
+    def save(self, trainer: pl.Trainer) -> None:
+        """Write the checkpoint; all processes take part, the first one writes."""
+        if trainer.fast_dev_run:
+            return
+        with _atomic_on_first(trainer, self.path) as temporary:
+            trainer.save_checkpoint(temporary)
+        self._written = time.monotonic()
+
+    def _restore(self) -> None:
+        while self._previous:
+            signal.signal(*self._previous.popitem())
+
+
+@contextmanager
+def _atomic_on_first(trainer: pl.Trainer, path: Path) -> Iterator[Path]:
+    if trainer.is_global_zero:
+        with atomic_path(path) as temporary:
+            yield temporary
+    else:
+        yield path
+
+
+class FiniteLoss(pl.Callback):
+    """Stop a run whose loss or gradient is no number, and keep the batch that did it.
+
+    Args:
+        path: Where the batch goes.
+        max_gradient: A gradient norm above this stops the run too; ``None`` means any finite one will do.
+    """
+
+    def __init__(self, path: str | Path, *, max_gradient: float | None = None) -> None:
+        self.path = Path(path)
+        self.max_gradient = max_gradient
+        self._batch: Any = None
+
+    def on_train_batch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule, batch: Any, *args: Any) -> None:
+        """Remember the batch."""
+        self._batch = batch
+
+    def on_before_backward(self, trainer: pl.Trainer, pl_module: pl.LightningModule, loss: Tensor) -> None:
+        """Look at the loss before it spoils a weight."""
+        if not torch.isfinite(loss):
+            self._refuse(trainer, f"the loss is {loss.item()}")
+
+    def on_before_optimizer_step(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, optimizer: torch.optim.Optimizer
+    ) -> None:
+        """Look at the gradient, and log its norm."""
+        norm = gradient_norm(pl_module)
+        pl_module.log("train/gradient_norm", norm)
+        if not torch.isfinite(norm) or (self.max_gradient is not None and norm > self.max_gradient):
+            self._refuse(trainer, f"the gradient's norm is {norm.item():g}")
+
+    def _refuse(self, trainer: pl.Trainer, what: str) -> None:
+        with atomic_path(self.path) as temporary:
+            torch.save({"step": trainer.global_step, "batch": self._batch}, temporary)
+        raise ValueError(
+            f"at step {trainer.global_step} {what}; the batch is in {self.path}. "
+            f"Lower training.learning_rate, or continue from the last checkpoint with another seed"
+        )
+
+
+def gradient_norm(module: nn.Module) -> Tensor:
+    """The norm of all gradients together."""
+    norms = [parameter.grad.norm() for parameter in module.parameters() if parameter.grad is not None]
+    return torch.stack(norms).norm() if norms else torch.zeros(())
+
+
+class Average(pl.Callback):
+    """An exponential moving average of the trainable weights, used for validation and for what is exported.
+
+    Args:
+        decay: Of the average; early on it is ``(1 + step) / (10 + step)``, so that it is not slow to start.
+    """
+
+    def __init__(self, decay: float = 0.999) -> None:
+        self.decay = decay
+        self.weights: dict[str, Tensor] = {}
+
+    @torch.no_grad()
+    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *args: Any) -> None:
+        """Move the average toward the weights."""
+        step = trainer.global_step
+        decay = min(self.decay, (1 + step) / (10 + step))
+        for name, parameter in _trainable(pl_module):
+            if name not in self.weights:
+                self.weights[name] = parameter.detach().clone()
+            else:
+                self.weights[name].lerp_(parameter.detach(), 1 - decay)
+
+    def on_validation_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Validate the average."""
+        self.swap(pl_module)
+
+    def on_validation_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Go on with the weights."""
+        self.swap(pl_module)
+
+    @torch.no_grad()
+    def swap(self, module: nn.Module) -> None:
+        """Exchange the average and the weights; twice is not at all."""
+        for name, parameter in _trainable(module):
+            if name in self.weights:
+                kept = parameter.detach().clone()
+                parameter.copy_(self.weights[name])
+                self.weights[name] = kept
+
+    def state_dict(self) -> dict[str, Any]:
+        """The average."""
+        return {"weights": self.weights}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take an average up again."""
+        self.weights = dict(state_dict["weights"])
+
+
+def _trainable(module: nn.Module) -> list[tuple[str, nn.Parameter]]:
+    return [(name, parameter) for name, parameter in module.named_parameters() if parameter.requires_grad]
+
+
+class SkipOutliers(pl.Callback):
+    """The reference's rule for losses far above the usual: their gradients count for almost nothing.
+
+    From step ``after`` on, a loss above ``mean + deviations * std`` of the last ``window`` losses has its gradient
+    scaled by 1e-10; the optimiser's averages and the weight decay still move, as in the published code.
+
+    Args:
+        window: Losses remembered; the rule sleeps until there are so many.
+        deviations: Of the mean, in population standard deviations.
+        after: The first step at which it applies.
+    """
+
+    def __init__(self, *, window: int = 500, deviations: float = 0.85, after: int = 3000) -> None:
+        self.window, self.deviations, self.after = window, deviations, after
+        self.history: list[float] = []
+        self._skip = False
+
+    def on_before_backward(self, trainer: pl.Trainer, pl_module: pl.LightningModule, loss: Tensor) -> None:
+        """Compare the loss with its history."""
+        value = float(loss.detach())
+        self._skip = False
+        if len(self.history) == self.window:
+            mean = sum(self.history) / self.window
+            deviation = (sum((past - mean) ** 2 for past in self.history) / self.window) ** 0.5
+            self._skip = trainer.global_step > self.after and value > mean + self.deviations * deviation
+        self.history = [*self.history, value][-self.window :]
+
+    @torch.no_grad()
+    def on_after_backward(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Scale the gradients of a skipped step."""
+        if self._skip:
+            for parameter in pl_module.parameters():
+                if parameter.grad is not None:
+                    parameter.grad.mul_(1e-10)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The history."""
+        return {"history": self.history}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take the history up again."""
+        self.history = list(state_dict["history"])
+
+
+class Lines(pl.Callback):
+    """A line of text every so often, where there is no terminal to draw a progress bar on.
+
+    Args:
+        every_seconds: At least so long between two lines.
+        write: Where the line goes.
+    """
+
+    def __init__(self, every_seconds: float = 30.0, write: Callable[[str], Any] = sys.stderr.write) -> None:
+        self.every_seconds, self.write = every_seconds, write
+        self._last = self._start = time.monotonic()
+        self._first_step = 0
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Start the clock."""
+        self._last = self._start = time.monotonic()
+        self._first_step = trainer.global_step
+
+    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *args: Any) -> None:
+        """Say where the run is."""
+        now, step, total = time.monotonic(), trainer.global_step, trainer.max_steps
+        if now - self._last < self.every_seconds and step < total:
+            return
+        self._last = now
+        speed = (now - self._start) / max(1, step - self._first_step)
+        loss = trainer.callback_metrics.get("train/loss")
+        text = f"step {step}/{total}" + ("" if loss is None else f"  loss {float(loss):.4f}")
+        self.write(f"{text}  {speed:.3f} s/step  {speed * (total - step) / 60:.1f} min left\n")
+
+    def on_validation_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Say what validation found."""
+        found = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
+        if found and not trainer.sanity_checking:
+            self.write("  ".join(f"{name} {value:.4g}" for name, value in sorted(found.items())) + "\n")

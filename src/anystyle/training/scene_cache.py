@@ -1,0 +1,78 @@
+"""Encoded scenes kept in memory, for trainings in which the backbone does not change."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from dataclasses import fields
+from typing import Any, TypeVar
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from anystyle.types import Clusters, Scene, Value, Views
+
+T = TypeVar("T")
+
+
+class EncodedScenes:
+    """Scenes by the keys of what they show, least recently used first out.
+
+    Every scene is encoded alone, whether or not it stays: a batch is the same with and without the cache.
+
+    Args:
+        encode: Turns the views of one scene into a scene.
+        limit: How many are kept; 0 keeps none.
+    """
+
+    def __init__(self, encode: Callable[[Views], Scene], limit: int) -> None:
+        self.encode, self.limit = encode, limit
+        self._kept: OrderedDict[int, Scene] = OrderedDict()
+
+    def __call__(self, views: Views, keys: Sequence[int]) -> Scene:
+        """The scenes of a batch of views, one key a row."""
+        return stack_scenes([self._one(views, row, key) for row, key in enumerate(keys)])
+
+    def _one(self, views: Views, row: int, key: int) -> Scene:
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key]
+        scene = self.encode(views.map(lambda tensor: tensor[row : row + 1]))
+        if self.limit:
+            self._kept[key] = scene
+            while len(self._kept) > self.limit:
+                self._kept.popitem(last=False)
+        return scene
+
+
+def stack_scenes(scenes: Sequence[Scene]) -> Scene:
+    """One batch of scenes of equal shapes; clusters are padded to one count."""
+    if len(scenes) == 1:
+        return scenes[0]
+    clusters = [scene.clusters for scene in scenes if scene.clusters is not None]
+    stacked = {
+        item.name: _stacked([getattr(scene, item.name) for scene in scenes])
+        for item in fields(Scene)
+        if item.name != "clusters"
+    }
+    return Scene(**stacked, clusters=_padded(clusters) if clusters else None)
+
+
+def _stacked(values: Sequence[Any]) -> Any:
+    first = values[0]
+    if isinstance(first, Tensor):
+        return torch.cat(list(values))
+    if isinstance(first, Value):
+        return type(first)(**{item.name: _stacked([getattr(v, item.name) for v in values]) for item in fields(first)})
+    if isinstance(first, dict):
+        return {key: _stacked([value[key] for value in values]) for key in first}
+    return first
+
+
+def _padded(clusters: Sequence[Clusters]) -> Clusters:
+    count = max(one.means.shape[1] for one in clusters)
+    return Clusters(
+        index=torch.cat([one.index for one in clusters]),
+        weight=torch.cat([one.weight for one in clusters]),
+        means=torch.cat([F.pad(one.means, (0, 0, 0, count - one.means.shape[1])) for one in clusters]),
+        valid=torch.cat([F.pad(one.valid, (0, count - one.valid.shape[1])) for one in clusters]),
+    )

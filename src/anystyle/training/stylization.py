@@ -1,0 +1,258 @@
+"""Training the style branch: a frozen backbone, styled renders, and the objective of the paper."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor, nn
+
+from anystyle.contracts import Loss, SceneSource, StyleSource, neutral_embedding
+from anystyle.files import atomic_path
+from anystyle.stylizer import Stylizer
+from anystyle.training.contract import Training, required
+from anystyle.training.data import Batch, SceneBatches
+from anystyle.training.optim import scheduled, trainable
+from anystyle.training.sampling import generator
+from anystyle.training.scene_cache import EncodedScenes
+from anystyle.types import Scene, Style, StyleEmbedding, Stylization, Views
+
+
+class StylizationTraining(Training):
+    """Teach a style branch to put styles on scenes (paper section 3.3; defaults as published).
+
+    The backbone and the style encoder are frozen. The scene is rendered at its own cameras, and every loss sees the
+    result. Whether a step's styles come as texts or as images is a function of the step.
+
+    Args:
+        stylizer: Its branch learns.
+        losses: The objective: terms by name, each with its weight.
+        images: Images a step over all processes; with n views a scene that is ``images // n`` scenes.
+        batch_size: Scenes a step, instead of ``images``.
+        context_views: Least and most views of a scene.
+        view_power: Numbers of views are drawn in proportion to their power.
+        spread: ``any`` views of a scene, or the published ``bounded`` window of a video.
+        heights: Least and greatest image height; ``None`` leaves images as they are.
+        width: Of the images; ``None`` keeps their shape.
+        flip: Chance of mirroring a scene.
+        pool: So many fixed selections of scenes and views; ``None`` means new ones each step.
+        cache_scenes: Encoded scenes kept in memory; of use with a ``pool``.
+        text_ratio: Share of steps whose styles are texts.
+        alternation: ``coin`` tosses for each step; ``strict`` spreads text steps evenly.
+        mix_ratio: Share of steps whose styles are random mixtures of two of the batch.
+        learning_rate: Of the head and of all injectors of the head.
+        aggregator_rate: Times ``learning_rate``, for the aggregator's copy and its injectors, as published.
+        betas: Of AdamW.
+        warmup: Steps of the warm-up.
+        weight_decay: Of all parameters.
+        floor: The learning rate at the end.
+        decay_steps: Length of the cosine; ``None`` means to the end of the training (published: 300 000).
+        preview_every: Steps between two grids of styled renders; 0 draws none.
+        preview_texts: The texts of the grid.
+    """
+
+    def __init__(
+        self,
+        *,
+        stylizer: Stylizer,
+        losses: Mapping[str, Loss],
+        images: int = 36,
+        batch_size: int | None = None,
+        context_views: Sequence[int] = (2, 18),
+        view_power: float = 2.0,
+        spread: Literal["any", "bounded"] = "bounded",
+        heights: Sequence[int] | None = (224, 448),
+        width: int | None = 448,
+        flip: float = 0.5,
+        pool: int | None = None,
+        cache_scenes: int = 0,
+        text_ratio: float = 0.25,
+        alternation: Literal["coin", "strict"] = "coin",
+        mix_ratio: float = 0.0,
+        learning_rate: float = 1e-4,
+        aggregator_rate: float = 0.3,
+        betas: Sequence[float] = (0.9, 0.95),
+        warmup: int = 100,
+        weight_decay: float = 0.05,
+        floor: float = 1e-5,
+        decay_steps: int | None = None,
+        preview_every: int = 0,
+        preview_texts: Sequence[str] = ("blue and yellow swirling brush strokes", "orange and navy stripes"),
+    ) -> None:
+        super().__init__()
+        for name, share in (("text_ratio", text_ratio), ("mix_ratio", mix_ratio), ("flip", flip)):
+            if not 0 <= share <= 1:
+                raise ValueError(f"training.{name} is {share}; give a share between 0 and 1")
+        if not losses:
+            raise ValueError("there is nothing to learn from; add loss=[content,style,clip_directional]")
+        self.stylizer = stylizer
+        self.terms = nn.ModuleDict(losses)
+        self.images, self.batch_size = images, batch_size
+        self.context_views, self.view_power, self.spread = context_views, view_power, spread
+        self.heights, self.width, self.flip, self.pool = heights, width, flip, pool
+        self.encoded = EncodedScenes(stylizer.encode, cache_scenes)
+        self.text_ratio, self.alternation, self.mix_ratio = text_ratio, alternation, mix_ratio
+        self.learning_rate, self.aggregator_rate, self.betas = learning_rate, aggregator_rate, betas
+        self.warmup, self.weight_decay = warmup, weight_decay
+        self.floor, self.decay_steps = floor, decay_steps
+        self.preview_every, self.preview_texts = preview_every, preview_texts
+        self.preview_path: Path | None = None
+        self.seed = 0
+
+    def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
+        """Scenes with one style each."""
+        self.seed = seed
+        return SceneBatches(
+            required(scenes, "scenes"),
+            required(styles, "styles"),
+            seed=seed,
+            images=self.images,
+            batch_size=self.batch_size,
+            context_views=self.context_views,
+            view_power=self.view_power,
+            spread=self.spread,
+            heights=self.heights,
+            width=self.width,
+            multiple=self.stylizer.backbone.patch_size,
+            flip=self.flip,
+            pool=self.pool,
+        )
+
+    def exports(self) -> Mapping[str, nn.Module]:
+        """The style branch."""
+        return {"branch": self.stylizer.branch}
+
+    def training_step(self, batch: Batch, step: int) -> Tensor:
+        """The weighted sum of the terms."""
+        assert batch.style is not None
+        embedding = self.embed(batch.style, self.global_step)
+        result = self.stylize(batch, embedding)
+        total = torch.zeros((), device=result.renders.color.device)
+        rows = len(batch.keys)
+        for name, term in self.terms.items():
+            value = term(result)
+            total = total + term.weight * value
+            self.log(f"train/{name}", value, batch_size=rows)
+        self.log("train/loss", total, batch_size=rows, prog_bar=True)
+        return total
+
+    def stylize(self, batch: Batch, embedding: StyleEmbedding) -> Stylization:
+        """Encode (or remember) the scenes, style them and render them at their own cameras."""
+        assert batch.style is not None
+        views = batch.inputs
+        scene = self.encoded(Views(images=views.images), batch.keys)
+        gaussians = self.stylizer.restyle(scene, embedding)
+        renders = self.stylizer.render(gaussians, scene.cameras)
+        return Stylization(views, batch.style, embedding, scene, gaussians, renders)
+
+    def embed(self, style: Style, step: int) -> StyleEmbedding:
+        """The styles of a step: as texts or as images; a row that lacks the one comes as the other."""
+        as_text = self.is_text_step(step)
+        vector = style_vectors(self.stylizer, style, as_text=as_text)
+        mixing = generator(self.seed, 6, step)
+        if mixing.random() < self.mix_ratio:
+            share = vector.new_tensor(mixing.random(vector.shape[0]))[:, None]
+            vector = torch.lerp(vector, vector.roll(1, 0), share)
+        neutral = neutral_embedding(self.stylizer.style_encoder)
+        return StyleEmbedding(vector, nn.functional.normalize(vector - neutral, dim=-1))
+
+    def is_text_step(self, step: int) -> bool:
+        """Whether the styles of a step come as texts; the same in every process and after a restart."""
+        if self.alternation == "strict":
+            return int((step + 1) * self.text_ratio) > int(step * self.text_ratio)
+        return bool(generator(self.seed, 5, step).random() < self.text_ratio)
+
+    def on_train_batch_end(self, outputs: Any, batch: Batch, step: int) -> None:
+        """Draw the grid of styled renders when it is time."""
+        due = self.preview_every and self.global_step % self.preview_every == 0
+        if due and self.preview_path is not None and self.trainer.is_global_zero:
+            write_preview(self.preview_path / f"step_{self.global_step:07d}.png", self.preview(batch))
+
+    @torch.no_grad()
+    def preview(self, batch: Batch) -> list[list[Float[Tensor, "3 H W"]]]:
+        """Rows of images: the photographs of the first scene, unstyled renders, and renders in each style."""
+        views = Views(images=batch.inputs.images[:1])
+        scene = self.encoded(views, batch.keys[:1])
+        rows = [list(views.images[0]), self._drawn(scene, None)]
+        rows += [self._drawn(scene, self.stylizer.embed(text=text)) for text in self.preview_texts]
+        if batch.style is not None and batch.style.image is not None:
+            rows.append(self._drawn(scene, self.stylizer.embed(image=batch.style.image[:1])))
+        return rows
+
+    def _drawn(self, scene: Scene, embedding: StyleEmbedding | None) -> list[Tensor]:
+        stylizer = self.stylizer
+        gaussians = stylizer.unstyled(scene) if embedding is None else stylizer.restyle(scene, embedding)
+        return list(stylizer.render(gaussians, scene.cameras).color[0])
+
+    def configure_optimizers(self) -> Any:
+        """AdamW with the published groups, warm-up and cosine."""
+        optimizer = torch.optim.AdamW(
+            branch_groups(self.stylizer, lr=self.learning_rate, aggregator_rate=self.aggregator_rate),
+            betas=(self.betas[0], self.betas[1]),
+            weight_decay=self.weight_decay,
+        )
+        total = self.trainer.max_steps if self.decay_steps is None else self.decay_steps
+        return scheduled(optimizer, total=total, warmup=self.warmup, floor=self.floor)
+
+    def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Keep the branch; what is frozen comes from its own files."""
+        checkpoint["state_dict"] = {
+            key: value for key, value in checkpoint["state_dict"].items() if key.startswith("stylizer.branch.")
+        }
+
+    def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
+        """Add what is frozen, so that loading stays strict."""
+        frozen = {key: value for key, value in self.state_dict().items() if not key.startswith("stylizer.branch.")}
+        checkpoint["state_dict"] = frozen | checkpoint["state_dict"]
+
+
+def branch_groups(stylizer: Stylizer, *, lr: float, aggregator_rate: float) -> list[dict[str, Any]]:
+    """The published parameter groups: head and its injectors; aggregator and its injectors at a share of the rate."""
+    branch = stylizer.branch
+    inside = {site.name for site in stylizer.backbone.aggregator.sites}
+    slow = [branch.injectors[name] for name in branch.injectors if name in inside]
+    slow += [] if branch.aggregator is None else [branch.aggregator]
+    fast = [branch.injectors[name] for name in branch.injectors if name not in inside]
+    groups = [
+        {"params": trainable([branch.gaussian_head, *fast]), "lr": lr, "name": "head"},
+        {"params": trainable(slow), "lr": lr * aggregator_rate, "name": "aggregator"},
+    ]
+    return [group for group in groups if group["params"]]
+
+
+@torch.no_grad()
+def style_vectors(stylizer: Stylizer, style: Style, *, as_text: bool) -> Float[Tensor, "B D"]:
+    """Embeddings of styles as texts or as images, row by row as the other where one is missing.
+
+    Raises:
+        ValueError: A style has neither.
+    """
+    encoder = stylizer.style_encoder
+    count = len(style.text) if style.text is not None else 0 if style.image is None else style.image.shape[0]
+    texts = style.text or ("",) * count
+    if style.image is None:
+        pictured = [False] * count
+    else:
+        pictured = [True] * count if style.has_image is None else style.has_image.tolist()
+    reads = [bool(text) and (as_text or not seen) for text, seen in zip(texts, pictured, strict=True)]
+    rows: list[Tensor] = []
+    for row, read in enumerate(reads):
+        if read:
+            rows.append(encoder.embed_texts([texts[row]])[0])
+        elif pictured[row]:
+            assert style.image is not None
+            rows.append(encoder.embed_images(style.image[row : row + 1])[0])
+        else:
+            raise ValueError("a style has neither an image nor a text; look at the style source")
+    return torch.stack(rows)
+
+
+def write_preview(path: Path, rows: Sequence[Sequence[Float[Tensor, "3 H W"]]]) -> None:
+    """Write a grid of images as a PNG file."""
+    grid = torch.cat([torch.cat(list(row), dim=-1) for row in rows], dim=-2).clamp(0, 1)
+    levels = (grid.permute(1, 2, 0).cpu().float().numpy() * 255 + 0.5).astype(np.uint8)
+    with atomic_path(path) as temporary:
+        Image.fromarray(levels).save(temporary)
