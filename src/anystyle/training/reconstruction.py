@@ -1,6 +1,7 @@
 """Training a backbone from scratch: depth, cameras and Gaussians from posed scenes with depth."""
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from typing import Any
 
@@ -119,12 +120,14 @@ class ReconstructionTraining(Training):
 
     def training_step(self, batch: Batch, step: int) -> Tensor:
         """The weighted sum of all losses."""
-        views = canonical(batch.views, batch.context)
-        inputs = views.select(list(range(batch.context)))
         backbone = self.backbone
-        stem = backbone.embedder(inputs.images)
-        features = backbone.aggregator(stem)
-        geometry = backbone.geometry_head(features, inputs.size)
+        with self.exact():
+            views = canonical(batch.views, batch.context)
+        inputs = views.select(list(range(batch.context)))
+        features = backbone.aggregator(backbone.embedder(inputs.images))
+        with self.exact():
+            features = {layer: tokens.to(torch.float32) for layer, tokens in features.items()}
+            geometry = backbone.geometry_head(features, inputs.size)
         losses = self.geometry_losses(features, geometry, inputs)
         rows = len(batch.keys)
         if self.global_step % self.render_every == 0:
@@ -135,6 +138,10 @@ class ReconstructionTraining(Training):
         self.log("train/loss", total, batch_size=rows, prog_bar=True)
         self.log_dict({f"train/{name}": loss for name, loss in losses.items()}, batch_size=rows)
         return total
+
+    def exact(self) -> AbstractContextManager[Any]:
+        """Full precision, whatever the trainer's: cameras and points want every digit."""
+        return torch.autocast(self.device.type, enabled=False)
 
     def total(self, losses: Mapping[str, Float[Tensor, ""]]) -> Float[Tensor, ""]:
         """The weighted sum."""
@@ -151,7 +158,7 @@ class ReconstructionTraining(Training):
         cameras, depth = inputs.cameras, inputs.depth
         assert cameras is not None and depth is not None
         grid = next(iter(features.values())).grid
-        with torch.autocast(depth.device.type, enabled=False):
+        with self.exact():
             return {
                 "depth": depth_loss(geometry.depth, geometry.confidence, depth),
                 "camera": camera_loss(geometry.cameras, cameras),
@@ -174,7 +181,7 @@ class ReconstructionTraining(Training):
         context = geometry.depth.shape[1]
         attributes = self.backbone.gaussian_head(features, views.images[:, :context])
         assert views.cameras is not None
-        with torch.autocast(views.images.device.type, enabled=False):
+        with self.exact():
             gaussians = self.gaussians_at(attributes.to(torch.float32), geometry, views.cameras.select(slice(context)))
             aims = views.select(list(drawn))
             assert aims.cameras is not None
@@ -185,8 +192,8 @@ class ReconstructionTraining(Training):
         geometry, adapter = replace(geometry, cameras=cameras), self.backbone.adapter
         return adapter(attributes, geometry, adapter.cluster(geometry, attributes))
 
-    def validation_step(self, batch: Batch, step: int) -> None:
-        """Log how far depth, cameras and renders are off."""
+    def errors(self, batch: Batch) -> dict[str, Float[Tensor, ""]]:
+        """How far depth, cameras and renders of a batch are off."""
         views = canonical(batch.views, batch.context)
         inputs = views.select(list(range(batch.context)))
         scene = self.backbone.encode(inputs)
@@ -201,6 +208,12 @@ class ReconstructionTraining(Training):
         own = self.backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
         redrawn = self.renderer(own, scene.geometry.cameras)
         found["psnr_input_own_cameras"] = psnr(redrawn.color, inputs.images).mean()
+        return found
+
+    def validation_step(self, batch: Batch, step: int) -> None:
+        """Log how far depth, cameras and renders are off."""
+        with self.exact():
+            found = self.errors(batch)
         self.log_dict({f"val/{name}": value for name, value in found.items()}, batch_size=len(batch.keys))
 
     def configure_optimizers(self) -> Any:

@@ -41,6 +41,7 @@ class StyleBatch(Value):
         traits: The number of each style's answer to each of :data:`TRAITS`.
         photos: Pictures of scenes, as large as the styles.
         photo_texts: A caption of each.
+        keys: One number a picture, styles first; equal numbers mean equal pictures.
     """
 
     images: Float[Tensor, "M 3 H W"]
@@ -48,6 +49,7 @@ class StyleBatch(Value):
     traits: Int[Tensor, "M T"]
     photos: Float[Tensor, "P 3 H W"]
     photo_texts: tuple[str, ...]
+    keys: tuple[int, ...] = ()
 
 
 class MadeStyles(Protocol):
@@ -112,8 +114,9 @@ class StyleBatches:
             ValueError: Styles and scenes differ in size.
         """
         rng = generator(self.seed, 7, step)
-        rows = [self._style(int(style)) for style in rng.choice(self.pool, self.batch_size, replace=False)[rank::world]]
-        photos = [self._photo(int(photo)) for photo in rng.integers(0, self.photo_pool, self.photos)[rank::world]]
+        styles = rng.choice(self.pool, self.batch_size, replace=False)[rank::world].tolist()
+        scenes = rng.integers(0, self.photo_pool, self.photos)[rank::world].tolist()
+        rows, photos = [self._style(style) for style in styles], [self._photo(photo) for photo in scenes]
         texts = tuple(PHOTO_TEXTS[int(text)] for text in rng.integers(0, len(PHOTO_TEXTS), self.photos)[rank::world])
         if photos and photos[0].shape != rows[0][0].shape:
             raise ValueError(
@@ -126,6 +129,8 @@ class StyleBatches:
             traits=torch.stack([traits for _, _, traits in rows]),
             photos=(torch.stack(photos) if photos else rows[0][0].new_empty(0, *rows[0][0].shape)).float() / 255,
             photo_texts=texts,
+            # Styles count up from 0, photographs down from -1.
+            keys=(*styles, *(-1 - photo for photo in scenes)),
         )
 
     def examples(self, count: int) -> StyleBatch:
