@@ -1,0 +1,152 @@
+"""How tensors are held against a contract: shapes by their annotations, numbers by what rounding leaves of them."""
+
+import types
+from collections.abc import Mapping
+from dataclasses import fields
+from typing import Any, Union, get_args, get_origin
+
+import torch
+import torch.utils._pytree as pytree
+from jaxtyping import AbstractArray
+from torch import Tensor
+
+from anystyle.testing.check import expect
+
+
+def conform(value: object, cls: type, where: str, **sizes: int) -> None:
+    """Hold every tensor of a dataclass against the shape and kind of number that the class declares.
+
+    Args:
+        value: What the plugin returned.
+        cls: The dataclass it should be.
+        where: What returned it, for the message.
+        sizes: What axis letters stand for; a letter not named here is bound by the first tensor that has it.
+    """
+    change = f"return {cls.__name__}(...) from there, with the shapes of its docstring in `anystyle.types`"
+    expect(
+        isinstance(value, cls),
+        given=f"{where} returned {_article(type(value).__name__)}",
+        expected=_article(cls.__name__),
+        change=change,
+    )
+    bound = dict(sizes)
+    for item in fields(value):  # pyright: ignore[reportArgumentType]
+        _conform_field(getattr(value, item.name), item.type, f"{where}: {cls.__name__}.{item.name}", bound)
+
+
+def conform_tensor(value: object, annotation: Any, where: str, **sizes: int) -> None:
+    """Hold one tensor against a jaxtyping annotation."""
+    _conform_field(value, annotation, where, dict(sizes))
+
+
+def _conform_field(value: object, annotation: Any, where: str, bound: dict[str, int]) -> None:
+    choices = get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
+    wanted = [choice for choice in choices if isinstance(choice, type) and issubclass(choice, AbstractArray)]
+    if not wanted or (value is None and types.NoneType in choices):
+        return
+    array: Any = wanted[0]
+    axes = array.dim_str.split()
+    expected = f"{_kind(array)} of shape [{', '.join(_axis(axis, bound) for axis in axes)}]"
+    change = "check the order and number of its axes, and its dtype, where it is made"
+    if not isinstance(value, Tensor):
+        expect(False, given=f"{where} is {_article(type(value).__name__)}", expected=expected, change=change)
+        return
+    fits = value.ndim == len(axes) and str(value.dtype).removeprefix("torch.") in array.dtypes
+    for axis, size in zip(axes, value.shape, strict=False):
+        fits = fits and size == (int(axis) if axis.isdigit() else bound.setdefault(axis, size))
+    expect(fits, given=f"{where} is {kind_and_shape(value)}", expected=expected, change=change)
+
+
+def kind_and_shape(tensor: Tensor) -> str:
+    """Such as ``float32 of shape [1, 2, 3]``."""
+    return f"{str(tensor.dtype).removeprefix('torch.')} of shape {list(tensor.shape)}"
+
+
+def tensors_of(value: Any) -> dict[str, Tensor]:
+    """Every tensor of a value by its path, such as ``attributes.opacity``."""
+    leaves, _ = pytree.tree_flatten_with_path(_plain(value))
+    return {".".join(str(getattr(key, "key", key)) for key in path): leaf for path, leaf in leaves}
+
+
+def expect_finite(value: Any, where: str) -> None:
+    """Refuse NaN and infinity in any tensor of a value."""
+    for name, tensor in tensors_of(value).items():
+        bad = int((~torch.isfinite(tensor)).sum()) if tensor.is_floating_point() else 0
+        expect(
+            bad == 0,
+            given=f"{bad} of the {tensor.numel()} numbers of {_path(where, name)} are NaN or infinite",
+            expected="finite numbers",
+            change="look for a division by zero, a logarithm or root of a negative number, or an exponential that "
+            "overflows",
+        )
+
+
+def expect_same(value: Any, other: Any, *, what: str, expected: str, change: str) -> None:
+    """Refuse any difference, however small, between two values."""
+    ours, theirs = tensors_of(value), tensors_of(other)
+    for name, tensor in theirs.items():
+        same = name in ours and _is_same(ours[name], tensor)
+        size = _difference(ours[name], tensor) if name in ours else "it is absent"
+        expect(same, given=f"{_path(what, name)}: {size}", expected=expected, change=change)
+
+
+def expect_close(value: Any, other: Any, *, what: str, expected: str, change: str, tolerance: float = 1e-3) -> None:
+    """Refuse differences beyond rounding: more than ``tolerance`` of the largest number of each tensor."""
+    ours, theirs = tensors_of(value), tensors_of(other)
+    for name, tensor in theirs.items():
+        here = ours.get(name)
+        close = here is not None and here.shape == tensor.shape and _is_close(here, tensor, tolerance)
+        size = "it is absent" if here is None else _difference(here, tensor)
+        expect(close, given=f"{_path(what, name)}: {size}", expected=expected, change=change)
+
+
+def _is_same(tensor: Tensor, other: Tensor) -> bool:
+    # NaN is like NaN here: that numbers are finite is a promise of its own, and reported once.
+    return tensor.shape == other.shape and torch.allclose(tensor, other, rtol=0, atol=0, equal_nan=True)
+
+
+def _is_close(tensor: Tensor, other: Tensor, tolerance: float) -> bool:
+    if tensor.numel() == 0:
+        return True
+    a, b = tensor.detach().double(), other.detach().double()
+    limit = tolerance * max(1e-6, float(b.nan_to_num(0, 0, 0).abs().max()))
+    return torch.allclose(a, b, rtol=tolerance, atol=limit, equal_nan=True)
+
+
+def _difference(tensor: Tensor, other: Tensor) -> str:
+    if tensor.shape != other.shape:
+        return f"shape {list(tensor.shape)} against {list(other.shape)}"
+    gap = (tensor.detach().double() - other.detach().double()).abs()
+    differing = int((gap != 0).sum())
+    return f"{differing} of {gap.numel()} numbers differ, by up to {float(gap.max()):.3g}" if gap.numel() else "empty"
+
+
+def _plain(value: Any) -> Any:
+    # Values flatten without names of their fields; as dictionaries they have them.
+    if isinstance(value, Tensor) or value is None:
+        return value
+    if isinstance(value, Mapping):
+        return {str(name): plain for name, item in value.items() if (plain := _plain(item)) is not None}
+    if isinstance(value, (list, tuple)):
+        return _plain(dict(enumerate(value)))
+    if type(value).__module__ == "anystyle.types":
+        return _plain({item.name: getattr(value, item.name) for item in fields(value)})
+    return None
+
+
+def _path(where: str, name: str) -> str:
+    return f"{where} ({name})" if name else where
+
+
+def _axis(axis: str, bound: Mapping[str, int]) -> str:
+    return f"{axis}={bound[axis]}" if axis in bound else axis
+
+
+def _kind(array: Any) -> str:
+    if "bool" in array.dtypes:
+        return "booleans"
+    return "floating-point numbers" if "float32" in array.dtypes else "integers"
+
+
+def _article(name: str) -> str:
+    return f"{'an' if name[:1] in 'AEIOUaeiou' else 'a'} {name}"

@@ -1,0 +1,200 @@
+"""What an injector promises: see :class:`anystyle.contracts.Injector`."""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.contracts import Injector
+from anystyle.testing.check import Check, attempt, expect
+from anystyle.testing.comparing import conform, conform_tensor, expect_close, expect_finite, expect_same
+from anystyle.testing.inputs import generator
+from anystyle.testing.subject import Subject, seeded
+from anystyle.types import Tokens
+
+Plugin = Subject[Injector]
+
+STYLE_DIM = 24
+DIMS = (64, 128)
+
+
+def fits_every_site(plugin: Plugin) -> None:
+    """It can be built for any number of channels, and keeps the shape, the grid and the kind of tokens."""
+    for dim in DIMS:
+        with attempt(f"building it for {dim} channels", change="take `dim` and `style_dim` in the constructor"):
+            injector = _make(plugin, dim)
+        for batch, number, grid, special in ((1, 2, (3, 5), 0), (2, 1, (4, 4), 5), (1, 1, (1, 1), 1)):
+            tokens = _tokens(batch, number, grid, special, dim)
+            what = f"{batch} scene(s), {number} view(s), {special} special tokens and a grid of {grid[0]}x{grid[1]}"
+            with attempt(what, change="make it work for any number of scenes, views and tokens"):
+                result = injector(tokens, _style(batch))
+            sizes = {"B": batch, "V": number, "P": tokens.data.shape[2], "C": dim}
+            conform(result, Tokens, f"the injector on {what}", **sizes)
+            kept = (result.grid, result.special) == (tokens.grid, tokens.special) and result.order is tokens.order
+            expect(
+                kept and result.data.dtype == tokens.data.dtype,
+                given=f"other tokens: {result.grid=}, {result.special=}, {result.data.dtype=}, order kept: {kept}",
+                expected="the grid, the special tokens, the order and the dtype of what came in",
+                change="return `tokens.with_patches(...)` or `tokens.with_data(...)`",
+            )
+
+
+def changes_nothing_at_birth(plugin: Plugin) -> None:
+    """Before any training it returns the tokens bit for bit, whatever the style."""
+    for seed in range(3):
+        injector = _make(plugin, DIMS[0], seed=seed)
+        for special in (0, 5):
+            tokens = _tokens(2, 3, (3, 5), special, DIMS[0])
+            expect_same(
+                injector(tokens, _style(2, seed=seed)).data,
+                tokens.data,
+                what=f"tokens after an untrained injector (seed {seed}, {special} special tokens)",
+                expected="the same bits",
+                change="set the last layer's weight and bias to 0 and add its output, or multiply by 1 plus it",
+            )
+
+
+def learns_everywhere_by_the_second_step(plugin: Plugin) -> None:
+    """After one step of an optimiser every parameter has a gradient that is finite and not all 0."""
+    injector = _make(plugin, DIMS[0])
+    names = dict(injector.named_parameters())
+    expect(
+        len(names) > 0,
+        given="an injector without parameters",
+        expected="something to train, or it stays the identity for ever",
+        change="register layers as submodules in the constructor",
+    )
+    _train(injector, steps=2)
+    for name, parameter in names.items():
+        gradient = parameter.grad
+        expect(
+            gradient is not None and bool(gradient.any()) and bool(gradient.isfinite().all()),
+            given=f"{name} has {'no gradient' if gradient is None else 'a gradient of 0 or NaN'} in the second step",
+            expected="finite numbers that are not all 0",
+            change="make only the last factor of a product zero at birth, and leave out layers that are not used",
+        )
+
+
+def style_matters_after_training(plugin: Plugin) -> None:
+    """Once trained a little, two styles change the same tokens differently, and finitely."""
+    injector = _make(plugin, DIMS[0])
+    _train(injector, steps=3)
+    tokens = _tokens(1, 2, (3, 5), 5, DIMS[0])
+    with torch.no_grad():
+        one, other = injector(tokens, _style(1, seed=1)), injector(tokens, _style(1, seed=2))
+    expect_finite(one, "tokens after training")
+    expect(
+        not torch.equal(one.data, other.data) and not torch.equal(one.data, tokens.data),
+        given="tokens that do not depend on the style",
+        expected="a change that differs between styles",
+        change="use `style` in `forward`",
+    )
+
+
+def styles_of_a_batch_stay_apart(plugin: Plugin) -> None:
+    """Each row of a batch gets its own style: a batch gives what its rows give alone."""
+    injector = _make(plugin, DIMS[0])
+    _train(injector, steps=3)
+    tokens, style = _tokens(3, 2, (3, 5), 5, DIMS[0]), _style(3)
+    with torch.no_grad():
+        together = injector(tokens, style)
+        for row in range(3):
+            alone = injector(replace(tokens, data=tokens.data[row : row + 1]), style[row : row + 1])
+            expect_close(
+                together.data[row : row + 1],
+                alone.data,
+                what=f"row {row} of a batch against the same row alone",
+                expected="equal numbers, but for rounding",
+                change="broadcast the style over views and tokens: `style[:, None, None]`",
+            )
+
+
+def views_have_no_order(plugin: Plugin) -> None:
+    """Views in another order give the same tokens in that order."""
+    injector = _make(plugin, DIMS[0])
+    _train(injector, steps=3)
+    tokens, style = _tokens(2, 3, (3, 5), 5, DIMS[0]), _style(2)
+    turned = [2, 0, 1]
+    with torch.no_grad():
+        expect_close(
+            injector(replace(tokens, data=tokens.data[:, turned]), style).data,
+            injector(tokens, style).data[:, turned],
+            what="tokens of views in another order",
+            expected="the same tokens in that order",
+            change="give no view a special part: no parameter, mask or position by its number",
+        )
+
+
+def tokens_are_not_overwritten(plugin: Plugin) -> None:
+    """The tokens that come in are left as they were; a scene's are shared by all its styles."""
+    injector = _make(plugin, DIMS[0])
+    _train(injector, steps=3)
+    tokens = _tokens(1, 2, (3, 5), 5, DIMS[0])
+    kept = tokens.data.clone()
+    with torch.no_grad():
+        injector(tokens, _style(1))
+    expect_same(
+        tokens.data,
+        kept,
+        what="the tokens that were passed in",
+        expected="unchanged",
+        change="replace operations that end in '_', or write into a slice, by ones that make a new tensor",
+    )
+
+
+def gradients_reach_tokens_and_style(plugin: Plugin) -> None:
+    """It is differentiable in the tokens at birth, and in the style once trained."""
+    injector = _make(plugin, DIMS[0])
+    _train(injector, steps=3)
+    tokens = _tokens(1, 2, (3, 5), 5, DIMS[0])
+    data, style = tokens.data.clone().requires_grad_(), _style(1).requires_grad_()
+    result = injector(replace(tokens, data=data), style).data
+    conform_tensor(result, Float[Tensor, "B V P C"], "the injector", B=1, V=2)
+    (result * torch.randn(result.shape, generator=generator(5))).sum().backward()
+    for name, leaf in (("the tokens", data), ("the style", style)):
+        expect(
+            leaf.grad is not None and bool(leaf.grad.any()) and bool(leaf.grad.isfinite().all()),
+            given=f"no usable gradient in {name}",
+            expected="finite numbers that are not all 0",
+            change="do not detach, and stay within torch",
+        )
+
+
+def _make(plugin: Plugin, dim: int, seed: int = 0) -> Injector:
+    return plugin.build(seed=seed, dim=dim, style_dim=STYLE_DIM)
+
+
+def _tokens(batch: int, number: int, grid: tuple[int, int], special: int, dim: int) -> Tokens:
+    count = special + grid[0] * grid[1]
+    return Tokens(torch.randn(batch, number, count, dim, generator=generator(count)), grid=grid, special=special)
+
+
+def _style(batch: int, seed: int = 0) -> Float[Tensor, "B D"]:
+    return nn.functional.normalize(torch.randn(batch, STYLE_DIM, generator=generator(100 + seed)), dim=-1)
+
+
+def _train(injector: Injector, steps: int) -> None:
+    # Towards random tokens, so that no direction of the error is 0 by chance; gradients of the last step stay.
+    optimizer = torch.optim.Adam(injector.parameters(), lr=1e-2)
+    tokens, style = _tokens(4, 2, (3, 5), 5, DIMS[0]), _style(4)
+    target = torch.randn(tokens.data.shape, generator=generator(9))
+    with seeded(0):
+        for step in range(steps):
+            optimizer.zero_grad()
+            loss = (injector(tokens, style).data - target).square().mean()
+            loss.backward()
+            if step < steps - 1:
+                optimizer.step()
+
+
+CHECKS: tuple[Check, ...] = (
+    Check(fits_every_site, needed=True),
+    Check(changes_nothing_at_birth),
+    Check(learns_everywhere_by_the_second_step),
+    Check(style_matters_after_training),
+    Check(styles_of_a_batch_stay_apart),
+    Check(views_have_no_order),
+    Check(tokens_are_not_overwritten),
+    Check(gradients_reach_tokens_and_style),
+)

@@ -1,0 +1,168 @@
+"""What a style encoder promises: see :class:`anystyle.contracts.StyleEncoder`."""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import StyleEncoder
+from anystyle.testing.check import Check, attempt, expect
+from anystyle.testing.comparing import conform_tensor, expect_close, expect_finite, expect_same
+from anystyle.testing.inputs import generator, images
+from anystyle.testing.subject import Subject
+
+Plugin = Subject[StyleEncoder]
+
+TEXTS = ("thick swirling strokes in deep blue", "red", "a mosaic of green and white tiles, seen from above")
+SIZES = ((32, 32), (17, 31), (80, 48))
+
+
+def space_is_declared(plugin: Plugin) -> None:
+    """The constructor sets ``dim`` and ``neutral``, and the neutral prompt can be embedded."""
+    encoder = _eval(plugin)
+    dim, neutral = getattr(encoder, "dim", None), getattr(encoder, "neutral", None)
+    expect(
+        isinstance(dim, int) and dim >= 1 and isinstance(neutral, str) and bool(neutral),
+        given=f"dim={dim!r} and neutral={neutral!r}",
+        expected="a number of dimensions, and a prompt that stands for no style",
+        change="set `self.dim` and `self.neutral` in the constructor",
+    )
+    with attempt(f"embedding the neutral prompt {neutral!r}", change="choose a prompt that the encoder reads"):
+        encoder.embed_texts([encoder.neutral])
+
+
+@torch.no_grad()
+def texts_become_unit_vectors(plugin: Plugin) -> None:
+    """Texts give finite vectors of norm 1, of ``dim`` numbers each."""
+    for texts in (TEXTS, TEXTS[:1]):
+        with attempt(f"embedding {len(texts)} text(s)", change="make `embed_texts` work for any number of texts"):
+            vectors = _eval(plugin).embed_texts(list(texts))
+        _expect_unit(plugin, vectors, "embed_texts", len(texts))
+
+
+@torch.no_grad()
+def images_become_unit_vectors(plugin: Plugin) -> None:
+    """Images of any size give finite vectors of norm 1; black and white ones too."""
+    batches = [images(2, size) for size in SIZES]
+    for given in (*batches, torch.zeros(1, 3, 32, 32), torch.ones(1, 3, 32, 32)):
+        what = f"embedding {given.shape[0]} image(s) of {given.shape[2]}x{given.shape[3]} pixels"
+        with attempt(what, change="resize or pad in `embed_images`"):
+            vectors = _eval(plugin).embed_images(given)
+        _expect_unit(plugin, vectors, f"embed_images, {what}", given.shape[0])
+
+
+@torch.no_grad()
+def batches_are_loops(plugin: Plugin) -> None:
+    """A batch gives what its members give alone."""
+    encoder = _eval(plugin)
+    pictures = images(3, (32, 48))
+    texts, both = encoder.embed_texts(list(TEXTS)), encoder.embed_images(pictures)
+    for index, text in enumerate(TEXTS):
+        for what, together, alone in (
+            ("text", texts, encoder.embed_texts([text])),
+            ("image", both, encoder.embed_images(pictures[index : index + 1])),
+        ):
+            expect_close(
+                together[index : index + 1],
+                alone,
+                what=f"{what} {index} of a batch against the same {what} alone",
+                expected="equal numbers, but for rounding",
+                change="mask the padding of shorter texts, and normalise nothing over the batch",
+            )
+
+
+@torch.no_grad()
+def embedding_twice_is_the_same(plugin: Plugin) -> None:
+    """The same style gives the same bits."""
+    encoder = _eval(plugin)
+    pictures = images(2, (32, 48))
+    for what, once, twice in (
+        ("texts", encoder.embed_texts(list(TEXTS)), encoder.embed_texts(list(TEXTS))),
+        ("images", encoder.embed_images(pictures), encoder.embed_images(pictures)),
+    ):
+        change = "look for dropout or random crops, and for state that a call leaves behind"
+        expect_same(twice, once, what=f"the same {what} again", expected="the same bits", change=change)
+
+
+@torch.no_grad()
+def styles_differ(plugin: Plugin) -> None:
+    """Different texts, and different images, have different vectors."""
+    encoder = _eval(plugin)
+    plain = torch.tensor([[0.9, 0.1, 0.1], [0.1, 0.1, 0.9]])[:, :, None, None].expand(2, 3, 32, 32)
+    for what, vectors in (("texts", encoder.embed_texts(TEXTS[:2])), ("a red and a blue image", encoder.embed_images(plain))):
+        expect(
+            float((vectors[0] - vectors[1]).norm()) > 1e-4,
+            given=f"one vector for two: {what}",
+            expected="a vector of its own for each style",
+            change="check that the input reaches the output",
+        )
+
+
+def empty_text_is_refused(plugin: Plugin) -> None:
+    """An empty text raises a ValueError of one line, also among others; a text too long is refused or embedded."""
+    encoder = _eval(plugin)
+    for texts in ([""], [TEXTS[0], ""]):
+        try:
+            encoder.embed_texts(texts)
+        except ValueError as error:
+            expect(
+                bool(str(error)) and "\n" not in str(error),
+                given=f"a ValueError that says {str(error)[:80]!r}",
+                expected="one line: what was given, what was expected, what to do",
+                change="say that the text is empty, and to describe a style",
+            )
+        else:
+            expect(
+                False,
+                given=f"vectors for {texts!r}",
+                expected="a ValueError",
+                change="raise it in `embed_texts` where a text is empty",
+            )
+    try:
+        vectors = encoder.embed_texts(["blue strokes " * 2000])
+    except ValueError:
+        return
+    _expect_unit(plugin, vectors, "embed_texts of 26,000 characters", 1)
+
+
+def images_carry_gradients(plugin: Plugin) -> None:
+    """``embed_images`` is differentiable in the images."""
+    pictures = images(2, (32, 48)).requires_grad_()
+    vectors = _eval(plugin).embed_images(pictures)
+    weights = torch.randn(vectors.shape, generator=generator(3))
+    with attempt("the backward pass of `embed_images`", change="stay within torch, and under no `torch.no_grad`"):
+        (vectors * weights).sum().backward()
+    gradient = pictures.grad
+    expect(
+        gradient is not None and bool(gradient.any()) and bool(gradient.isfinite().all()),
+        given="a gradient in the images that is missing, 0 or NaN",
+        expected="finite numbers that are not all 0",
+        change="do not detach, round or clamp away the images in `embed_images`",
+    )
+
+
+def _eval(plugin: Plugin) -> StyleEncoder:
+    return plugin.instance.requires_grad_(False).eval()
+
+
+def _expect_unit(plugin: Plugin, vectors: Float[Tensor, "M D"], where: str, number: int) -> None:
+    conform_tensor(vectors, Float[Tensor, "M D"], where, M=number, D=plugin.instance.dim)
+    expect_finite(vectors, where)
+    norms = vectors.detach().norm(dim=-1)
+    expect(
+        bool(((norms - 1).abs() < 1e-3).all()),
+        given=f"{where}: vectors of norm {float(norms.min()):.4g} to {float(norms.max()):.4g}",
+        expected="norm 1",
+        change="end with `torch.nn.functional.normalize(vectors, dim=-1)`",
+    )
+
+
+CHECKS: tuple[Check, ...] = (
+    Check(space_is_declared, needed=True),
+    Check(texts_become_unit_vectors, needed=True),
+    Check(images_become_unit_vectors, needed=True),
+    Check(batches_are_loops),
+    Check(embedding_twice_is_the_same),
+    Check(styles_differ),
+    Check(empty_text_is_refused),
+    Check(images_carry_gradients),
+)

@@ -1,0 +1,265 @@
+"""What backbones, placements and injectors promise together, whichever they are."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from anystyle.branch import ATTRIBUTES, StyleBranch
+from anystyle.checkpoint import load_strictly
+from anystyle.contracts import Backbone, Injector, Placement
+from anystyle.stylizer import Stylizer
+from anystyle.testing.check import Check, Unavailable, attempt, expect
+from anystyle.testing.comparing import expect_close, expect_same, tensors_of
+from anystyle.testing.inputs import generator, images, views
+from anystyle.testing.subject import Subject
+from anystyle.testing.toy.renderer import ToyRenderer
+from anystyle.testing.toy.style_encoder import ToyStyleEncoder
+from anystyle.types import Gaussians, Scene, Site, StyleEmbedding
+
+TEXTS = ("deep red", "blue and white")
+
+
+@dataclass(frozen=True)
+class Composition:
+    """One backbone, one placement and one injector.
+
+    Args:
+        backbone: Its subject; the instance is shared by all compositions of it.
+        placement: Its subject.
+        injector: Its subject.
+    """
+
+    backbone: Subject[Backbone]
+    placement: Subject[Placement]
+    injector: Subject[Injector]
+
+    @cached_property
+    def sites(self) -> tuple[Site, ...]:
+        """What the placement selects.
+
+        Raises:
+            Unavailable: It needs sites that the backbone does not offer.
+        """
+        backbone = self.backbone.instance
+        try:
+            return self.placement.instance.select(backbone.sites)
+        except ValueError as error:
+            raise Unavailable(f"the two do not go together: {error}") from error
+
+    @cached_property
+    def scene(self) -> Scene:
+        """Two views, encoded."""
+        patch = self.backbone.instance.patch_size
+        return self.stylizer().encode(views(1, 2, (2 * patch, 3 * patch)))
+
+    def stylizer(self, styled: tuple[str, ...] = ("rotation", "color"), seed: int = 0) -> Stylizer:
+        """A stylizer with an untrained branch.
+
+        Args:
+            styled: The attributes that the branch replaces.
+            seed: Of the injectors' weights.
+        """
+        encoder = ToyStyleEncoder()
+        branch = StyleBranch(
+            self.backbone.instance,
+            sites=self.sites,
+            make_injector=lambda site: self.injector.build(seed=seed, dim=site.dim, style_dim=encoder.dim),
+            styled=styled,
+        )
+        stylizer = Stylizer(
+            backbone=self.backbone.instance, style_encoder=encoder, branch=branch, renderer=ToyRenderer()
+        )
+        return stylizer.eval()
+
+    @cached_property
+    def trained(self) -> tuple[Stylizer, dict[str, Tensor | None]]:
+        """A stylizer after one step towards random Gaussians, and the gradients of the second."""
+        stylizer = self.stylizer(ATTRIBUTES)
+        embedding = stylizer.embed(text=list(TEXTS))
+        optimizer = torch.optim.Adam(stylizer.branch.parameters(), lr=1e-3)
+        for step in range(2):
+            optimizer.zero_grad()
+            total = torch.zeros(())
+            for index, tensor in enumerate(tensors_of(stylizer.restyle(self.scene, embedding)).values()):
+                if tensor.requires_grad:
+                    target = torch.randn(tensor.shape, generator=generator(index))
+                    total = total + (tensor / tensor.detach().abs().mean().clamp_min(1e-6) * target).mean()
+            total.backward()
+            if step == 0:
+                optimizer.step()
+        return stylizer, {name: parameter.grad for name, parameter in stylizer.branch.named_parameters()}
+
+
+@torch.no_grad()
+def nothing_changes_at_birth(composed: Composition) -> None:
+    """Before any training the stylized scene is the unstyled one, bit for bit, whatever is styled."""
+    for styled in (("rotation", "color"), ATTRIBUTES):
+        stylizer = composed.stylizer(styled)
+        style = {"image": images(1, (32, 32))} if styled == ATTRIBUTES else {"text": TEXTS[0]}
+        expect_same(
+            stylizer.restyle(composed.scene, stylizer.embed(**style)),
+            stylizer.unstyled(composed.scene),
+            what=f"Gaussians styled ({', '.join(styled)}) by an untrained branch",
+            expected="the bits of the unstyled ones",
+            change="an injector is the identity at birth, and a copied part computes what the original does",
+        )
+
+
+def everything_learns_by_the_second_step(composed: Composition) -> None:
+    """Every trainable parameter of the branch has a finite gradient, not all 0, by the second step."""
+    _, gradients = composed.trained
+    for name, gradient in gradients.items():
+        expect(
+            gradient is not None and bool(gradient.any()) and bool(gradient.isfinite().all()),
+            given=f"`{name}` has {'no gradient' if gradient is None else 'a gradient of 0 or NaN'}",
+            expected="finite numbers that are not all 0",
+            change="leave out what has no influence, or register it as a buffer; detach nothing on the way",
+        )
+
+
+def the_backbone_does_not_learn(composed: Composition) -> None:
+    """A backward pass leaves no gradient in the backbone, and training mode does not reach it."""
+    stylizer, _ = composed.trained
+    stylizer.train()
+    learning = [name for name, parameter in stylizer.backbone.named_parameters() if parameter.grad is not None]
+    awake = [name or "itself" for name, module in stylizer.backbone.named_modules() if module.training]
+    stylizer.eval()
+    expect(
+        not learning and not awake,
+        given=f"gradients in {learning[:3]}, and training mode in {awake[:3]}",
+        expected="neither in a frozen backbone",
+        change="share no parameter between the backbone and the copies",
+    )
+
+
+@torch.no_grad()
+def style_matters_after_training(composed: Composition) -> None:
+    """After a step, two styles give two scenes."""
+    stylizer, _ = composed.trained
+    one, other = (stylizer.restyle(composed.scene, stylizer.embed(text=text)) for text in TEXTS)
+    ours, theirs = tensors_of(one), tensors_of(other)
+    expect(
+        any(not torch.equal(ours[name], theirs[name]) for name in theirs),
+        given="the same Gaussians for two styles",
+        expected="a difference",
+        change="let what is injected at the chosen sites reach the attributes",
+    )
+
+
+@torch.no_grad()
+def what_is_not_styled_stays(composed: Composition) -> None:
+    """With rotation and colour styled, means, scales and opacities stay the same bits, also after training."""
+    stylizer, _ = composed.trained
+    given = composed.stylizer()
+    given.branch.load_state_dict(stylizer.branch.state_dict())
+    styled = given.restyle(composed.scene, given.embed(text=TEXTS[0]))
+    plain = given.unstyled(composed.scene)
+    for name in ("means", "scales", "opacities"):
+        expect_same(
+            getattr(styled, name),
+            getattr(plain, name),
+            what=f"`{name}` of a scene whose rotations and colours are styled",
+            expected="the bits of the unstyled scene",
+            change="let the adapter compute them from their own attributes alone",
+        )
+
+
+@torch.no_grad()
+def encoding_once_is_the_single_pass(composed: Composition) -> None:
+    """Restyling an encoded scene, after other styles too, gives the bits of the single pass; the scene stays."""
+    stylizer, _ = composed.trained
+    kept = composed.scene.map(Tensor.clone)
+    embedding = stylizer.embed(text=TEXTS[0])
+    stylizer.restyle(composed.scene, stylizer.embed(text=TEXTS[1]))
+    expect_same(
+        stylizer.restyle(composed.scene, embedding),
+        stylizer(composed.scene.views, embedding),
+        what="an encoded scene, restyled",
+        expected="the bits of the single pass",
+        change="keep no state between calls, and put all that does not depend on style into the scene",
+    )
+    change = "replace operations that end in '_', or write into a slice, by ones that make a new tensor"
+    expect_same(composed.scene, kept, what="the scene after restyling", expected="unchanged tensors", change=change)
+
+
+@torch.no_grad()
+def many_styles_are_one_batch(composed: Composition) -> None:
+    """Many styles of one scene, or one style each of many scenes, give what one by one gives."""
+    stylizer, _ = composed.trained
+    embedding = stylizer.embed(text=list(TEXTS))
+    alone = [stylizer.restyle(composed.scene, _row(embedding, row)) for row in range(2)]
+    for what, scene in (("two styles of one scene", composed.scene), ("two scenes", composed.scene.expand(2))):
+        together = stylizer.restyle(scene, embedding)
+        for row in range(2):
+            one: Gaussians = together.map(lambda tensor, i=row: tensor[i : i + 1])
+            expect_close(
+                one,
+                alone[row],
+                what=f"style {row} of {what} against the same alone",
+                expected="equal numbers, but for rounding",
+                change="look for a sum, mean or normalisation that runs over axis 0",
+            )
+
+
+@torch.no_grad()
+def weights_name_their_sites(composed: Composition) -> None:
+    """The state dict names every chosen site, holds the aggregator only if one is in it, and is loaded strictly."""
+    stylizer, _ = composed.trained
+    branch, state = stylizer.branch, stylizer.branch.state_dict()
+    for site in composed.sites:
+        keys = [key for key in state if key.startswith(f"injectors.{site.name}.")]
+        expect(
+            bool(keys),
+            given=f"no weights under 'injectors.{site.name}.'",
+            expected="the injector of each site",
+            change="name sites with letters, digits and '/'",
+        )
+    in_aggregator = any(site.name.startswith("aggregator/") for site in composed.sites)
+    expect(
+        in_aggregator == any(key.startswith("aggregator.") for key in state),
+        given=f"a copy of the aggregator although its sites are {'' if in_aggregator else 'not '}chosen",
+        expected="a copy only where it is styled",
+        change="start the names of sites with the part they are in",
+    )
+    fresh = composed.stylizer(ATTRIBUTES, seed=1)
+    load_strictly(fresh.branch, state, source="a trained branch")
+    embedding = fresh.embed(text=TEXTS[0])
+    expect_same(
+        fresh.restyle(composed.scene, embedding),
+        stylizer.restyle(composed.scene, embedding),
+        what="Gaussians after loading the weights into a new branch",
+        expected="the same bits",
+        change="keep all that the parts compute with in parameters and persistent buffers",
+    )
+    missing = f"injectors.{composed.sites[0].name}."
+    with attempt("loading weights that lack a site", change="see the line named above"):
+        try:
+            partial = {key: tensor for key, tensor in state.items() if not key.startswith(missing)}
+            load_strictly(branch, partial, source="weights that lack a site")
+        except ValueError as error:
+            expect(missing in str(error), given=str(error), expected=f"a word on {missing}", change="name it")
+        else:
+            expect(False, given="weights that lack a site, loaded", expected="a ValueError", change="load strictly")
+
+
+def _row(embedding: StyleEmbedding, row: int) -> StyleEmbedding:
+    return embedding.map(lambda tensor: tensor[row : row + 1])
+
+
+CHECKS: tuple[Check, ...] = (
+    Check(nothing_changes_at_birth),
+    Check(everything_learns_by_the_second_step),
+    Check(the_backbone_does_not_learn),
+    Check(style_matters_after_training),
+    Check(what_is_not_styled_stays),
+    Check(encoding_once_is_the_single_pass),
+    Check(many_styles_are_one_batch),
+    Check(weights_name_their_sites),
+)
+
+
+def checks(where: str) -> tuple[Check, ...]:
+    """The checks, each with a note on what is composed."""
+    return tuple(replace(check, where=where) for check in CHECKS)

@@ -1,0 +1,225 @@
+"""A reconstruction network of a few thousand parameters: every part of a backbone, and no more."""
+
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.contracts import Adapter, Aggregator, Backbone, Embedder, GaussianHead, GeometryHead
+from anystyle.types import (
+    Attributes,
+    Cameras,
+    Clusters,
+    Features,
+    Gaussians,
+    Geometry,
+    Inject,
+    Site,
+    Tokens,
+    untouched,
+)
+
+HARMONIC_0 = 0.28209479177387814
+"""The constant spherical harmonic, 1 / (2 sqrt(pi))."""
+
+
+class ToyEmbedder(Embedder):
+    """One convolution a patch, and one learned camera token a view.
+
+    Args:
+        dim: Channels of a token.
+        patch_size: Side of a patch in pixels.
+    """
+
+    def __init__(self, *, dim: int, patch_size: int) -> None:
+        super().__init__()
+        self.patches = nn.Conv2d(3, dim, patch_size, stride=patch_size)
+        self.camera = nn.Parameter(torch.randn(dim))
+
+    def forward(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
+        """See :meth:`anystyle.contracts.Embedder.forward`."""
+        maps = self.patches(images.flatten(0, 1) * 2 - 1)  # BV C h w
+        patches = maps.flatten(2).mT.unflatten(0, images.shape[:2])  # B V hw C
+        camera = self.camera.expand(*images.shape[:2], 1, -1)
+        return Tokens(torch.cat([camera, patches], dim=2), grid=(maps.shape[-2], maps.shape[-1]), special=1)
+
+
+class ToyLayer(nn.Module):
+    """Each token learns from itself, from the mean of its view and from the mean of its scene.
+
+    Args:
+        dim: Channels of a token.
+    """
+
+    def __init__(self, *, dim: int) -> None:
+        super().__init__()
+        self.norm = nn.LayerNorm(dim)
+        self.own = nn.Sequential(nn.Linear(dim, 2 * dim), nn.GELU(), nn.Linear(2 * dim, dim))
+        self.view = nn.Linear(dim, dim)
+        self.scene = nn.Linear(dim, dim)
+
+    def forward(self, data: Float[Tensor, "B V P C"]) -> Float[Tensor, "B V P C"]:
+        """Mix the tokens."""
+        normed = self.norm(data)
+        view, scene = normed.mean(2, keepdim=True), normed.mean((1, 2), keepdim=True)
+        return data + self.own(normed) + self.view(view) + self.scene(scene)
+
+
+class ToyAggregator(Aggregator):
+    """A few mixing layers; heads read the first and the last.
+
+    Args:
+        dim: Channels of a token.
+        depth: How many layers.
+    """
+
+    def __init__(self, *, dim: int, depth: int) -> None:
+        super().__init__()
+        self.dim = dim
+        self.taps = (0, depth - 1)
+        self.layers = nn.ModuleList(ToyLayer(dim=dim) for _ in range(depth))
+
+    @property
+    def sites(self) -> tuple[Site, ...]:
+        """Before each layer."""
+        return tuple(Site(f"aggregator/{i}", self.dim, tapped=i in self.taps) for i in range(len(self.layers)))
+
+    def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
+        """See :meth:`anystyle.contracts.Aggregator.forward`."""
+        tokens, features = stem, {}
+        for index, layer in enumerate(self.layers):
+            tokens = inject(f"aggregator/{index}", tokens)
+            tokens = tokens.with_data(layer(tokens.data))
+            if index in self.taps:
+                features[index] = tokens
+        return features
+
+
+class ToyGeometryHead(GeometryHead):
+    """A camera from each view's camera token, depth and confidence from its patches.
+
+    Args:
+        dim: Channels of a token.
+        patch_size: Side of a patch in pixels.
+    """
+
+    def __init__(self, *, dim: int, patch_size: int) -> None:
+        super().__init__()
+        self.patch_size = patch_size
+        self.pose = nn.Linear(dim, 6)
+        self.depth = nn.Linear(dim, 2 * patch_size**2)
+
+    def forward(self, features: Features, size: tuple[int, int]) -> Geometry:
+        """See :meth:`anystyle.contracts.GeometryHead.forward`."""
+        tokens = features[max(features)]
+        shift, turn = (0.1 * self.pose(tokens.data[:, :, 0])).split(3, dim=-1)  # B V 3 each
+        depth, confidence = _to_pixels(self.depth(tokens.patches), tokens.grid, self.patch_size).unbind(-1)
+        focal = torch.full_like(depth[..., 0, 0], float(max(size)))
+        return Geometry(
+            cameras=Cameras(_rigid(turn, shift), _intrinsics(focal, size), size),
+            depth=2 + depth.tanh(),
+            confidence=F.softplus(confidence),
+        )
+
+
+class ToyGaussianHead(GaussianHead):
+    """Attributes of each pixel from the last features, with colours that start from the photograph's.
+
+    Args:
+        dim: Channels of a token.
+        patch_size: Side of a patch in pixels.
+    """
+
+    def __init__(self, *, dim: int, patch_size: int) -> None:
+        super().__init__()
+        self.dim = dim
+        self.patch_size = patch_size
+        self.norm = nn.LayerNorm(dim)
+        self.attributes = nn.Linear(dim, 11 * patch_size**2)
+
+    @property
+    def sites(self) -> tuple[Site, ...]:
+        """Before the only layer."""
+        return (Site("head/tokens", self.dim),)
+
+    def forward(
+        self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched
+    ) -> Attributes:
+        """See :meth:`anystyle.contracts.GaussianHead.forward`."""
+        tokens = inject("head/tokens", features[max(features)])
+        raw = _to_pixels(self.attributes(self.norm(tokens.patches)), tokens.grid, self.patch_size)  # B V H W 11
+        opacity, scale, rotation, change = raw.split([1, 3, 4, 3], dim=-1)
+        color = (images.movedim(2, -1) - 0.5) / HARMONIC_0 + change
+        return Attributes(opacity=opacity[..., 0], scale=scale, rotation=rotation, color=color[..., None])
+
+
+class ToyAdapter(Adapter):
+    """Each pixel is a Gaussian of its own, about as large as the pixel."""
+
+    def cluster(self, geometry: Geometry, attributes: Attributes) -> Clusters | None:
+        """Nothing is fused."""
+        return None
+
+    def forward(self, attributes: Attributes, geometry: Geometry, clusters: Clusters | None) -> Gaussians:
+        """See :meth:`anystyle.contracts.Adapter.forward`."""
+        focal = geometry.cameras.intrinsics[..., 0, 0, None, None, None]  # B V 1 1 1
+        pixel = geometry.depth[..., None] / focal  # B V H W 1
+        return Gaussians(
+            means=geometry.points().flatten(1, 3),
+            rotations=attributes.rotation.flatten(1, 3),
+            scales=(F.softplus(attributes.scale) * pixel).flatten(1, 3),
+            opacities=attributes.opacity.sigmoid().flatten(1, 3),
+            harmonics=attributes.color.mT.flatten(1, 3),
+        )
+
+
+class ToyBackbone(Backbone):
+    """A reconstruction network of a few thousand parameters.
+
+    Args:
+        dim: Channels of a token.
+        depth: Layers of the aggregator.
+        patch_size: Side of a patch in pixels.
+    """
+
+    def __init__(self, *, dim: int = 24, depth: int = 3, patch_size: int = 8) -> None:
+        super().__init__()
+        self.patch_size = patch_size
+        self.resolution = 8 * patch_size
+        self.embedder = ToyEmbedder(dim=dim, patch_size=patch_size)
+        self.aggregator = ToyAggregator(dim=dim, depth=depth)
+        self.geometry_head = ToyGeometryHead(dim=dim, patch_size=patch_size)
+        self.gaussian_head = ToyGaussianHead(dim=dim, patch_size=patch_size)
+        self.adapter = ToyAdapter()
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """Options that make it small enough to check in seconds."""
+        return {"dim": 12, "depth": 2}
+
+
+def _to_pixels(patches: Float[Tensor, "B V p F"], grid: tuple[int, int], side: int) -> Float[Tensor, "B V H W f"]:
+    """Lay out the numbers of each patch over its pixels; ``F`` is ``f`` times the pixels of a patch."""
+    blocks = patches.unflatten(2, grid).unflatten(-1, (side, side, -1))  # B V h w side side f
+    return blocks.transpose(3, 4).flatten(4, 5).flatten(2, 3)
+
+
+def _rigid(turn: Float[Tensor, "B V 3"], shift: Float[Tensor, "B V 3"]) -> Float[Tensor, "B V 4 4"]:
+    """The motion that turns about the axis ``turn`` by its length in radians, then shifts."""
+    x, y, z = turn.unbind(-1)
+    zero = torch.zeros_like(x)
+    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
+    top = torch.cat([torch.linalg.matrix_exp(skew), shift[..., None]], dim=-1)
+    bottom = torch.tensor([0.0, 0.0, 0.0, 1.0]).to(top).expand(*top.shape[:2], 1, 4)
+    return torch.cat([top, bottom], dim=-2)
+
+
+def _intrinsics(focal: Float[Tensor, "B V"], size: tuple[int, int]) -> Float[Tensor, "B V 3 3"]:
+    """A pinhole whose axis passes through the middle of the image."""
+    zero, one = torch.zeros_like(focal), torch.ones_like(focal)
+    rows = [focal, zero, one * size[1] / 2, zero, focal, one * size[0] / 2, zero, zero, one]
+    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
+
+

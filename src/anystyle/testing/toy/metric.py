@@ -1,0 +1,34 @@
+"""How much changed: the smallest metric."""
+
+from typing import ClassVar
+
+import torch
+from torch import Tensor
+
+from anystyle.contracts import Metric
+from anystyle.types import Comparison
+
+
+class ToyMetric(Metric):
+    """The mean absolute difference between photographs and results, over all their pixels."""
+
+    better: ClassVar[dict[str, str]] = {"change": "lower"}
+    full_state_update = False
+
+    total: Tensor
+    count: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.add_state("total", torch.tensor(0.0), dist_reduce_fx="sum")
+        self.add_state("count", torch.tensor(0), dist_reduce_fx="sum")
+
+    def update(self, comparison: Comparison) -> None:
+        """See :meth:`anystyle.contracts.Metric.update`."""
+        change = (comparison.stylized - comparison.content).abs()
+        self.total = self.total + change.sum()
+        self.count = self.count + change.numel()
+
+    def compute(self) -> dict[str, Tensor]:
+        """See :meth:`anystyle.contracts.Metric.compute`."""
+        return {"change": self.total / self.count}  # nan where nothing was taken in

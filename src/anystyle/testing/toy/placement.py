@@ -1,0 +1,28 @@
+"""The last sites: the smallest placement with an option."""
+
+from collections.abc import Sequence
+
+from anystyle.contracts import Placement
+from anystyle.types import Site
+
+
+class ToyPlacement(Placement):
+    """Style enters the last sites of a backbone.
+
+    Args:
+        num_sites: How many.
+
+    Raises:
+        ValueError: Fewer than one site is asked for.
+    """
+
+    def __init__(self, *, num_sites: int = 2) -> None:
+        if num_sites < 1:
+            raise ValueError(f"num_sites={num_sites}: give at least 1")
+        self.num_sites = num_sites
+
+    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
+        """See :meth:`anystyle.contracts.Placement.select`."""
+        if not sites:
+            raise ValueError("the backbone offers no site; this placement needs at least one")
+        return tuple(sites)[-self.num_sites :]

@@ -1,0 +1,44 @@
+"""Stripes: styles whose texts say exactly what is in the image."""
+
+import torch
+
+from anystyle.contracts import StyleSource
+from anystyle.types import Style
+
+COLORS = {"red": (0.8, 0.1, 0.1), "green": (0.1, 0.6, 0.2), "blue": (0.1, 0.2, 0.8), "white": (0.95, 0.95, 0.95)}
+
+
+class ToyStyles(StyleSource):
+    """Stripes of two colours, in every pair and two directions.
+
+    Args:
+        size: Side of the image in pixels.
+        period: Pixels from stripe to stripe.
+    """
+
+    def __init__(self, *, size: int = 64, period: int = 16) -> None:
+        if size < 1 or period < 2:
+            raise ValueError(f"size={size}, period={period}: give at least 1 and 2 pixels")
+        self.size = size
+        self.period = period
+        names = list(COLORS)
+        self.pairs = [(one, other) for one in names for other in names if one < other]
+
+    def __len__(self) -> int:
+        """See :meth:`anystyle.contracts.StyleSource.__len__`."""
+        return 2 * len(self.pairs)
+
+    def read(self, style: int) -> Style:
+        """See :meth:`anystyle.contracts.StyleSource.read`."""
+        one, other = self.pairs[style // 2]
+        first = torch.arange(self.size) % self.period < self.period // 2
+        stripes = torch.where(first[:, None], torch.tensor(COLORS[one]), torch.tensor(COLORS[other]))  # size 3
+        image = stripes.T[:, :, None].expand(3, self.size, self.size)
+        if style % 2:
+            image = image.mT
+        direction = "vertical" if style % 2 else "horizontal"
+        return Style(
+            image=image[None].contiguous(),
+            text=(f"{direction} stripes in {one} and {other}",),
+            names=(f"{one}_{other}_{direction}",),
+        )
