@@ -183,11 +183,13 @@ def test_positions_of_maps(name: str) -> None:
         x, y = dpt.uv_grid((2, 3), 2.0)
         found = torch.stack([x.expand(2, 3), y[:, None].expand(2, 3)], dim=-1)
         torch.testing.assert_close(found.float(), torch.tensor(record), rtol=1e-6, atol=1e-7)
-    elif name == "uv_embed_dim8":
-        found = dpt.uv_embedding((2, 3), 2.0, 8).movedim(0, -1)
+        return
+    grid, aspect, channels = ((2, 3), 2.0, 8) if name == "uv_embed_dim8" else ((4, 6), 1.5, 16)
+    found = 10 * dpt.add_positions_(torch.zeros(1, channels, *grid), aspect)[0].movedim(0, -1)
+    if name == "uv_embed_dim8":
         torch.testing.assert_close(found, torch.tensor(record), rtol=1e-5, atol=1e-6)
     else:
-        assert_matches(dpt.uv_embedding((4, 6), 1.5, 16).movedim(0, -1), record)
+        assert_matches(found, record)
 
 
 @pytest.mark.parametrize("chunk", [1, 8])

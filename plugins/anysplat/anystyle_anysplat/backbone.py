@@ -10,6 +10,7 @@ from anystyle import contracts
 from anystyle_anysplat import keys
 from anystyle_anysplat.adapter import Adapter
 from anystyle_anysplat.aggregator import Aggregator
+from anystyle_anysplat.aligner import Aligner
 from anystyle_anysplat.camera_head import CameraHead
 from anystyle_anysplat.dpt import Dpt
 from anystyle_anysplat.embedder import Embedder
@@ -41,6 +42,8 @@ class AnySplat(contracts.Backbone):
         camera_depth: Blocks of the camera head.
         camera_heads: Its attention heads.
         camera_iterations: Its passes.
+        poses: ``regressed`` from camera tokens, as published, or ``aligned`` by matching patches with the first view's,
+            which a network of a few million parameters can learn (see :class:`anystyle_anysplat.aligner.Aligner`).
         focal_epsilon: Added to the tangent of half a field of view where focal lengths are decoded.
         depth_features: Channels of the depth head's decoder.
         depth_channels: Channels of its four levels.
@@ -110,6 +113,7 @@ class AnySplat(contracts.Backbone):
         camera_depth: int = 4,
         camera_heads: int = 16,
         camera_iterations: int = 4,
+        poses: Literal["regressed", "aligned"] = "regressed",
         focal_epsilon: float = 1e-3,
         depth_features: int = 256,
         depth_channels: Sequence[int] = (256, 512, 1024, 1024),
@@ -169,6 +173,7 @@ class AnySplat(contracts.Backbone):
             taps=taps,
             chunk=2 * chunk,
             focal_epsilon=focal_epsilon,
+            aligner=Aligner(dim=2 * dim) if poses == "aligned" else None,
         )
         self.gaussian_head = GaussianHead(
             dim=2 * dim,

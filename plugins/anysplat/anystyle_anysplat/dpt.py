@@ -42,21 +42,32 @@ def uv_grid(grid: tuple[int, int], aspect: float) -> tuple[Float[Tensor, " w"], 
     )
 
 
-def uv_embedding(grid: tuple[int, int], aspect: float, dim: int) -> Float[Tensor, "C h w"]:
-    """Sines and cosines of :func:`uv_grid`: the first half of the channels for x, the second for y, in float32.
+def uv_waves(line: Float[Tensor, " n"], channels: int) -> Float[Tensor, "C n"]:
+    """Sines, then cosines, of a line's coordinates at falling frequencies, in float32.
 
     Args:
-        grid: Rows and columns of the map.
-        aspect: Width over height of the image.
-        dim: Channels, a multiple of 4.
+        line: Of :func:`uv_grid`.
+        channels: Even.
     """
-    frequencies = 100.0 ** -(torch.arange(dim // 4, dtype=torch.float64) / (dim // 4))
-    # Each half depends on one coordinate: waves are computed on lines, and broadcast.
-    x, y = (
-        torch.cat([angles.sin(), angles.cos()]).float()
-        for angles in (frequencies[:, None] * line for line in uv_grid(grid, aspect))
-    )
-    return torch.cat([x[:, None, :].expand(-1, *grid), y[:, :, None].expand(-1, *grid)])
+    frequencies = 100.0 ** -(torch.arange(channels // 2, dtype=torch.float64) / (channels // 2))
+    angles = frequencies[:, None] * line
+    return torch.cat([angles.sin(), angles.cos()]).float()
+
+
+def add_positions_(x: Float[Tensor, "M C h w"], aspect: float) -> Float[Tensor, "M C h w"]:
+    """Add a tenth of the waves of x to the first half of the channels and of those of y to the second, in place.
+
+    Each half depends on one coordinate, so no embedding of the map's size is ever held.
+
+    Args:
+        x: A map whose channels are a multiple of 4.
+        aspect: Width over height of the image.
+    """
+    half = x.shape[1] // 2
+    columns, rows = (0.1 * uv_waves(line, half).to(x) for line in uv_grid((x.shape[-2], x.shape[-1]), aspect))
+    x[:, :half] += columns[:, None, :]
+    x[:, half:] += rows[:, :, None]
+    return x
 
 
 class ResidualConv(nn.Module):
@@ -70,7 +81,7 @@ class ResidualConv(nn.Module):
     def forward(self, x: Float[Tensor, "M C h w"]) -> Float[Tensor, "M C h w"]:
         """Refine a map."""
         x = F.relu(x)
-        return self.conv2(F.relu(self.conv1(x))) + x
+        return self.conv2(F.relu_(self.conv1(x))) + x
 
 
 class Fusion(nn.Module):
@@ -87,7 +98,8 @@ class Fusion(nn.Module):
     ) -> Float[Tensor, "M C h2 w2"]:
         """Decode a level to ``size``."""
         x = x if level is None else x + self.level(level)
-        return self.project(_resize(self.refine(x), size))
+        # Published the other way round; bilinear weights sum to 1, so the order does not matter, but the cost does.
+        return _resize(self.project(self.refine(x)), size)
 
 
 class Dpt(nn.Module):
@@ -119,7 +131,7 @@ class Dpt(nn.Module):
         self.fusions = nn.ModuleList(Fusion(features, takes_level=level < 3) for level in range(4))
         self.neck = nn.Conv2d(features, features // 2, 3, padding=1)
         self.output = nn.Sequential(
-            nn.Conv2d(features // 2, hidden, 3, padding=1), nn.ReLU(), nn.Conv2d(hidden, outputs, 1)
+            nn.Conv2d(features // 2, hidden, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(hidden, outputs, 1)
         )
 
     def decode(
@@ -136,7 +148,7 @@ class Dpt(nn.Module):
         maps = []
         for tokens, project, resize, reduce in zip(levels, self.projects, self.resize, self.reduce, strict=True):
             small = project(tokens).mT.unflatten(2, grid)
-            maps.append(reduce(resize(_with_positions(small.contiguous(), aspect))))
+            maps.append(reduce(resize(add_positions_(small.contiguous(), aspect))))
         x = self.fusions[3](maps[3], None, _size(maps[2]))
         x = self.fusions[2](x, maps[2], _size(maps[1]))
         x = self.fusions[1](x, maps[1], _size(maps[0]))
@@ -144,9 +156,9 @@ class Dpt(nn.Module):
         x = self.fusions[0](x, maps[0], (2 * height, 2 * width))
         return _resize(self.neck(x), size)
 
-    def predict(self, x: Float[Tensor, "M E H W"]) -> Float[Tensor, "M F H W"]:
-        """The result from a decoded map."""
-        return self.output(_with_positions(x, x.shape[-1] / x.shape[-2]))
+    def predict_(self, x: Float[Tensor, "M E H W"]) -> Float[Tensor, "M F H W"]:
+        """The result from a decoded map, which is overwritten."""
+        return self.output(add_positions_(x, x.shape[-1] / x.shape[-2]))
 
 
 def _size(x: Float[Tensor, "M C h w"]) -> tuple[int, int]:
@@ -155,7 +167,3 @@ def _size(x: Float[Tensor, "M C h w"]) -> tuple[int, int]:
 
 def _resize(x: Float[Tensor, "M C h w"], size: tuple[int, int]) -> Float[Tensor, "M C h2 w2"]:
     return F.interpolate(x, size=size, mode="bilinear", align_corners=True)
-
-
-def _with_positions(x: Float[Tensor, "M C h w"], aspect: float) -> Float[Tensor, "M C h w"]:
-    return x + 0.1 * uv_embedding(_size(x), aspect, x.shape[1]).to(x)

@@ -82,7 +82,7 @@ class GaussianHead(contracts.GaussianHead):
         direct = F.relu(self.direct(images.flatten(0, 1))).flatten(2).mT.unflatten(0, (batch, count))
         direct = inject("head/direct", Tokens(direct, grid=(height, width))).data
         direct = direct.flatten(0, 1).mT.unflatten(2, (height, width)).contiguous()
-        return self.dpt.predict(decoded + direct).unflatten(0, (batch, count))
+        return self.dpt.predict_(decoded.add_(direct)).unflatten(0, (batch, count))
 
 
 def _site(level: int) -> str:

@@ -1,6 +1,7 @@
 """Cameras and depth."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import torch
 from jaxtyping import Float
@@ -8,6 +9,7 @@ from torch import Tensor
 
 from anystyle import contracts
 from anystyle.types import Features, Geometry
+from anystyle_anysplat.aligner import Aligner
 from anystyle_anysplat.camera_head import CameraHead
 from anystyle_anysplat.dpt import Dpt, by_views
 from anystyle_anysplat.pose import decode_pose
@@ -22,10 +24,18 @@ class GeometryHead(contracts.GeometryHead):
         taps: The layers that the depth head reads, four, in rising order.
         chunk: Views that the depth head decodes at a time; a matter of memory alone.
         focal_epsilon: See :func:`anystyle_anysplat.pose.decode_pose`.
+        aligner: Computes poses from matches instead of those of the camera head, whose focal lengths are kept.
     """
 
     def __init__(
-        self, *, camera: CameraHead, depth: Dpt, taps: Sequence[int], chunk: int, focal_epsilon: float
+        self,
+        *,
+        camera: CameraHead,
+        depth: Dpt,
+        taps: Sequence[int],
+        chunk: int,
+        focal_epsilon: float,
+        aligner: Aligner | None = None,
     ) -> None:
         super().__init__()
         self.camera = camera
@@ -33,6 +43,7 @@ class GeometryHead(contracts.GeometryHead):
         self.taps = tuple(taps)
         self.chunk = chunk
         self.focal_epsilon = focal_epsilon
+        self.aligner = aligner
 
     def forward(self, features: Features, size: tuple[int, int]) -> Geometry:
         """Predict geometry; depth is the distance along z."""
@@ -42,7 +53,17 @@ class GeometryHead(contracts.GeometryHead):
             logs = self.log_depth(features, size)
         cameras = decode_pose(encodings[-1].float(), size, focal_epsilon=self.focal_epsilon)
         depth, confidence = logs.float().exp().unbind(2)
-        return Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
+        if self.aligner is None:
+            return Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
+        tokens = features[self.taps[-1]]
+        correlation = self.aligner.correlation(tokens)
+        pose = self.aligner(correlation, tokens.grid, cameras, depth)
+        return Geometry(
+            cameras=replace(cameras, world_from_camera=pose),
+            depth=depth,
+            confidence=1 + confidence,
+            correlation=correlation,
+        )
 
     def log_depth(self, features: Features, size: tuple[int, int]) -> Float[Tensor, "B V 2 H W"]:
         """The depth head's two maps, before the exponential."""
@@ -52,6 +73,6 @@ class GeometryHead(contracts.GeometryHead):
 
         def some(chosen: slice) -> Tensor:
             levels = [self.depth.norm(level.patches[:, chosen].to(dtype)).flatten(0, 1) for level in tokens]
-            return self.depth.predict(self.depth.decode(levels, tokens[0].grid, size)).unflatten(0, (batch, -1))
+            return self.depth.predict_(self.depth.decode(levels, tokens[0].grid, size)).unflatten(0, (batch, -1))
 
         return by_views(some, views, max(1, self.chunk // batch))
