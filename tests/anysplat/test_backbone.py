@@ -209,7 +209,7 @@ class TestScratch:
         backbone = network(init="scratch", fuse=False)
         gaussians = backbone.adapter(scene.attributes, scene.geometry, None)
         footprint = 2 * math.tan(math.radians(55) / 2) / EXAMPLE["resolution"]
-        assert gaussians.scales.mean().item() == pytest.approx(0.7 * footprint, rel=0.15)
+        assert gaussians.scales.mean().item() == pytest.approx(0.5 * footprint, rel=0.15)
         assert gaussians.opacities.mean().item() == pytest.approx(0.9, abs=0.02)
         assert gaussians.rotations[..., 0].min() > 0.95
 
