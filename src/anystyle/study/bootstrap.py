@@ -26,17 +26,13 @@ class Table:
         sums: Of the deviations.
         squares: Of their squares.
         counts: Of the answers.
+        shape: Participants and items that have answers.
     """
 
     sums: np.ndarray | sparse.csr_array
     squares: np.ndarray | sparse.csr_array
     counts: np.ndarray | sparse.csr_array
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Participants and items that have answers."""
-        shape = np.shape(self.counts)
-        return shape[0], shape[1]
+    shape: tuple[int, int]
 
 
 def tabulate(responses: Responses, values: Float[np.ndarray, " N"] | None = None) -> Table:
@@ -52,7 +48,7 @@ def tabulate(responses: Responses, values: Float[np.ndarray, " N"] | None = None
         flat = np.bincount(row * shape[1] + column, weights=weights, minlength=shape[0] * shape[1])
         return flat.reshape(shape)
 
-    return Table(sums=matrix(values), squares=matrix(values**2), counts=matrix(np.ones_like(values)))
+    return Table(sums=matrix(values), squares=matrix(values**2), counts=matrix(np.ones_like(values)), shape=shape)
 
 
 def resample_counts(size: int, resamples: int, generator: np.random.Generator) -> Float[np.ndarray, "R size"]:

@@ -164,7 +164,7 @@ class OrdinalModel:
             by_row, by_column = self._by_group(terms.slope)
             uphill = np.concatenate([sds[0] * by_row, sds[1] * by_column]) - modes
             step = inverse.solve(uphill)
-            if float(step @ uphill) < 1e-13 * max(1.0, abs(value)):
+            if float(step @ uphill) < 1e-12:
                 break
             length, slack = 1.0, 1e-12 * abs(value)
             trial, trial_terms = at(modes + step)
@@ -256,11 +256,12 @@ def fit(responses: Responses) -> OrdinalFit:
     start = np.array([0.0] * (model.num_fixed + model.num_thresholds) + [0.5, 0.5])
 
     def negative(parameters: np.ndarray) -> tuple[float, np.ndarray]:
+        # An answer's share: the optimiser's first step is as long as the gradient.
         value, gradient = model.loglikelihood(parameters)
-        return -value, -gradient
+        return -value / responses.count, -gradient / responses.count
 
     def maximise(initial: np.ndarray, limits: list[tuple[float, float]]) -> optimize.OptimizeResult:
-        options = {"ftol": 1e-13, "gtol": 1e-6, "maxiter": 500}
+        options = {"ftol": 1e-12, "gtol": 1e-8, "maxiter": 500}
         return optimize.minimize(negative, initial, jac=True, method="L-BFGS-B", bounds=limits, options=options)
 
     null = maximise(start, [(0.0, 0.0), *bounds[1:]])
@@ -268,13 +269,13 @@ def fit(responses: Responses) -> OrdinalFit:
     spreads = full.x[-2:][:: -1 if model.items_first else 1]
     return OrdinalFit(
         preference=float(full.x[0]),
-        error=_preference_error(lambda parameters: negative(parameters)[1], full.x),
+        error=_preference_error(lambda parameters: -model.loglikelihood(parameters)[1], full.x),
         position=float(full.x[1]) if model.num_fixed > 1 else 0.0,
         participant_sd=float(spreads[0]),
         item_sd=float(spreads[1]),
         thresholds=tuple(np.cumsum(np.exp(full.x[model.num_fixed : -2])).tolist()),
-        loglikelihood=-float(full.fun),
-        null_loglikelihood=-float(null.fun),
+        loglikelihood=-float(full.fun) * responses.count,
+        null_loglikelihood=-float(null.fun) * responses.count,
         converged=bool(full.success and null.success),
     )
 

@@ -108,7 +108,7 @@ class TestResult:
         statistic: The test statistic; ``nan`` where the test cannot be made.
         log_pvalue: Natural logarithm of the p-value, which may be far below the smallest double.
         alternative: The claim tested against no preference, or ``equivalence``.
-        estimate: Preference on the answer scale; negative means ours is preferred.
+        estimate: The preference, in ``estimate_unit``; negative means ours is preferred.
         interval: Of the estimate, two-sided, at ``confidence``.
         effect: A standardised effect, signed like the estimate unless it is a probability.
         effect_name: Such as ``cohens_d``.
@@ -118,6 +118,7 @@ class TestResult:
         method: One line that says exactly what was computed.
         note: What a reader must know besides; empty if nothing.
         generalizes_to: For whom the p-value holds: ``participants``, ``items``, both, or neither.
+        estimate_unit: ``points`` of the answer scale, or what else the estimate is in.
     """
 
     __test__: ClassVar[bool] = False  # the name is the field's; pytest need not collect it
@@ -136,6 +137,7 @@ class TestResult:
     method: str = ""
     note: str = ""
     generalizes_to: tuple[str, ...] = ()
+    estimate_unit: str = "points"
 
     @property
     def pvalue(self) -> float:

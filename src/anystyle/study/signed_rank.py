@@ -97,9 +97,12 @@ def rank_biserial_interval(ranks: SignedRanks, confidence: float) -> tuple[float
     """An approximate interval of the rank-biserial correlation, on Fisher's z scale."""
     n = ranks.n
     spread = math.sqrt((2 * n**3 + 3 * n**2 + n) / 6) / ((n**2 + n) / 2)
-    center = math.atanh(min(max(ranks.rank_biserial, -1 + 1e-12), 1 - 1e-12))
+    # Unanimous signs have no finite z: they are taken as near to unanimous as one smallest rank.
+    limit = 1 - 4 / (n * (n + 1)) if n > 1 else 0.0
+    center = math.atanh(min(max(ranks.rank_biserial, -limit), limit))
     reach = float(special.ndtri((1 + confidence) / 2)) * spread
-    return math.tanh(center - reach), math.tanh(center + reach)
+    low, high = math.tanh(center - reach), math.tanh(center + reach)
+    return min(low, ranks.rank_biserial), max(high, ranks.rank_biserial)
 
 
 def pseudo_median(deviations: Float[np.ndarray, " N"], confidence: float) -> tuple[float, tuple[float, float]]:

@@ -10,6 +10,8 @@ from anystyle.study.bootstrap import Bootstrap, bootstrap_mean, tabulate
 from anystyle.study.contract import Alternative, Responses, StudyTest, TestResult, Unit
 from anystyle.study.probability import log_pvalue
 
+_EFFECT_RESAMPLES = 1999  # an interval needs fewer than a small p-value
+
 
 class ClusterBootstrap(StudyTest):
     """Resample participants and items together, and studentise: valid for new participants and new items at once.
@@ -35,14 +37,18 @@ class ClusterBootstrap(StudyTest):
         """Test whether the mean deviation is 0, participants and items both drawn at random."""
         people, items = (len(np.unique(codes)) for codes in (responses.participants, responses.items))
         method = f"studentised two-way cluster bootstrap, {people} participants x {items} items"
-        found = self._bootstrap(responses, responses.deviations)
+        found = bootstrap_mean(tabulate(responses), resamples=self.resamples, seed=self.seed)
         if found is None:
             reason = (
                 f"{people} participant(s) and {items} item(s) whose means do not vary: there is nothing to resample"
             )
             nothing = TestResult.untestable(responses, reason=reason, alternative=self.alternative, method=method)
             return replace(nothing, unit="participant", n=people)
-        superiority = self._bootstrap(responses, (1 - np.sign(responses.deviations)) / 2 - 0.5)
+        superiority = bootstrap_mean(
+            tabulate(responses, -np.sign(responses.deviations) / 2),
+            resamples=min(self.resamples, _EFFECT_RESAMPLES),
+            seed=self.seed,
+        )
         lower, upper = found.tails()
         known = {"participants": people > 1, "items": items > 1}
         return TestResult(
@@ -60,9 +66,6 @@ class ClusterBootstrap(StudyTest):
             method=f"{method}, {self.resamples} resamples; p is at least {1 / (self.resamples + 1):.2g}",
             generalizes_to=tuple(name for name, several in known.items() if several),
         )
-
-    def _bootstrap(self, responses: Responses, values: np.ndarray) -> Bootstrap | None:
-        return bootstrap_mean(tabulate(responses, values), resamples=self.resamples, seed=self.seed)
 
 
 def _superiority(found: Bootstrap, confidence: float) -> tuple[float, float]:

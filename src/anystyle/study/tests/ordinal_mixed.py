@@ -60,6 +60,7 @@ class OrdinalMixed(StudyTest):
             effect_interval=(math.exp(interval[0]), math.exp(interval[1])),
             n=people,
             confidence=self.confidence,
-            method=f"{method}; likelihood-ratio test; estimate in logits; {spreads}; position {fitted.position:+.2f}",
+            method=f"{method}; likelihood-ratio test; {spreads}; position {fitted.position:+.2f}",
             generalizes_to=tuple(name for name, several in known.items() if several),
+            estimate_unit="logits",
         )

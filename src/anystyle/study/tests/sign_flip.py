@@ -13,8 +13,8 @@ from anystyle.study.sign_flips import as_integers, exact_log_tails, random_subse
 class SignFlip(StudyTest):
     """The permutation test that flips all answers of a participant together.
 
-    Without a preference, every participant might as well have had ours and theirs exchanged. Exact over all sign patterns where the means have a common unit, as those of whole-number answers have, and by
-    random flips otherwise.
+    Without a preference, every participant might as well have had ours and theirs exchanged. Exact over all sign
+    patterns where the means have a common unit, as those of whole-number answers have, and by random flips otherwise.
 
     Args:
         alternative: ``less`` claims that ours is preferred.

@@ -1,0 +1,354 @@
+"""From answers to findings: every test at every unit, and what a reader needs to judge them."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any, get_args
+
+import numpy as np
+from jaxtyping import Float
+from scipy import special
+
+from anystyle.study.agreement import agreement
+from anystyle.study.checks import Checks, Rules, check
+from anystyle.study.contract import Alternative, Responses, Scale, StudyTest, TestResult, Unit
+from anystyle.study.effects import Effect, effects
+from anystyle.study.probability import holm, log_t_pvalue
+from anystyle.study.reading import Records
+from anystyle.study.variance import Variation, variation
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How an analysis is made.
+
+    Args:
+        scale: Of the answers.
+        rules: Who is left out.
+        confidence: Of the intervals.
+        resamples: Of the intervals of effects and of agreement.
+        seed: Of all resampling.
+        titles: Texts of the questions, by name, for tables and figures.
+    """
+
+    scale: Scale = field(default_factory=Scale)
+    rules: Rules = field(default_factory=Rules)
+    confidence: float = 0.95
+    resamples: int = 1999
+    seed: int = 0
+    titles: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True)
+class NamedResult:
+    """A test's result for one question.
+
+    Args:
+        name: The test's name in the catalog.
+        result: What it found.
+        log_pvalue_holm: The p-value's logarithm after Holm's adjustment over the questions.
+    """
+
+    name: str
+    result: TestResult
+    log_pvalue_holm: float = math.nan
+
+
+@dataclass(frozen=True)
+class Means:
+    """Means of participants or of items, each over its own answers.
+
+    Args:
+        names: Whose.
+        means: Deviations; negative prefers ours.
+        reach: Half the width of the interval, from the spread of that one's own answers; ``nan`` for one answer.
+    """
+
+    names: tuple[str, ...]
+    means: Float[np.ndarray, " N"]
+    reach: Float[np.ndarray, " N"]
+
+
+@dataclass(frozen=True)
+class Position:
+    """Whether answers lean to a side, whatever is shown there.
+
+    Args:
+        bias: Mean deviation as displayed; negative prefers what is shown as A.
+        interval: Of the bias, over participants.
+        log_pvalue: Two-sided, over participants.
+        mean_as_a: Mean deviation where ours is A, and its interval's half width.
+        mean_as_b: The same where ours is B.
+    """
+
+    bias: float
+    interval: tuple[float, float]
+    log_pvalue: float
+    mean_as_a: tuple[float, float]
+    mean_as_b: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class QuestionAnalysis:
+    """All that is known of one question."""
+
+    question: str
+    title: str
+    responses: Responses
+    levels: tuple[float, ...]
+    counts: tuple[int, ...]
+    tests: tuple[NamedResult, ...]
+    effects: tuple[Effect, ...]
+    variation: Variation | None
+    alpha: float
+    alpha_interval: tuple[float, float]
+    position: Position | None
+    by_participant: Means
+    by_item: Means
+
+    @property
+    def primary(self) -> NamedResult | None:
+        """The finding to go by: of the tests of a difference in points, the first that holds for most others."""
+        usable = [
+            named
+            for named in self.tests
+            if named.result.estimate_unit == "points"
+            and named.result.alternative in get_args(Alternative)
+            and math.isfinite(named.result.log_pvalue)
+            and named.result.generalizes_to
+        ]
+        return max(usable, key=lambda named: len(named.result.generalizes_to), default=None)
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """The analysis of a study."""
+
+    questions: tuple[QuestionAnalysis, ...]
+    checks: Checks
+    settings: Settings
+    comments: tuple[tuple[str, str], ...]
+    sources: tuple[str, ...]
+
+
+def analyze(
+    records: Records,
+    tests: Mapping[str, StudyTest],
+    settings: Settings = Settings(),
+    progress: Callable[[str], None] = lambda _: None,
+) -> Analysis:
+    """Check the answers and test every question.
+
+    Args:
+        records: As read from files.
+        tests: By the names they get in the results.
+        settings: Scale, rules, intervals.
+        progress: Told of each question as its turn comes.
+
+    Raises:
+        ValueError: The answers cannot be analysed.
+    """
+    checks, by_question = check(records, scale=settings.scale, rules=settings.rules)
+    found: list[QuestionAnalysis] = []
+    for responses in by_question:
+        progress(responses.question)
+        found.append(_question(responses, tests, settings))
+    return Analysis(
+        questions=tuple(_adjusted(found)),
+        checks=checks,
+        settings=settings,
+        comments=records.comments,
+        sources=records.sources,
+    )
+
+
+def _question(responses: Responses, tests: Mapping[str, StudyTest], settings: Settings) -> QuestionAnalysis:
+    results = [NamedResult(name, test(responses.at(unit))) for name, test in tests.items() for unit in test.units]
+    levels, counts = _distribution(responses)
+    alpha, alpha_interval = agreement(
+        responses, resamples=min(settings.resamples, 999), seed=settings.seed, confidence=settings.confidence
+    )
+    return QuestionAnalysis(
+        question=responses.question,
+        title=dict(settings.titles).get(responses.question.partition(" vs ")[0], responses.question),
+        responses=responses,
+        levels=levels,
+        counts=counts,
+        tests=tuple(results),
+        effects=tuple(
+            effects(responses, resamples=settings.resamples, seed=settings.seed, confidence=settings.confidence)
+        ),
+        variation=variation(responses),
+        alpha=alpha,
+        alpha_interval=alpha_interval,
+        position=_position(responses, settings.confidence),
+        by_participant=_means(responses, "participant", settings.confidence),
+        by_item=_means(responses, "item", settings.confidence),
+    )
+
+
+def _distribution(responses: Responses) -> tuple[tuple[float, ...], tuple[int, ...]]:
+    """How often each score was given, 1 preferring ours; every level of a short scale, what occurs on a long one."""
+    scores = responses.deviations + responses.scale.midpoint
+    levels = np.unique(scores)
+    if len(responses.scale.levels) <= 11:
+        levels = np.union1d(levels, responses.scale.levels)
+    counts = np.bincount(np.searchsorted(levels, scores), minlength=len(levels))
+    return tuple(levels.tolist()), tuple(counts.tolist())
+
+
+def _means(responses: Responses, unit: Unit, confidence: float) -> Means:
+    codes = responses.participants if unit == "participant" else responses.items
+    names = responses.participant_names if unit == "participant" else responses.item_names
+    counts = np.bincount(codes, minlength=len(names))
+    present = np.flatnonzero(counts)
+    n = counts[present].astype(float)
+    means = np.bincount(codes, responses.deviations, len(names))[present] / n
+    squares = np.bincount(codes, responses.deviations**2, len(names))[present]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        error = np.sqrt(np.maximum(squares - n * means**2, 0) / (n - 1) / n)
+        reach = special.stdtrit(n - 1, (1 + confidence) / 2) * error
+    return Means(tuple(names[index] for index in present), means, reach)
+
+
+def _position(responses: Responses, confidence: float) -> Position | None:
+    """The position check; ``None`` where ours was always on one side."""
+    ours_is_a = responses.ours_is_a
+    if ours_is_a is None or not 0 < ours_is_a.sum() < responses.count:
+        return None
+    sides = [_by_person(responses, rows) for rows in (ours_is_a, ~ours_is_a)]
+    # Ours as B turns what is displayed: the half difference is the lean to a side, free of any preference.
+    both = (sides[0] - sides[1]) / 2
+    lean, log_pvalue = both[np.isfinite(both)], math.nan
+    bias, reach = _mean_and_reach(lean, confidence)
+    if reach > 0:
+        statistic = bias / (reach / float(special.stdtrit(len(lean) - 1, (1 + confidence) / 2)))
+        log_pvalue = log_t_pvalue(statistic, len(lean) - 1, "two-sided")
+    shown = [_mean_and_reach(side[np.isfinite(side)], confidence) for side in sides]
+    return Position(bias, (bias - reach, bias + reach), log_pvalue, shown[0], shown[1])
+
+
+def _by_person(responses: Responses, rows: np.ndarray) -> np.ndarray:
+    size = len(responses.participant_names)
+    sums = np.bincount(responses.participants[rows], responses.deviations[rows], size)
+    with np.errstate(invalid="ignore"):
+        return sums / np.bincount(responses.participants[rows], minlength=size)
+
+
+def _mean_and_reach(values: np.ndarray, confidence: float) -> tuple[float, float]:
+    if len(values) < 2:
+        return (float(values.mean()) if len(values) else math.nan), math.nan
+    reach = float(special.stdtrit(len(values) - 1, (1 + confidence) / 2)) * values.std(ddof=1) / math.sqrt(len(values))
+    return float(values.mean()), float(reach)
+
+
+def _adjusted(found: Sequence[QuestionAnalysis]) -> list[QuestionAnalysis]:
+    """The questions with Holm's adjustment of each test over all of them."""
+    adjusted = [list(question.tests) for question in found]
+    for place in range(len(adjusted[0])):
+        values = holm([tests[place].result.log_pvalue for tests in adjusted])
+        for tests, value in zip(adjusted, values, strict=True):
+            tests[place] = NamedResult(tests[place].name, tests[place].result, value)
+    return [
+        QuestionAnalysis(**{**vars(question), "tests": tuple(tests)})
+        for question, tests in zip(found, adjusted, strict=True)
+    ]
+
+
+def as_json(analysis: Analysis) -> dict[str, Any]:
+    """The analysis as plain data, ``nan`` as ``None``; what ``analysis.json`` holds."""
+    checks, settings = analysis.checks, analysis.settings
+    kinds = ("missing", "duplicated", "out_of_range", "straight_lining", "failed_attention_check")
+    content = {
+        "schema": 1,
+        "sign": "scores below the neutral answer and negative estimates mean that ours is preferred",
+        "sources": list(analysis.sources),
+        "settings": {
+            "scale": [settings.scale.low, settings.scale.high],
+            "confidence": settings.confidence,
+            "resamples": settings.resamples,
+            "seed": settings.seed,
+            "rules": asdict(settings.rules),
+        },
+        "checks": {
+            "answers_read": checks.answers_read,
+            "attention_answers": checks.attention_answers,
+            "answers_used": checks.answers_used,
+            **{kind: [asdict(item) for item in checks.findings if item.kind == kind] for kind in kinds},
+            "excluded": [asdict(item) for item in checks.exclusions],
+            "notes": list(checks.notes),
+        },
+        "questions": {question.question: _question_json(question) for question in analysis.questions},
+    }
+    return _finite(content)
+
+
+def _question_json(question: QuestionAnalysis) -> dict[str, Any]:
+    responses, position = question.responses, question.position
+    return {
+        "title": question.title,
+        "n_responses": responses.count,
+        "n_participants": len(question.by_participant.names),
+        "n_items": len(question.by_item.names),
+        "mean": float(responses.deviations.mean()) + responses.scale.midpoint,
+        "sd": float(responses.deviations.std(ddof=1)) if responses.count > 1 else math.nan,
+        "distribution": {f"{level:g}": count for level, count in zip(question.levels, question.counts, strict=True)},
+        "tests": [row_json(named) for named in question.tests],
+        "effects": [asdict(effect) for effect in question.effects],
+        "variation": None if question.variation is None else asdict(question.variation),
+        "agreement": {
+            "name": "krippendorff_alpha_ordinal",
+            "estimate": question.alpha,
+            "interval": question.alpha_interval,
+        },
+        "position": None
+        if position is None
+        else {
+            "bias": position.bias,
+            "interval": position.interval,
+            "pvalue": math.exp(position.log_pvalue),
+            "mean_when_ours_is_a": position.mean_as_a[0],
+            "mean_when_ours_is_b": position.mean_as_b[0],
+        },
+        "participants": _means_json(question.by_participant),
+        "items": _means_json(question.by_item),
+    }
+
+
+def row_json(named: NamedResult) -> dict[str, Any]:
+    """One row of a question's ``tests``."""
+    result = named.result
+    return {
+        "name": named.name,
+        "unit": result.unit,
+        "statistic": result.statistic,
+        "pvalue": result.pvalue,
+        "log10_pvalue": result.log10_pvalue,
+        "pvalue_holm": math.exp(named.log_pvalue_holm),
+        "alternative": result.alternative,
+        "estimate": result.estimate,
+        "estimate_unit": result.estimate_unit,
+        "interval": result.interval,
+        "confidence": result.confidence,
+        "effect": result.effect,
+        "effect_name": result.effect_name,
+        "effect_interval": result.effect_interval,
+        "n": result.n,
+        "generalizes_to": result.generalizes_to,
+        "method": result.method,
+        "note": result.note,
+    }
+
+
+def _means_json(means: Means) -> list[dict[str, Any]]:
+    rows = zip(means.names, means.means.tolist(), means.reach.tolist(), strict=True)
+    return [{"name": name, "mean": mean, "interval": [mean - reach, mean + reach]} for name, mean, reach in rows]
+
+
+def _finite(value: Any) -> Any:
+    """Plain data without ``nan`` or infinities, which JSON has no words for."""
+    if isinstance(value, Mapping):
+        return {key: _finite(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

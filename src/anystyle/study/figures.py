@@ -1,0 +1,277 @@
+"""The study's figures: answers, means, positions, power. Deviations to the left of 0 prefer ours."""
+
+import io
+import math
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from anystyle.study.analysis import Analysis, Means, QuestionAnalysis
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+OURS, NEUTRAL, THEIRS = "#1f6f8b", "#dcdcd8", "#c8642b"
+_INK, _SOFT = "#24292e", "#6b7280"
+_NAMED_ROWS = 45  # above, names would overlap
+_STYLE: dict[Any, Any] = {
+    "font.size": 8,
+    "axes.titlesize": 9,
+    "axes.labelsize": 8,
+    "axes.edgecolor": _SOFT,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.titlelocation": "left",
+    "text.color": _INK,
+    "axes.labelcolor": _INK,
+    "xtick.color": _INK,
+    "ytick.color": _INK,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "text.parse_math": False,  # names of participants are no formulas
+    "pdf.fonttype": 42,
+    "svg.fonttype": "path",
+    "savefig.facecolor": "white",
+}
+
+
+def require() -> None:
+    """Make sure that figures can be drawn.
+
+    Raises:
+        ImportError: matplotlib is not installed.
+    """
+    try:
+        import matplotlib as _  # noqa: F401
+    except ImportError:
+        raise ImportError('figures and the report need matplotlib: pip install "anystyle[report]"') from None
+
+
+@contextmanager
+def _drawing(salt: str) -> Iterator[None]:
+    import matplotlib
+
+    with matplotlib.rc_context({**_STYLE, "svg.hashsalt": salt}), warnings.catch_warnings():
+        # A name may hold letters that the font lacks; the box in their place says so.
+        warnings.filterwarnings("ignore", message=r"Glyph \d+")
+        yield
+
+
+def save(figure: "Figure", path: Path) -> None:
+    """Write a figure in the format of the suffix; the same figure is the same bytes."""
+    stamp = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix)
+    with _drawing(path.stem):
+        figure.savefig(path, metadata=stamp, dpi=200)
+
+
+def as_svg(figure: "Figure", name: str) -> str:
+    """A figure as an ``<svg>`` element for a page; ``name`` keeps its identifiers apart from other figures'."""
+    text = io.StringIO()
+    with _drawing(name):
+        figure.savefig(text, format="svg", metadata={"Date": None})
+    return text.getvalue()[text.getvalue().index("<svg") :]
+
+
+def _figure(width: float, height: float) -> "Figure":
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), layout="constrained")
+
+
+def level_colors(levels: Sequence[float], midpoint: float) -> list[Any]:
+    """A colour an answer: deep at the ends, grey in the middle."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    low, high = min(levels), max(levels)
+    spans = [
+        LinearSegmentedColormap.from_list("side", [NEUTRAL, mixed, color])
+        for color, mixed in ((OURS, "#8fbccb"), (THEIRS, "#eab48c"))
+    ]
+    colors = []
+    for level in levels:
+        distance = (level - midpoint) / ((high if level > midpoint else low) - midpoint) if level != midpoint else 0.0
+        colors.append(spans[int(level > midpoint)](distance))
+    return colors
+
+
+def level_labels(levels: Sequence[float], midpoint: float) -> list[str]:
+    """The answers in words where there are five, as numbers otherwise."""
+    if len(levels) == 5 and levels[2] == midpoint:
+        return ["ours much better", "ours better", "no difference", "theirs better", "theirs much better"]
+    return [f"{level:g}" for level in levels]
+
+
+def likert(analysis: Analysis) -> "Figure":
+    """Diverging bars: how often each answer was given, centred on the neutral one, with counts."""
+    from matplotlib.patches import Patch
+
+    with _drawing("likert"):
+        questions = analysis.questions
+        figure = _figure(7.0, 1.15 + 0.5 * len(questions))
+        axes = figure.add_subplot()
+        levels = sorted({level for question in questions for level in question.levels})
+        midpoint = analysis.settings.scale.midpoint
+        colors = dict(zip(levels, level_colors(levels, midpoint), strict=True))
+        ends = [_likert_row(axes, row, question, colors, midpoint) for row, question in enumerate(questions)]
+        reach = 1.02 * max(max(-left, right) for left, right in ends)
+        axes.set_xlim(-reach, reach)
+        axes.axvline(0, color=_INK, linewidth=0.7, zorder=0)
+        axes.set_yticks(range(len(questions)), [_wrapped(question.title) for question in questions])
+        axes.tick_params(axis="y", length=0, labelsize=8)
+        axes.spines["left"].set_visible(False)
+        axes.invert_yaxis()
+        axes.xaxis.set_major_formatter(lambda value, _: f"{abs(value):.0%}")
+        axes.set_xlabel("← ours preferred        share of the answers        theirs preferred →")
+        if len(levels) <= 11:
+            names = level_labels(levels, midpoint)
+            handles = [Patch(color=colors[level], label=name) for level, name in zip(levels, names, strict=True)]
+            figure.legend(
+                handles=handles,
+                loc="outside upper center",
+                ncols=len(levels),
+                frameon=False,
+                fontsize=7.5,
+                handlelength=1,
+                handletextpad=0.4,
+                columnspacing=1.2,
+            )
+        return figure
+
+
+def _likert_row(
+    axes: "Axes", row: int, question: QuestionAnalysis, colors: dict[float, Any], midpoint: float
+) -> tuple[float, float]:
+    counts, levels = np.array(question.counts, dtype=float), np.array(question.levels)
+    shares = counts / counts.sum()
+    left = -float(shares[levels < midpoint].sum() + shares[levels == midpoint].sum() / 2)
+    start = left
+    for level, count, share in zip(question.levels, question.counts, shares, strict=True):
+        axes.barh(row, share, left=left, height=0.62, color=colors[level], edgecolor="white", linewidth=0.6)
+        edge = {question.levels[0]: ("right", left), question.levels[-1]: ("left", left + share)}.get(level)
+        if share <= 0.028 and count and edge:
+            side, place = edge
+            gap = -0.006 if side == "right" else 0.006
+            axes.text(place + gap, row, f"{count}", ha=side, va="center", fontsize=7.5, color=_SOFT)
+        elif share > 0.028:
+            dark = abs(level - midpoint) > 0.6 * max(abs(levels - midpoint))
+            color = "white" if dark else _INK
+            axes.text(left + share / 2, row, f"{count}", ha="center", va="center", fontsize=7.5, color=color)
+        left += float(share)
+    return start, left
+
+
+def _wrapped(text: str, width: int = 26) -> str:
+    import textwrap
+
+    return "\n".join(textwrap.wrap(text, width)[:3])
+
+
+def means(analysis: Analysis) -> "Figure":
+    """Means of participants and of items with intervals, sorted, beside the mean of all and its interval."""
+    with _drawing("means"):
+        questions = analysis.questions
+        people = max(len(question.by_participant.names) for question in questions)
+        items = max(len(question.by_item.names) for question in questions)
+        heights = [_rows_height(people), _rows_height(items)]
+        figure = _figure(1.0 + 2.1 * max(len(questions), 1.6), 0.9 + sum(heights))
+        grid = figure.subplots(2, len(questions), sharex=True, squeeze=False, height_ratios=heights)
+        spread = np.concatenate([_edges(side) for q in questions for side in (q.by_participant, q.by_item)])
+        limit = 1.05 * float(np.abs(spread).max(initial=0.5))
+        for column, question in enumerate(questions):
+            for row, (side, name) in enumerate(
+                ((question.by_participant, "participants"), (question.by_item, "items"))
+            ):
+                axes = grid[row, column]
+                _caterpillar(axes, side, question, named=len(side.names) <= _NAMED_ROWS and len(questions) <= 4)
+                axes.set_xlim(-limit, limit)
+                axes.set_title(f"{len(side.names)} {name}", fontsize=7.5, color=_SOFT)
+            grid[0, column].annotate(
+                _wrapped(question.title, 28),
+                (0, 1),
+                xytext=(0, 16),
+                xycoords="axes fraction",
+                textcoords="offset points",
+                fontsize=9,
+                fontweight="bold",
+                va="bottom",
+            )
+        figure.supxlabel("← ours preferred      mean answer, relative to neutral      theirs preferred →", fontsize=8)
+        return figure
+
+
+def _rows_height(rows: int) -> float:
+    return 0.5 + 0.085 * max(rows, 6) if rows <= _NAMED_ROWS else 3.6
+
+
+def _edges(side: Means) -> np.ndarray:
+    reach = np.where(np.isfinite(side.reach), side.reach, 0)
+    return np.concatenate([side.means - reach, side.means + reach])
+
+
+def _caterpillar(axes: "Axes", side: Means, question: QuestionAnalysis, named: bool) -> None:
+    order = np.argsort(side.means, kind="stable")
+    centers, reach = side.means[order], np.where(np.isfinite(side.reach), side.reach, 0)[order]
+    rows = np.arange(len(order))
+    colors = np.where(centers + reach < 0, OURS, np.where(centers - reach > 0, THEIRS, "#8b9097"))
+    if question.primary is not None:
+        axes.axvspan(*question.primary.result.interval, color="#e8eef1", linewidth=0, zorder=0)
+    axes.axvline(float(question.responses.deviations.mean()), color=_INK, linewidth=0.8, linestyle=(0, (4, 2)))
+    axes.axvline(0, color=_INK, linewidth=0.7, zorder=1)
+    many = len(order) > _NAMED_ROWS
+    axes.hlines(rows, centers - reach, centers + reach, colors=colors.tolist(), linewidth=0.4 if many else 0.9)
+    axes.scatter(centers, rows, s=1.5 if many else 7, c=colors.tolist(), zorder=3, linewidths=0)
+    axes.set_ylim(len(order) - 0.3, -0.7)
+    axes.set_yticks(rows if named else [], [side.names[index][:14] for index in order] if named else [])
+    axes.tick_params(axis="y", labelsize=4.6, length=0, pad=1)
+    axes.spines["left"].set_visible(False)
+
+
+def positions(analysis: Analysis) -> "Figure":
+    """Whether the preference depends on the side: ours shown as A, ours shown as B, and the lean to a side."""
+    from anystyle.study.tabulate import p_text
+
+    with _drawing("positions"):
+        found = [question for question in analysis.questions if question.position is not None]
+        figure = _figure(7.0, 0.9 + 0.62 * max(len(found), 1))
+        axes = figure.add_subplot()
+        limit = 0.5
+        for row, question in enumerate(found):
+            assert question.position is not None
+            shown = (question.position.mean_as_a, question.position.mean_as_b)
+            for offset, (mean, reach), marker, label in zip((-0.14, 0.14), shown, "os", "AB", strict=True):
+                error = reach if math.isfinite(reach) else 0.0
+                limit = max(limit, abs(mean) + error)
+                axes.errorbar(
+                    mean,
+                    row + offset,
+                    xerr=error,
+                    fmt=marker,
+                    color=OURS if label == "A" else "#7a5195",
+                    markersize=4.5,
+                    linewidth=1.1,
+                    label=f"ours shown as {label}" if row == 0 else None,
+                )
+            bias, pvalue = question.position.bias, math.exp(question.position.log_pvalue)
+            note = f"lean to a side: {bias:+.2f}".replace("-", "−") + f", p {p_text(pvalue)}"
+            axes.annotate(
+                note, (1, row), xycoords=("axes fraction", "data"), xytext=(4, 0), textcoords="offset points",
+                va="center", fontsize=7, color=_SOFT,
+            )  # fmt: skip
+        axes.axvline(0, color=_INK, linewidth=0.7, zorder=0)
+        axes.set_xlim(-1.08 * limit, 1.08 * limit)
+        axes.set_ylim(len(found) - 0.5, -0.5)
+        axes.set_yticks(range(len(found)), [_wrapped(question.title) for question in found])
+        axes.tick_params(axis="y", length=0, labelsize=8)
+        axes.spines["left"].set_visible(False)
+        axes.set_xlabel("← ours preferred      mean answer, relative to neutral      theirs preferred →")
+        if found:
+            figure.legend(loc="outside upper center", ncols=2, frameon=False, fontsize=7.5)
+        return figure
