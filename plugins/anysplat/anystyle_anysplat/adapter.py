@@ -54,7 +54,7 @@ class Adapter(contracts.Adapter):
             return None
         if attributes.confidence is None:
             raise ValueError("the attributes have no confidence to weigh pixels with; set fuse=false")
-        points = geometry.points(self.pixel_center).flatten(1, 3)
+        points = self._points(geometry)
         return voxel_clusters(points, attributes.confidence.flatten(1).to(points.dtype), self.voxel_size)
 
     def forward(self, attributes: Attributes, geometry: Geometry, clusters: Clusters | None) -> Gaussians:
@@ -71,7 +71,7 @@ class Adapter(contracts.Adapter):
             identity = rotations.new_tensor([1.0, 0.0, 0.0, 0.0])
             rotations = torch.where(clusters.valid[..., None], rotations, identity)
         return Gaussians(
-            means=geometry.points(self.pixel_center).flatten(1, 3) if clusters is None else clusters.means,
+            means=self._points(geometry) if clusters is None else clusters.means,
             rotations=rotations,
             scales=(self.scale_unit * F.softplus(scale)).clamp_max(self.scale_max),
             opacities=opacities,
@@ -84,6 +84,10 @@ class Adapter(contracts.Adapter):
         coefficients = color.shape[-1]
         spread = self.sh_mode == "reference" and coefficients == 1
         return (color * (damping if spread else damping[:coefficients])).mT
+
+    def _points(self, geometry: Geometry) -> Float[Tensor, "B M 3"]:
+        with torch.autocast(geometry.depth.device.type, enabled=False):
+            return geometry.points(self.pixel_center).flatten(1, 3)
 
     def _gather(self, values: Float[Tensor, "B V H W C"], clusters: Clusters | None) -> Float[Tensor, "B N C"]:
         flat = values.flatten(1, 3).float()

@@ -33,7 +33,8 @@ class Aligner(nn.Module):
 
     def correlation(self, tokens: Tokens) -> Float[Tensor, "B v P P"]:
         """How alike the patches of each view after the first are to those of the first, as logits."""
-        unit = F.normalize(self.compare(self.normal(tokens.patches)), dim=-1)
+        patches = tokens.patches.to(self.compare.weight.dtype)
+        unit = F.normalize(self.compare(self.normal(patches)), dim=-1)
         return torch.einsum("bipd,bqd->bipq", unit[:, 1:], unit[:, 0]) / self.temperature
 
     @torch.no_grad()

@@ -47,23 +47,18 @@ class GeometryHead(contracts.GeometryHead):
 
     def forward(self, features: Features, size: tuple[int, int]) -> Geometry:
         """Predict geometry; depth is the distance along z."""
-        last = features[self.taps[-1]].data
-        with torch.autocast(last.device.type, enabled=False):
-            encodings = self.camera(last[:, :, 0].to(self.camera.embed_pose.weight.dtype))
+        last = features[self.taps[-1]]
+        with torch.autocast(last.data.device.type, enabled=False):
+            encodings = self.camera(last.data[:, :, 0].to(self.camera.embed_pose.weight.dtype))
             logs = self.log_depth(features, size)
-        cameras = decode_pose(encodings[-1].float(), size, focal_epsilon=self.focal_epsilon)
-        depth, confidence = logs.float().exp().unbind(2)
-        if self.aligner is None:
-            return Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
-        tokens = features[self.taps[-1]]
-        correlation = self.aligner.correlation(tokens)
-        pose = self.aligner(correlation, tokens.grid, cameras, depth)
-        return Geometry(
-            cameras=replace(cameras, world_from_camera=pose),
-            depth=depth,
-            confidence=1 + confidence,
-            correlation=correlation,
-        )
+            cameras = decode_pose(encodings[-1].float(), size, focal_epsilon=self.focal_epsilon)
+            depth, confidence = logs.float().exp().unbind(2)
+            geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
+            if self.aligner is None:
+                return geometry
+            correlation = self.aligner.correlation(last)
+            pose = self.aligner(correlation, last.grid, cameras, depth)
+        return replace(geometry, cameras=replace(cameras, world_from_camera=pose), correlation=correlation)
 
     def log_depth(self, features: Features, size: tuple[int, int]) -> Float[Tensor, "B V 2 H W"]:
         """The depth head's two maps, before the exponential."""

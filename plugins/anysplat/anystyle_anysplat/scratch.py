@@ -12,7 +12,7 @@ from anystyle_anysplat.geometry_head import GeometryHead
 FIELD_OF_VIEW = math.radians(55)
 OPACITY = 0.9
 PIXELS = 0.5
-"""Standard deviation of a Gaussian in footprints of its pixel: the least that leaves no holes."""
+"""Standard deviation of a Gaussian in footprints of its pixel: at a half, neighbours just overlap."""
 SMALL = 0.01
 SH_CONSTANT = 0.28209479177387814
 

@@ -120,6 +120,25 @@ class FeatureProbes(nn.Module):
         return torch.einsum("bipd,bqd->bipq", unit[:, 1:], unit[:, 0]) / self.temperature
 
 
+def correlation_loss(logits: Float[Tensor, "B v P P"], matches: Matches, grid: tuple[int, int]) -> Float[Tensor, ""]:
+    """Cross entropy of a backbone's own matches with the first view.
+
+    The truth is spread over the four patches around it, as bilinear interpolation does, so that the expected place of
+    a perfect match is exact.
+    """
+    rows, columns = grid
+    place = (matches.own + matches.shift[:, 1:] + 1) / 2 * logits.new_tensor([columns, rows]) - 0.5
+    left, top = place.floor().unbind(-1)
+    likely = logits.log_softmax(-1)
+    entropy = torch.zeros_like(left)
+    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        column, row = left + dx, top + dy
+        share = (1 - (place[..., 0] - column).abs()) * (1 - (place[..., 1] - row).abs())
+        index = row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
+        entropy = entropy - share * likely.gather(-1, index.long()[..., None])[..., 0]
+    return _mean(entropy, matches.visible[:, 1:])
+
+
 def _mean(values: Float[Tensor, "B V P"], chosen: Bool[Tensor, "B V P"]) -> Float[Tensor, ""]:
     return (values * chosen).sum() / chosen.sum().clamp_min(1)
 

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
 from anystyle.training.contract import Training, required
 from anystyle.training.data import Batch, SceneBatches
-from anystyle.training.matching import FeatureProbes, patch_matches
+from anystyle.training.matching import FeatureProbes, correlation_loss, patch_matches
 from anystyle.training.optim import decayed_groups, scheduled
 from anystyle.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
 from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Views
@@ -47,6 +47,7 @@ class ReconstructionTraining(Training):
         glide_weight: Of the expected place of the match, likewise.
         locate_weight: Of telling each patch's world point, likewise.
         shift_weight: Of telling how each patch moves toward the first view, likewise.
+        correlation_weight: Of the matches of a backbone that makes them itself.
         render_weight: Of the squared error of renders.
         ssim_weight: Of their structural dissimilarity.
         render_every: Steps from one with renders to the next.
@@ -74,6 +75,7 @@ class ReconstructionTraining(Training):
         glide_weight: float = 1.0,
         locate_weight: float = 1.0,
         shift_weight: float = 5.0,
+        correlation_weight: float = 0.3,
         render_weight: float = 5.0,
         ssim_weight: float = 0.2,
         render_every: int = 4,
@@ -96,6 +98,7 @@ class ReconstructionTraining(Training):
             "glide": glide_weight,
             "locate": locate_weight,
             "shift": shift_weight,
+            "correlation": correlation_weight,
             "render": render_weight,
             "ssim": ssim_weight,
         }
@@ -159,12 +162,16 @@ class ReconstructionTraining(Training):
         assert cameras is not None and depth is not None
         grid = next(iter(features.values())).grid
         with self.exact():
-            return {
+            matches = patch_matches(cameras, depth, grid)
+            own: dict[str, Float[Tensor, ""]] = {}
+            if geometry.correlation is not None:
+                own["correlation"] = correlation_loss(geometry.correlation, matches, grid)
+            return own | {
                 "depth": depth_loss(geometry.depth, geometry.confidence, depth),
                 "camera": camera_loss(geometry.cameras, cameras),
                 "transfer": transfer_loss(geometry.cameras, cameras, depth),
                 "point": point_loss(geometry, cameras, depth),
-                **self.probes(features, patch_matches(cameras, depth, grid)),
+                **self.probes(features, matches),
             }
 
     def render_losses(
