@@ -178,11 +178,17 @@ def test_other_precisions(dtype: torch.dtype) -> None:
 
 
 def test_autocast_keeps_geometry_in_full_precision(backbone: AnySplat) -> None:
+    given = views(2)
     with torch.no_grad(), torch.autocast("cpu", dtype=torch.bfloat16):
-        scene = backbone.encode(views(2))
+        scene = backbone.encode(given)
         gaussians = backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
-    assert scene.geometry.depth.dtype == torch.float32 and scene.cameras.intrinsics.dtype == torch.float32
-    assert gaussians.means.dtype == gaussians.harmonics.dtype == torch.float32
+    with torch.no_grad():
+        features = {layer: tokens.with_data(tokens.data.float()) for layer, tokens in scene.features.items()}
+        expected = backbone.geometry_head(features, given.size)
+        clusters = backbone.adapter.cluster(expected, scene.attributes)
+    same(scene.geometry, expected, rtol=1e-6, atol=1e-6)
+    assert clusters is not None and gaussians.harmonics.dtype == torch.float32
+    torch.testing.assert_close(gaussians.means, clusters.means, rtol=1e-6, atol=1e-6)
 
 
 class TestScratch:
