@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from oracle import assert_matches, golden, hashed
 from torch import Tensor
 
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.renderers.cpu import CpuRenderer
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
+from oracle import assert_matches, golden, hashed
 
 GOLDEN = golden("golden_render")
 CASES = [name for name in GOLDEN if name.startswith("N")]

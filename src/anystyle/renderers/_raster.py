@@ -1,6 +1,10 @@
-"""Compiled kernels: blend splats into rows of tiles, nearest first, and back for gradients."""
+"""Compiled kernels: blend splats into rows of tiles, nearest first, and back for gradients.
 
-from math import ceil, exp, floor, sqrt
+The inner loops run over the 16 columns of a tile without branches, so that they compile to vector instructions. For
+that, all numbers in them are of single precision, and all planes of a tile lie in one array of known shape.
+"""
+
+from math import ceil, floor
 from typing import no_type_check
 
 import numpy as np
@@ -13,260 +17,232 @@ TILE = 16
 """Side of a tile in pixels; a job is one row of tiles."""
 
 MOMENTS = 10
-"""What a splat's gradient is summed from, over pixels: the gradients of red, green, blue and depth; and, with ``s``
-the gradient of ``sigma`` in a pixel at ``(dx, dy)`` from the splat, the sums of ``s, s dx, s dy, s dx², s dx dy,
-s dy²``."""
+"""What the gradient of a splat follows from, summed over pixels: the gradients of red, green, blue and depth; and with
+the gradient ``s`` of ``sigma`` in a pixel at ``(dx, dy)`` from it, ``s, s dx, s dy, s dx², s dx dy, s dy²``."""
+
+ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
+MIN_ALPHA = np.float32(1 / 255)
+MIN_TRANSMITTANCE = np.float32(1e-4)
+LOG2_E = np.float32(1.4426950408889634)
 
 
 @compiled
 @no_type_check
-def rows_of(splats: Array, height: int, offsets: Array) -> Array:
-    """List the splats of every row of tiles, in the order of ``splats``.
-
-    Args:
-        splats: ``[n, SPLAT]``, nearest first.
-        height: In pixels.
-        offsets: ``[rows + 1]``, written: where the list of each row begins and ends.
-
-    Returns:
-        The lists, one behind the other.
-    """
-    rows = offsets.shape[0] - 1
-    offsets[:] = 0
-    for i in range(splats.shape[0]):
-        first, last = row_span(splats[i], rows)
-        for row in range(first, last + 1):
-            offsets[row + 1] += 1
-    for row in range(rows):
-        offsets[row + 1] += offsets[row]
-    cursor = offsets[:-1].copy()
-    lists = np.empty(offsets[rows], np.int32)
-    for i in range(splats.shape[0]):
-        first, last = row_span(splats[i], rows)
-        for row in range(first, last + 1):
-            lists[cursor[row]] = i
-            cursor[row] += 1
-    return lists
+def falloff(sigma: float) -> float:
+    """``exp(-sigma)`` in single precision, exact to about two units in the last place; 0 behind 80."""
+    power = -LOG2_E * min(max(sigma, ZERO), np.float32(80))
+    whole = np.int32(power - HALF)
+    part = power - np.float32(whole)
+    # The Taylor series of 2 ** part, for part within half of 0.
+    value = np.float32(1.5403530393381610e-4)
+    value = value * part + np.float32(1.3333558146428443e-3)
+    value = value * part + np.float32(9.6181291076284772e-3)
+    value = value * part + np.float32(5.5504108664821580e-2)
+    value = value * part + np.float32(2.4022650695910072e-1)
+    value = value * part + np.float32(6.9314718055994531e-1)
+    value = value * part + ONE
+    return value * np.int32((whole + np.int32(127)) << np.int32(23)).view(np.float32)
 
 
 @compiled
 @no_type_check
-def row_span(splat: Array, rows: int) -> tuple[int, int]:
-    """The first and the last row of tiles that a splat may reach."""
-    first = max((float(splat[1]) - splat[11] - 1.0) / TILE, 0.0)
-    last = min((float(splat[1]) + splat[11] + 1.0) / TILE, rows - 1.0)
-    return int(first), int(last)
-
-
-@compiled
-@no_type_check
-def tile_span(splat: Array, columns: int) -> tuple[int, int]:
-    """The first and the last tile of a row that a splat may reach."""
-    # The half width follows from the half height: their squares are as the variances, and these as the conic's.
-    wide = splat[11] * sqrt(float(splat[4]) / float(splat[2]))
-    first = max((float(splat[0]) - wide - 1.0) / TILE, 0.0)
-    last = min((float(splat[0]) + wide + 1.0) / TILE, columns - 1.0)
-    return int(first), int(last)
-
-
-@compiled
-@no_type_check
-def tiles_of(splats: Array, members: Array, columns: int, offsets: Array) -> tuple[Array, Array]:
-    """Sort the splats of a row of tiles into its tiles.
-
-    Args:
-        splats: ``[n, SPLAT]``, nearest first.
-        members: ``[m]``: which of them are in the row.
-        columns: How many tiles the row has.
-        offsets: ``[columns + 1]``, written: where the list of each tile begins and ends.
-
-    Returns:
-        The lists of places in ``members``, and for each entry its number when counted member by member.
-    """
-    offsets[:] = 0
-    for i in range(members.shape[0]):
-        first, last = tile_span(splats[members[i]], columns)
-        for column in range(first, last + 1):
-            offsets[column + 1] += 1
-    for column in range(columns):
-        offsets[column + 1] += offsets[column]
-    cursor = offsets[:-1].copy()
-    lists = np.empty(offsets[columns], np.int32)
-    numbers = np.empty(offsets[columns], np.int32)
-    number = 0
-    for i in range(members.shape[0]):
-        first, last = tile_span(splats[members[i]], columns)
-        for column in range(first, last + 1):
-            lists[cursor[column]] = i
-            numbers[cursor[column]] = number
-            cursor[column] += 1
-            number += 1
-    return lists, numbers
-
-
-@compiled
-@no_type_check
-def row_interval(splat: Array, dy: float, left: int, width: int) -> tuple[int, int]:
-    """The columns of a row of pixels, from ``left`` on, that a splat at ``dy`` from the row reaches."""
-    xx, xy, yy = float(splat[2]), float(splat[3]), float(splat[4])
-    discriminant = 2.0 * splat[10] * xx - dy * dy * (xx * yy - xy * xy)
-    if not discriminant >= 0.0:
-        return 0, -1
-    half = sqrt(discriminant) / xx
-    center = splat[0] - xy * dy / xx - 0.5 - left
-    # A little wider than exact, against rounding; the threshold on alpha decides.
-    first = max(center - half - 0.01, 0.0)
-    last = min(center + half + 0.01, width - 1.0)
-    return ceil(first), floor(last)
-
-
-@compiled
-@no_type_check
-def blend(splats: Array, members: Array, top: int, cap: float, image: Array, last: Array) -> None:
+def blend(splats: Array, lists: Array, offsets: Array, top: int, cap: float, image: Array, last: Array) -> None:
     """Blend one row of tiles.
 
     Args:
-        splats: ``[n, SPLAT]``, nearest first.
-        members: ``[m]``: which of them are in the row.
+        splats: ``[n, SPLAT]``.
+        lists: Which of them each tile may show, nearest first, one list behind the other.
+        offsets: ``[columns + 1]``: where the list of each tile begins and ends.
         top: The first row of pixels.
-        cap: The most a splat covers of a pixel.
+        cap: The most that one covers of a pixel.
         image: ``[5, H, W]``, written: red, green, blue, depth and transmittance.
-        last: ``[H, W]``, written: the last of ``members`` that contributes to a pixel, -1 where none does.
+        last: ``[H, W]``, written: the last entry of a tile's list that a pixel was open for; -1 where there is none.
     """
-    height, width = last.shape
-    columns = (width + TILE - 1) // TILE
-    tall = min(TILE, height - top)
-    offsets = np.empty(columns + 1, np.int64)
-    lists, _ = tiles_of(splats, members, columns, offsets)
-    for column in range(columns):
-        left = column * TILE
-        wide = min(TILE, width - left)
-        image[:4, top : top + tall, left : left + wide] = 0.0
-        image[4, top : top + tall, left : left + wide] = 1.0
-        last[top : top + tall, left : left + wide] = -1
-        full = np.zeros((TILE, TILE), np.bool_)
-        open_pixels = tall * wide
-        for entry in range(offsets[column], offsets[column + 1]):
-            if open_pixels == 0:
+    for column in range(offsets.shape[0] - 1):
+        entries = lists[offsets[column] : offsets[column + 1]]
+        blend_tile(splats, entries, top, column * TILE, cap, image, last)
+
+
+@compiled
+@no_type_check
+def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, image: Array, last: Array) -> None:
+    """Blend the splats ``entries`` of one tile; see :func:`blend`."""
+    tall, wide = min(TILE, last.shape[0] - top), min(TILE, last.shape[1] - left)
+    # Of each pixel: red, green, blue, depth, what passes while it is open, what passes once it is full, last entry.
+    tile = np.empty((TILE, 7, TILE), np.float32)
+    for j in range(TILE):
+        for i in range(TILE):
+            for k in range(6):
+                tile[j, k, i] = ZERO
+            tile[j, 4, i] = ONE if (j < tall) & (i < wide) else ZERO
+            tile[j, 6, i] = -ONE
+    for entry in range(entries.shape[0]):
+        s = splats[entries[entry]]
+        place = np.float32(entry)
+        x, y = np.float32(s[0] - left - 0.5), np.float32(s[1] - top - 0.5)
+        first = ceil(max(float(y) - s[11] - 0.01, 0.0))
+        final = floor(min(float(y) + s[11] + 0.01, tall - 1.0))
+        xx, xy, yy, opacity = HALF * s[2], s[3], HALF * s[4], s[5]
+        red, green, blue, depth = s[6], s[7], s[8], s[9]
+        for j in range(first, final + 1):
+            row = tile[j]
+            dy = np.float32(j) - y
+            linear, constant = xy * dy, yy * dy * dy
+            for i in range(TILE):
+                dx = np.float32(i) - x
+                sigma = (xx * dx + linear) * dx + constant
+                alpha = min(cap, opacity * falloff(sigma))
+                alpha = alpha if (sigma >= ZERO) & (alpha >= MIN_ALPHA) else ZERO
+                before = row[4, i]
+                after = before - before * alpha
+                full = after <= MIN_TRANSMITTANCE
+                weight = ZERO if full else alpha * before
+                row[0, i] += weight * red
+                row[1, i] += weight * green
+                row[2, i] += weight * blue
+                row[3, i] += weight * depth
+                row[5, i] += before if full else ZERO
+                row[4, i] = ZERO if full else after
+                row[6, i] = max(row[6, i], -ONE if full else place)
+        if entry % 8 == 7:
+            passing = ZERO
+            for j in range(TILE):
+                for i in range(TILE):
+                    passing += tile[j, 4, i]
+            if passing == ZERO:
                 break
-            place = lists[entry]
-            s = splats[members[place]]
-            reach = s[11]
-            first_row = int(max(ceil(s[1] - reach - 0.51 - top), 0.0))
-            last_row = int(min(floor(s[1] + reach - 0.49 - top), tall - 1.0))
-            for j in range(first_row, last_row + 1):
-                dy = top + j + 0.5 - float(s[1])
-                first, final = row_interval(s, dy, left, wide)
-                for i in range(first, final + 1):
-                    if full[j, i]:
-                        continue
-                    dx = left + i + 0.5 - float(s[0])
-                    sigma = 0.5 * (s[2] * dx * dx + s[4] * dy * dy) + s[3] * dx * dy
-                    alpha = min(cap, s[5] * exp(-sigma))
-                    if sigma < 0.0 or alpha < 1.0 / 255.0:
-                        continue
-                    before = image[4, top + j, left + i]
-                    after = before * (1.0 - alpha)
-                    if after <= 1e-4:
-                        full[j, i] = True
-                        open_pixels -= 1
-                        continue
-                    weight = alpha * before
-                    image[0, top + j, left + i] += weight * s[6]
-                    image[1, top + j, left + i] += weight * s[7]
-                    image[2, top + j, left + i] += weight * s[8]
-                    image[3, top + j, left + i] += weight * s[9]
-                    image[4, top + j, left + i] = after
-                    last[top + j, left + i] = place
+    for j in range(tall):
+        for i in range(wide):
+            for k in range(4):
+                image[k, top + j, left + i] = tile[j, k, i]
+            image[4, top + j, left + i] = tile[j, 4, i] + tile[j, 5, i]
+            last[top + j, left + i] = int(tile[j, 6, i])
 
 
 @compiled
 @no_type_check
 def blend_backward(
-    splats: Array, members: Array, top: int, cap: float, image: Array, last: Array, d_image: Array, moments: Array
+    splats: Array,
+    lists: Array,
+    offsets: Array,
+    numbers: Array,
+    starts: Array,
+    top: int,
+    cap: float,
+    image: Array,
+    last: Array,
+    d_image: Array,
+    moments: Array,
 ) -> None:
     """Sum the gradients of the splats of one row of tiles.
 
     Args:
-        splats, members, top, cap, image, last: As for :func:`blend`.
+        splats: ``[n, SPLAT]``.
+        lists: Which of them each tile may show, nearest first, one list behind the other.
+        offsets: ``[columns + 1]``: where the list of each tile begins and ends.
+        numbers: The number of each entry of the lists when entries are counted splat by splat.
+        starts: ``[m + 1]``: where the entries of each of the row's ``m`` splats begin and end in that count.
+        top: The first row of pixels.
+        cap: The most that one covers of a pixel.
+        image: ``[5, H, W]``, as blended.
+        last: ``[H, W]``, as blended.
         d_image: ``[5, H, W]``: the gradient of ``image``.
         moments: ``[m, MOMENTS]``, written.
     """
-    height, width = last.shape
-    columns = (width + TILE - 1) // TILE
-    tall = min(TILE, height - top)
-    offsets = np.empty(columns + 1, np.int64)
-    lists, numbers = tiles_of(splats, members, columns, offsets)
-    # One row an entry, summed member by member in the end, so that the sum never depends on the order of tiles.
+    # One row an entry, summed splat by splat in the end, so that no sum depends on the order of tiles.
     parts = np.zeros((lists.shape[0], MOMENTS), np.float32)
-    passing = np.empty((TILE, TILE))
-    behind = np.empty((TILE, TILE))
-    for column in range(columns):
-        left = column * TILE
-        wide = min(TILE, width - left)
-        deepest = -1
-        for j in range(tall):
-            for i in range(wide):
-                passing[j, i] = image[4, top + j, left + i]
-                behind[j, i] = d_image[4, top + j, left + i] * passing[j, i]
-                deepest = max(deepest, last[top + j, left + i])
-        for entry in range(offsets[column + 1] - 1, offsets[column] - 1, -1):
-            place = lists[entry]
-            if place > deepest:
-                continue
-            s = splats[members[place]]
-            part = parts[numbers[entry]]
-            reach = s[11]
-            first_row = int(max(ceil(s[1] - reach - 0.51 - top), 0.0))
-            last_row = int(min(floor(s[1] + reach - 0.49 - top), tall - 1.0))
-            red = green = blue = depth = 0.0
-            m0 = mx = my = mxx = mxy = myy = 0.0
-            for j in range(first_row, last_row + 1):
-                dy = top + j + 0.5 - float(s[1])
-                first, final = row_interval(s, dy, left, wide)
-                n0 = nx = nxx = 0.0
-                for i in range(first, final + 1):
-                    y, x = top + j, left + i
-                    if place > last[y, x]:
-                        continue
-                    dx = left + i + 0.5 - float(s[0])
-                    sigma = 0.5 * (s[2] * dx * dx + s[4] * dy * dy) + s[3] * dx * dy
-                    covered = s[5] * exp(-sigma)
-                    alpha = min(cap, covered)
-                    if sigma < 0.0 or alpha < 1.0 / 255.0:
-                        continue
-                    before = passing[j, i] / (1.0 - alpha)
-                    passing[j, i] = before
-                    weight = alpha * before
-                    red += weight * d_image[0, y, x]
-                    green += weight * d_image[1, y, x]
-                    blue += weight * d_image[2, y, x]
-                    depth += weight * d_image[3, y, x]
-                    value = (
-                        s[6] * d_image[0, y, x]
-                        + s[7] * d_image[1, y, x]
-                        + s[8] * d_image[2, y, x]
-                        + s[9] * d_image[3, y, x]
-                    )
-                    d_alpha = before * value - behind[j, i] / (1.0 - alpha)
-                    behind[j, i] += weight * value
-                    if covered <= cap:
-                        slope = -covered * d_alpha
-                        n0 += slope
-                        nx += slope * dx
-                        nxx += slope * dx * dx
-                m0 += n0
-                mx += nx
-                my += dy * n0
-                mxx += nxx
-                mxy += dy * nx
-                myy += dy * dy * n0
-            part[0], part[1], part[2], part[3] = red, green, blue, depth
-            part[4], part[5], part[6], part[7], part[8], part[9] = m0, mx, my, mxx, mxy, myy
-    number = 0
-    for i in range(members.shape[0]):
-        moments[i] = 0.0
-        first, final = tile_span(splats[members[i]], columns)
-        for _ in range(first, final + 1):
-            moments[i] += parts[number]
-            number += 1
+    for column in range(offsets.shape[0] - 1):
+        here = slice(offsets[column], offsets[column + 1])
+        blend_tile_backward(splats, lists[here], numbers[here], top, column * TILE, cap, image, last, d_image, parts)
+    for i in range(moments.shape[0]):
+        moments[i] = ZERO
+        for number in range(starts[i], starts[i + 1]):
+            for k in range(MOMENTS):
+                moments[i, k] += parts[number, k]
+
+
+@compiled
+@no_type_check
+def blend_tile_backward(
+    splats: Array,
+    entries: Array,
+    numbers: Array,
+    top: int,
+    left: int,
+    cap: float,
+    image: Array,
+    last: Array,
+    d_image: Array,
+    parts: Array,
+) -> None:
+    """Write the gradients of the splats ``entries`` of one tile to the rows ``numbers``; see :func:`blend_backward`."""
+    tall, wide = min(TILE, last.shape[0] - top), min(TILE, last.shape[1] - left)
+    # Of each pixel: the gradients of red, green, blue and depth, what passes, the worth of what is behind, last entry.
+    tile, sums = np.empty((TILE, 7, TILE), np.float32), np.empty((7, TILE), np.float32)
+    deepest = -1
+    for j in range(TILE):
+        for i in range(TILE):
+            for k in range(6):
+                tile[j, k, i] = ZERO
+            tile[j, 6, i] = -ONE
+    for j in range(tall):
+        for i in range(wide):
+            for k in range(4):
+                tile[j, k, i] = d_image[k, top + j, left + i]
+            tile[j, 4, i] = image[4, top + j, left + i]
+            tile[j, 5, i] = d_image[4, top + j, left + i] * image[4, top + j, left + i]
+            tile[j, 6, i] = last[top + j, left + i]
+            deepest = max(deepest, last[top + j, left + i])
+    for entry in range(deepest, -1, -1):
+        s = splats[entries[entry]]
+        place = np.float32(entry)
+        x, y = np.float32(s[0] - left - 0.5), np.float32(s[1] - top - 0.5)
+        first = ceil(max(float(y) - s[11] - 0.01, 0.0))
+        final = floor(min(float(y) + s[11] + 0.01, tall - 1.0))
+        xx, xy, yy, opacity = HALF * s[2], s[3], HALF * s[4], s[5]
+        red, green, blue, depth = s[6], s[7], s[8], s[9]
+        for k in range(7):
+            for i in range(TILE):
+                sums[k, i] = ZERO
+        for j in range(first, final + 1):
+            row = tile[j]
+            dy = np.float32(j) - y
+            linear, constant = xy * dy, yy * dy * dy
+            for i in range(TILE):
+                dx = np.float32(i) - x
+                sigma = (xx * dx + linear) * dx + constant
+                covered = opacity * falloff(sigma)
+                alpha = min(cap, covered)
+                shown = (sigma >= ZERO) & (alpha >= MIN_ALPHA) & (place <= row[6, i])
+                alpha = alpha if shown else ZERO
+                share = ONE / (ONE - alpha)
+                before = row[4, i] * share
+                weight = alpha * before
+                value = red * row[0, i] + green * row[1, i] + blue * row[2, i] + depth * row[3, i]
+                slope = covered * (row[5, i] * share - before * value)
+                slope = slope if shown & (covered <= cap) else ZERO
+                row[4, i] = before
+                row[5, i] += weight * value
+                sums[0, i] += weight * row[0, i]
+                sums[1, i] += weight * row[1, i]
+                sums[2, i] += weight * row[2, i]
+                sums[3, i] += weight * row[3, i]
+                sums[4, i] += slope
+                sums[5, i] += slope * dy
+                sums[6, i] += slope * dy * dy
+        red = green = blue = depth = m0 = mx = my = mxx = mxy = myy = ZERO
+        for i in range(TILE):
+            dx = np.float32(i) - x
+            red += sums[0, i]
+            green += sums[1, i]
+            blue += sums[2, i]
+            depth += sums[3, i]
+            m0 += sums[4, i]
+            mx += sums[4, i] * dx
+            my += sums[5, i]
+            mxx += sums[4, i] * dx * dx
+            mxy += sums[5, i] * dx
+            myy += sums[6, i]
+        part = parts[numbers[entry]]
+        part[0], part[1], part[2], part[3], part[4] = red, green, blue, depth, m0
+        part[5], part[6], part[7], part[8], part[9] = mx, my, mxx, mxy, myy

@@ -1,8 +1,5 @@
 """The renderer for processors: compiled kernels, with gradients written by hand."""
 
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,13 +10,9 @@ from torch.autograd.function import once_differentiable
 
 from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import degree_of, normalisation
-from anystyle.geometry.projection import covariances
-from anystyle.renderers import _raster, _splat
+from anystyle.renderers import _views
 from anystyle.renderers._common import check, over
 from anystyle.types import Cameras, Gaussians, Renders
-
-CHUNK = 8192
-"""Gaussians a job; fixed, so that no sum depends on the number of threads."""
 
 
 class CpuRenderer(Renderer):
@@ -71,7 +64,8 @@ class CpuRenderer(Renderer):
         with torch.autocast("cpu", enabled=False):
             image = _Splatting.apply(
                 gaussians.means.float(),
-                covariances(gaussians.rotations.float(), gaussians.scales.float()),
+                gaussians.rotations.float(),
+                gaussians.scales.float(),
                 gaussians.opacities.float(),
                 gaussians.harmonics.float(),
                 cameras.camera_from_world.double(),
@@ -92,162 +86,74 @@ class _Settings(NamedTuple):
     alpha_cap: float
 
 
-class _Scene(NamedTuple):
-    """Gaussians of one scene, as the kernels read them."""
-
-    means: np.ndarray
-    covariances: np.ndarray
-    opacities: np.ndarray
-    harmonics: np.ndarray
-
-
-class _Splats(NamedTuple):
-    """The splats of one view, nearest first, and which rows of tiles they reach."""
-
-    data: np.ndarray
-    owner: np.ndarray
-    lists: np.ndarray
-    offsets: np.ndarray
-
-    def members(self, row: int) -> np.ndarray:
-        return self.lists[self.offsets[row] : self.offsets[row + 1]]
-
-
-Run = Callable[[Callable[[int], Any], Iterable[int]], Iterator[Any]]
-"""``map``, perhaps with threads; results come in order."""
-
-
-@contextmanager
-def _workers() -> Iterator[Run]:
-    threads = torch.get_num_threads()
-    if threads == 1:
-        yield map
-        return
-    # Threads of a call end with it, so that a process can fork between calls.
-    with ThreadPoolExecutor(threads) as pool:
-        yield pool.map
-
-
 class _Splatting(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> Tensor:
         *tensors, settings = inputs
-        scenes, cameras, scale = _read(tensors)
-        images = torch.empty(*cameras.shape[:2], 5, settings.height, settings.width)
-        last = np.empty((*cameras.shape[:2], settings.height, settings.width), np.int32)
-        with _workers() as run:
-            for b, v in np.ndindex(cameras.shape[:2]):
-                splats = _project(scenes[b], cameras[b, v], scale, settings, run)
-                _blend(splats, settings, images[b, v].numpy(), last[b, v], run)
+        scenes, views = _read(tensors, settings)
+        size = len(scenes), tensors[-1].shape[1], settings.height, settings.width
+        images, last = torch.empty(*size[:2], 5, *size[2:]), np.empty(size, np.int32)
+        with _views.workers() as run:
+            for b, scene in enumerate(scenes):
+                _views.shape(scene, run)
+                for v, view in enumerate(views[b]):
+                    splats = _views.project(scene, view, settings.height, run)
+                    _views.blend(splats, np.float32(settings.alpha_cap), images[b, v].numpy(), last[b, v], run)
         ctx.save_for_backward(*tensors, images)
         ctx.last, ctx.settings = last, settings
         return images
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, d_images: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, *grad_outputs: Tensor
+    ) -> tuple[Tensor | None, ...]:
         *tensors, images = ctx.saved_tensors
-        scenes, cameras, scale = _read(tensors)
-        means, shapes, opacities, harmonics, poses, origins, intrinsics = grads = [
-            torch.zeros(tensor.shape, dtype=tensor.dtype) for tensor in tensors
-        ]
-        with _workers() as run:
-            for b, v in np.ndindex(cameras.shape[:2]):
-                # Projected again, as the splats of many views would not fit; blending takes far longer.
-                splats = _project(scenes[b], cameras[b, v], scale, ctx.settings, run)
-                moments = _blend_backward(
-                    splats, ctx.settings, images[b, v].numpy(), ctx.last[b, v], d_images[b, v].contiguous().numpy(), run
-                )
-                sums = (means[b].numpy(), shapes[b].numpy(), opacities[b].numpy(), harmonics[b].numpy())
-                d_camera = _project_backward(scenes[b], cameras[b, v], scale, ctx.settings, splats, moments, sums, run)
-                poses[b, v, :3, :3] = d_camera[:9].view(3, 3)
-                poses[b, v, :3, 3] = d_camera[9:12]
-                origins[b, v] = d_camera[12:15]
-                intrinsics[b, v].diagonal()[:2] = d_camera[15:17]
-                intrinsics[b, v, :2, 2] = d_camera[17:]
-        return *grads, None
+        scenes, views = _read(tensors, ctx.settings)
+        cap = np.float32(ctx.settings.alpha_cap)
+        sums = [torch.zeros(tensor.shape, dtype=tensor.dtype) for tensor in tensors]
+        with _views.workers() as run:
+            for b, scene in enumerate(scenes):
+                _views.shape(scene, run)
+                into = _views.Scene._make([*(total[b].numpy() for total in sums[:5]), np.zeros_like(scene.shapes)])
+                for v, view in enumerate(views[b]):
+                    # Projected again, as the splats of many views would not fit; blending takes far longer.
+                    splats = _views.project(scene, view, ctx.settings.height, run)
+                    image, d_image = images[b, v].numpy(), grad_outputs[0][b, v].contiguous().numpy()
+                    moments = _views.blend_backward(splats, cap, image, ctx.last[b, v], d_image, run)
+                    d_camera = _views.project_backward(scene, view, splats, moments, into, run)
+                    _write(torch.from_numpy(d_camera), *(total[b, v] for total in sums[5:]))
+                _views.shape_backward(scene, into, run)
+        return *sums, None
 
 
-def _read(tensors: list[Tensor]) -> tuple[list[_Scene], np.ndarray, np.ndarray]:
-    """The scenes, the cameras ``[B, V, 19]`` and the normalisations of the harmonics, as the kernels read them."""
-    means, shapes, opacities, harmonics, poses, origins, intrinsics = (tensor.detach() for tensor in tensors)
-    scenes = [
-        _Scene(*(tensor[b].contiguous().numpy() for tensor in (means, shapes, opacities, harmonics)))
-        for b in range(len(means))
-    ]
+def _read(tensors: list[Tensor], settings: _Settings) -> tuple[list[_views.Scene], list[list[_views.View]]]:
+    """The scenes, with room for their shapes, and the views of each, as the kernels read them."""
+    *gaussians, poses, origins, intrinsics = (tensor.detach() for tensor in tensors)
+    rows = [[tensor[b].contiguous().numpy() for tensor in gaussians] for b in range(len(poses))]
+    scenes = [_views.Scene._make([*row, np.empty((len(row[0]), 6), np.float32)]) for row in rows]
     rotation, translation = poses[..., :3, :3].flatten(-2), poses[..., :3, 3]
     focal, center = intrinsics.diagonal(dim1=-2, dim2=-1)[..., :2], intrinsics[..., :2, 2]
     cameras = torch.cat([rotation, translation, origins, focal, center], dim=-1).contiguous().numpy()
-    count = degree_of(harmonics.shape[2]) + 1
-    scale = np.array([[normalisation(d, m) if m <= d else 0.0 for m in range(count)] for d in range(count)])
-    return scenes, cameras, scale
+    limits = np.array([settings.width, settings.height, settings.near, settings.far, settings.eps2d])
+    tables = _tables(degree_of(gaussians[-1].shape[2]))
+    return scenes, [[_views.View(camera, limits, tables) for camera in row] for row in cameras]
 
 
-def _project(scene: _Scene, camera: np.ndarray, scale: np.ndarray, settings: _Settings, run: Run) -> _Splats:
-    number = len(scene.means)
-    data, index = np.empty((number, _splat.SPLAT), np.float32), np.empty(number, np.int32)
-    limits = np.array([settings.near, settings.far, settings.eps2d])
-
-    def job(start: int) -> np.ndarray:
-        stop = min(start + CHUNK, number)
-        size = settings.width, settings.height
-        count = _splat.project(*scene, camera, limits, scale, *size, start, stop, data, index)
-        return np.arange(start, start + count)
-
-    written = [*run(job, range(0, number, CHUNK))]
-    rows = np.concatenate(written) if written else np.empty(0, np.int64)
-    rows = rows[_splat.nearest_first(data[rows, _splat.DEPTH])]
-    data, index = data[rows], index[rows]
-    offsets = np.empty(-(-settings.height // _raster.TILE) + 1, np.int64)
-    lists = _raster.rows_of(data, settings.height, offsets)
-    return _Splats(data, index, lists, offsets)
+def _tables(degree: int) -> np.ndarray:
+    """What :func:`anystyle.renderers._projection.harmonics_at` reads."""
+    tables = np.zeros((3, degree + 1, degree + 1))
+    for n in range(degree + 1):
+        for m in range(n + 1):
+            tables[0, n, m] = normalisation(n, m)
+            if n > m:
+                tables[1:, n, m] = (2 * n - 1) / (n - m), (n + m - 1) / (n - m)
+    return tables
 
 
-def _blend(splats: _Splats, settings: _Settings, image: np.ndarray, last: np.ndarray, run: Run) -> None:
-    def job(row: int) -> None:
-        _raster.blend(splats.data, splats.members(row), row * _raster.TILE, settings.alpha_cap, image, last)
-
-    for _ in run(job, range(len(splats.offsets) - 1)):
-        pass
-
-
-def _blend_backward(
-    splats: _Splats, settings: _Settings, image: np.ndarray, last: np.ndarray, d_image: np.ndarray, run: Run
-) -> np.ndarray:
-    def job(row: int) -> np.ndarray:
-        members = splats.members(row)
-        moments = np.empty((len(members), _raster.MOMENTS), np.float32)
-        top = row * _raster.TILE
-        _raster.blend_backward(splats.data, members, top, settings.alpha_cap, image, last, d_image, moments)
-        return moments
-
-    moments = np.zeros((len(splats.data), _raster.MOMENTS), np.float32)
-    for row, part in enumerate(run(job, range(len(splats.offsets) - 1))):
-        moments[splats.members(row)] += part
-    return moments
-
-
-def _project_backward(
-    scene: _Scene,
-    camera: np.ndarray,
-    scale: np.ndarray,
-    settings: _Settings,
-    splats: _Splats,
-    moments: np.ndarray,
-    sums: tuple[np.ndarray, ...],
-    run: Run,
-) -> Tensor:
-    number = len(splats.data)
-    d_means, d_covariances, d_opacities, d_harmonics = sums
-
-    def job(start: int) -> np.ndarray:
-        d_camera = np.zeros(19)
-        stop = min(start + CHUNK, number)
-        _splat.project_backward(
-            scene.means, scene.covariances, scene.harmonics, camera, scale, settings.width, settings.height,
-            start, stop, splats.data, splats.owner, moments,
-            d_means, d_covariances, d_opacities, d_harmonics, d_camera,
-        )  # fmt: skip
-        return d_camera
-
-    return torch.from_numpy(sum(run(job, range(0, number, CHUNK)), np.zeros(19)))
+def _write(d_camera: Tensor, d_pose: Tensor, d_origin: Tensor, d_intrinsics: Tensor) -> None:
+    d_pose[:3, :3] = d_camera[:9].view(3, 3)
+    d_pose[:3, 3] = d_camera[9:12]
+    d_origin[:] = d_camera[12:15]
+    d_intrinsics.diagonal()[:2] = d_camera[15:17]
+    d_intrinsics[:2, 2] = d_camera[17:]

@@ -1,0 +1,95 @@
+"""What the gsplat renderer asks of gsplat, and what it makes of the answer, without a graphics card."""
+
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from anystyle.geometry.harmonics import colors, degree_of
+from anystyle.geometry.projection import covariances, project
+from anystyle.renderers.gsplat import GsplatRenderer
+from anystyle.renderers.torch import TorchRenderer, blend
+from renderers.scenes import cameras, gaussians
+
+
+def rasterization(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmats: Tensor,
+    Ks: Tensor,
+    width: int,
+    height: int,
+    near_plane: float = 0.01,
+    far_plane: float = 1e10,
+    eps2d: float = 0.3,
+    sh_degree: int | None = None,
+    packed: bool = True,
+    render_mode: str = "RGB",
+    covars: Tensor | None = None,
+) -> tuple[Tensor, Tensor, dict[str, Any]]:
+    """gsplat's function with gsplat's conventions, for one scene and the arguments that matter here."""
+    assert render_mode == "RGB+D"
+    assert means.dtype == viewmats.dtype == Ks.dtype == torch.float32
+    images, alphas = [], []
+    for view, intrinsics in zip(viewmats, Ks, strict=True):
+        shapes = covariances(quats, scales) if covars is None else covars
+        limits = {"near": near_plane, "far": far_plane, "eps2d": eps2d}
+        splats = project(means, shapes, opacities, view, intrinsics, (height, width), **limits)
+        shown = colors[splats.index]
+        if sh_degree is not None:
+            origin = torch.linalg.inv(view)[:3, 3]
+            assert degree_of(colors.shape[-2]) == sh_degree
+            shown = harmonics_colors(shown, torch.nn.functional.normalize(means[splats.index] - origin, dim=-1))
+        payload = torch.cat([shown, splats.depths[:, None]], dim=-1)
+        x, y = torch.arange(width) + 0.5, torch.arange(height) + 0.5
+        image = blend(splats.means, splats.conics, opacities[splats.index], payload, x, y, 0.999)
+        images.append(image[:4].movedim(0, -1))
+        alphas.append(1 - image[4:].movedim(0, -1))
+    return torch.stack(images), torch.stack(alphas), {}
+
+
+harmonics_colors = colors
+
+
+@pytest.mark.parametrize("degree", [0, 4])
+def test_asks_for_the_same_picture(monkeypatch: pytest.MonkeyPatch, degree: int) -> None:
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=rasterization))
+    scene, views = gaussians(2, 60, degree), cameras(2, 3, (12, 20))
+    options = {"near": 2.5, "far": 3.6, "eps2d": 0.5}
+    expected = TorchRenderer(**options).accumulate(scene, views)
+    torch.testing.assert_close(GsplatRenderer(**options).accumulate(scene, views), expected, rtol=1e-4, atol=2e-5)
+
+
+def test_asks_for_nothing_of_an_empty_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(**arguments: Any) -> Any:
+        raise AssertionError("gsplat was asked to render nothing")
+
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=refuse))
+    scene, views = gaussians(2, 0), cameras(2, 3, (12, 20))
+    assert torch.equal(GsplatRenderer().accumulate(scene, views), TorchRenderer().accumulate(scene, views))
+
+
+def test_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "gsplat", None)
+    with pytest.raises(ImportError, match=r'pip install "anystyle\[gpu\]"'):
+        GsplatRenderer().accumulate(gaussians(1, 5), cameras(1, 1, (4, 4)))
+
+
+def test_the_real_gsplat_takes_these_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
+    import inspect
+
+    real = inspect.signature(pytest.importorskip("gsplat").rasterization)
+    scene, views = gaussians(1, 5, 1), cameras(1, 1, (4, 4))
+
+    def check(**arguments: Any) -> Any:
+        real.bind(**arguments)
+        return rasterization(**arguments)
+
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=check))
+    assert GsplatRenderer().accumulate(scene, views).isfinite().all()
