@@ -67,7 +67,7 @@ class CachedScenes(SceneSource):
         if made.images.shape[1:] != self._images.shape[1:]:
             raise ValueError(
                 f"scene {self.source.name(scene)} has {made.images.shape[1]} views of {made.size}, the first scene "
-                f"{self.num_views(0)} of {self.size}; a cache needs equal scenes: set data.cache=null"
+                f"{self.num_views(0)} of {self.size}; a cache needs equal scenes: set cache=null"
             )
         assert made.cameras is not None and made.depth is not None
         self._images[scene] = (made.images[0] * 255.0).round().to(torch.uint8).numpy()
@@ -80,7 +80,7 @@ class CachedScenes(SceneSource):
 def _whole(source: SceneSource, scene: int) -> Views:
     views = source.read(scene, list(range(source.num_views(scene))))
     if views.cameras is None or views.depth is None:
-        raise ValueError("only scenes with cameras and depth can be cached; set data.cache=null")
+        raise ValueError("only scenes with cameras and depth can be cached; set cache=null")
     return views
 
 
@@ -90,5 +90,5 @@ def _map(path: Path, dtype: np.dtype, shape: tuple[int, ...]) -> np.ndarray:
         if file.tell() == 0:
             file.truncate(size)
     if path.stat().st_size != size:
-        raise ValueError(f"{path} was made by another scene source; choose another data.cache or remove the directory")
+        raise ValueError(f"{path} was made by another scene source; choose another cache or remove the directory")
     return np.memmap(path, dtype=dtype, mode="r+", shape=shape)

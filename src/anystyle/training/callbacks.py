@@ -28,11 +28,12 @@ class StepSeed(pl.Callback):
     def __init__(self, seed: int) -> None:
         self.seed = seed
 
-    def on_train_batch_start(self, trainer: pl.Trainer, *args: Any) -> None:
+    def on_train_batch_start(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, batch: Any, batch_idx: int
+    ) -> None:
         """Seed."""
-        words = torch.tensor([self.seed, trainer.fit_loop.total_batch_idx + 1, trainer.global_rank], dtype=torch.int64)
         mixed = 0
-        for word in words.tolist():
+        for word in (self.seed, batch_idx, trainer.global_rank):
             # SplitMix64: near words give unrelated seeds.
             mixed = (mixed + word + 0x9E3779B97F4A7C15) % 2**64
             mixed = ((mixed ^ (mixed >> 30)) * 0xBF58476D1CE4E5B9) % 2**64
@@ -74,7 +75,9 @@ class LastCheckpoint(pl.Callback):
         if name is signal.SIGINT:
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
-    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *args: Any) -> None:
+    def on_train_batch_end(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
         """Save if it is time, or if the run is to end."""
         stop = trainer.strategy.reduce_boolean_decision(self.stopped_by is not None, all=False)
         step = trainer.global_step
@@ -99,8 +102,6 @@ class LastCheckpoint(pl.Callback):
 
     def save(self, trainer: pl.Trainer) -> None:
         """Write the checkpoint; all processes take part, the first one writes."""
-        if trainer.fast_dev_run:
-            return
         with _atomic_on_first(trainer, self.path) as temporary:
             trainer.save_checkpoint(temporary)
         self._written = time.monotonic()
@@ -132,7 +133,9 @@ class FiniteLoss(pl.Callback):
         self.max_gradient = max_gradient
         self._batch: Any = None
 
-    def on_train_batch_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule, batch: Any, *args: Any) -> None:
+    def on_train_batch_start(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, batch: Any, batch_idx: int
+    ) -> None:
         """Remember the batch."""
         self._batch = batch
 
@@ -177,7 +180,9 @@ class Average(pl.Callback):
         self.weights: dict[str, Tensor] = {}
 
     @torch.no_grad()
-    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *args: Any) -> None:
+    def on_train_batch_end(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
         """Move the average toward the weights."""
         step = trainer.global_step
         decay = min(self.decay, (1 + step) / (10 + step))
@@ -279,7 +284,9 @@ class Lines(pl.Callback):
         self._last = self._start = time.monotonic()
         self._first_step = trainer.global_step
 
-    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *args: Any) -> None:
+    def on_train_batch_end(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, batch: Any, batch_idx: int
+    ) -> None:
         """Say where the run is."""
         now, step, total = time.monotonic(), trainer.global_step, trainer.max_steps
         if now - self._last < self.every_seconds and step < total:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, Protocol, runtime_checkable
 
 import lightning.pytorch as pl
 import torch
@@ -36,6 +36,7 @@ class Batch(Value):
         return self.views.select(list(range(self.context)))
 
 
+@runtime_checkable
 class BatchSource(Protocol):
     """Anything that can say what a step sees; ``rank`` of ``world`` processes asks for its share."""
 
@@ -85,7 +86,7 @@ class SceneBatches:
     ) -> None:
         low, high = context_views
         if not 1 <= low <= high:
-            raise ValueError(f"data.context_views is [{low}, {high}]; give the least and the most views, at least 1")
+            raise ValueError(f"context_views is [{low}, {high}]; give the least and the most views, at least 1")
         if len(scenes) == 0:
             raise ValueError("the scene source holds no scene; `anystyle data check PATH` says why")
         self.scenes, self.styles, self.seed = scenes, styles, seed
@@ -123,7 +124,9 @@ class SceneBatches:
         """
         context, draws = self.draws(step)
         if len(draws) % world:
-            raise ValueError(f"{len(draws)} scenes a step cannot be shared by {world} processes; change data.batch_size")
+            raise ValueError(
+                f"{len(draws)} scenes a step cannot be shared by {world} processes; change data.batch_size"
+            )
         mine = draws[rank::world]
         rows = [self._read(draw) for draw in mine]
         size = self._size(step, rows[0])
@@ -192,7 +195,7 @@ def stack_views(rows: Sequence[Views]) -> Views:
     """One batch of scenes with equally many views of one size; what one of them does not know is left out."""
     sizes = {row.size for row in rows}
     if len(sizes) > 1:
-        raise ValueError(f"scenes of sizes {sorted(sizes)} cannot be one batch; set data.heights (and data.width)")
+        raise ValueError(f"scenes of sizes {sorted(sizes)} cannot be one batch; set heights and width")
     cameras = [row.cameras for row in rows if row.cameras is not None]
     depth = [row.depth for row in rows if row.depth is not None]
     return Views(
@@ -215,10 +218,7 @@ def stack_styles(rows: Sequence[Style]) -> Style:
     if shape is not None:
         image = torch.cat([torch.zeros(1, *shape) if row.image is None else row.image for row in rows])
         has_image = torch.cat(
-            [
-                torch.tensor([row.image is not None]) if row.has_image is None else row.has_image
-                for row in rows
-            ]
+            [torch.tensor([row.image is not None]) if row.has_image is None else row.has_image for row in rows]
         )
     texts = tuple(text for row in rows for text in (row.text or ("",)))
     names = tuple(name for row in rows for name in row.names)
@@ -312,4 +312,3 @@ class StepData(pl.LightningDataModule):
         if self.validation is None:
             return []
         return StepLoader(self.validation, start=0, stop=self.validation_steps)
-

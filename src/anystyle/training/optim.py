@@ -34,9 +34,7 @@ def scheduled(
     """An optimiser with :func:`learning_rate` on each of its groups, as Lightning takes it."""
 
     def share(peak: float) -> Any:
-        return lambda step: (
-            learning_rate(step, peak=peak, total=total, warmup=warmup, floor=floor, start=start) / peak
-        )
+        return lambda step: learning_rate(step, peak=peak, total=total, warmup=warmup, floor=floor, start=start) / peak
 
     schedule = LambdaLR(optimizer, [share(group["lr"]) for group in optimizer.param_groups])
     return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}

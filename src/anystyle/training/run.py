@@ -1,4 +1,4 @@
-"""One run of a training: built from a configuration, continued where it was left, and its weights written at the end."""
+"""One run of a training: built, continued where it was left, and its weights written at the end."""
 
 import json
 import logging
@@ -74,7 +74,9 @@ def train(config: DictConfig, out: Path) -> Outcome:
     keeper = LastCheckpoint(
         last, every_steps=config.checkpoint.every_steps, every_minutes=config.checkpoint.every_minutes
     )
-    trainer = make_trainer(config, out, [keeper, *([average] if average else [])])
+    # A trial of a step or two leaves nothing behind.
+    keepers: list[pl.Callback] = [] if config.fast_dev_run else [keeper]
+    trainer = make_trainer(config, out, [*([average] if average else []), *keepers])
     with warnings.catch_warnings():
         # Lightning advises on choices that are made on purpose here.
         warnings.filterwarnings("ignore", module=r"lightning\..*")
@@ -83,7 +85,7 @@ def train(config: DictConfig, out: Path) -> Outcome:
     finished = trainer.global_step >= trainer.max_steps
     metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
     weights: tuple[Path, ...] = ()
-    if trainer.is_global_zero and finished and not trainer.fast_dev_run:
+    if trainer.is_global_zero and finished and not config.fast_dev_run:
         if average:
             average.swap(training)
         weights = export(config, training, out, steps=trainer.global_step)

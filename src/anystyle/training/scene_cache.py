@@ -2,16 +2,14 @@
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import fields
-from typing import Any, TypeVar
+from dataclasses import fields, is_dataclass
+from typing import Any
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from anystyle.types import Clusters, Scene, Value, Views
-
-T = TypeVar("T")
 
 
 class EncodedScenes:
@@ -61,7 +59,7 @@ def _stacked(values: Sequence[Any]) -> Any:
     first = values[0]
     if isinstance(first, Tensor):
         return torch.cat(list(values))
-    if isinstance(first, Value):
+    if isinstance(first, Value) and is_dataclass(first):
         return type(first)(**{item.name: _stacked([getattr(v, item.name) for v in values]) for item in fields(first)})
     if isinstance(first, dict):
         return {key: _stacked([value[key] for value in values]) for key in first}

@@ -91,7 +91,8 @@ class StylizationTraining(Training):
         self.stylizer = stylizer
         self.terms = nn.ModuleDict(losses)
         self.images, self.batch_size = images, batch_size
-        self.context_views, self.view_power, self.spread = context_views, view_power, spread
+        self.context_views, self.view_power = context_views, view_power
+        self.spread: Literal["any", "bounded"] = spread
         self.heights, self.width, self.flip, self.pool = heights, width, flip, pool
         self.encoded = EncodedScenes(stylizer.encode, cache_scenes)
         self.text_ratio, self.alternation, self.mix_ratio = text_ratio, alternation, mix_ratio
@@ -165,7 +166,7 @@ class StylizationTraining(Training):
             return int((step + 1) * self.text_ratio) > int(step * self.text_ratio)
         return bool(generator(self.seed, 5, step).random() < self.text_ratio)
 
-    def on_train_batch_end(self, outputs: Any, batch: Batch, step: int) -> None:
+    def on_train_batch_end(self, outputs: Any, batch: Batch, batch_idx: int) -> None:
         """Draw the grid of styled renders when it is time."""
         due = self.preview_every and self.global_step % self.preview_every == 0
         if due and self.preview_path is not None and self.trainer.is_global_zero:

@@ -31,9 +31,7 @@ def canonical(views: Views, context: int) -> Views:
     scale = 1 / distance.clamp_min(1e-6)[:, None]
     poses = cameras.world_from_camera.clone()
     poses[..., :3, 3] = poses[..., :3, 3] * scale[..., None]
-    return replace(
-        views, cameras=replace(cameras, world_from_camera=poses), depth=views.depth * scale[..., None, None]
-    )
+    return replace(views, cameras=replace(cameras, world_from_camera=poses), depth=views.depth * scale[..., None, None])
 
 
 def depth_loss(
