@@ -113,10 +113,17 @@ class ImageTower(nn.Module):
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """Embed images of any size."""
         images = shorter_side(images, SIDE)
-        pooled = [pooled_moments(tap) for tap in self.texture(images, TAPS)]
+        return self.join(self.textures(images), images)
+
+    def textures(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M C"]:
+        """Mean and deviation of the texture network's features at four scales, of images of the right size."""
+        return torch.cat([pooled_moments(tap.float()) for tap in self.texture(images, TAPS)], dim=-1)
+
+    def join(self, textures: Float[Tensor, "M C"], images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
+        """Embed images of which the textures are known."""
         # One pixel in four of a picture has the same colours, at a quarter of the cost.
-        pooled.append(self.colors((images[..., ::2, ::2] - 0.5) * 4).mean((-2, -1)))
-        return F.normalize(self.head(self.norm(torch.cat(pooled, dim=-1))), dim=-1)
+        colors = self.colors((images[..., ::2, ::2] - 0.5) * 4).mean((-2, -1))
+        return F.normalize(self.head(self.norm(torch.cat([textures, colors], dim=-1))), dim=-1)
 
 
 class TextTower(nn.Module):

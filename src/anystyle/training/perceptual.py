@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
@@ -16,7 +16,7 @@ from anystyle.perception.texture import Texture, centred
 from anystyle.training.contract import Training
 from anystyle.training.optim import decayed_groups, scheduled
 from anystyle.training.palette import COLORS, palette_loss
-from anystyle.training.styles import StyleBatch, StyleBatches, TraitHeads
+from anystyle.training.styles import TRAITS, UNKNOWN, StyleBatch, StyleBatches, TraitHeads
 
 TAPS = ("relu2_2", "relu3_2", "relu4_1")
 POOLED = 2 * (64 + 96 + 128)
@@ -32,7 +32,9 @@ class PerceptualTraining(Training):
     Args:
         batch_size: Pictures a step.
         photos: Photographs a step, which only shine through.
-        crop: Side of the squares that are cut from the pictures, in pixels.
+        crop: Side of the squares that the network sees, in pixels.
+        shrink: Share of pictures of which the square is all, made smaller, rather than a cut-out; these are not asked
+            for their scale.
         pool: Styles to draw from, kept in memory; none means all there are.
         recolor: Share of pictures whose channels are permuted and inverted.
         blend: Share of pictures that a photograph shines through.
@@ -47,9 +49,10 @@ class PerceptualTraining(Training):
     def __init__(
         self,
         *,
-        batch_size: int = 64,
+        batch_size: int = 48,
         photos: int = 8,
         crop: int = 64,
+        shrink: float = 0.4,
         pool: int | None = 8000,
         recolor: float = 0.5,
         blend: float = 0.3,
@@ -62,7 +65,7 @@ class PerceptualTraining(Training):
     ) -> None:
         super().__init__()
         self.batch_size, self.photos, self.crop, self.pool = batch_size, photos, crop, pool
-        self.recolor, self.blend = recolor, blend
+        self.recolor, self.blend, self.shrink = recolor, blend, shrink
         self.scale_weight, self.palette_weight = scale_weight, palette_weight
         self.learning_rate, self.warmup, self.weight_decay = learning_rate, warmup, weight_decay
         self.bf16 = bf16
@@ -81,9 +84,12 @@ class PerceptualTraining(Training):
 
     def training_step(self, batch: StyleBatch, step: int) -> Tensor:
         """Cross-entropies of the traits, and the palette's distance."""
-        images = self.varied(batch)
+        shrunk = torch.rand(len(batch.images), device=batch.images.device) < self.shrink
+        images = self.varied(batch, shrunk)
         pooled = self.pooled(images)
-        named = self.traits.losses(pooled, batch.traits, smoothing=0.05)
+        traits = batch.traits.clone()
+        traits[shrunk, list(TRAITS).index("scale")] = UNKNOWN
+        named = self.traits.losses(pooled, traits, smoothing=0.05)
         palette = palette_loss(self.colors(pooled), images).mean()
         total = named["pattern"] + self.scale_weight * (named["scale"] + named["brushwork"])
         total = total + self.palette_weight * palette
@@ -111,9 +117,11 @@ class PerceptualTraining(Training):
         """Palettes in sRGB."""
         return self.palette(pooled).sigmoid().unflatten(-1, (COLORS, 3))
 
-    def varied(self, batch: StyleBatch) -> Float[Tensor, "M 3 c c"]:
-        """The styles of a batch turned, cropped, recoloured, and some with a photograph shining through."""
+    def varied(self, batch: StyleBatch, shrunk: Bool[Tensor, " M"]) -> Float[Tensor, "M 3 c c"]:
+        """The styles of a batch turned, cropped or made smaller, recoloured, and some with a photograph through them."""
         images, count = _cropped(batch.images, self.crop), len(batch.images)
+        whole = F.interpolate(batch.images, size=(self.crop, self.crop), mode="bilinear", antialias=True)
+        images = torch.where(shrunk[:, None, None, None], whole, images)
         if len(batch.photos):
             photos = _cropped(batch.photos, self.crop)[torch.randint(len(batch.photos), (count,))]
             amount = 0.5 * torch.rand(count, 1, 1, 1) * (torch.rand(count, 1, 1, 1) < self.blend)

@@ -1,7 +1,7 @@
 """Batches of made styles that know what they are made of, some photographs among them."""
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -17,6 +17,9 @@ from anystyle.types import Style, Value
 
 TRAITS = {"pattern": len(PATTERNS), "scale": len(SCALES), "brushwork": len(BRUSHWORK)}
 """What a style is asked for, and how many answers there are."""
+
+UNKNOWN = -100
+"""An answer that is not asked for; what cross-entropy ignores."""
 
 PHOTO_TEXTS = (
     "a photo",
@@ -52,6 +55,7 @@ class StyleBatch(Value):
     keys: tuple[int, ...] = ()
 
 
+@runtime_checkable
 class MadeStyles(Protocol):
     """A style source that knows what its styles are made of."""
 
@@ -167,9 +171,9 @@ def made(styles: StyleSource) -> MadeStyles:
     Raises:
         ValueError: It does not.
     """
-    if not callable(getattr(styles, "traits", None)):
+    if not isinstance(styles, MadeStyles):
         raise ValueError(f"{type(styles).__name__} does not know what its styles are made of; use styles=procedural")
-    return styles  # pyright: ignore[reportReturnType]  (the line above says so)
+    return styles
 
 
 class TraitHeads(nn.ModuleDict):
@@ -185,7 +189,7 @@ class TraitHeads(nn.ModuleDict):
     def losses(
         self, features: Float[Tensor, "M C"], traits: Int[Tensor, "M T"], *, smoothing: float = 0.0
     ) -> dict[str, Float[Tensor, ""]]:
-        """Cross-entropy of each trait."""
+        """Cross-entropy of each trait, over the rows where it is not :data:`UNKNOWN`."""
         return {
             name: nn.functional.cross_entropy(head(features), traits[:, place], label_smoothing=smoothing)
             for place, (name, head) in enumerate(self.items())
