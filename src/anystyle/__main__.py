@@ -16,7 +16,8 @@ Single-pass stylization of 3D Gaussian scenes, guided by text and images.
 {commands}
 
 anystyle COMMAND --help says more; anystyle plugins lists what there is to choose from.
-Shell completion: eval "$(anystyle -sc install=bash)"  (or zsh, fish)"""
+Shell completion: eval "$(anystyle -sc install=bash)"  (or zsh, fish)
+"""
 
 
 def available() -> dict[str, str]:
@@ -38,11 +39,11 @@ def main() -> None:
     first, *rest = sys.argv[1:] or ["--help"]
     if first in ("-h", "--help", "help"):
         rows = "\n".join(f"  {name:<10} {text}" for name, text in available().items())
-        print(_HELP.format(commands=rows))
+        sys.stdout.write(_HELP.format(commands=rows))
     elif first == "--version":
         from importlib.metadata import version
 
-        print(f"anystyle {version('anystyle')}")
+        sys.stdout.write(f"anystyle {version('anystyle')}\n")
     elif first in ("-sc", "--shell-completion"):
         from anystyle.commands._completion import complete
         from anystyle.commands._run import run

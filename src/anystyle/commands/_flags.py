@@ -15,9 +15,10 @@ HYDRA: dict[str, int] = {
     "-sc": 0, "--shell-completion": 0, "--hydra-help": 0, "-i": 0, "--info": 0, "-r": 0, "--run": 0,
 }  # fmt: skip
 """Hydra's own flags, and how many words follow each."""
+CONFIGURATIONS = ("job", "hydra", "all")
 
 EPILOG = """\
-Hydra: GROUP=NAME picks a component, KEY=VALUE sets an option; ./ before a file name keeps a '=' in it from being read so.
+Hydra: GROUP=NAME picks a component, KEY=VALUE sets an option; a file name with '=' in it needs ./ before.
   -m, --multirun         run every combination of the values given as KEY=A,B
   -c, --cfg job          show the configuration instead of running
   -cd, --config-dir DIR  add a folder of configurations
@@ -61,6 +62,8 @@ def split(parser: argparse.ArgumentParser, words: Sequence[str]) -> tuple[argpar
                 follow = 1
             hydra.extend(words[place - 1 : place + follow])
             place += follow
+            if flag in ("-c", "--cfg") and hydra[-1].removeprefix(f"{flag}=") not in CONFIGURATIONS:
+                raise UserError(f"--cfg takes one of {', '.join(CONFIGURATIONS)}")
         elif is_override(word):
             hydra.append(word)
         else:

@@ -75,7 +75,8 @@ def explain(error: Exception) -> str:
         return f"Could not find '{error.missing_cfg_file}'.{did_you_mean(name, known)}{listing}"
     if isinstance(error, OverrideParseException):
         reason = error.message.splitlines()[0] if error.message else "no such syntax"
-        return f"cannot read the override '{one_line(error.override)}': {reason}; quote special characters twice: 'key=\"a, b\"'"
+        hint = "quote special characters twice: 'key=\"a, b\"'"
+        return f"cannot read the override '{one_line(error.override)}': {reason}; {hint}"
     cause = error.__cause__
     parts = [_told(error)]
     if isinstance(cause, OmegaConfBaseException):

@@ -48,10 +48,11 @@ def _file(module: str, root: Path | None) -> Path | None:
         spec = importlib.machinery.PathFinder.find_spec(top, [str(root)])
     else:
         spec = importlib.util.find_spec(top)
-    for place, part in enumerate(rest, start=2):
+    full = top
+    for part in rest:
         if spec is None or spec.submodule_search_locations is None:
             return None
-        full = ".".join([top, *rest][:place])
+        full = f"{full}.{part}"
         spec = importlib.machinery.PathFinder.find_spec(full, list(spec.submodule_search_locations))
     origin = None if spec is None else spec.origin
     return Path(origin) if origin is not None and origin.endswith(".py") else None

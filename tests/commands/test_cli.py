@@ -1,0 +1,338 @@
+"""The program: quick where it lists, brief where it fails, and the same program in every process it starts."""
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from omegaconf import OmegaConf
+
+from anystyle import __main__ as program
+from anystyle.commands import _compose
+from anystyle.commands._flags import split
+from anystyle.commands._run import message, run
+from anystyle.contracts import Placement
+from anystyle.errors import UserError
+from anystyle.registry.build import build
+from anystyle.registry.compose import compose, override
+
+ROOT = """
+defaults: [{placement: head}, _self_, {override hydra/job_logging: none}, {override hydra/hydra_logging: none}]
+seed: 0
+hydra: {searchpath: ['anystyle://'], run: {dir: .}, sweep: {dir: .}, output_subdir: null}
+"""
+
+
+def flags() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="anystyle job", allow_abbrev=False)
+    parser.add_argument("inputs", nargs="*")
+    parser.add_argument("--text", action="append", default=[])
+    parser.add_argument("--style", nargs="+", default=[])
+    parser.add_argument("--demo", action="store_true")
+    parser.add_argument("--fail")
+    return parser
+
+
+def job(config, arguments) -> None:
+    placement = build(Placement, config.placement)
+    if arguments.fail is not None:
+        raise {"user": ValueError("two\nlines"), "bug": RuntimeError("a bug"), "interrupt": KeyboardInterrupt}[
+            arguments.fail
+        ]
+    sys.stdout.write(f"JOB {type(placement).__name__} {config.seed} {arguments.text} {arguments.inputs}\n")
+
+
+@pytest.fixture
+def command(tmp_path, monkeypatch, capsys):
+    """A command in this process, whose configuration root is in a folder of its own: status, output, errors."""
+    conf = tmp_path / "conf"
+    conf.mkdir()
+    (conf / "config.yaml").write_text(ROOT)
+    monkeypatch.setattr(_compose.paths, "CONF", conf)
+    monkeypatch.chdir(tmp_path)
+
+    def go(*words: str) -> tuple[int, str, str]:
+        status = 0
+        try:
+            _compose.main("config", job, flags(), words=list(words))
+        except SystemExit as left:
+            status = int(left.code or 0)
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return go
+
+
+def call(*words: str, cwd: Path | None = None, **environment: str):
+    """Run the program as a user does."""
+    return subprocess.run(
+        [sys.executable, "-m", "anystyle", *words],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        env={**os.environ, "OMP_NUM_THREADS": "1", **environment},
+    )
+
+
+@pytest.mark.parametrize("words", [["--help"], ["plugins"], ["plugins", "loss"], ["plugins", "backbone"]])
+def test_listing_imports_neither_torch_nor_a_plugin(words):
+    code = (
+        "import sys, anystyle; from anystyle.__main__ import main\n"
+        f"sys.argv = ['anystyle', *{words!r}]\n"
+        "try: main()\n"
+        "finally: print('IMPORTED', [n for n in sys.modules if n.split('.')[0] in "
+        "('torch', 'hydra', 'omegaconf', 'numpy', 'rich', 'anystyle_anysplat') or n.startswith('anystyle.losses.')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "IMPORTED []"
+
+
+def test_listing_is_as_quick_as_importing_hydra():
+    def seconds(*words: str) -> float:
+        start = time.perf_counter()
+        subprocess.run([sys.executable, *words], check=True, capture_output=True)
+        return time.perf_counter() - start
+
+    lists = (["--help"], ["plugins"], ["plugins", "loss"])
+    rounds = [
+        (seconds("-c", "import hydra"), *(seconds("-m", "anystyle", *words) for words in lists)) for _ in range(5)
+    ]
+    for place in range(len(lists)):
+        assert statistics.median(times[place + 1] / times[0] for times in rounds) < 1.5
+
+
+def test_help_lists_every_command_that_exists():
+    done = call("--help")
+    assert done.returncode == 0
+    for name in program.COMMANDS:
+        there = (Path(program.__file__).parent / "commands" / f"{name}.py").is_file()
+        assert (f"\n  {name} " in done.stdout) == there
+    assert all(line.strip() for line in program.available().values())
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["plugin"], "no command is named 'plugin'. Did you mean 'plugins'? Commands: "),
+        (["--halp"], "no flag is named '--halp'."),
+        (["_run"], "no command is named '_run'."),
+        (["plugins_check"], "no command is named 'plugins_check'. Did you mean 'plugins'?"),
+        (["../train"], "no command is named '../train'."),
+        (["plugins", "los"], "no kind of plugin is named 'los'. Did you mean 'loss'?"),
+        (["plugins", "loss", "styel"], "no loss is named 'styel'. Did you mean 'style'?"),
+        (["plugins", "loss", "style", "more"], "unrecognized arguments: more. See: anystyle plugins --help"),
+    ],
+)
+def test_mistakes_are_one_line(words, told):
+    done = call(*words)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith(f"anystyle: error: {told}")
+    assert done.stderr.count("\n") == 1
+
+
+def test_version():
+    assert call("--version").stdout.startswith("anystyle ")
+
+
+def test_a_closed_pipe_is_no_error():
+    done = subprocess.run(
+        f"{sys.executable} -m anystyle plugins loss | head -n 1", shell=True, capture_output=True, text=True
+    )
+    assert done.stderr == ""
+
+
+def test_shell_completion():
+    def completed(line: str) -> set[str]:
+        done = call("-sc", "query=bash", COMP_LINE=line)
+        assert done.returncode == 0, done.stderr
+        return set(done.stdout.split())
+
+    assert completed("anystyle plu") == {"plugins"}
+    assert {"placement=head", "placement=full"} <= completed("anystyle stylize placement=")
+    assert completed("anystyle nothing placement=") == set()
+    assert "complete" in call("-sc", "install=bash").stdout
+
+
+def test_a_command_runs_with_flags_and_overrides(command):
+    text = "a=b, 'c' \"d\" ${e} [f]\nnext"
+    status, out, err = command("photos/", "--text", text, "placement=full", "./x=1.jpg", "seed=3")
+    assert (status, err) == (0, "")
+    assert out == f"JOB Full 3 {[text]} ['photos/', './x=1.jpg']\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["placement=haed"], "Could not find 'placement/haed'. Did you mean 'head'? Available in 'placement': aggr"),
+        (["placment=head"], "Could not override 'placment': Key 'placment' is unknown. Did you mean 'placement'?"),
+        (["placement=full", "placement.every=1"], "Could not override 'placement.every': Key 'every' not in 'Full'"),
+        (["placement=full", "placement.every_layer=x"], "Error merging override placement.every_layer=x: Value 'x'"),
+        (["seed=[1"], "cannot read the override 'seed=[1': "),
+        (["seed=1,2"], "Ambiguous value for argument 'seed=1,2'"),
+        (["-m", "placement=head,haed"], "Could not find 'placement/haed'. Did you mean 'head'?"),
+        (["placement._target_=os.system"], "_target_ 'os.system' is not a plugin; a config may build only what"),
+        (["--txet", "x"], "unrecognized arguments: --txet. Did you mean '--text'? See: anystyle job --help"),
+        (["--text"], "argument --text: expected one argument. See: anystyle job --help"),
+        (["--cfg"], "--cfg takes one of job, hydra, all"),
+        (["--cfg", "jbo"], "--cfg takes one of job, hydra, all"),
+        (["--cfg=jbo"], "--cfg takes one of job, hydra, all"),
+        (["-m", "--cfg", "job"], "Only one of --run, --multirun, --cfg"),
+        (["--fail", "user"], "two lines\n"),
+    ],
+)
+def test_a_command_fails_in_one_line(command, words, told):
+    status, _, err = command(*words)
+    assert status == 2
+    assert err.startswith(f"anystyle: error: {told}")
+    assert err.count("\n") == 1
+
+
+def test_a_bug_is_raised_as_it_is(command):
+    with pytest.raises(RuntimeError, match="a bug"):
+        command("--fail", "bug")
+
+
+@pytest.mark.parametrize("variable", ["ANYSTYLE_TRACEBACK", "HYDRA_FULL_ERROR"])
+def test_tracebacks_on_demand(command, monkeypatch, variable):
+    monkeypatch.setenv(variable, "1")
+    with pytest.raises(ValueError, match="two"):
+        command("--fail", "user")
+    assert os.environ[variable] == "1"
+
+
+def test_interruption(command):
+    assert command("--fail", "interrupt") == (130, "", "anystyle: interrupted\n")
+
+
+def test_help_and_configuration(command):
+    status, out, _ = command("--help")
+    assert status == 0
+    assert "--text" in out and "--multirun" in out and "placement: aggregator, full, head" in out
+    status, out, _ = command("--cfg", "job", "placement=full")
+    assert status == 0
+    assert OmegaConf.create(out).placement._target_ == "anystyle.placements.full.Full"
+
+
+def test_multirun_runs_every_combination(command):
+    status, out, err = command("in", "-m", "placement=head,full", "seed=1,2", "--text", "a, b")
+    assert (status, err) == (0, "")
+    pairs = [(name, seed) for name in ("Head", "Full") for seed in (1, 2)]
+    assert out.splitlines() == [f"JOB {name} {seed} ['a, b'] ['in']" for name, seed in pairs]
+
+
+def test_a_failing_job_of_a_multirun_is_named(command):
+    status, _, err = command("-m", "seed=1,2", "--fail", "user")
+    assert status == 2
+    assert err == "Error executing job with overrides: ['seed=1']\nanystyle: error: two lines\n"
+
+
+def test_workers_know_the_plugins_of_a_folder(tmp_path):
+    """Other processes compose again: the source and the folder, named relatively, travel there."""
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher.joblib_launcher")
+    (tmp_path / "config.yaml").write_text(ROOT)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "pyproject.toml").write_text(
+        '[project.entry-points."anystyle.study_test"]\nmine = "mine_of_a_test:Mine"'
+    )
+    (tmp_path / "mine" / "mine_of_a_test.py").write_text(
+        "from anystyle.study.contract import StudyTest\n"
+        "class Mine(StudyTest):\n    def __init__(self, *, depth: int = 1) -> None:\n        self.depth = depth\n"
+        "    def __call__(self, *given, **named):\n        raise NotImplementedError\n"
+    )
+    (tmp_path / "job.py").write_text(
+        "import os\nfrom anystyle.commands._compose import main\n"
+        "def job(config):\n    print('JOB', config.study_test.mine.depth, os.getppid(), flush=True)\n"
+        "if __name__ == '__main__':\n    main('config', job)\n"
+    )
+    (tmp_path / "config.yaml").write_text(ROOT.replace("{placement: head}", "{study_test: [mine]}"))
+    words = ["study_test.mine.depth=5,6", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2"]
+    done = subprocess.run(
+        [sys.executable, "job.py", "-cp", str(tmp_path), "-m", *words],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={**os.environ, "ANYSTYLE_PLUGINS": "mine"},
+    )
+    assert done.returncode == 0, done.stderr
+    jobs = sorted(line.split()[1] for line in done.stdout.splitlines() if line.startswith("JOB"))
+    assert jobs == ["5", "6"]
+
+
+@pytest.mark.parametrize(
+    ("words", "inputs", "text", "hydra"),
+    [
+        (["photos/", "seed=3"], ["photos/"], [], ["seed=3"]),
+        (["seed=3", "photos/", "-m", "more"], ["photos/", "more"], [], ["seed=3", "-m"]),
+        (["--text", "a=b", "c=d"], [], ["a=b"], ["c=d"]),
+        (["--text=a=b", "--demo", "c=d", "in"], ["in"], ["a=b"], ["c=d"]),
+        (["--text", "-m x"], [], ["-m x"], []),
+        (["./a=b.jpg", "/a=b", "x"], ["./a=b.jpg", "/a=b", "x"], [], []),
+        (["+new.key=1", "++x=2", "~loss", "~loss=style"], [], [], ["+new.key=1", "++x=2", "~loss", "~loss=style"]),
+        (["hydra/launcher=joblib", "scenes@validation=x"], [], [], ["hydra/launcher=joblib", "scenes@validation=x"]),
+        (["--cfg", "job", "--info", "defaults", "in"], ["in"], [], ["--cfg", "job", "--info", "defaults"]),
+        (["--cfg=job", "~/photos"], ["~/photos"], [], ["--cfg=job"]),
+        (["in", "--", "a=b", "-m"], ["in", "a=b", "-m"], [], []),
+        (["--style", "a=b", "c=d"], [], [], ["c=d"]),
+    ],
+)
+def test_split(words, inputs, text, hydra):
+    arguments, rest = split(flags(), words)
+    assert (arguments.inputs, arguments.text, rest) == (inputs, text, hydra)
+
+
+SIMPLE = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False) | st.text().filter(lambda x: x != "???")
+
+
+@settings(deadline=None)
+@given(SIMPLE | st.lists(SIMPLE, max_size=3))
+def test_override_keeps_every_value(value):
+    parsed = OverridesParser.create().parse_override(override("x", value))
+    assert not parsed.is_sweep_override()
+    assert OmegaConf.create({"x": parsed.value()}).x == value
+
+
+def test_compose_inside_a_command_and_its_errors(tmp_path):
+    (tmp_path / "config.yaml").write_text(ROOT)
+    assert compose("config", ["placement=full"], conf=tmp_path).placement.every_layer is False
+    with pytest.raises(UserError, match="Could not find 'placement/ful'"):
+        compose("config", ["placement=ful"], conf=tmp_path)
+    with pytest.raises(UserError, match="Cannot find primary config"):
+        compose("nothing", conf=tmp_path)
+
+
+@pytest.mark.parametrize("root", ["stylize", "train", "evaluate"])
+def test_roots_compose(root):
+    config = compose(root)
+    assert "hydra" not in config
+    assert config.seed == 0
+
+
+def test_messages():
+    assert message(ValueError("a\n b")) == "a b"
+    assert message(FileNotFoundError(2, "No such file or directory", "x.jpg")) == "x.jpg: No such file or directory"
+    assert message(ImportError('reports need: pip install "anystyle[report]"')) is not None
+    assert message(ModuleNotFoundError("No module named 'x'", name="x")) is None
+    assert message(TypeError("a bug")) is None
+    with pytest.raises(SystemExit) as caught:
+        run(lambda: (_ for _ in ()).throw(KeyboardInterrupt()))
+    assert caught.value.code == 130
+
+
+def test_environment_and_arguments_are_put_back(tmp_path, monkeypatch, capsys):
+    (tmp_path / "config.yaml").write_text(ROOT)
+    monkeypatch.setattr(_compose.paths, "CONF", tmp_path)
+    monkeypatch.chdir(tmp_path)
+    before = list(sys.argv)
+    seen = []
+    _compose.launch("config", lambda config: seen.append((config.seed, sys.argv[1:])), ["seed=4"])
+    assert seen == [(4, ["seed=4"])]
+    assert sys.argv == before and "HYDRA_FULL_ERROR" not in os.environ

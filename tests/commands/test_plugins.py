@@ -1,0 +1,146 @@
+"""What `anystyle plugins` shows."""
+
+import sys
+
+import pytest
+
+import anystyle.registry.catalog as module
+from anystyle.commands.plugins import main
+from anystyle.contracts import Placement
+from anystyle.registry.builtin import BUILTIN, KINDS
+from anystyle.registry.catalog import Plugin, PluginError, catalog, plugin
+from anystyle.registry.peek import peek
+from anystyle.registry.schema import options
+
+PACKAGE = """
+from .model import Deep as Renamed
+"""
+MODEL = '''
+raise RuntimeError("imported")
+from typing import Literal
+from anystyle.contracts import Placement
+class Deep(Placement):
+    """Goes deep.
+
+    Args:
+        depth: How deep; a description that
+            goes on.
+        mode: Which way.
+    """
+    def __init__(self, sites_seen: int, *, depth: int = 2, mode: Literal["a", "b"] = "a", root: str) -> None: ...
+    def select(self, sites): return tuple(sites)
+'''
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    """A plugin in a package, whose class another module of it defines."""
+    package = tmp_path / "acme" / "acme_of_a_test"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text(PACKAGE)
+    (package / "model.py").write_text(MODEL)
+    (tmp_path / "acme" / "pyproject.toml").write_text(
+        '[project.entry-points."anystyle.placement"]\nacme = "acme_of_a_test:Renamed"\nlost = "acme_of_a_test:Lost"\n'
+        'gone = "acme_of_a_test.nowhere:Lost"\n'
+    )
+    monkeypatch.setenv("ANYSTYLE_PLUGINS", str(tmp_path))
+    monkeypatch.setattr("sys.path", list(sys.path))
+    yield tmp_path / "acme"
+    for name in [name for name in sys.modules if name.partition(".")[0] == "acme_of_a_test"]:
+        del sys.modules[name]
+
+
+def shown(capsys, *words: str) -> str:
+    main(list(words))
+    return capsys.readouterr().out
+
+
+def test_overview_names_everything(capsys):
+    text = shown(capsys)
+    for kind, row in KINDS.items():
+        assert f"{kind}{'*' if row.many else ''} " in text
+    for rows in BUILTIN.values():
+        assert all(name in text for name in rows)
+
+
+def test_a_kind_is_described_from_source(capsys, folder):
+    text = shown(capsys, "placement")
+    assert f"Goes deep.  [{folder}]" in text
+    assert "depth: int = 2" in text and "mode: Literal['a', 'b'] = 'a'" in text and "root: str\n" in text
+    assert "(no class Lost in acme_of_a_test)" in text
+    assert "(cannot be read: no source file of module acme_of_a_test.nowhere)" in text
+
+
+def test_a_plugin_is_shown_in_full(capsys, folder):
+    model = folder / "acme_of_a_test" / "model.py"
+    model.write_text(MODEL.replace('raise RuntimeError("imported")\n', ""))
+    text = shown(capsys, "placement", "acme")
+    assert text.startswith("placement=acme  (acme_of_a_test:Renamed, declared by ")
+    assert "  placement.depth: int = 2\n      How deep; a description that goes on.\n" in text
+    assert "  placement.mode: Literal['a', 'b'] = 'a'\n      Which way." in text
+    assert "  placement.root: str  (must be given)" in text
+
+
+def test_of_many_the_name_is_part_of_the_key(capsys):
+    assert "  loss.style.weight: float = " in shown(capsys, "loss", "style")
+
+
+def test_one_that_cannot_be_imported(folder):
+    with pytest.raises(PluginError, match="cannot be imported: imported"):
+        main(["placement", "acme"])
+
+
+def test_two_of_one_name_are_both_listed(capsys, tmp_path, monkeypatch):
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "pyproject.toml").write_text(
+            '[project.entry-points."anystyle.placement"]\ntwice = "somewhere:Else"\n'
+        )
+    monkeypatch.setenv("ANYSTYLE_PLUGINS", str(tmp_path))
+    text = shown(capsys, "placement")
+    assert str(tmp_path / "one") in text and str(tmp_path / "two") in text
+    assert "declared more than once" in text
+
+
+def test_problems_go_to_the_error_stream(capsys, tmp_path, monkeypatch):
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "pyproject.toml").write_text("[project")
+    monkeypatch.setenv("ANYSTYLE_PLUGINS", str(tmp_path))
+    main([])
+    captured = capsys.readouterr()
+    assert "ignored: " in captured.err and "bad/pyproject.toml cannot be read" in captured.err
+    assert "cannot be read" not in captured.out
+
+
+def test_presets_are_listed(capsys):
+    assert "anysplat_tiny" in shown(capsys, "backbone").partition("Presets:")[2]
+
+
+def test_a_class_of_this_process(monkeypatch, capsys):
+    monkeypatch.setattr(module, "_OWN", {})
+
+    @plugin("placement", "noted")
+    class Noted(Placement):
+        """Written in a notebook."""
+
+        def select(self, sites):
+            return tuple(sites)
+
+    assert "Written in a notebook.  [this process]" in shown(capsys, "placement")
+
+
+def test_source_and_signature_agree():
+    """What is read without importing is what importing finds."""
+    for row in catalog():
+        if row.origin == "anystyle":
+            summary = peek(row)
+            assert summary.description and not summary.description.startswith("("), row
+            written = [text.partition(":")[0] for text in summary.options]
+            assert written == [option.name for option in options(row)], row
+
+
+def test_peek_says_what_is_wrong(tmp_path):
+    (tmp_path / "broken_of_a_test.py").write_text("class Broken(:\n")
+    row = Plugin("placement", "broken", "broken_of_a_test:Broken", "here", root=tmp_path)
+    assert peek(row).description.startswith("(cannot be read: invalid syntax")
+    assert peek(Plugin("placement", "x", "no_such_package_at_all:X", "there")).description.startswith("(cannot be read")
