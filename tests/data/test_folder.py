@@ -60,6 +60,34 @@ def test_different_sizes_and_a_bad_file_among_good_ones(tmp_path, caplog):
     assert sources[2].size == (90, 30)
 
 
+def test_intrinsics_map_back_to_the_pixels_of_a_large_upright_source(tmp_path):
+    """A 50-megapixel photograph taken with the camera turned is reduced while it is read; its pixels still count."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    Image.new("RGB", (8000, 6400), (9, 99, 199)).save(tmp_path / "a.jpg", exif=exif)
+    views, (source,) = read(tmp_path)
+    assert views.size == (40, 32)
+    assert source.size == (8000, 6400)
+    lens = source.source_intrinsics(torch.tensor([[30.0, 0, 16], [0, 30, 20], [0, 0, 1]]))
+    torch.testing.assert_close(lens, torch.tensor([[6000.0, 0, 3200], [0, 6000, 4000], [0, 0, 1]]))
+    torch.testing.assert_close(source.view_intrinsics(lens), torch.tensor([[30.0, 0, 16], [0, 30, 20], [0, 0, 1]]))
+
+
+def test_equal_names_are_told_apart(tmp_path):
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        save(tmp_path / folder / "1.png")
+    save(tmp_path / "b" / "1.jpg")
+    assert read(tmp_path / "a", tmp_path / "b")[0].names == ("1", "1_2", "1_3")
+
+
+def test_a_single_grey_view_is_enough(tmp_path):
+    Image.new("L", (30, 20), 77).save(tmp_path / "a.png")
+    views, _ = read(tmp_path)
+    assert views.images.shape[:3] == (1, 1, 3)
+    assert (views.images * 255).round().unique().tolist() == [77.0]
+
+
 def test_many_photographs_are_thinned_evenly(tmp_path):
     for number in range(20):
         save(tmp_path / f"{number}.png", shade=number)

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -51,6 +52,14 @@ class SourceImage:
         source_from_view = intrinsics.new_tensor([[x, 0.0, left], [0.0, y, top], [0.0, 0.0, 1.0]])
         return source_from_view @ intrinsics
 
+    def view_intrinsics(self, intrinsics: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
+        """Intrinsics in pixels of the source as intrinsics in pixels of the view."""
+        left, top, right, bottom = self.box
+        height, width = self.view_size
+        x, y = width / (right - left), height / (bottom - top)
+        view_from_source = intrinsics.new_tensor([[x, 0.0, -left * x], [0.0, y, -top * y], [0.0, 0.0, 1.0]])
+        return view_from_source @ intrinsics
+
 
 def read_views(
     inputs: Sequence[Path], *, short_side: int, multiple: int, max_views: int
@@ -77,28 +86,40 @@ def read_views(
         _log.warning(
             "%d of %d photographs are taken, evenly spaced; views.max_views sets how many", max_views, len(found)
         )
-    pictures: list[tuple[str, Image.Image]] = []
-    problems: list[str] = []
-    for path in thinned:
+    shots, problems = _open(thinned, max_views)
+    if not shots:
+        raise ValueError(f"no photograph can be read: {problems[0]}" + _more(len(problems) - 1))
+    size = common_size([shot.size for shot in shots], short_side=short_side, multiple=multiple)
+    covered: list[tuple[Image.Image, SourceImage]] = []
+    for name, shot in zip(_distinct([shot.name for shot in shots]), shots, strict=True):
         try:
-            if path.suffix.lower() in video.SUFFIXES:
-                share = max(1, max_views // sum(item.suffix.lower() in video.SUFFIXES for item in thinned))
-                frames = video.read_frames(path, share)
-                pictures.extend((f"{path.stem}_{number:06d}", frame) for number, frame in frames)
-            else:
-                pictures.append((path.stem, images.open_image(path)))
+            covered.append(
+                read_picture(shot.path, name, size) if shot.frame is None else _cover(name, shot.frame, shot.size, size)
+            )
         except ValueError as error:
             problems.append(str(error))
-            _log.warning("left out: %s", error)
-    if not pictures:
+    for problem in problems:
+        _log.warning("left out: %s", problem)
+    if not covered:
         raise ValueError(f"no photograph can be read: {problems[0]}" + _more(len(problems) - 1))
-    size = common_size([picture.size for _, picture in pictures], short_side=short_side, multiple=multiple)
-    covered = [_cover(name, picture, size) for name, picture in pictures]
     views = Views(
         images=torch.stack([images.to_tensor(picture) for picture, _ in covered])[None],
         names=tuple(source.name for _, source in covered),
     )
     return views, [source for _, source in covered]
+
+
+def read_picture(path: Path, name: str, size: tuple[int, int]) -> tuple[Image.Image, SourceImage]:
+    """An image file as a view of ``size``, height and width: scaled to cover it and cut evenly.
+
+    Raises:
+        ValueError: It is no image, a damaged one, or too large.
+    """
+    source = images.image_size(path)
+    scale = min(source[0] / size[1], source[1] / size[0])
+    # Decoded at twice the size that is needed where the format can, which leaves the resampling its room.
+    picture = images.open_image(path, longest=max(1, round(2 * max(source) / max(scale, 1.0))))
+    return _cover(name, picture, source, size)
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -147,14 +168,60 @@ def _find(inputs: Sequence[Path]) -> list[Path]:
     return found
 
 
-def _cover(name: str, picture: Image.Image, size: tuple[int, int]) -> tuple[Image.Image, SourceImage]:
+class _Shot(NamedTuple):
+    """A photograph that is still to be decoded, or a frame of a video; its size is (width, height)."""
+
+    path: Path
+    name: str
+    size: tuple[int, int]
+    frame: Image.Image | None = None
+
+
+def _open(paths: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]]:
+    """The headers of photographs and the frames of videos, and what is wrong with the others."""
+    shots: list[_Shot] = []
+    problems: list[str] = []
+    share = max(1, max_views // max(1, sum(path.suffix.lower() in video.SUFFIXES for path in paths)))
+    for path in paths:
+        try:
+            if path.suffix.lower() in video.SUFFIXES:
+                for number, frame in video.read_frames(path, share):
+                    shots.append(_Shot(path, f"{path.stem}_{number:06d}", frame.size, frame))
+            else:
+                shots.append(_Shot(path, path.stem, images.image_size(path)))
+        except ValueError as error:
+            problems.append(str(error))
+    return shots, problems
+
+
+def _distinct(names: Sequence[str]) -> list[str]:
+    """The same names, with a number behind those that occurred before: two folders may hold a ``1.jpg`` each."""
+    taken: set[str] = set()
+    result: list[str] = []
+    for name in names:
+        other, number = name, 1
+        while other.casefold() in taken:
+            number += 1
+            other = f"{name}_{number}"
+        taken.add(other.casefold())
+        result.append(other)
+    return result
+
+
+def _cover(
+    name: str, picture: Image.Image, source: tuple[int, int], size: tuple[int, int]
+) -> tuple[Image.Image, SourceImage]:
+    """A view of ``size`` from the middle of a picture, which may be a reduced copy of the source."""
     height, width = size
-    scale = min(picture.width / width, picture.height / height)
+    scale = min(source[0] / width, source[1] / height)
     shown = (scale * width, scale * height)
-    left, top = (picture.width - shown[0]) / 2, (picture.height - shown[1]) / 2
+    left, top = (source[0] - shown[0]) / 2, (source[1] - shown[1]) / 2
     box = (left, top, left + shown[0], top + shown[1])
-    resized = picture.resize((width, height), Image.Resampling.LANCZOS, box=box)
-    return resized, SourceImage(name, (picture.height, picture.width), box, size)
+    x, y = picture.width / source[0], picture.height / source[1]
+    # Rounding may put the box a little outside of the picture, which the resampling refuses.
+    reduced = (box[0] * x, box[1] * y, min(box[2] * x, picture.width), min(box[3] * y, picture.height))
+    resized = picture.resize((width, height), Image.Resampling.LANCZOS, box=reduced)
+    return resized, SourceImage(name, (source[1], source[0]), box, size)
 
 
 def _more(count: int) -> str:

@@ -1,12 +1,14 @@
 """Reading image files of any kind, without trusting them."""
 
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 
 MAX_PIXELS = 178_000_000
@@ -14,6 +16,22 @@ MAX_PIXELS = 178_000_000
 
 SUFFIXES = frozenset({".avif", ".bmp", ".gif", ".jfif", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp"})
 """File names that are taken for images in a folder."""
+
+
+_TRANSPOSED = frozenset({5, 6, 7, 8})
+"""Values of the EXIF orientation for which width and height change places."""
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Width and height of the upright image, from its header alone.
+
+    Raises:
+        ValueError: It is no image, a damaged one, or too large.
+        OSError: It cannot be read.
+    """
+    with _guarded(path) as image:
+        width, height = image.size
+        return (height, width) if image.getexif().get(ExifTags.Base.Orientation) in _TRANSPOSED else (width, height)
 
 
 def open_image(path: Path, *, longest: int = 4096) -> Image.Image:
@@ -30,6 +48,17 @@ def open_image(path: Path, *, longest: int = 4096) -> Image.Image:
         ValueError: It is no image, a damaged one, or too large.
         OSError: It cannot be read.
     """
+    with _guarded(path) as image:
+        image.draft("RGB", (longest, longest))
+        factor = max(1, max(image.size) // longest)
+        # Indices of a palette have no mean, and Pillow has none of 16-bit levels.
+        small = image.reduce(factor) if factor > 1 and image.mode in ("L", "LA", "RGB", "RGBA", "CMYK") else image
+        return _to_rgb(ImageOps.exif_transpose(small))
+
+
+@contextmanager
+def _guarded(path: Path) -> Iterator[Image.Image]:
+    """An image whose header has been judged; all that decoders raise becomes one line that names the file."""
     if not path.is_file():
         raise ValueError(f"there is no image {path}")
     try:
@@ -37,20 +66,24 @@ def open_image(path: Path, *, longest: int = 4096) -> Image.Image:
             warnings.simplefilter("ignore")
             with Image.open(path) as image:
                 if image.width * image.height > MAX_PIXELS:
-                    raise ValueError(f"{path} has {image.width}x{image.height} pixels; at most {MAX_PIXELS:,} are read")
-                image.draft("RGB", (longest, longest))
-                factor = max(1, max(image.size) // longest)
-                small = image.reduce(factor) if factor > 1 and image.mode not in ("P", "I;16", "I", "F") else image
-                upright = ImageOps.exif_transpose(small)
-                return _to_rgb(upright)
-    except Image.DecompressionBombError:
+                    raise _TooLarge
+                yield image
+    except (_TooLarge, Image.DecompressionBombError):
         raise ValueError(f"{path} has too many pixels; at most {MAX_PIXELS:,} are read") from None
     except UnidentifiedImageError:
-        raise ValueError(f"{path} is no image, whatever its name says") from None
-    except (OSError, SyntaxError, EOFError, IndexError, TypeError) as error:
+        raise ValueError(f"{path} is no image that can be read, whatever its name says") from None
+    except MemoryError:
+        raise
+    except Exception as error:
+        # Decoders of damaged files raise nearly anything; what the system says of the file is passed on.
         if isinstance(error, OSError) and error.errno is not None:
             raise
-        raise ValueError(f"{path} is a damaged image ({str(error).strip() or type(error).__name__})") from None
+        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
+        raise ValueError(f"{path} is a damaged image ({reason})") from None
+
+
+class _TooLarge(Exception):
+    """An image holds more than MAX_PIXELS."""
 
 
 def read_image(path: Path, *, longest: int = 1024) -> Float[Tensor, "3 H W"]:

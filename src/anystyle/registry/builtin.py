@@ -71,10 +71,14 @@ BUILTIN: dict[str, dict[str, str]] = {
     "metric": {},
     "correspondence": {},
     "scenes": {
+        "folder": "anystyle.data.scene_folder:FolderScenes",
         "procedural": "anystyle.data.procedural.scenes:ProceduralScenes",
+        "re10k": "anystyle.data.re10k:Re10kScenes",
     },
     "styles": {
+        "folder": "anystyle.data.style_folder:FolderStyles",
         "procedural": "anystyle.data.procedural.styles:ProceduralStyles",
+        "wikiart": "anystyle.data.wikiart:WikiArtStyles",
     },
     "study_test": {
         "cluster_bootstrap": "anystyle.study.tests.cluster_bootstrap:ClusterBootstrap",

@@ -1,0 +1,114 @@
+"""Cameras that were stored beside photographs: transforms.json of NeRF tools and DL3DV, poses_bounds.npy of LLFF."""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True)
+class StoredCamera:
+    """One camera in OpenCV axes.
+
+    Args:
+        world_from_camera: 4x4.
+        intrinsics: 3x3, in pixels of an image of ``size``.
+        size: Height and width of the image they were stored for.
+    """
+
+    world_from_camera: NDArray[np.float64]
+    intrinsics: NDArray[np.float64]
+    size: tuple[int, int]
+
+    def for_size(self, height: int, width: int) -> NDArray[np.float64]:
+        """Intrinsics in pixels of the same image stored at another resolution."""
+        scale = np.array([width / self.size[1], height / self.size[0], 1.0])
+        return self.intrinsics * scale[:, None]
+
+
+def read_poses(folder: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
+    """The cameras of a scene's images by file name; empty where none are stored.
+
+    ``transforms.json`` names its images, which may lie in a folder of another resolution; ``poses_bounds.npy`` has one
+    row an image in the order of their names. Lens distortion is not undone.
+
+    Args:
+        folder: Of the scene.
+        images: File names of its images, in order.
+
+    Raises:
+        ValueError: A file is damaged or does not fit the images.
+    """
+    if (folder / "transforms.json").is_file():
+        stored = _transforms(folder / "transforms.json")
+        # Some tools leave the suffix out.
+        pairs = [(name, stored.get(name, stored.get(PurePosixPath(name).stem))) for name in images]
+        known = {name: camera for name, camera in pairs if camera is not None}
+        if not known:
+            raise ValueError(f"{folder / 'transforms.json'} names none of the photographs beside it")
+        return known
+    if (folder / "poses_bounds.npy").is_file():
+        return _llff(folder / "poses_bounds.npy", images)
+    return {}
+
+
+def _transforms(path: Path) -> dict[str, StoredCamera]:
+    try:
+        content = json.loads(path.read_text())
+        return {
+            PurePosixPath(str(frame["file_path"])).name: _frame({**content, **frame}) for frame in content["frames"]
+        }
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, ZeroDivisionError) as error:
+        reason = f"no {error}" if isinstance(error, KeyError) else str(error).splitlines()[0]
+        raise ValueError(f"{path} is not a transforms.json of cameras ({reason})") from None
+
+
+def _frame(entry: Mapping[str, Any]) -> StoredCamera:
+    width, height = int(entry["w"]), int(entry["h"])
+    if width <= 0 or height <= 0:
+        raise ValueError(f"an image of {width}x{height} pixels")
+    fx = entry["fl_x"] if "fl_x" in entry else 0.5 * width / np.tan(0.5 * float(entry["camera_angle_x"]))
+    fy = entry.get("fl_y", fx)
+    lens = np.array([[fx, 0, entry.get("cx", width / 2)], [0, fy, entry.get("cy", height / 2)], [0, 0, 1]], np.float64)
+    # OpenGL's camera looks along -z with y up.
+    pose = _rigid(np.array(entry["transform_matrix"], dtype=np.float64)[:3] @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    return StoredCamera(pose, lens, (height, width))
+
+
+def _llff(path: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
+    try:
+        rows = np.load(path, allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise ValueError(f"{path} is no array of poses ({str(error).splitlines()[0]})") from None
+    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind != "f":
+        raise ValueError(f"{path} holds an array of shape {rows.shape}; N x 17 numbers are expected")
+    if len(rows) != len(images):
+        raise ValueError(f"{path} has {len(rows)} poses for {len(images)} images; remove images without a pose")
+    cameras = {}
+    for name, row in zip(images, rows.astype(np.float64), strict=True):
+        matrix = row[:15].reshape(3, 5)
+        height, width, focal = matrix[:, 4]
+        if not (height >= 1 and width >= 1 and focal > 0):
+            raise ValueError(f"{path} has a camera of {width:g}x{height:g} pixels and focal length {focal:g}")
+        # Stored axes are down, right, back.
+        axes = np.stack([matrix[:, 1], matrix[:, 0], -matrix[:, 2], matrix[:, 3]], axis=1)
+        lens = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+        cameras[name] = StoredCamera(_rigid(axes), lens, (round(height), round(width)))
+    return cameras
+
+
+def _rigid(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The nearest rigid motion of a 3x4 matrix, of which stored ones are some rounding away."""
+    if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
+        raise ValueError("a pose is no finite 3x4 matrix")
+    u, _, vt = np.linalg.svd(matrix[:, :3])
+    rotation = u @ vt
+    if np.linalg.det(rotation) < 0 or np.abs(rotation - matrix[:, :3]).max() > 0.02:
+        raise ValueError("a pose has no rotation in it")
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = rotation, matrix[:, 3]
+    return pose

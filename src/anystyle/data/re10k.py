@@ -1,0 +1,133 @@
+"""RealEstate10K in chunks of compressed frames, as pixelSplat and its successors store it."""
+
+import json
+import tempfile
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import SceneSource
+from anystyle.data.folder import SourceImage, common_size, read_picture
+from anystyle.data.images import image_size, to_tensor
+from anystyle.types import Cameras, Views
+
+
+class Re10kScenes(SceneSource):
+    """Clips with poses: ``root/{train,test}/*.torch`` with an ``index.json`` from keys to chunks.
+
+    A chunk is a list of dictionaries: ``key``, ``cameras`` (a row a frame: focal lengths and principal point in
+    fractions of the image, two unused numbers, and 3x4 camera from world in OpenCV axes) and ``images`` (compressed).
+    Poses are handed out as they are stored, without a common scale.
+
+    Args:
+        root: A folder.
+        split: Which of its sub-folders.
+        short_side: Shorter side of the views in pixels.
+        multiple: Sides are multiples of it.
+
+    Raises:
+        ValueError: The folder has no index, or a chunk is not of that form.
+    """
+
+    def __init__(
+        self,
+        *,
+        root: str = "re10k",
+        split: Literal["train", "test"] = "train",
+        short_side: int = 252,
+        multiple: int = 14,
+    ) -> None:
+        if short_side < 1 or multiple < 1:
+            raise ValueError(f"short_side={short_side} and multiple={multiple}: give at least 1")
+        self.folder = Path(root) / split
+        self.short_side = short_side
+        self.multiple = multiple
+        self.index = _read_index(self.folder / "index.json")
+        self.keys = sorted(self.index)
+        self._chunk = lru_cache(maxsize=2)(self._load)
+
+    def __len__(self) -> int:
+        """How many clips there are."""
+        return len(self.keys)
+
+    def name(self, scene: int) -> str:
+        """The clip's key."""
+        if not 0 <= scene < len(self.keys):
+            raise ValueError(f"scene {scene}: there are {len(self.keys)}, counted from 0")
+        return self.keys[scene]
+
+    def num_views(self, scene: int) -> int:
+        """How many frames a clip has."""
+        return len(self._clip(scene)["images"])
+
+    def read(self, scene: int, views: Sequence[int]) -> Views:
+        """Decode some frames, with their cameras."""
+        clip, views = self._clip(scene), list(views)
+        if not views or not all(0 <= view < len(clip["images"]) for view in views):
+            raise ValueError(
+                f"views {views} of {self.name(scene)}: give at least one of 0 to {len(clip['images']) - 1}"
+            )
+        pictures, sources = [], []
+        with tempfile.TemporaryDirectory() as folder:
+            for view in views:
+                path = Path(folder) / f"{self.name(scene)}_{view:05d}"
+                path.write_bytes(clip["images"][view].numpy().tobytes())
+                size = common_size([image_size(path)], short_side=self.short_side, multiple=self.multiple)
+                picture, source = read_picture(path, path.name, size)
+                pictures.append(to_tensor(picture))
+                sources.append(source)
+        return Views(
+            images=torch.stack(pictures)[None],
+            cameras=_cameras(clip["cameras"][views].double(), sources),
+            names=tuple(source.name for source in sources),
+        )
+
+    def _clip(self, scene: int) -> Mapping[str, Any]:
+        key = self.name(scene)
+        clips = self._chunk(self.index[key])
+        if key not in clips:
+            raise ValueError(
+                f"{self.folder / self.index[key]} does not hold the clip {key} that the index says it does"
+            )
+        return clips[key]
+
+    def _load(self, chunk: str) -> dict[str, Mapping[str, Any]]:
+        path = self.folder / chunk
+        if path.resolve().parent != self.folder.resolve():
+            raise ValueError(f"{self.folder / 'index.json'} names {chunk}, which lies outside of its folder")
+        if not path.is_file():
+            raise ValueError(f"{path} is in the index and not there; download the chunk or take it out of the index")
+        try:
+            clips = torch.load(path, map_location="cpu", weights_only=True)
+            return {clip["key"]: clip for clip in clips if clip["cameras"].shape == (len(clip["images"]), 18)}
+        except Exception as error:
+            # Damaged archives raise nearly anything.
+            raise ValueError(f"{path} is no chunk of clips ({str(error).strip().splitlines()[0]})") from None
+
+
+def _read_index(path: Path) -> dict[str, str]:
+    try:
+        index = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} cannot be read as JSON ({error})") from None
+    if not isinstance(index, dict) or not index or not all(isinstance(chunk, str) for chunk in index.values()):
+        raise ValueError(f"{path}: a JSON object from clips to chunk files is expected")
+    return index
+
+
+def _cameras(rows: Float[Tensor, "V 18"], sources: Sequence[SourceImage]) -> Cameras:
+    lenses = []
+    for row, source in zip(rows, sources, strict=True):
+        height, width = source.size
+        fx, fy, cx, cy = row[:4] * row.new_tensor([width, height, width, height])
+        zero, one = row.new_zeros(()), row.new_ones(())
+        lens = torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one]).reshape(3, 3)
+        lenses.append(source.view_intrinsics(lens))
+    bottom = rows.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(len(rows), 1, 4)
+    world_from_camera = torch.linalg.inv(torch.cat([rows[:, 6:].reshape(-1, 3, 4), bottom], dim=1))
+    return Cameras(world_from_camera.float()[None], torch.stack(lenses).float()[None], sources[0].view_size)

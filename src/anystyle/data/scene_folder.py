@@ -1,0 +1,158 @@
+"""Photographs of scenes in folders, with cameras where they are known."""
+
+import json
+import logging
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+
+from anystyle.contracts import SceneSource
+from anystyle.data.folder import SourceImage, common_size, natural, read_picture
+from anystyle.data.images import SUFFIXES, image_size, to_tensor
+from anystyle.data.poses import StoredCamera, read_poses
+from anystyle.types import Cameras, Views
+
+logger = logging.getLogger(__name__)
+
+
+class Shots(NamedTuple):
+    """The images of a scene that can be used."""
+
+    paths: tuple[Path, ...]
+    cameras: tuple[StoredCamera, ...]
+    """One an image, or none at all."""
+    size: tuple[int, int]
+
+
+class FolderScenes(SceneSource):
+    """Folders of photographs: one scene a folder, or ``root`` itself; also DL3DV-10K and LLFF captures.
+
+    A scene's photographs lie in its folder or in its sub-folder ``images``, and are taken in natural order. Cameras
+    come from ``transforms.json`` or ``poses_bounds.npy`` where there is one; photographs without a camera are then
+    left out. Every scene keeps its own aspect.
+
+    Args:
+        root: A folder.
+        images: Sub-folder with a scene's photographs, where there is one; DL3DV has several resolutions.
+        index: A JSON list of scene folders below ``root``, such as DL3DV's ``train_index.json``; ``None`` takes all.
+        short_side: Shorter side of the views in pixels.
+        multiple: Sides are multiples of it.
+
+    Raises:
+        ValueError: There are no scenes there.
+    """
+
+    def __init__(
+        self,
+        *,
+        root: str = "scenes",
+        images: str = "images",
+        index: str | None = None,
+        short_side: int = 448,
+        multiple: int = 14,
+    ) -> None:
+        if short_side < 1 or multiple < 1:
+            raise ValueError(f"short_side={short_side} and multiple={multiple}: give at least 1")
+        self.root = Path(root)
+        if not self.root.is_dir():
+            raise ValueError(f"root={root}: there is no such folder of scenes")
+        self.images = images
+        self.short_side = short_side
+        self.multiple = multiple
+        self.folders = self._folders(index)
+        if not self.folders:
+            raise ValueError(f"root={root}: no scene lies there; expected folders with photographs")
+        self._shots = lru_cache(maxsize=256)(self._find)
+
+    def __len__(self) -> int:
+        """How many scenes there are."""
+        return len(self.folders)
+
+    def name(self, scene: int) -> str:
+        """The folder's path below ``root``."""
+        folder = self._folder(scene)
+        return self.root.resolve().name if folder == self.root else folder.relative_to(self.root).as_posix()
+
+    def num_views(self, scene: int) -> int:
+        """How many photographs can be used."""
+        return len(self._shots(scene).paths)
+
+    def read(self, scene: int, views: Sequence[int]) -> Views:
+        """Decode some photographs, with their cameras where all have one."""
+        shots = self._shots(scene)
+        views = list(views)
+        if not views or not all(0 <= view < len(shots.paths) for view in views):
+            raise ValueError(f"views {views} of {self.name(scene)}: give at least one of 0 to {len(shots.paths) - 1}")
+        pictures, sources = [], []
+        for view in views:
+            path = shots.paths[view]
+            picture, source = read_picture(path, path.stem, shots.size)
+            pictures.append(to_tensor(picture))
+            sources.append(source)
+        return Views(
+            images=torch.stack(pictures)[None],
+            cameras=_cameras([shots.cameras[view] for view in views], sources) if shots.cameras else None,
+            names=tuple(source.name for source in sources),
+        )
+
+    def _folder(self, scene: int) -> Path:
+        if not 0 <= scene < len(self.folders):
+            raise ValueError(f"scene {scene}: there are {len(self.folders)}, counted from 0")
+        return self.folders[scene]
+
+    def _folders(self, index: str | None) -> list[Path]:
+        if index is not None:
+            return self._listed(Path(index) if Path(index).is_absolute() else self.root / index)
+        if self._photographs(self.root):
+            return [self.root]
+        inside = (path for path in self.root.iterdir() if path.is_dir() and not path.name.startswith("."))
+        return [path for path in sorted(inside, key=lambda path: natural(path.name)) if self._photographs(path)]
+
+    def _listed(self, path: Path) -> list[Path]:
+        try:
+            names = json.loads(path.read_text())
+        except (OSError, ValueError) as error:
+            raise ValueError(f"index={path} cannot be read as JSON ({error})") from None
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise ValueError(f"index={path}: a JSON list of folder names is expected")
+        root = self.root.resolve()
+        folders = [self.root / name for name in names]
+        outside = [name for name, folder in zip(names, folders, strict=True) if root not in folder.resolve().parents]
+        if outside:
+            raise ValueError(f"index={path} names {outside[0]}, which lies outside of {self.root}")
+        present = [folder for folder in folders if folder.is_dir()]
+        if len(present) < len(folders):
+            logger.warning("%d of %d scenes of %s are not there", len(folders) - len(present), len(folders), path)
+        return present
+
+    def _photographs(self, folder: Path) -> list[Path]:
+        inside = folder / self.images if (folder / self.images).is_dir() else folder
+        found = [path for path in inside.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
+        return sorted(found, key=lambda path: natural(path.name))
+
+    def _find(self, scene: int) -> Shots:
+        folder = self._folder(scene)
+        paths = self._photographs(folder)
+        if not paths:
+            raise ValueError(f"there are no photographs in the scene {folder}")
+        stored = read_poses(folder, [path.name for path in paths])
+        if stored:
+            known = [path for path in paths if path.name in stored]
+            if len(known) < len(paths):
+                logger.warning("%d photographs of %s have no camera", len(paths) - len(known), folder)
+            paths = known
+        sizes = [image_size(path) for path in paths]
+        size = common_size(sizes, short_side=self.short_side, multiple=self.multiple)
+        return Shots(tuple(paths), tuple(stored[path.name] for path in paths) if stored else (), size)
+
+
+def _cameras(stored: Sequence[StoredCamera], sources: Sequence[SourceImage]) -> Cameras:
+    poses = torch.stack([torch.from_numpy(camera.world_from_camera) for camera in stored])
+    lenses = []
+    for camera, source in zip(stored, sources, strict=True):
+        lens = torch.from_numpy(camera.for_size(*source.size))
+        lenses.append(source.view_intrinsics(lens))
+    return Cameras(poses.float()[None], torch.stack(lenses).float()[None], sources[0].view_size)

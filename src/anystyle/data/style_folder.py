@@ -1,0 +1,87 @@
+"""A folder of style images with what was written about them."""
+
+import json
+from pathlib import Path
+
+from anystyle.contracts import StyleSource
+from anystyle.data.folder import natural
+from anystyle.data.images import SUFFIXES
+from anystyle.data.paintings import read_square, readable
+from anystyle.types import Style
+
+
+class FolderStyles(StyleSource):
+    """The images of a folder in natural order, cut to squares, with captions where there are some.
+
+    Captions are lines ``{"image": "a.jpg", "text": "..."}`` of a JSON Lines file, or lines ``a.jpg;...`` of a text
+    file. An image without a caption has an empty one.
+
+    Args:
+        root: A folder.
+        size: Height and width in pixels.
+        captions: A file in ``root``; ``None`` takes ``captions.jsonl`` where there is one.
+
+    Raises:
+        ValueError: There are no images, or the captions cannot be read.
+    """
+
+    def __init__(self, *, root: str = "styles", size: int = 256, captions: str | None = None) -> None:
+        folder = Path(root)
+        if not folder.is_dir():
+            raise ValueError(f"root={root}: there is no such folder of style images")
+        if size < 1:
+            raise ValueError(f"size={size}: give at least 1")
+        found = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
+        self.paths = readable(sorted(found, key=lambda path: natural(path.name)))
+        if not self.paths:
+            raise ValueError(f"root={root}: there are no images in it")
+        self.size = size
+        if captions is None:
+            captions = "captions.jsonl" if (folder / "captions.jsonl").is_file() else ""
+        self.captions = read_captions(folder / captions) if captions else {}
+
+    def __len__(self) -> int:
+        """How many images there are."""
+        return len(self.paths)
+
+    def read(self, style: int) -> Style:
+        """One image with its caption."""
+        if not 0 <= style < len(self.paths):
+            raise ValueError(f"style {style}: there are {len(self.paths)}, counted from 0")
+        path = self.paths[style]
+        return Style(image=read_square(path, self.size), text=(self.captions.get(path.name, ""),), names=(path.stem,))
+
+
+def read_captions(path: Path) -> dict[str, str]:
+    """Captions by image name, from JSON Lines or from lines ``name;text``.
+
+    Raises:
+        ValueError: The file cannot be read; the message names the line.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"captions {path} cannot be read ({error})") from None
+    captions: dict[str, str] = {}
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        if path.suffix.lower() in (".jsonl", ".json"):
+            name, text = _json_line(line, f"line {number} of {path}")
+        else:
+            name, separator, text = line.partition(";")
+            if not separator:
+                raise ValueError(f"line {number} of {path} has no semicolon; 'image;text' is expected")
+        captions[name.strip()] = text.strip()
+    return captions
+
+
+def _json_line(line: str, place: str) -> tuple[str, str]:
+    try:
+        entry = json.loads(line)
+        name, text = entry["image"], entry["text"]
+    except (ValueError, KeyError, TypeError):
+        raise ValueError(f'{place} is not of the form {{"image": "...", "text": "..."}}') from None
+    if not isinstance(name, str) or not isinstance(text, str):
+        raise ValueError(f'{place} is not of the form {{"image": "...", "text": "..."}}')
+    return name, text

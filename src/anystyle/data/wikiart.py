@@ -1,0 +1,118 @@
+"""WikiArt: paintings in folders of their movements, with a description each."""
+
+import logging
+from pathlib import Path
+from typing import Literal
+
+from anystyle.contracts import StyleSource
+from anystyle.data.paintings import read_square, readable
+from anystyle.data.style_folder import read_captions
+from anystyle.types import Style
+
+logger = logging.getLogger(__name__)
+
+DESCRIPTIONS = "wikiarts_descriptions.txt"
+TEST_FILES = "wikiarts_test_files.txt"
+PAINTINGS = frozenset({".jpg", ".jpeg", ".png"})
+
+
+class WikiArtStyles(StyleSource):
+    """Paintings below a folder, as the published training reads them.
+
+    A description is a line ``Movement/painter_title.jpg;free text``; a painting without one is described by its
+    folder's name. Descriptions of paintings that are not there become styles of text alone. Pictures that cannot be
+    read are left out; one that turns out to be damaged when it is read gives way to the next, with a warning.
+
+    Args:
+        root: A folder, walked to any depth for jpg, jpeg and png files.
+        descriptions: A file; ``None`` takes ``wikiarts_descriptions.txt`` in ``root`` where there is one.
+        test_files: A file with one path below ``root`` a line; ``None`` takes ``wikiarts_test_files.txt`` in ``root``
+            where there is one.
+        split: ``train`` leaves the listed paintings out, ``test`` takes only them, ``all`` does not care.
+        text_only: The most styles of text alone; they follow the paintings.
+        size: Height and width in pixels.
+
+    Raises:
+        ValueError: There are no paintings, or a file that was named cannot be read.
+    """
+
+    def __init__(
+        self,
+        *,
+        root: str = "wikiart",
+        descriptions: str | None = None,
+        test_files: str | None = None,
+        split: Literal["train", "test", "all"] = "train",
+        text_only: int = 15000,
+        size: int = 256,
+    ) -> None:
+        self.root = Path(root)
+        if not self.root.is_dir():
+            raise ValueError(f"root={root}: there is no such folder of paintings")
+        if size < 1 or text_only < 0:
+            raise ValueError(f"size={size} and text_only={text_only}: give at least 1 and 0")
+        self.size = size
+        self.descriptions = self._descriptions(descriptions)
+        listed = self._test_files(test_files)
+        if split == "test" and not listed:
+            raise ValueError(f"split=test needs a list of paintings; {self.root / TEST_FILES} is not there or empty")
+        walked = (path for path in self.root.rglob("*") if path.suffix.lower() in PAINTINGS and path.is_file())
+        names = sorted(path.relative_to(self.root).as_posix() for path in walked)
+        present = set(names)
+        chosen = [name for name in names if split == "all" or (name in listed) == (split == "test")]
+        self.paths = readable([self.root / name for name in chosen])
+        if not self.paths:
+            raise ValueError(f"root={root}: there are no paintings for split={split} in it")
+        absent = [name for name in self.descriptions if name not in present and name not in listed]
+        self.texts = tuple(absent[:text_only]) if split != "test" else ()
+        self._damaged: set[int] = set()
+
+    def __len__(self) -> int:
+        """How many styles there are."""
+        return len(self.paths) + len(self.texts)
+
+    @property
+    def damaged(self) -> int:
+        """How many paintings turned out to be damaged so far."""
+        return len(self._damaged)
+
+    def read(self, style: int) -> Style:
+        """One painting with its description, or a description alone."""
+        if not 0 <= style < len(self):
+            raise ValueError(f"style {style}: there are {len(self)}, counted from 0")
+        if style >= len(self.paths):
+            name = self.texts[style - len(self.paths)]
+            return Style(text=(self.descriptions[name],), names=(Path(name).stem,))
+        for place in range(style, style + len(self.paths)):
+            path = self.paths[place % len(self.paths)]
+            try:
+                image = read_square(path, self.size)
+            except ValueError as error:
+                if place % len(self.paths) not in self._damaged:
+                    self._damaged.add(place % len(self.paths))
+                    logger.warning("%s; the next painting takes its place", error)
+                continue
+            return Style(image=image, text=(self.description(path),), names=(path.stem,))
+        raise ValueError(f"root={self.root}: none of the paintings can be read")
+
+    def description(self, path: Path) -> str:
+        """What is written about a painting; the words of its folder's name where there is nothing."""
+        text = self.descriptions.get(path.relative_to(self.root).as_posix(), "")
+        return text or path.parent.name.replace("_", " ")
+
+    def _descriptions(self, named: str | None) -> dict[str, str]:
+        path = self.root / DESCRIPTIONS if named is None else Path(named)
+        if named is None and not path.is_file():
+            logger.warning("%s is not there: paintings are described by their folders", path)
+            return {}
+        return {name: text for name, text in read_captions(path).items() if text}
+
+    def _test_files(self, named: str | None) -> frozenset[str]:
+        path = self.root / TEST_FILES if named is None else Path(named)
+        if named is None and not path.is_file():
+            return frozenset()
+        try:
+            lines = path.read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            raise ValueError(f"test_files={path} cannot be read ({error})") from None
+        return frozenset(line.strip() for line in lines if line.strip())

@@ -1,0 +1,291 @@
+"""Scenes and styles from folders in the layouts of the field."""
+
+import io
+import json
+import logging
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from anystyle.data.poses import read_poses
+from anystyle.data.re10k import Re10kScenes
+from anystyle.data.scene_folder import FolderScenes
+from anystyle.data.style_folder import FolderStyles, read_captions
+from anystyle.data.wikiart import WikiArtStyles
+from real_data import real
+
+
+def save(path, size=(60, 40), shade=100):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.new("RGB", size, (shade, shade, shade)).save(path)
+
+
+def rotation(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+@pytest.fixture
+def capture(tmp_path):
+    """Two scenes; the first with cameras for 120 x 80 pixels, stored at half of that, and one image too many."""
+    frames = []
+    for number in (1, 2, 10):
+        save(tmp_path / "b10" / "images" / f"f_{number}.png", shade=20 * number)
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = rotation(0.1 * number), [number, 2, 3]
+        frames.append({"file_path": f"images/f_{number}.png", "transform_matrix": pose.tolist()})
+    save(tmp_path / "b10" / "images" / "f_3.png")
+    content = {"w": 120, "h": 80, "fl_x": 100, "fl_y": 90, "cx": 61, "cy": 39, "frames": frames}
+    (tmp_path / "b10" / "transforms.json").write_text(json.dumps(content))
+    for number in range(4):
+        save(tmp_path / "b9" / f"{number}.jpg", size=(50, 80))
+    (tmp_path / "empty").mkdir()
+    return tmp_path
+
+
+def source(root, **options):
+    return FolderScenes(root=str(root), **{"short_side": 16, "multiple": 8, **options})
+
+
+def test_scenes_are_folders_in_natural_order_each_with_its_aspect(capture):
+    scenes = source(capture)
+    assert [scenes.name(scene) for scene in range(len(scenes))] == ["b9", "b10"]
+    assert [scenes.num_views(scene) for scene in range(2)] == [4, 3]
+    upright = scenes.read(0, [2, 0])
+    assert upright.images.shape == (1, 2, 3, 24, 16)
+    assert upright.names == ("2", "0") and upright.cameras is None
+    assert source(capture / "b9").name(0) == "b9"
+
+
+def test_opengl_cameras_become_opencv_cameras_of_the_view(capture):
+    views = source(capture).read(1, [0, 2])
+    assert views.names == ("f_1", "f_10")
+    assert views.size == (16, 24)
+    pose = views.cameras.world_from_camera[0, 1].numpy()
+    np.testing.assert_allclose(pose[:3, :3], rotation(1.0) @ np.diag([1, -1, -1]), atol=1e-6)
+    np.testing.assert_allclose(pose[:3, 3], [10, 2, 3])
+    # From 120 x 80 to 24 x 16: a fifth.
+    expected = torch.tensor([[20.0, 0, 12.2], [0, 18, 7.8], [0, 0, 1]])
+    torch.testing.assert_close(views.cameras.intrinsics[0, 0], expected)
+    torch.testing.assert_close(views.images.mean((0, 2, 3, 4)) * 255, torch.tensor([20.0, 200]))
+
+
+def test_an_index_names_scenes_and_may_not_leave_the_root(capture, caplog):
+    (capture / "train_index.json").write_text(json.dumps(["b10", "gone"]))
+    with caplog.at_level(logging.WARNING):
+        scenes = source(capture, index="train_index.json")
+    assert [scenes.name(scene) for scene in range(len(scenes))] == ["b10"]
+    assert "1 of 2 scenes" in caplog.text
+    (capture / "bad.json").write_text(json.dumps(["../../etc"]))
+    with pytest.raises(ValueError, match="outside"):
+        source(capture, index="bad.json")
+    (capture / "bad.json").write_text("{}")
+    with pytest.raises(ValueError, match="list of folder names"):
+        source(capture, index="bad.json")
+
+
+def test_llff_axes_are_down_right_back(tmp_path):
+    rows = np.zeros((3, 17))
+    for number, row in enumerate(rows):
+        save(tmp_path / f"{number}.png")
+        opencv = rotation(0.2 * number)
+        matrix = np.stack([opencv[:, 1], opencv[:, 0], -opencv[:, 2], [number, 0, 0], [80, 120, 100]], axis=1)
+        row[:15] = matrix.ravel()
+    np.save(tmp_path / "poses_bounds.npy", rows)
+    cameras = source(tmp_path).read(0, [2]).cameras
+    np.testing.assert_allclose(cameras.world_from_camera[0, 0, :3, :3], rotation(0.4), atol=1e-6)
+    torch.testing.assert_close(cameras.intrinsics[0, 0], torch.tensor([[20.0, 0, 12], [0, 20, 8], [0, 0, 1]]))
+    save(tmp_path / "9.png")
+    with pytest.raises(ValueError, match="3 poses for 4 images"):
+        source(tmp_path).read(0, [0])
+
+
+def test_cameras_of_a_real_capture_see_the_same_points():
+    """The epipolar geometry of the stored poses fits matches between real photographs."""
+    cv2 = pytest.importorskip("cv2")
+    views = FolderScenes(root=str(real("scenes/train")), short_side=252).read(0, [0, 3])
+    gray = [(image.mean(0) * 255).byte().numpy() for image in views.images[0]]
+    sift = cv2.SIFT_create(800)
+    (ka, da), (kb, db) = (sift.detectAndCompute(image, None) for image in gray)
+    pairs = [a for a, b in cv2.BFMatcher().knnMatch(da, db, k=2) if a.distance < 0.7 * b.distance]
+    assert len(pairs) > 60
+    half = np.array([0.5, 0.5, 0])
+    pa = np.array([[*ka[m.queryIdx].pt, 1] for m in pairs]) + half
+    pb = np.array([[*kb[m.trainIdx].pt, 1] for m in pairs]) + half
+    k = views.cameras.intrinsics[0].double().numpy()
+    relative = (views.cameras.camera_from_world[0, 1] @ views.cameras.world_from_camera[0, 0]).double().numpy()
+    tx, ty, tz = relative[:3, 3]
+    cross = np.array([[0, -tz, ty], [tz, 0, -tx], [-ty, tx, 0]])
+    fundamental = np.linalg.inv(k[1]).T @ cross @ relative[:3, :3] @ np.linalg.inv(k[0])
+    lines = pa @ fundamental.T
+    distance = np.abs((pb * lines).sum(1)) / np.hypot(lines[:, 0], lines[:, 1])
+    assert np.median(distance) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("nonsense", "not a transforms.json"),
+        ("[]", "not a transforms.json"),
+        ('{"frames": [{"file_path": "a.png"}]}', "no 'w'"),
+        ('{"w": 9, "h": 9, "fl_x": 9, "frames": [{"file_path": "a.png", "transform_matrix": [[1, 2], [3]]}]}', "not a"),
+        ('{"w": 9, "h": 9, "fl_x": 9, "frames": [{"file_path": "a.png", "transform_matrix": '
+         "[[9,0,0,0],[0,1,0,0],[0,0,1,0]]}]}", "no rotation"),
+        ('{"w": 9, "h": 9, "fl_x": 9, "frames": []}', "none of the photographs"),
+    ],
+)  # fmt: skip
+def test_damaged_transforms_are_refused_in_one_line(tmp_path, content, words):
+    (tmp_path / "transforms.json").write_text(content)
+    with pytest.raises(ValueError, match=words) as caught:
+        read_poses(tmp_path, ["a.png"])
+    assert "\n" not in str(caught.value)
+
+
+def test_damaged_poses_bounds_are_refused(tmp_path):
+    (tmp_path / "poses_bounds.npy").write_bytes(b"nonsense")
+    with pytest.raises(ValueError, match="no array of poses"):
+        read_poses(tmp_path, ["a.png"])
+    np.save(tmp_path / "poses_bounds.npy", np.zeros((1, 5)))
+    with pytest.raises(ValueError, match="N x 17"):
+        read_poses(tmp_path, ["a.png"])
+    np.save(tmp_path / "poses_bounds.npy", np.zeros((1, 17)))
+    with pytest.raises(ValueError, match="focal length 0"):
+        read_poses(tmp_path, ["a.png"])
+    np.save(tmp_path / "poses_bounds.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    with pytest.raises(ValueError, match="no array of poses"):
+        read_poses(tmp_path, ["a.png"])
+
+
+def test_bad_scene_folders(tmp_path, capture):
+    with pytest.raises(ValueError, match="no such folder"):
+        source(tmp_path / "absent")
+    with pytest.raises(ValueError, match="no scene lies there"):
+        source(tmp_path / "empty")
+    scenes = source(capture)
+    for views in ([], [4], [-1]):
+        with pytest.raises(ValueError, match="0 to 3"):
+            scenes.read(0, views)
+    with pytest.raises(ValueError, match="there are 2"):
+        scenes.num_views(2)
+
+
+def test_re10k_chunks(tmp_path):
+    folder = tmp_path / "train"
+    folder.mkdir()
+    buffer = io.BytesIO()
+    Image.new("RGB", (64, 36), (10, 200, 30)).save(buffer, "PNG")
+    image = torch.frombuffer(bytearray(buffer.getvalue()), dtype=torch.uint8)
+    camera_from_world = np.concatenate([rotation(0.3), [[1.0], [2], [3]]], axis=1)
+    row = torch.tensor([0.8, 1.4, 0.5, 0.5, 0, 0, *camera_from_world.ravel()], dtype=torch.float32)
+    clip = {"key": "abc", "url": "u", "cameras": row.repeat(3, 1), "images": [image] * 3}
+    torch.save([clip], folder / "000000.torch")
+    (folder / "index.json").write_text(json.dumps({"abc": "000000.torch", "lost": "000001.torch", "up": "../x"}))
+    scenes = Re10kScenes(root=str(tmp_path), short_side=28, multiple=14)
+    assert scenes.name(0) == "abc" and scenes.num_views(0) == 3
+    views = scenes.read(0, [0, 2])
+    assert views.size == (28, 56) and views.names == ("abc_00000", "abc_00002")
+    back = views.cameras.camera_from_world[0, 1, :3]
+    np.testing.assert_allclose(back, camera_from_world, atol=1e-5)
+    # 64 x 36 is cut to 64 x 32 and scaled by 7/8; the principal point stays in the middle.
+    expected = torch.tensor([[0.8 * 56, 0, 28], [0, 1.4 * 36 * 7 / 8, 14], [0, 0, 1]])
+    torch.testing.assert_close(views.cameras.intrinsics[0, 0], expected)
+    with pytest.raises(ValueError, match="not there"):
+        scenes.num_views(1)
+    with pytest.raises(ValueError, match="outside"):
+        scenes.num_views(2)
+    (folder / "000001.torch").write_bytes(b"nonsense")
+    with pytest.raises(ValueError, match="no chunk of clips"):
+        scenes.num_views(1)
+    with pytest.raises(ValueError, match="cannot be read as JSON"):
+        Re10kScenes(root=str(tmp_path), split="test")
+
+
+@pytest.fixture
+def gallery(tmp_path):
+    for name, shade in (("Pop_Art/a.jpg", 50), ("Pop_Art/b.png", 100), ("Late_Renaissance/x/c.jpeg", 150)):
+        save(tmp_path / name, shade=shade)
+    (tmp_path / "Pop_Art" / "broken.jpg").write_text("nonsense")
+    (tmp_path / "wikiarts_descriptions.txt").write_text(
+        "Pop_Art/a.jpg;bold outlines; flat colour\nGone/z.jpg;hazy blue\nGone/y.jpg;\nGone/w.jpg;golden light\n"
+    )
+    (tmp_path / "wikiarts_test_files.txt").write_text("Pop_Art/b.png\n")
+    return tmp_path
+
+
+def test_wikiart_descriptions_folders_splits_and_texts_alone(gallery, caplog):
+    with caplog.at_level(logging.WARNING):
+        styles = WikiArtStyles(root=str(gallery), size=32)
+    assert "1 of 3 pictures cannot be read" in caplog.text and "broken.jpg" in caplog.text
+    read = [styles.read(style) for style in range(len(styles))]
+    assert [style.text[0] for style in read] == ["x", "bold outlines; flat colour", "hazy blue", "golden light"]
+    assert [style.image is None for style in read] == [False, False, True, True]
+    assert read[1].image.shape == (1, 3, 32, 32)
+    assert read[1].image.mean().item() * 255 == pytest.approx(50, abs=1)
+    assert [style.names[0] for style in read] == ["c", "a", "z", "w"]
+    assert len(WikiArtStyles(root=str(gallery), text_only=1)) == 3
+    test = WikiArtStyles(root=str(gallery), split="test")
+    assert [test.read(style).text for style in range(len(test))] == [("Pop Art",)]
+    assert len(WikiArtStyles(root=str(gallery), split="all", text_only=0)) == 3
+
+
+def test_a_painting_that_turns_out_damaged_gives_way(gallery, caplog):
+    noise = np.random.default_rng(0).integers(0, 255, (200, 200, 3), dtype=np.uint8)
+    Image.fromarray(noise).save(gallery / "Pop_Art" / "a.jpg")
+    data = (gallery / "Pop_Art" / "a.jpg").read_bytes()
+    (gallery / "Pop_Art" / "a.jpg").write_bytes(data[: len(data) // 2])
+    styles = WikiArtStyles(root=str(gallery), size=32, text_only=0)
+    with caplog.at_level(logging.WARNING):
+        assert styles.read(1).names == styles.read(1).names == ("c",)
+    assert caplog.text.count("takes its place") == 1
+    assert styles.damaged == 1
+
+
+def test_bad_galleries(tmp_path, gallery):
+    with pytest.raises(ValueError, match="no such folder"):
+        WikiArtStyles(root=str(tmp_path / "absent"))
+    (tmp_path / "nothing").mkdir()
+    with pytest.raises(ValueError, match="no paintings"):
+        WikiArtStyles(root=str(tmp_path / "nothing"))
+    with pytest.raises(ValueError, match="cannot be read"):
+        WikiArtStyles(root=str(gallery), descriptions=str(tmp_path / "absent.txt"))
+    with pytest.raises(ValueError, match="cannot be read"):
+        WikiArtStyles(root=str(gallery), test_files=str(tmp_path / "absent.txt"))
+
+
+def test_a_folder_of_styles_with_captions(tmp_path):
+    left = np.zeros((40, 80, 3), np.uint8)
+    left[:, 20:60] = 200
+    Image.fromarray(left).save(tmp_path / "s10.png")
+    save(tmp_path / "s9.jpg")
+    (tmp_path / "captions.jsonl").write_text('{"image": "s10.png", "text": "grey; \\"quoted\\""}\n\n')
+    styles = FolderStyles(root=str(tmp_path), size=16)
+    assert len(styles) == 2
+    first, second = styles.read(0), styles.read(1)
+    assert (first.names, first.text) == (("s9",), ("",))
+    assert second.text == ('grey; "quoted"',)
+    # The middle square is all that is seen.
+    assert second.image.min().item() * 255 > 180
+    (tmp_path / "captions.jsonl").write_text('{"image": "s10.png"}\n')
+    with pytest.raises(ValueError, match="line 1 of"):
+        FolderStyles(root=str(tmp_path))
+    (tmp_path / "other.txt").write_text("s9.jpg;some words\nno separator\n")
+    with pytest.raises(ValueError, match="line 2 of"):
+        FolderStyles(root=str(tmp_path), captions="other.txt")
+    with pytest.raises(ValueError, match="cannot be read"):
+        FolderStyles(root=str(tmp_path), captions="absent.txt")
+    (tmp_path / "sub").mkdir()
+    with pytest.raises(ValueError, match="no images"):
+        FolderStyles(root=str(tmp_path / "sub"))
+
+
+def test_real_paintings_have_their_captions():
+    folder = real("styles")
+    styles = FolderStyles(root=str(folder), size=64)
+    captions = read_captions(folder / "captions.jsonl")
+    assert len(styles) == len(captions)
+    for style in range(len(styles)):
+        one = styles.read(style)
+        assert one.text[0] and one.image.shape == (1, 3, 64, 64)
+        assert one.image.std() > 0.03
