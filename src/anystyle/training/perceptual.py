@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
@@ -118,7 +119,7 @@ class PerceptualTraining(Training):
         return self.palette(pooled).sigmoid().unflatten(-1, (COLORS, 3))
 
     def varied(self, batch: StyleBatch, shrunk: Bool[Tensor, " M"]) -> Float[Tensor, "M 3 c c"]:
-        """The styles of a batch turned, cropped or made smaller, recoloured, and some with a photograph through them."""
+        """The styles of a batch turned, cropped or made smaller, recoloured, some with a photograph through them."""
         images, count = _cropped(batch.images, self.crop), len(batch.images)
         whole = F.interpolate(batch.images, size=(self.crop, self.crop), mode="bilinear", antialias=True)
         images = torch.where(shrunk[:, None, None, None], whole, images)
