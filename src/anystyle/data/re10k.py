@@ -1,19 +1,21 @@
 """RealEstate10K in chunks of compressed frames, as pixelSplat and its successors store it."""
 
+import io
 import json
 import tempfile
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
 import torch
 from jaxtyping import Float
+from PIL import Image
 from torch import Tensor
 
 from anystyle.contracts import SceneSource
 from anystyle.data.folder import SourceImage, common_size, read_picture
 from anystyle.data.images import image_size, to_tensor
+from anystyle.data.latest import Latest
 from anystyle.types import Cameras, Views
 
 
@@ -49,7 +51,19 @@ class Re10kScenes(SceneSource):
         self.multiple = multiple
         self.index = _read_index(self.folder / "index.json")
         self.keys = sorted(self.index)
-        self._chunk = lru_cache(maxsize=2)(self._load)
+        self._chunk = Latest(self._load, 2)
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """One clip of three small frames."""
+        buffer = io.BytesIO()
+        Image.linear_gradient("L").resize((48, 27)).save(buffer, "PNG")
+        frame = torch.tensor(list(buffer.getvalue()), dtype=torch.uint8)
+        row = torch.tensor([0.8, 1.4, 0.5, 0.5, 0.0, 0.0, *torch.eye(4)[:3].flatten().tolist()])
+        (folder / "train").mkdir()
+        torch.save([{"key": "clip", "cameras": row.repeat(3, 1), "images": [frame] * 3}], folder / "train" / "0.torch")
+        (folder / "train" / "index.json").write_text(json.dumps({"clip": "0.torch"}))
+        return {"root": str(folder), "short_side": 28}
 
     def __len__(self) -> int:
         """How many clips there are."""

@@ -3,15 +3,17 @@
 import json
 import logging
 from collections.abc import Sequence
-from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
+from PIL import Image
 
 from anystyle.contracts import SceneSource
 from anystyle.data.folder import SourceImage, common_size, natural, read_picture
 from anystyle.data.images import SUFFIXES, image_size, to_tensor
+from anystyle.data.latest import Latest
 from anystyle.data.poses import StoredCamera, read_poses
 from anystyle.types import Cameras, Views
 
@@ -65,7 +67,21 @@ class FolderScenes(SceneSource):
         self.folders = self._folders(index)
         if not self.folders:
             raise ValueError(f"root={root}: no scene lies there; expected folders with photographs")
-        self._shots = lru_cache(maxsize=256)(self._find)
+        self._shots = Latest(self._find, 256)
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """One scene of three small photographs with cameras."""
+        frames = []
+        for number in range(3):
+            pose = np.eye(4)
+            pose[0, 3] = 0.1 * number
+            frames.append({"file_path": f"images/{number}.png", "transform_matrix": pose.tolist()})
+            (folder / "garden" / "images").mkdir(parents=True, exist_ok=True)
+            Image.linear_gradient("L").resize((48, 36)).save(folder / "garden" / "images" / f"{number}.png")
+        content = {"w": 48, "h": 36, "fl_x": 40.0, "fl_y": 40.0, "cx": 24.0, "cy": 18.0, "frames": frames}
+        (folder / "garden" / "transforms.json").write_text(json.dumps(content))
+        return {"root": str(folder), "short_side": 32, "multiple": 8}
 
     def __len__(self) -> int:
         """How many scenes there are."""

@@ -3,6 +3,8 @@
 import json
 from pathlib import Path
 
+from PIL import Image
+
 from anystyle.contracts import StyleSource
 from anystyle.data.folder import natural
 from anystyle.data.images import SUFFIXES
@@ -39,6 +41,14 @@ class FolderStyles(StyleSource):
         if captions is None:
             captions = "captions.jsonl" if (folder / "captions.jsonl").is_file() else ""
         self.captions = read_captions(folder / captions) if captions else {}
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """Two small images, one of them with a caption."""
+        for name in ("a.png", "b.jpg"):
+            Image.linear_gradient("L").resize((40, 30)).save(folder / name)
+        (folder / "captions.jsonl").write_text('{"image": "a.png", "text": "from black to white"}\n')
+        return {"root": str(folder), "size": 16}
 
     def __len__(self) -> int:
         """How many images there are."""

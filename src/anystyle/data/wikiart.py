@@ -4,6 +4,8 @@ import logging
 from pathlib import Path
 from typing import Literal
 
+from PIL import Image
+
 from anystyle.contracts import StyleSource
 from anystyle.data.paintings import read_square, readable
 from anystyle.data.style_folder import read_captions
@@ -66,6 +68,15 @@ class WikiArtStyles(StyleSource):
         absent = [name for name in self.descriptions if name not in present and name not in listed]
         self.texts = tuple(absent[:text_only]) if split != "test" else ()
         self._damaged: set[int] = set()
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """Two small paintings and a text."""
+        (folder / "Op_Art").mkdir()
+        for name in ("a.png", "b.jpg"):
+            Image.linear_gradient("L").resize((40, 30)).save(folder / "Op_Art" / name)
+        (folder / DESCRIPTIONS).write_text("Op_Art/a.png;from black to white\nOp_Art/c.png;a grid of dots\n")
+        return {"root": str(folder), "size": 16}
 
     def __len__(self) -> int:
         """How many styles there are."""

@@ -1,7 +1,7 @@
 """Rooms and gardens with exact depth, poses and intrinsics, made on the fly."""
 
 from collections.abc import Sequence
-from functools import lru_cache
+from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -9,6 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from anystyle.contracts import SceneSource
+from anystyle.data.latest import Latest
 from anystyle.data.procedural.layout import Draw, World, lay_out, unit_circle
 from anystyle.data.procedural.light import EXTENT, ROOM
 from anystyle.data.procedural.raycast import cast
@@ -87,7 +88,12 @@ class ProceduralScenes(SceneSource):
         self.seed = seed
         self.split = split
         self.samples = samples
-        self._shot = lru_cache(maxsize=4)(self._find)
+        self._shot = Latest(self._find, 4)
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """Small pictures."""
+        return {"size": 32, "num_scenes": 4, "views": 3}
 
     def __len__(self) -> int:
         """How many scenes there are."""

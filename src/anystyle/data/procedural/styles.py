@@ -1,6 +1,7 @@
 """Captioned paintings made on the fly: palettes x patterns x scales x brushwork."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -83,6 +84,11 @@ class ProceduralStyles(StyleSource):
         self.seed = seed
         self.split = split
         self.max_colors = max_colors
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """Small pictures."""
+        return {"size": 32, "num_styles": 8}
 
     def __len__(self) -> int:
         """How many styles there are."""
