@@ -37,7 +37,9 @@ def main(words: Sequence[str] | None = None) -> None:
     """Run ``anystyle plugins``."""
     given = words_of(words)
     if given and given[0] in SUBCOMMANDS:
-        importlib.import_module(f"anystyle.commands.plugins_{given[0]}").main(given[1:])
+        status: int = importlib.import_module(f"anystyle.commands.plugins_{given[0]}").main(given[1:])
+        if status:
+            sys.exit(status)
         return
     arguments = parse(parser(), given)
     known = catalog()

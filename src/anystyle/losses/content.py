@@ -1,6 +1,7 @@
 """Content: keep what the photographs show."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import torch
 import torch.nn.functional as F
@@ -38,6 +39,11 @@ class Content(Loss):
         self.layers = tuple(layers)
         self.size = size
         self.weight = weight
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """The bundled network, on small pictures."""
+        return {"network": "texture", "layers": ("relu3_1", "relu4_1"), "size": 48}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""

@@ -1,6 +1,7 @@
 """Gram: match how features occur together."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from jaxtyping import Float
 from torch import Tensor
@@ -40,6 +41,11 @@ class Gram(Loss):
         self.size = size
         self.relative = relative
         self.weight = weight
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """The bundled network, on small pictures."""
+        return {"network": "texture", "layers": ("relu1_1", "relu2_1"), "size": 48}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""

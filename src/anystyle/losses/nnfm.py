@@ -1,6 +1,7 @@
 """NNFM: every place of a render looks like some place of the style image."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import torch
 import torch.nn.functional as F
@@ -39,6 +40,11 @@ class NNFM(Loss):
         self.layers = tuple(layers)
         self.size = size
         self.weight = weight
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """The bundled network, on small pictures."""
+        return {"network": "texture", "layers": ("relu3_1", "relu3_2"), "size": 48}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""

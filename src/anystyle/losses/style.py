@@ -1,6 +1,7 @@
 """Style: match the mean and spread of features."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import torch
 from jaxtyping import Float
@@ -42,6 +43,11 @@ class Style(Loss):
         self.size = size
         self.relative = relative
         self.weight = weight
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """The bundled network, on small pictures."""
+        return {"network": "texture", "size": 48}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""

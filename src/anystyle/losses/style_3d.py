@@ -1,6 +1,7 @@
 """Style in 3D: match the statistics of features that views share in space."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import torch
 import torch.nn.functional as F
@@ -51,6 +52,11 @@ class Style3D(Loss):
         self.voxel_size = voxel_size
         self.size = size
         self.weight = weight
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """The bundled network, on small pictures."""
+        return {"network": "texture", "layers": ("relu1_1", "relu2_1"), "shares": (2.0, 1.0)}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""

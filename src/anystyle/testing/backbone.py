@@ -360,9 +360,7 @@ def copies_compute_the_same(plugin: Plugin) -> None:
     with attempt("copy.deepcopy of a part", change="keep in the part only what can be copied, no hooks or handles"):
         aggregator, head = copy.deepcopy(backbone.aggregator), copy.deepcopy(backbone.gaussian_head)
     expected, change = "the same bits", "keep all that the part computes with in its parameters and buffers"
-    expect_same(
-        aggregator(scene.stem), scene.features, what="features of a copy", expected=expected, change=change
-    )
+    expect_same(aggregator(scene.stem), scene.features, what="features of a copy", expected=expected, change=change)
     attributes = head(scene.features, scene.views.images)
     expect_same(attributes, scene.attributes, what="attributes of a copy", expected=expected, change=change)
     for parameter in (*aggregator.parameters(), *head.parameters()):
@@ -556,22 +554,22 @@ def _describe_gradient(gradient: Tensor | None) -> str:
 CHECKS: tuple[Check, ...] = (
     Check(all_five_parts_are_there, needed=True),
     Check(final_methods_are_left_alone),
-    Check(sites_are_named_after_their_part, needed=True),
+    Check(sites_are_named_after_their_part, needed=True, see="ToyAggregator"),
     Check(encodes_two_views, needed=True),
     Check(encodes_a_single_view),
     Check(encodes_every_shape),
     Check(encodes_several_scenes_at_once),
-    Check(dtypes_are_kept),
+    Check(dtypes_are_kept, see="ToyGeometryHead"),
     Check(numbers_are_finite),
-    Check(cameras_are_rigid_pinholes),
-    Check(confidence_is_not_negative),
-    Check(pixels_share_gaussians_fairly),
-    Check(gaussians_are_renderable),
-    Check(every_site_is_visited),
-    Check(injected_tokens_are_used),
-    Check(untouched_sites_change_nothing),
+    Check(cameras_are_rigid_pinholes, see="ToyGeometryHead"),
+    Check(confidence_is_not_negative, see="ToyGeometryHead"),
+    Check(pixels_share_gaussians_fairly, see="ToyAdapter"),
+    Check(gaussians_are_renderable, see="ToyAdapter"),
+    Check(every_site_is_visited, see="ToyAggregator"),
+    Check(injected_tokens_are_used, see="ToyAggregator"),
+    Check(untouched_sites_change_nothing, see="ToyAggregator"),
     Check(encoding_twice_is_the_same),
-    Check(copies_compute_the_same),
+    Check(copies_compute_the_same, see="ToyGaussianHead"),
     Check(freezing_is_for_good),
-    Check(attributes_carry_gradients),
+    Check(attributes_carry_gradients, see="ToyAdapter"),
 )

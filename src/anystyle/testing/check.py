@@ -43,11 +43,13 @@ class Check:
         function: Raises where the promise is broken; its docstring says the promise in plain words.
         needed: Whether the checks after it make no sense where it fails.
         where: What it is checked together with, if it is checked several times.
+        see: The class in ``anystyle.testing.toy`` that shows how it is kept; the plugin itself if empty.
     """
 
     function: Callable[[Any], None]
     needed: bool = False
     where: str = ""
+    see: str = ""
 
     @property
     def name(self) -> str:
@@ -132,7 +134,11 @@ def report(outcomes: Sequence[Outcome]) -> str:
     for outcome in outcomes:
         if outcome.status == "failed":
             lines.append(f"FAILED  {outcome.check.name}")
-            lines += [f"  given     {outcome.given}", f"  expected  {outcome.expected}", f"  change    {outcome.change}"]
+            lines += [
+                f"  given     {outcome.given}",
+                f"  expected  {outcome.expected}",
+                f"  change    {outcome.change}",
+            ]
     return "\n".join(lines)
 
 
@@ -159,4 +165,3 @@ def _is_plugins(filename: str) -> bool:
     # plugin lies in site-packages like they do, so the libraries are named.
     path = Path(filename)
     return not filename.startswith("<") and path.parent != Path(__file__).parent and not LIBRARIES & set(path.parts)
-

@@ -101,7 +101,9 @@ def pairs_are_independent(plugin: Plugin) -> None:
             change="match each pair by itself",
         )
     change = "look for random numbers, and for operations that write into what came in"
-    expect_same(plugin.instance(source, target), together, what="the same pairs again", expected="the same bits", change=change)
+    expect_same(
+        plugin.instance(source, target), together, what="the same pairs again", expected="the same bits", change=change
+    )
     expect_same(source, kept, what="the source frames", expected="unchanged tensors", change=change)
 
 

@@ -115,7 +115,9 @@ def first_line_describes_it(declared: Declaration) -> None:
 
 def example_fits_the_options(declared: Declaration) -> None:
     """What ``example`` returns are options of the constructor, of the right types."""
-    with attempt("`example`", change="return a dictionary of options; write what they name into the folder it is given"):
+    with attempt(
+        "`example`", change="return a dictionary of options; write what they name into the folder it is given"
+    ):
         options = declared.options
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException

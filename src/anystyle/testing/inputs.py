@@ -38,7 +38,9 @@ def cameras(batch: int, number: int, size: tuple[int, int]) -> Cameras:
     height, width = size
     focal = float(max(size))
     intrinsics = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
-    poses = torch.stack([torch.stack([_pose(0.15 * view, 0.1 * scene) for view in range(number)]) for scene in range(batch)])
+    poses = torch.stack(
+        [torch.stack([_pose(0.15 * view, 0.1 * scene) for view in range(number)]) for scene in range(batch)]
+    )
     return Cameras(world_from_camera=poses, intrinsics=intrinsics.expand(batch, number, 3, 3), size=size)
 
 

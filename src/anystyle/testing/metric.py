@@ -2,6 +2,9 @@
 
 import pickle
 import warnings
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -20,7 +23,7 @@ def figures_are_declared(plugin: Plugin) -> None:
     """``better`` says of each figure whether higher or lower is better, and ``compute`` returns exactly these."""
     better = getattr(plugin.cls, "better", None)
     expect(
-        isinstance(better, dict) and bool(better) and set(better.values()) <= {"higher", "lower"},
+        isinstance(better, Mapping) and bool(better) and set(better.values()) <= {"higher", "lower"},
         given=f"better = {better!r}",
         expected="a class attribute such as {'art_fid': 'lower'}",
         change="name each figure, and say `higher` or `lower`",
@@ -93,7 +96,7 @@ def copies_go_on(plugin: Plugin) -> None:
         metric = plugin.build()
         _update(metric, rows[:2])
         with attempt(f"making {what}", change="keep no handles, lambdas or generators in the metric"):
-            copied = metric.clone() if what == "a clone" else pickle.loads(pickle.dumps(metric))
+            copied: Any = metric.clone() if what == "a clone" else pickle.loads(pickle.dumps(metric))
         _update(copied, rows[2:])
         expect_close(
             _compute(copied),
@@ -148,8 +151,6 @@ def _rows(batch: int = 3, number: int = 3) -> list[Comparison]:
 
 
 def _renamed(given: Comparison, scenes: tuple[str, ...], styles: tuple[str, ...]) -> Comparison:
-    from dataclasses import replace
-
     assert given.style is not None
     index = int(styles[0].rpartition("_")[2])
     text = given.style.text[index : index + 1] if given.style.text else None

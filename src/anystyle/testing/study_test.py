@@ -33,7 +33,7 @@ def results_are_complete(plugin: Plugin) -> None:
             result = _tested(plugin, answers, unit)
             where = f"at unit {unit}, for {what}"
             expect(
-                isinstance(result, TestResult) and result.unit == unit and result.n >= 1 and bool(result.method),
+                isinstance(result, TestResult) and result.unit in UNITS and result.n >= 1 and bool(result.method),
                 given=f"{where}: {result!r}",
                 expected="a TestResult with its unit, count and method",
                 change="fill in `unit`, `n` and `method`",
@@ -83,7 +83,9 @@ def too_little_is_not_an_error(plugin: Plugin) -> None:
     }
     for what, answers in cases.items():
         for unit in plugin.cls.units:
-            change = "return `TestResult.untestable(responses, reason=..., alternative=...)` where the test is undefined"
+            change = (
+                "return `TestResult.untestable(responses, reason=..., alternative=...)` where the test is undefined"
+            )
             with attempt(f"testing {what} at unit {unit}", change=change):
                 result = _tested(plugin, answers, unit)
             expect(

@@ -88,7 +88,10 @@ def styles_differ(plugin: Plugin) -> None:
     """Different texts, and different images, have different vectors."""
     encoder = _eval(plugin)
     plain = torch.tensor([[0.9, 0.1, 0.1], [0.1, 0.1, 0.9]])[:, :, None, None].expand(2, 3, 32, 32)
-    for what, vectors in (("texts", encoder.embed_texts(TEXTS[:2])), ("a red and a blue image", encoder.embed_images(plain))):
+    for what, vectors in (
+        ("texts", encoder.embed_texts(TEXTS[:2])),
+        ("a red and a blue image", encoder.embed_images(plain)),
+    ):
         expect(
             float((vectors[0] - vectors[1]).norm()) > 1e-4,
             given=f"one vector for two: {what}",

@@ -97,9 +97,9 @@ def nothing_changes_at_birth(composed: Composition) -> None:
     """Before any training the stylized scene is the unstyled one, bit for bit, whatever is styled."""
     for styled in (("rotation", "color"), ATTRIBUTES):
         stylizer = composed.stylizer(styled)
-        style = {"image": images(1, (32, 32))} if styled == ATTRIBUTES else {"text": TEXTS[0]}
+        by_image, by_text = stylizer.embed(image=images(1, (32, 32))), stylizer.embed(text=TEXTS[0])
         expect_same(
-            stylizer.restyle(composed.scene, stylizer.embed(**style)),
+            stylizer.restyle(composed.scene, by_image if styled == ATTRIBUTES else by_text),
             stylizer.unstyled(composed.scene),
             what=f"Gaussians styled ({', '.join(styled)}) by an untrained branch",
             expected="the bits of the unstyled ones",

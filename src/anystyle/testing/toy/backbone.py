@@ -144,9 +144,7 @@ class ToyGaussianHead(GaussianHead):
         """Before the only layer."""
         return (Site("head/tokens", self.dim),)
 
-    def forward(
-        self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched
-    ) -> Attributes:
+    def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
         """See :meth:`anystyle.contracts.GaussianHead.forward`."""
         tokens = inject("head/tokens", features[max(features)])
         raw = _to_pixels(self.attributes(self.norm(tokens.patches)), tokens.grid, self.patch_size)  # B V H W 11
@@ -221,5 +219,3 @@ def _intrinsics(focal: Float[Tensor, "B V"], size: tuple[int, int]) -> Float[Ten
     zero, one = torch.zeros_like(focal), torch.ones_like(focal)
     rows = [focal, zero, one * size[1] / 2, zero, focal, one * size[0] / 2, zero, zero, one]
     return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))
-
-

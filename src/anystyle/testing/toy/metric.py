@@ -1,5 +1,6 @@
 """How much changed: the smallest metric."""
 
+from collections.abc import Mapping
 from typing import ClassVar
 
 import torch
@@ -12,7 +13,7 @@ from anystyle.types import Comparison
 class ToyMetric(Metric):
     """The mean absolute difference between photographs and results, over all their pixels."""
 
-    better: ClassVar[dict[str, str]] = {"change": "lower"}
+    better: ClassVar[Mapping[str, str]] = {"change": "lower"}
     full_state_update = False
 
     total: Tensor

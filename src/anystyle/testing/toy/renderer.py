@@ -58,9 +58,7 @@ class ToyRenderer(Renderer):
 
     def _variance(self, gaussians: Gaussians, scene: int, pose: Float[Tensor, "4 4"]) -> Float[Tensor, " N"]:
         # The mean of the two variances across the line of sight: the trace of the covariance without its z part.
-        w, x, y, z = (
-            torch.nn.functional.normalize(gaussians.rotations[scene], dim=-1).unbind(-1)
-        )
+        w, x, y, z = torch.nn.functional.normalize(gaussians.rotations[scene], dim=-1).unbind(-1)
         rows = [
             1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
             2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),

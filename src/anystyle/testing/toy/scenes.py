@@ -20,7 +20,9 @@ class ToyScenes(SceneSource):
         step: How far the camera moves from view to view.
     """
 
-    def __init__(self, *, num_scenes: int = 8, views: int = 4, size: tuple[int, int] = (48, 64), step: float = 0.1) -> None:
+    def __init__(
+        self, *, num_scenes: int = 8, views: int = 4, size: tuple[int, int] = (48, 64), step: float = 0.1
+    ) -> None:
         if min(num_scenes, views, *size) < 1:
             raise ValueError(f"num_scenes={num_scenes}, views={views}, size={size}: give at least 1 of each")
         self.num_scenes = num_scenes
