@@ -10,7 +10,7 @@ from string import Template
 import anystyle.study.figures as draw
 from anystyle.study.analysis import Analysis, QuestionAnalysis
 from anystyle.study.tabulate import effect_title, generalizes, p_text, plain_p, title_of
-from anystyle.study.verdicts import equivalence, inflation, is_naive, response_level, shares, verdict
+from anystyle.study.verdicts import equivalence, is_naive, percent, response_level, shares, verdict
 
 _LISTED = 60  # rows of a list of findings; the rest is in analysis.json
 _CHECKS = {
@@ -30,7 +30,6 @@ def page_text(name: str) -> str:
 def html(analysis: Analysis, title: str = "User study") -> str:
     """The report as one HTML page."""
     questions, confidence = analysis.questions, 100 * analysis.settings.confidence
-    paragraphs = [f"<p>{escape(q.title)}: {escape(inflation(q))}</p>" for q in questions if inflation(q)]
     return Template(page_text("report.html")).substitute(
         title=escape(title),
         style=page_text("report.css"),
@@ -38,7 +37,7 @@ def html(analysis: Analysis, title: str = "User study") -> str:
         cards="\n".join(_card(question, confidence) for question in questions),
         likert=draw.as_svg(draw.likert(analysis), "likert"),
         headline=escape(response_level(analysis)),
-        inflation="\n".join(paragraphs),
+        inflation=_inflation(questions),
         tests="\n".join(_tests(question, confidence) for question in questions),
         means=draw.as_svg(draw.means(analysis), "means"),
         confidence=f"{confidence:g}",
@@ -76,7 +75,7 @@ def _card(question: QuestionAnalysis, confidence: float) -> str:
         f'<article class="card"><h3>{escape(question.title)}</h3>'
         f'<div class="value">{mean:+.2f} <small>points {interval}, {confidence:g} %</small></div>'
         f'<div class="shares" aria-hidden="true">{bars}</div>'
-        f"<p>{ours:.0%} prefer ours, {neither:.0%} neither, {theirs:.0%} theirs.</p>"
+        f"<p>{percent(ours)} prefer ours, {percent(neither)} neither, {percent(theirs)} theirs.</p>"
         f"<p><strong>{escape(verdict(question))}</strong></p><p>{escape(equivalence(question))}</p></article>"
     )
 
@@ -100,7 +99,26 @@ def _bounds(bounds: tuple[float, float]) -> str:
     return "" if math.isnan(bounds[0]) else f"[{bounds[0]:.2f}, {bounds[1]:.2f}]"
 
 
+def _inflation(questions: Sequence[QuestionAnalysis]) -> str:
+    """What it costs to count every answer as independent, with this study's own figures."""
+    rows = []
+    for question in questions:
+        varies, answers = question.variation, question.responses.count
+        if varies is None:
+            continue
+        spreads = [f"{sd:.2f}" for sd in (varies.participant_sd, varies.item_sd, varies.residual_sd)]
+        worth = f"{varies.effective_answers:.0f} of {answers}"
+        rows.append(("", [question.title, *spreads, worth, percent(varies.naive_error_rate)]))
+    head = ["question", "SD between participants", "between items", "rest", "independent answers", "false positives"]
+    note = (
+        "As how many independent answers the study counts, and how often a response-level t test at 5 % would find a "
+        "preference in a study that varies like this one and has none (normal approximation)."
+    )
+    return _table(head, rows, (1, 2, 3, 4, 5)) + f'<p class="note">{note}</p>' if rows else ""
+
+
 def _tests(question: QuestionAnalysis, confidence: float) -> str:
+    level = confidence / 100
     rows: list[tuple[str, Sequence[str]]] = []
     for named in sorted(question.tests, key=lambda named: (is_naive(named), -len(named.result.generalizes_to))):
         result = named.result
@@ -113,7 +131,7 @@ def _tests(question: QuestionAnalysis, confidence: float) -> str:
                     title_of(named.name),
                     f"{result.n} {result.unit}s",
                     f"{result.estimate:+.3f}" + f" {result.estimate_unit}" * (result.estimate_unit != "points"),
-                    _bounds(result.interval),
+                    _bounds(result.interval) + f" ({100 * result.confidence:.0f} %)" * (result.confidence != level),
                     plain_p(named),
                     "n/a"
                     if math.isnan(named.log_pvalue_holm)
@@ -207,7 +225,7 @@ def _footer(analysis: Analysis) -> str:
     text = (
         f"anystyle {version('anystyle')}. Files: {', '.join(analysis.sources)}. Seed {settings.seed}. Participants are "
         f"left out who failed more than {rules.failed_checks} attention checks or miss more than "
-        f"{rules.missing_share:.0%} of the answers{', or gave one answer throughout' * rules.straight_lining}. "
+        f"{percent(rules.missing_share)} of the answers{', or gave one answer throughout' * rules.straight_lining}. "
         "Of several answers to one set the first counts. Holm's adjustment is over the questions, for each test."
     )
     return f"<p>{escape(text)}</p>"

@@ -48,18 +48,9 @@ def equivalence(question: QuestionAnalysis) -> str:
     return f"{lead} ({usable[0].result.method.partition(', ')[2]}): {'; '.join(parts)}."
 
 
-def inflation(question: QuestionAnalysis) -> str:
-    """Why answers of one person are not independent, with this study's own figures."""
-    variation = question.variation
-    if variation is None:
-        return ""
-    n = question.responses.count
-    return (
-        f"Beyond chance, participants' means differ with an SD of {variation.participant_sd:.2f} points and items' with "
-        f"{variation.item_sd:.2f}: {n} answers tell as much as {variation.effective_answers:.0f} independent ones. "
-        f"In a study that varies like this one and has no preference at all, the response-level t test at 5 % "
-        f"would still find one in {variation.naive_error_rate:.0%} of all cases."
-    )
+def percent(share: float) -> str:
+    """A share as people write it."""
+    return f"{100 * share:.0f} %"
 
 
 def response_level(analysis: Analysis) -> str:
@@ -70,10 +61,10 @@ def response_level(analysis: Analysis) -> str:
     if max(rates) <= 0.065:
         return (
             "In this study participants and items hardly differ, so that the response-level tests happen to hold "
-            f"(false positives about {max(rates):.0%} at a nominal 5 %); the tests below do not have to rely on that."
+            f"(false positives about {percent(max(rates))} at a nominal 5 %); those below need not rely on that."
         )
-    low, high = f"{min(rates):.0%}", f"{max(rates):.0%}"
-    span = high if low == high else f"{low} to {high}"
+    low, high = percent(min(rates)), percent(max(rates))
+    span = high if low == high else f"{low.removesuffix(' %')} to {high}"
     return (
         f"The response-level test fails here: it would report a preference that does not exist in {span} of such "
         "studies instead of 5 %, because it counts every answer of a person as an independent one. Its p-values are "

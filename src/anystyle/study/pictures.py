@@ -1,0 +1,128 @@
+"""Results, photographs and styles found in folders, and pictures of one size made of them."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+_MAX_PIXELS = 100_000_000
+_INNER = ("renders", "images")  # folders that hold a result's or a scene's frames
+
+
+@dataclass(frozen=True)
+class Results:
+    """One method's results.
+
+    Args:
+        method: Its name.
+        frames: The frames of each scene and style, in order.
+    """
+
+    method: str
+    frames: Mapping[tuple[str, str], Sequence[Path]]
+
+
+def frames_in(place: Path) -> list[Path]:
+    """The images that a file or a folder stands for, in order of their names."""
+    if place.is_file():
+        return [place] if place.suffix.lower() in SUFFIXES else []
+    inner = next((place / name for name in _INNER if (place / name).is_dir()), place)
+    return sorted(file for file in inner.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
+
+
+def _named(folder: Path) -> dict[str, Path]:
+    """Folders and images in a folder, by name without suffix; hidden ones are left out."""
+    entries = [entry for entry in sorted(folder.iterdir()) if not entry.name.startswith(".")]
+    return {
+        entry.stem if entry.is_file() else entry.name: entry
+        for entry in entries
+        if entry.is_dir() or entry.suffix.lower() in SUFFIXES
+    }
+
+
+def _folder(path: Path, what: str) -> Path:
+    if not path.is_dir():
+        raise ValueError(f"{what} {path} is no folder; expected one")
+    return path
+
+
+def find_results(method: str, folder: Path) -> Results:
+    """Results laid out as ``SCENE/STYLE.png`` or ``SCENE/STYLE/FRAMES``.
+
+    Raises:
+        ValueError: There are none.
+    """
+    found: dict[tuple[str, str], Sequence[Path]] = {}
+    for scene, place in _named(_folder(folder, f"method {method}:")).items():
+        if not place.is_dir():
+            continue
+        for style, result in _named(place).items():
+            frames = frames_in(result)
+            if frames:
+                found[scene, style] = frames
+    if not found:
+        raise ValueError(f"method {method}: {folder} holds no results; expected SCENE/STYLE.png or SCENE/STYLE/*.png")
+    return Results(method, found)
+
+
+def find_contents(folder: Path) -> dict[str, list[Path]]:
+    """Photographs laid out as ``SCENE.jpg`` or ``SCENE/FRAMES``, by scene."""
+    return {name: frames for name, place in _named(_folder(folder, "contents")).items() if (frames := frames_in(place))}
+
+
+def find_styles(folder: Path) -> dict[str, Path]:
+    """Styles laid out as ``STYLE.jpg``, or ``STYLE.txt`` for a style in words, by name."""
+    files = sorted(file for file in _folder(folder, "styles").iterdir() if file.is_file())
+    return {file.stem: file for file in files if file.suffix.lower() in (*SUFFIXES, ".txt")}
+
+
+def matching_frames(groups: Sequence[Sequence[Path]]) -> list[Path]:
+    """One frame of each group: the middle one of those that all groups name alike, else each group's middle."""
+    common = set.intersection(*({frame.stem for frame in group} for group in groups))
+    if common:
+        name = sorted(common)[len(common) // 2]
+        return [next(frame for frame in group if frame.stem == name) for group in groups]
+    return [group[len(group) // 2] for group in groups]
+
+
+def read_picture(path: Path) -> Image.Image:
+    """An image as RGB, upright, transparency over white, without any metadata.
+
+    Raises:
+        ValueError: It is no image, damaged, or larger than 100 megapixels.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is judged here
+            with Image.open(path) as image:
+                if image.width * image.height > _MAX_PIXELS:
+                    raise ValueError(f"{path.name} has {image.width} x {image.height} pixels; at most 100 million")
+                upright = ImageOps.exif_transpose(image).convert("RGBA")
+    except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError) as error:
+        raise ValueError(f"{path.name} cannot be read as an image: {error}") from None
+    white = Image.new("RGBA", upright.size, "white")
+    return Image.alpha_composite(white, upright).convert("RGB")
+
+
+def fitted_size(size: tuple[int, int], longest: int) -> tuple[int, int]:
+    """Width and height with the same proportions and ``longest`` as the longer side."""
+    scale = longest / max(size)
+    return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
+
+
+def filled(image: Image.Image, size: tuple[int, int]) -> Image.Image:
+    """An image scaled to fill ``size``, what stands out cut off evenly."""
+    return ImageOps.fit(image, size, Image.Resampling.LANCZOS)
+
+
+def contained(image: Image.Image, longest: int) -> Image.Image:
+    """An image scaled to ``longest``, uncut."""
+    return image.resize(fitted_size(image.size, longest), Image.Resampling.LANCZOS)
+
+
+def write_picture(image: Image.Image, path: Path) -> None:
+    """A JPEG file without visible loss and without metadata."""
+    image.save(path, "JPEG", quality=92, subsampling=0, optimize=True)

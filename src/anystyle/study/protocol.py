@@ -1,0 +1,144 @@
+"""A designed study: what ``study.json`` holds, and only the experimenter reads."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from anystyle.files import atomic_path
+from anystyle.study.plan import Plan, plan_from
+
+FILE = "study.json"
+
+
+@dataclass(frozen=True)
+class Item:
+    """A set: one scene in one style by ours and by a baseline.
+
+    Args:
+        id: As it stands in the answers.
+        scene: Its name.
+        style: Its name.
+        baseline: The other method.
+        ours: The name of the picture by ours, which tells nothing.
+        theirs: The name of the other one.
+        content: The name of the photograph's picture.
+        reference: The name of the style's picture, or empty.
+        text: The style in words, or empty.
+    """
+
+    id: str
+    scene: str
+    style: str
+    baseline: str
+    ours: str
+    theirs: str
+    content: str
+    reference: str = ""
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class Check:
+    """An attention check: a page that says what to answer.
+
+    Args:
+        id: As it stands in the answers.
+        expected: The score to give.
+    """
+
+    id: str
+    expected: int
+
+
+@dataclass(frozen=True)
+class Participant:
+    """What one participant sees.
+
+    Args:
+        id: The code to start with.
+        order: Ids of sets and checks.
+        ours_is_a: Ids of the sets in which ours is A.
+    """
+
+    id: str
+    order: tuple[str, ...]
+    ours_is_a: frozenset[str]
+
+
+@dataclass(frozen=True)
+class Study:
+    """A designed study.
+
+    Args:
+        id: Made of everything else; answers of another study do not match it.
+        ours: The method that the study is about.
+        baselines: The others.
+        plan: Sizes and words.
+        items: The sets.
+        checks: The attention checks.
+        participants: Who sees what.
+    """
+
+    id: str
+    ours: str
+    baselines: tuple[str, ...]
+    plan: Plan
+    items: tuple[Item, ...]
+    checks: tuple[Check, ...]
+    participants: tuple[Participant, ...]
+
+    @property
+    def pictures(self) -> tuple[str, ...]:
+        """The names of all pictures, without a suffix."""
+        names = [name for item in self.items for name in (item.ours, item.theirs, item.content, item.reference) if name]
+        return tuple(dict.fromkeys(names))
+
+    def write(self, folder: Path) -> None:
+        """Write ``study.json``."""
+        content = asdict(self)
+        for participant in content["participants"]:
+            participant["ours_is_a"] = sorted(participant["ours_is_a"])
+        with atomic_path(folder / FILE) as path:
+            path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def read_study(path: Path) -> Study:
+    """Read a designed study from its folder or its ``study.json``.
+
+    Raises:
+        ValueError: There is none, or it is damaged.
+    """
+    file = path / FILE if path.is_dir() else path
+    if not file.is_file():
+        raise ValueError(f"{path} holds no {FILE}; make one with `anystyle study design`")
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        return _study(content)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ValueError(f"{file} is no study: {type(error).__name__}: {error}; design it again") from None
+
+
+def _study(content: Mapping[str, Any]) -> Study:
+    study = Study(
+        id=str(content["id"]),
+        ours=str(content["ours"]),
+        baselines=tuple(map(str, content["baselines"])),
+        plan=plan_from(content["plan"]),
+        items=tuple(Item(**{name: str(value) for name, value in item.items()}) for item in content["items"]),
+        checks=tuple(Check(str(check["id"]), int(check["expected"])) for check in content["checks"]),
+        participants=tuple(
+            Participant(str(one["id"]), tuple(map(str, one["order"])), frozenset(map(str, one["ours_is_a"])))
+            for one in content["participants"]
+        ),
+    )
+    known = {item.id for item in study.items} | {check.id for check in study.checks}
+    for participant in study.participants:
+        strange = set(participant.order) - known
+        if strange:
+            raise ValueError(f"participant {participant.id} is shown {sorted(strange)[0]!r}, which there is none of")
+    for name in study.pictures:
+        if not name.isalnum():
+            raise ValueError(f"picture {name!r} has a name that is no file's")
+    return study
