@@ -95,7 +95,7 @@ def test_gradients_of_the_specification() -> None:
         return torch.cat([renders.color.flatten(), renders.depth.flatten(), renders.alpha.flatten()])
 
     *_, leaves = with_gradients(scene, views)
-    assert torch.autograd.gradcheck(image, leaves, eps=1e-6, atol=1e-6)
+    assert torch.autograd.gradcheck(image, leaves, eps=1e-6, atol=1e-6, fast_mode=True)
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
@@ -265,13 +265,40 @@ def test_colours_are_cut_with_their_gradients(renderer: Any) -> None:
     assert (gradient == 0).all()
 
 
-@pytest.mark.parametrize("renderer", [TorchRenderer, CpuRenderer])
+@pytest.mark.parametrize("renderer", RENDERERS)
 def test_half_precision_training_renders_in_full(renderer: Any) -> None:
     scene, views = gaussians(1, 100, 1), cameras(1, 2, (20, 30))
-    expected = renderer()(scene, views)
-    with torch.autocast("cpu", dtype=torch.bfloat16):
-        actual = renderer()(scene, views)
+    expected = render(renderer, scene, views)
+    with torch.autocast("cuda" if renderer is GsplatRenderer else "cpu", dtype=torch.bfloat16):
+        actual = render(renderer, scene, views)
     assert torch.equal(actual.color, expected.color)
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_half_precision_gaussians_render_in_full(renderer: Any) -> None:
+    """What a network in half precision puts out is projected in single, with gradients in half."""
+    half = gaussians(1, 100, 1).to(torch.bfloat16)
+    views = cameras(1, 2, (20, 30))
+    assert_same(render(renderer, half, views), render(renderer, half.to(torch.float32), views), atol=0)
+    half, _, leaves = with_gradients(half, views)
+    gradients = torch.autograd.grad(objective(render(renderer, half, views)), leaves[:5])
+    assert all(gradient.dtype == torch.bfloat16 for gradient in gradients)
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_double_precision_in_and_out(renderer: Any) -> None:
+    scene, views = gaussians(1, 100, 1), cameras(1, 2, (20, 30))
+    renders = render(renderer, scene.to(torch.float64), views.to(torch.float64))
+    assert renders.color.dtype == renders.depth.dtype == renders.alpha.dtype == torch.float64
+    assert_same(renders.to(torch.float32), render(renderer, scene, views), atol=2e-5)
+
+
+@pytest.mark.parametrize("renderer", RENDERERS)
+def test_inference_mode(renderer: Any) -> None:
+    scene, views = gaussians(1, 100, 1), cameras(1, 2, (20, 30))
+    expected = render(renderer, scene, views)
+    with torch.inference_mode():
+        assert torch.equal(render(renderer, gaussians(1, 100, 1), cameras(1, 2, (20, 30))).color, expected.color)
 
 
 @pytest.mark.parametrize("degree", [0, 2])

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -32,6 +33,12 @@ def check(gaussians: Gaussians, cameras: Cameras, background: Sequence[float], n
     if not near > 0:
         raise ValueError(f"near is {near}; expected a distance above 0, such as 0.01")
     degree_of(gaussians.harmonics.shape[-2])
+
+
+def at_least_single(gaussians: Gaussians, cameras: Cameras) -> tuple[Gaussians, Cameras]:
+    """Both in one precision: the Gaussians', or single where theirs is half, which would move them by pixels."""
+    dtype = torch.promote_types(gaussians.means.dtype, torch.float32)
+    return gaussians.to(dtype), cameras.to(dtype)
 
 
 def over(image: Float[Tensor, "B V 5 H W"], background: Sequence[float]) -> Renders:

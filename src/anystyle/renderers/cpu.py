@@ -11,7 +11,7 @@ from torch.autograd.function import once_differentiable
 from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import degree_of, normalisation
 from anystyle.renderers import _views
-from anystyle.renderers._common import check, over
+from anystyle.renderers._common import at_least_single, check, over
 from anystyle.types import Cameras, Gaussians, Renders
 
 
@@ -51,8 +51,7 @@ class CpuRenderer(Renderer):
             ValueError: The tensors are not on the CPU, or do not belong together.
         """
         check(gaussians, cameras, self.background, self.near)
-        image = self.accumulate(gaussians, cameras).to(gaussians.means.dtype)
-        return over(image, self.background)
+        return over(self.accumulate(gaussians, cameras), self.background)
 
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
         """Red, green, blue and depth over black and before any cut, and the share of light that passes."""
@@ -62,6 +61,7 @@ class CpuRenderer(Renderer):
                 "use renderer=gsplat there, or move the Gaussians and cameras with .to('cpu')"
             )
         with torch.autocast("cpu", enabled=False):
+            gaussians, cameras = at_least_single(gaussians, cameras)
             image = _Splatting.apply(
                 gaussians.means.float(),
                 gaussians.rotations.float(),
@@ -74,7 +74,7 @@ class CpuRenderer(Renderer):
                 _Settings(*cameras.size, self.near, self.far, self.eps2d, self.alpha_cap),
             )
         assert isinstance(image, Tensor)
-        return image
+        return image.to(gaussians.means.dtype)
 
 
 class _Settings(NamedTuple):

@@ -10,7 +10,7 @@ from torch import Tensor
 from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import colors, degree_of
 from anystyle.geometry.projection import covariances
-from anystyle.renderers._common import check, over
+from anystyle.renderers._common import at_least_single, check, over
 from anystyle.types import Cameras, Gaussians, Renders
 
 
@@ -53,16 +53,17 @@ class GsplatRenderer(Renderer):
                 f"the renderer 'gsplat' was given tensors on {gaussians.means.device}; "
                 "use renderer=cpu there, or move the Gaussians and cameras with .to('cuda')"
             )
-        image = self.accumulate(gaussians, cameras).to(gaussians.means.dtype)
-        return over(image, self.background)
+        return over(self.accumulate(gaussians, cameras), self.background)
 
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
         """Red, green, blue and depth over black and before any cut, and the share of light that passes."""
         rasterization = _rasterization()
         scenes = range(gaussians.means.shape[0])
         with torch.autocast(gaussians.means.device.type, enabled=False):
+            gaussians, cameras = at_least_single(gaussians, cameras)
             # Scene by scene: later versions take no harmonics of several scenes at once.
-            return torch.stack([self._scene(rasterization, gaussians, cameras, b) for b in scenes])
+            images = [self._scene(rasterization, gaussians, cameras, b) for b in scenes]
+            return torch.stack(images).to(gaussians.means.dtype)
 
     def _scene(
         self, rasterization: Callable[..., Any], gaussians: Gaussians, cameras: Cameras, scene: int

@@ -9,7 +9,7 @@ from torch.utils.checkpoint import checkpoint
 from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import colors
 from anystyle.geometry.projection import MIN_ALPHA, Splats, covariances, project
-from anystyle.renderers._common import check, over
+from anystyle.renderers._common import at_least_single, check, over
 from anystyle.types import Cameras, Gaussians, Renders
 
 MIN_TRANSMITTANCE = 1e-4
@@ -54,8 +54,8 @@ class TorchRenderer(Renderer):
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
         """Red, green, blue and depth over black and before any cut, and the share of light that passes."""
         scenes, views = cameras.world_from_camera.shape[:2]
-        # Half precision would move Gaussians by pixels.
         with torch.autocast(gaussians.means.device.type, enabled=False):
+            gaussians, cameras = at_least_single(gaussians, cameras)
             rows = [torch.stack([self._view(gaussians, cameras, b, v) for v in range(views)]) for b in range(scenes)]
             return torch.stack(rows)
 
