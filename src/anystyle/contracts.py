@@ -63,8 +63,8 @@ class GeometryHead(nn.Module, ABC):
     """Cameras and depth from features; never styled."""
 
     @abstractmethod
-    def forward(self, features: Features, size: tuple[int, int]) -> Geometry:
-        """Predict geometry at ``size``, height and width in pixels."""
+    def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
+        """Predict geometry at the size of the sRGB images in [0, 1], which it may look at."""
 
 
 class GaussianHead(nn.Module, ABC):
@@ -119,7 +119,7 @@ class Backbone(Socket, nn.Module, ABC):
         """Compute all that does not depend on style."""
         stem = self.embedder(views.images)
         features = self.aggregator(stem)
-        geometry = self.geometry_head(features, views.size)
+        geometry = self.geometry_head(features, views.images)
         attributes = self.gaussian_head(features, views.images)
         clusters = self.adapter.cluster(geometry, attributes)
         return Scene(views, stem, features, geometry, attributes, clusters)

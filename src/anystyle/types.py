@@ -232,14 +232,14 @@ class Geometry(Value):
         cameras: The predicted cameras, for the input views' size.
         depth: As the backbone defines it (its adapter knows), in the scene's units.
         confidence: Of the depth, at least 0; larger is surer.
-        correlation: Where a backbone matches patches explicitly: logits that the patches of each view after the first
-            show what the patches of the first view do.
+        correlation: Where a backbone matches views explicitly, and is in training: logits that cells of each view
+            after the first, row by row, show what cells of the first view do.
     """
 
     cameras: Cameras
     depth: Float[Tensor, "B V H W"]
     confidence: Float[Tensor, "B V H W"]
-    correlation: Float[Tensor, "B v P P"] | None = None
+    correlation: Float[Tensor, "B v r c r c"] | None = None
 
     def points(self, pixel_center: float = 0.5) -> Float[Tensor, "B V H W 3"]:
         """World points of every pixel, with ``depth`` read as distance along z.

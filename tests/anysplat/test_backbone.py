@@ -143,7 +143,7 @@ def test_views_decoded_in_turns_give_the_same_scene(backbone: AnySplat, chunk: i
     results = []
     for size in (chunk, 100):
         backbone.gaussian_head.chunk = backbone.geometry_head.chunk = size
-        results.append((backbone.geometry_head(features, given.size), backbone.gaussian_head(features, given.images)))
+        results.append((backbone.geometry_head(features, given.images), backbone.gaussian_head(features, given.images)))
     same(*results, rtol=1e-4, atol=1e-5)
     results[0][1].color.sum().backward()  # joined results carry gradients
     assert backbone.gaussian_head.direct.weight.grad is not None
@@ -184,7 +184,7 @@ def test_autocast_keeps_geometry_in_full_precision(backbone: AnySplat) -> None:
         gaussians = backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
     with torch.no_grad():
         features = {layer: tokens.with_data(tokens.data.float()) for layer, tokens in scene.features.items()}
-        expected = backbone.geometry_head(features, given.size)
+        expected = backbone.geometry_head(features, given.images)
         clusters = backbone.adapter.cluster(expected, scene.attributes)
     same(scene.geometry, expected, rtol=1e-6, atol=1e-6)
     assert clusters is not None and gaussians.harmonics.dtype == torch.float32

@@ -1,45 +1,48 @@
 """Cameras from matches: an alternative to regressing them that a small network can learn."""
 
+import math
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.geometry.alignment import MatchedPoints, align
-from anystyle.types import Cameras, Tokens
+from anystyle.types import Cameras
+from anystyle_anysplat.matcher import Matcher
 
-PIXELS = 1.5
-"""Error of a match, in pixels of a 112-pixel image, from which on it counts as doubtful."""
+DOUBTFUL = 1.5 / 112
+"""Error of a match, as a share of the image's width, from which on it counts as doubtful."""
+REACH = 2
+"""Cells around the likeliest whose mean is the place of a match."""
 
 
 class Aligner(nn.Module):
-    """Move every camera to where its patches agree with those of the first view.
+    """Move every camera to where what it sees agrees with what the first view sees.
 
     Not in the published network, which regresses poses from camera tokens; a network of a few million parameters does
-    not learn that in hours. Patches are compared by descriptors, matches are the expected places under a softmax, and
-    the rigid motion that explains them is computed in closed form. It is one pass: nothing is optimised at test time.
+    not learn that in hours. Points of the views are compared by descriptors, and the rigid motion that explains the
+    matches is computed from them and the depth in closed form. It is one pass: nothing is learnt at test time.
 
     Args:
-        dim: Channels of the tokens.
-        descriptor: Channels in which patches are compared.
-        temperature: Of the comparison.
+        descriptor: Channels in which points are compared.
     """
 
-    def __init__(self, *, dim: int, descriptor: int = 64, temperature: float = 0.07) -> None:
+    def __init__(self, *, descriptor: int = 48) -> None:
         super().__init__()
-        self.temperature = temperature
-        self.normal = nn.LayerNorm(dim)
-        self.compare = nn.Linear(dim, descriptor)
+        self.matcher = Matcher(descriptor=descriptor)
+        self.log_sharpness = nn.Parameter(torch.tensor(math.log(10.0)))
 
-    def correlation(self, tokens: Tokens) -> Float[Tensor, "B v P P"]:
-        """How alike the patches of each view after the first are to those of the first, as logits."""
-        patches = tokens.patches.to(self.compare.weight.dtype)
-        unit = F.normalize(self.compare(self.normal(patches)), dim=-1)
-        return torch.einsum("bipd,bqd->bipq", unit[:, 1:], unit[:, 0]) / self.temperature
+    def correlation(self, images: Float[Tensor, "B V 3 H W"]) -> Float[Tensor, "B v r c r c"]:
+        """Logits that points of each view after the first, row by row, are those of the first."""
+        descriptors = self.matcher(images.flatten(0, 1)).float().unflatten(0, images.shape[:2])
+        unit = F.normalize(descriptors, dim=2)
+        alike = torch.einsum("bvdij,bdkl->bvijkl", unit[:, 1:], unit[:, 0])
+        return alike * self.log_sharpness.exp()
 
     @torch.no_grad()
     def forward(
-        self, correlation: Float[Tensor, "B v P P"], grid: tuple[int, int], cameras: Cameras, depth: Tensor
+        self, correlation: Float[Tensor, "B v r c r c"], cameras: Cameras, depth: Float[Tensor, "B V H W"]
     ) -> Float[Tensor, "B V 4 4"]:
         """Poses, the first view's at the origin and the others where they fit.
 
@@ -48,28 +51,22 @@ class Aligner(nn.Module):
 
         Args:
             correlation: See :meth:`correlation`.
-            grid: Rows and columns of patches.
             cameras: Whose intrinsics count.
-            depth: Along z, of shape B V H W.
+            depth: Along z.
         """
         batch, views = depth.shape[:2]
-        logits = correlation.float()
-        likely = logits.softmax(-1)
-        # A match counts if each of the two patches prefers the other.
-        weight = (likely * logits.softmax(-2)).sum(-1).flatten(0, 1)
-        height, width = cameras.size
-        rows, columns = grid
-        v = (torch.arange(rows, device=depth.device, dtype=depth.dtype) + 0.5) * height / rows
-        u = (torch.arange(columns, device=depth.device, dtype=depth.dtype) + 0.5) * width / columns
-        own = torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1).flatten(0, 1)  # P 2, in pixels
-        place = (likely @ own).flatten(0, 1)  # the expected place of the match in the first view
-        first = slice(0, 1)
-        source_ray, source = _unproject(own.expand(batch * (views - 1), -1, -1), cameras, depth, slice(1, None))
-        target_ray, target = _unproject(place, cameras, depth, first)
-        focal = cameras.intrinsics[:, :, 0, 0].mean()
+        (height, width), (rows, columns) = cameras.size, correlation.shape[-2:]
+        cell, weight = _matches(correlation.flatten(0, 1))
+        size = depth.new_tensor([width / columns, height / rows])
+        place = (cell + 0.5) * size
+        u = torch.arange(columns, device=depth.device, dtype=depth.dtype)
+        v = torch.arange(rows, device=depth.device, dtype=depth.dtype)
+        own = (torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1).flatten(0, 1) + 0.5) * size
+        source_ray, source = _unproject(own.expand(len(place), -1, -1), cameras, depth, slice(1, None))
+        target_ray, target = _unproject(place, cameras, depth, slice(0, 1))
         motion = align(
             MatchedPoints(source, target, source_ray, target_ray, weight),
-            scale=float(PIXELS * width / 112 / focal),
+            scale=float(DOUBTFUL * width / cameras.intrinsics[:, :, 0, 0].mean()),
         )
         pose = torch.eye(4, dtype=depth.dtype, device=depth.device).expand(batch, views, 4, 4).clone()
         pose[:, 1:, :3, :3] = motion.rotation.unflatten(0, (batch, views - 1))
@@ -77,18 +74,42 @@ class Aligner(nn.Module):
         return pose
 
 
+def _matches(correlation: Float[Tensor, "M r c r c"]) -> tuple[Float[Tensor, "M P 2"], Float[Tensor, "M P"]]:
+    """Column and row where each point is seen in the first view, and how sure that is.
+
+    A match counts if each of the two points prefers the other; its place is the mean over the cells around the
+    likeliest.
+    """
+    rows, columns = correlation.shape[-2:]
+    logits = correlation.flatten(3).flatten(1, 2)
+    likely = logits.softmax(-1)
+    mutual = likely * logits.softmax(-2)
+    best = mutual.argmax(-1)
+    row, column = best // columns, best % columns
+    total, place = torch.zeros_like(mutual[..., 0]), torch.zeros(*best.shape, 2, device=best.device)
+    weight = torch.zeros_like(total)
+    for dy in range(-REACH, REACH + 1):
+        for dx in range(-REACH, REACH + 1):
+            y, x = row + dy, column + dx
+            inside = (y >= 0) & (y < rows) & (x >= 0) & (x < columns)
+            index = (y.clamp(0, rows - 1) * columns + x.clamp(0, columns - 1))[..., None]
+            share = likely.gather(-1, index)[..., 0] * inside
+            total = total + share
+            place = place + share[..., None] * torch.stack([x, y], dim=-1)
+            weight = weight + mutual.gather(-1, index)[..., 0] * inside
+    return place / total.clamp_min(1e-12)[..., None], weight
+
+
 def _unproject(
     pixels: Float[Tensor, "M P 2"], cameras: Cameras, depth: Float[Tensor, "B V H W"], views: slice
 ) -> tuple[Float[Tensor, "M P 2"], Float[Tensor, "M P 3"]]:
     """Rays and points of pixels; a single view serves all rows of its scene."""
     height, width = cameras.size
-    chosen, lenses = depth[:, views], cameras.intrinsics[:, views]
-    count = pixels.shape[0] // depth.shape[0]
-    chosen = chosen.expand(-1, count, -1, -1).flatten(0, 1)
-    lenses = lenses.expand(-1, count, -1, -1).flatten(0, 1)
+    count = depth.shape[1] - 1
+    chosen = depth[:, views].expand(-1, count, -1, -1).flatten(0, 1)
+    lenses = cameras.intrinsics[:, views].expand(-1, count, -1, -1).flatten(0, 1)
     grid = pixels * pixels.new_tensor([2 / width, 2 / height]) - 1
     sampled = F.grid_sample(chosen[:, None], grid[:, None], padding_mode="border", align_corners=False)[:, 0, 0]
-    centre = lenses[:, None, :2, 2]
     focal = torch.stack([lenses[:, 0, 0], lenses[:, 1, 1]], dim=-1)[:, None]
-    ray = (pixels - centre) / focal
+    ray = (pixels - lenses[:, None, :2, 2]) / focal
     return ray, torch.cat([ray, torch.ones_like(ray[..., :1])], dim=-1) * sampled[..., None]

@@ -173,7 +173,7 @@ class AnySplat(contracts.Backbone):
             taps=taps,
             chunk=2 * chunk,
             focal_epsilon=focal_epsilon,
-            aligner=Aligner(dim=2 * dim) if poses == "aligned" else None,
+            aligner=Aligner() if poses == "aligned" else None,
         )
         self.gaussian_head = GaussianHead(
             dim=2 * dim,

@@ -45,20 +45,25 @@ class GeometryHead(contracts.GeometryHead):
         self.focal_epsilon = focal_epsilon
         self.aligner = aligner
 
-    def forward(self, features: Features, size: tuple[int, int]) -> Geometry:
+    def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
         """Predict geometry; depth is the distance along z."""
-        last = features[self.taps[-1]]
-        with torch.autocast(last.data.device.type, enabled=False):
-            encodings = self.camera(last.data[:, :, 0].to(self.camera.embed_pose.weight.dtype))
+        size = (images.shape[-2], images.shape[-1])
+        last = features[self.taps[-1]].data
+        with torch.autocast(last.device.type, enabled=False):
+            encodings = self.camera(last[:, :, 0].to(self.camera.embed_pose.weight.dtype))
             logs = self.log_depth(features, size)
-            cameras = decode_pose(encodings[-1].float(), size, focal_epsilon=self.focal_epsilon)
-            depth, confidence = logs.float().exp().unbind(2)
-            geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
-            if self.aligner is None:
-                return geometry
-            correlation = self.aligner.correlation(last)
-            pose = self.aligner(correlation, last.grid, cameras, depth)
-        return replace(geometry, cameras=replace(cameras, world_from_camera=pose), correlation=correlation)
+        cameras = decode_pose(encodings[-1].float(), size, focal_epsilon=self.focal_epsilon)
+        depth, confidence = logs.float().exp().unbind(2)
+        geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
+        return geometry if self.aligner is None else self.aligned(geometry, images, self.aligner)
+
+    def aligned(self, geometry: Geometry, images: Float[Tensor, "B V 3 H W"], aligner: Aligner) -> Geometry:
+        """The geometry with the poses that matches between the images tell."""
+        correlation = aligner.correlation(images)
+        with torch.autocast(images.device.type, enabled=False):
+            pose = aligner(correlation, geometry.cameras, geometry.depth)
+        cameras = replace(geometry.cameras, world_from_camera=pose)
+        return replace(geometry, cameras=cameras, correlation=correlation if self.training else None)
 
     def log_depth(self, features: Features, size: tuple[int, int]) -> Float[Tensor, "B V 2 H W"]:
         """The depth head's two maps, before the exponential."""

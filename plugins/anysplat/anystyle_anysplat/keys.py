@@ -38,6 +38,8 @@ _PARTS = (
     (r"^gaussian_head\.direct\.", "gaussian_param_head.input_merger.0."),
 )
 
+_COPIES = {"aggregator": "aggregator_injection", "gaussian_param_head": "gaussian_param_head_style"}
+
 
 def backbone_names(keys: Iterable[str]) -> dict[str, str]:
     """For each key of an :class:`~anystyle_anysplat.AnySplat`, its published name."""
@@ -79,7 +81,7 @@ def _published_branch(key: str, layers: list[int]) -> str:
     if found := re.match(r"injectors\.head/direct\.(.*)", key):
         return f"gaussian_param_head_style.style_injector_direct.{found[1]}"
     part, _, rest = _published(key).partition(".")
-    return f"{ {'aggregator': 'aggregator_injection'}.get(part, f'{part}_style') }.{rest}"
+    return f"{_COPIES.get(part, part)}.{rest}"
 
 
 def without_prefix(state: Mapping[str, Tensor]) -> dict[str, Tensor]:

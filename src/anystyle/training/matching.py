@@ -120,13 +120,14 @@ class FeatureProbes(nn.Module):
         return torch.einsum("bipd,bqd->bipq", unit[:, 1:], unit[:, 0]) / self.temperature
 
 
-def correlation_loss(logits: Float[Tensor, "B v P P"], matches: Matches, grid: tuple[int, int]) -> Float[Tensor, ""]:
+def correlation_loss(correlation: Float[Tensor, "B v r c r c"], matches: Matches) -> Float[Tensor, ""]:
     """Cross entropy of a backbone's own matches with the first view.
 
-    The truth is spread over the four patches around it, as bilinear interpolation does, so that the expected place of
+    The truth is spread over the four cells around it, as bilinear interpolation does, so that the expected place of
     a perfect match is exact.
     """
-    rows, columns = grid
+    rows, columns = correlation.shape[-2:]
+    logits = correlation.flatten(4).flatten(2, 3)
     place = (matches.own + matches.shift[:, 1:] + 1) / 2 * logits.new_tensor([columns, rows]) - 0.5
     left, top = place.floor().unbind(-1)
     likely = logits.log_softmax(-1)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import kornia
@@ -103,6 +104,11 @@ class ReconstructionTraining(Training):
             "ssim": ssim_weight,
         }
 
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """Two scenes a step, rendered in each."""
+        return {"batch_size": 2, "context_views": (2, 2), "render_every": 1, "render_scenes": 1, "warmup": 1}
+
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
         """Scenes with context and target views."""
         return SceneBatches(
@@ -130,7 +136,7 @@ class ReconstructionTraining(Training):
         features = backbone.aggregator(backbone.embedder(inputs.images))
         with self.exact():
             features = {layer: tokens.to(torch.float32) for layer, tokens in features.items()}
-            geometry = backbone.geometry_head(features, inputs.size)
+            geometry = backbone.geometry_head(features, inputs.images)
         losses = self.geometry_losses(features, geometry, inputs)
         rows = len(batch.keys)
         if self.global_step % self.render_every == 0:
@@ -165,7 +171,8 @@ class ReconstructionTraining(Training):
             matches = patch_matches(cameras, depth, grid)
             own: dict[str, Float[Tensor, ""]] = {}
             if geometry.correlation is not None:
-                own["correlation"] = correlation_loss(geometry.correlation, matches, grid)
+                cells = (geometry.correlation.shape[-2], geometry.correlation.shape[-1])
+                own["correlation"] = correlation_loss(geometry.correlation, patch_matches(cameras, depth, cells))
             return own | {
                 "depth": depth_loss(geometry.depth, geometry.confidence, depth),
                 "camera": camera_loss(geometry.cameras, cameras),

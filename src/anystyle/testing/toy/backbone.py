@@ -111,8 +111,9 @@ class ToyGeometryHead(GeometryHead):
         self.pose = nn.Linear(dim, 6)
         self.depth = nn.Linear(dim, 2 * patch_size**2)
 
-    def forward(self, features: Features, size: tuple[int, int]) -> Geometry:
+    def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
         """See :meth:`anystyle.contracts.GeometryHead.forward`."""
+        size = (images.shape[-2], images.shape[-1])
         tokens = features[max(features)]
         shift, turn = (0.1 * self.pose(tokens.data[:, :, 0])).split(3, dim=-1)  # B V 3 each
         depth, confidence = _to_pixels(self.depth(tokens.patches), tokens.grid, self.patch_size).unbind(-1)
