@@ -6,9 +6,11 @@ import pytest
 import torch
 from PIL import Image
 
+from anystyle.data import video
 from anystyle.data.folder import read_views
 from anystyle.data.video import read_frames
 from anystyle.export import write_video
+from real_data import real
 
 
 def save(path, width=64, height=48, shade=100):
@@ -117,6 +119,32 @@ def test_the_sharpest_frame_of_each_part_is_taken(tmp_path):
     frames = [noise if place in (3, 7) else torch.full((3, 64, 64), 0.5) for place in range(10)]
     write_video(frames, tmp_path / "a.mp4")
     assert [number for number, _ in read_frames(tmp_path / "a.mp4", 2)] == [3, 7]
+
+
+@pytest.mark.parametrize("gop", [10, 1000])
+def test_long_videos_are_read_by_their_key_frames_where_these_are_enough(tmp_path, monkeypatch, gop):
+    monkeypatch.setattr(video, "MANY_FRAMES", 50)
+    with av.open(str(tmp_path / "a.mp4"), "w") as container:
+        stream = container.add_stream("libx264", rate=25, options={"g": str(gop), "sc_threshold": "0"})
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for place in range(100):
+            pixels = np.full((48, 64, 3), 2 * place, np.uint8)
+            pixels[::2] = 255 - 2 * place
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+        container.mux(stream.encode())
+    numbers = [number for number, _ in read_frames(tmp_path / "a.mp4", 5)]
+    assert [number // 20 for number in numbers] == [0, 1, 2, 3, 4]
+    assert (gop == 1000) or all(number % 10 == 0 for number in numbers)
+
+
+@pytest.mark.parametrize(("name", "frames"), [("llff_fortress", 5), ("re10k_1eca36ec55b88fe4", 2)])
+def test_real_videos_give_distinct_frames_in_order(name, frames):
+    views, sources = read(real(f"videos/{name}.mp4"), max_views=5)
+    numbers = [int(source.name.rpartition("_")[2]) for source in sources]
+    assert numbers == sorted(set(numbers)) and len(numbers) == frames
+    assert min(views.size) == 32
+    assert views.images.std() > 0.05
+    assert (views.images[0, 0] - views.images[0, -1]).abs().mean() > 0.01
 
 
 def test_bad_inputs_end_in_one_line(tmp_path):

@@ -1,13 +1,17 @@
+import math
+
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from anystyle.geometry.cameras import smooth_path
+from anystyle.geometry.cameras import look_at, orbit, smooth_path
 from anystyle.types import Cameras
 
 
-def orbit(count):
+def ring(count):
     angles = np.linspace(0, 1, count)
     pose = np.tile(np.eye(4), (count, 1, 1))
     pose[:, :3, :3] = Rotation.from_euler("y", -angles[:, None]).as_matrix()
@@ -18,7 +22,7 @@ def orbit(count):
 
 @pytest.mark.parametrize("count", [2, 3, 6])
 def test_a_path_meets_its_cameras_and_stays_rigid(count):
-    cameras = orbit(count)
+    cameras = ring(count)
     path = smooth_path(cameras, 1001)
     for view in range(count):
         apart = (path.world_from_camera - cameras.world_from_camera[:, view, None]).abs().amax((-1, -2))
@@ -30,13 +34,13 @@ def test_a_path_meets_its_cameras_and_stays_rigid(count):
 
 
 def test_a_path_is_smooth():
-    positions = smooth_path(orbit(9), 200).world_from_camera[0, :, :3, 3]
+    positions = smooth_path(ring(9), 200).world_from_camera[0, :, :3, 3]
     steps = positions.diff(dim=0).norm(dim=-1)
     assert steps.diff().abs().max() < 0.1 * steps.max()
 
 
 def test_one_camera_sways_around_what_it_looks_at():
-    path = smooth_path(orbit(1), 16)
+    path = smooth_path(ring(1), 16)
     inverse = path.camera_from_world[0]
     target = torch.tensor([0.0, 0, -1, 1])  # one unit ahead of the camera at z = -2
     seen = inverse @ target
@@ -46,6 +50,49 @@ def test_one_camera_sways_around_what_it_looks_at():
 
 def test_impossible_paths_are_refused():
     with pytest.raises(ValueError, match="one scene"):
-        smooth_path(orbit(3).expand(2), 5)
+        smooth_path(ring(3).expand(2), 5)
     with pytest.raises(ValueError, match="at least 1 frame"):
-        smooth_path(orbit(3), 0)
+        smooth_path(ring(3), 0)
+
+
+@given(st.tuples(*[st.floats(-5, 5)] * 3), st.tuples(*[st.floats(-5, 5)] * 3))
+def test_what_is_looked_at_lies_on_the_axis_and_up_is_up(eye, target):
+    eye, target = torch.tensor(eye, dtype=torch.float64), torch.tensor(target, dtype=torch.float64)
+    way = target - eye
+    if torch.linalg.cross(way, torch.tensor([0.0, 1, 0], dtype=torch.float64)).norm() < 0.1:
+        return
+    pose = look_at(eye, target)
+    torch.testing.assert_close(pose[:3, :3].mT @ pose[:3, :3], torch.eye(3, dtype=torch.float64))
+    assert torch.linalg.det(pose[:3, :3]).item() == pytest.approx(1)
+    seen = torch.linalg.inv(pose) @ torch.cat([target, torch.ones(1, dtype=torch.float64)])
+    torch.testing.assert_close(seen[:3], torch.tensor([0.0, 0, way.norm()], dtype=torch.float64), rtol=0, atol=1e-9)
+    # A point above the target is seen above it: y points down in world and image alike.
+    above = torch.linalg.inv(pose) @ torch.cat([target - torch.tensor([0, 1.0, 0]), torch.ones(1)]).double()
+    assert above[1] < 0
+
+
+@pytest.mark.parametrize("degrees", [60.0, 360.0, -360.0])
+def test_an_orbit_keeps_its_distance_and_looks_inward(degrees):
+    cameras = ring(3)
+    turned = orbit(cameras, 8, degrees=degrees, distance=2.0)
+    start = cameras.world_from_camera[0, 1]
+    target = start[:3, 3] + 2 * start[:3, 2]
+    poses = turned.world_from_camera[0]
+    torch.testing.assert_close((poses[:, :3, 3] - target).norm(dim=-1), torch.full((8,), 2.0))
+    torch.testing.assert_close(poses[:, :3, 3] + 2 * poses[:, :3, 2], target.expand(8, 3), rtol=0, atol=1e-5)
+    cosine = (poses[0, :3, 2] * poses[-1, :3, 2]).sum()
+    expected = 60.0 if degrees == 60 else 45.0
+    assert math.degrees(math.acos(cosine)) == pytest.approx(expected, abs=0.01)
+    if abs(degrees) == 360:
+        torch.testing.assert_close(poses[0], start, rtol=0, atol=1e-6)
+
+
+def test_an_orbit_of_several_scenes_is_refused():
+    with pytest.raises(ValueError, match="one scene"):
+        orbit(ring(2).expand(2), 5)
+
+
+def test_cameras_that_stand_still_stay():
+    cameras = ring(1).select([0, 0, 0])
+    path = smooth_path(cameras, 7)
+    torch.testing.assert_close(path.world_from_camera, cameras.world_from_camera[:, :1].expand(1, 7, 4, 4))

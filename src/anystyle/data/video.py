@@ -34,17 +34,28 @@ def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
         raise ValueError(f"there is no video {path}")
     try:
         total = _count_frames(path)
-        best: dict[int, tuple[float, int, Image.Image]] = {}
-        for number, frame in _decode(path, key_frames_only=total > MANY_FRAMES):
-            part = min(number * count // max(total, 1), count - 1)
-            sharp = _sharpness(frame)
-            if part not in best or sharp > best[part][0]:
-                best[part] = (sharp, number, _upright(frame))
+        best = _sharpest(path, count, total, key_frames_only=total > MANY_FRAMES)
+        if total > MANY_FRAMES and len(best) < count:
+            # Some encoders write hardly any key frames.
+            best = _sharpest(path, count, total, key_frames_only=False)
     except FFmpegError as error:
         raise ValueError(f"{path} is no video, or a damaged one ({error.strerror})") from None
     if not best:
         raise ValueError(f"{path} is a video without frames")
-    return [(number, image) for _, number, image in (best[part] for part in sorted(best))]
+    return [best[part] for part in sorted(best)]
+
+
+def _sharpest(path: Path, count: int, total: int, *, key_frames_only: bool) -> dict[int, tuple[int, Image.Image]]:
+    """Number and image of the sharpest frame of each of ``count`` equal parts that has frames."""
+    sharpness: dict[int, float] = {}
+    best: dict[int, tuple[int, Image.Image]] = {}
+    for number, frame in _decode(path, key_frames_only=key_frames_only):
+        part = min(number * count // max(total, 1), count - 1)
+        sharp = _sharpness(frame)
+        if sharp > sharpness.get(part, -1.0):
+            sharpness[part] = sharp
+            best[part] = (number, _upright(frame))
+    return best
 
 
 def _count_frames(path: Path) -> int:
@@ -62,13 +73,16 @@ def _decode(path: Path, *, key_frames_only: bool) -> Iterator[tuple[int, VideoFr
         if key_frames_only:
             stream.codec_context.skip_frame = "NONKEY"
         for place, frame in enumerate(container.decode(stream)):
-            yield (_number(frame, stream) if key_frames_only else place), frame
+            number = _number(frame, stream) if key_frames_only else place
+            if number is not None:
+                yield number, frame
 
 
-def _number(frame: VideoFrame, stream: VideoStream) -> int:
-    """A frame's number from its time."""
-    assert frame.pts is not None and frame.time_base is not None and stream.average_rate is not None
-    return round((frame.pts - (stream.start_time or 0)) * frame.time_base * stream.average_rate)
+def _number(frame: VideoFrame, stream: VideoStream) -> int | None:
+    """A frame's number from its time, where the file tells it."""
+    if frame.pts is None or frame.time_base is None or stream.average_rate is None:
+        return None
+    return max(0, round((frame.pts - (stream.start_time or 0)) * frame.time_base * stream.average_rate))
 
 
 def _sharpness(frame: VideoFrame) -> float:

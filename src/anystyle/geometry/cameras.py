@@ -1,9 +1,13 @@
 """Camera paths."""
 
+import math
+
 import numpy as np
 import torch
+from jaxtyping import Float
 from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation, RotationSpline
+from torch import Tensor
 
 from anystyle.types import Cameras
 
@@ -44,6 +48,56 @@ def smooth_path(cameras: Cameras, frames: int) -> Cameras:
     return Cameras(
         world_from_camera=torch.as_tensor(flown, dtype=like.dtype, device=like.device)[None],
         intrinsics=torch.as_tensor(lenses, dtype=like.dtype, device=like.device)[None],
+        size=cameras.size,
+    )
+
+
+def look_at(
+    eye: Float[Tensor, "*batch 3"], target: Float[Tensor, "*batch 3"], up: Float[Tensor, "3"] | None = None
+) -> Float[Tensor, "*batch 4 4"]:
+    """World from camera of cameras at ``eye`` that look at ``target``; differentiable.
+
+    Args:
+        eye: Places.
+        target: What lies on the optical axes.
+        up: What points up in the images; the world's -y unless it is given. It may not be along the axis.
+    """
+    up = eye.new_tensor([0.0, -1.0, 0.0]) if up is None else up
+    forward = torch.nn.functional.normalize(target - eye, dim=-1)
+    right = torch.nn.functional.normalize(torch.linalg.cross(forward, up.expand_as(forward), dim=-1), dim=-1)
+    down = torch.linalg.cross(forward, right, dim=-1)
+    top = torch.stack([right, down, forward, eye], dim=-1)
+    bottom = eye.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*eye.shape[:-1], 1, 4)
+    return torch.cat([top, bottom], dim=-2)
+
+
+def orbit(cameras: Cameras, frames: int, *, degrees: float = 360.0, distance: float = 1.0) -> Cameras:
+    """A turn of the middle camera of one scene around the point that it looks at, about its own vertical.
+
+    Args:
+        cameras: A batch of one scene.
+        frames: How many cameras to return, at least 1; a full turn does not repeat the first at its end.
+        degrees: How far; half of it to either side, a full turn starts at the camera.
+        distance: Of the point ahead of the camera.
+
+    Raises:
+        ValueError: There are several scenes, or no frame is asked for.
+    """
+    if cameras.intrinsics.shape[0] != 1 or frames < 1:
+        raise ValueError(
+            f"an orbit needs one scene and at least 1 frame, not {cameras.intrinsics.shape[0]} and {frames}"
+        )
+    middle = cameras.intrinsics.shape[1] // 2
+    pose = cameras.world_from_camera[0, middle]
+    full = abs(degrees) >= 360
+    turn = torch.linspace(0.0, 1.0, frames + 1)[:-1] if full else torch.linspace(-0.5, 0.5, frames)
+    angle = (turn * math.radians(degrees)).to(pose)
+    zero = torch.zeros_like(angle)
+    eye = distance * torch.stack([-angle.sin(), zero, 1 - angle.cos()], dim=-1)
+    local = look_at(eye, eye.new_tensor([0.0, 0.0, distance]).expand_as(eye))
+    return Cameras(
+        world_from_camera=(pose @ local)[None],
+        intrinsics=cameras.intrinsics[:, middle, None].expand(1, frames, 3, 3),
         size=cameras.size,
     )
 
