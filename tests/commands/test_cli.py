@@ -139,6 +139,24 @@ def test_mistakes_are_one_line(words, told):
     assert done.stderr.count("\n") == 1
 
 
+def test_a_process_that_starts_itself_again_finds_its_command():
+    """A training on several devices runs ``python -m <name of __main__> <arguments>`` once more for each."""
+    code = (
+        "import sys, anystyle.registry.catalog as module\n"
+        "def spy():\n"
+        "    import __main__\n"
+        "    print(__main__.__spec__.name, sys.argv[1:])\n"
+        "    raise ValueError('seen')\n"
+        "module.catalog = spy\n"
+        "sys.argv = ['anystyle', 'plugins', 'loss']\n"
+        "from anystyle.__main__ import main\n"
+        "main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert done.stdout == "anystyle.commands.plugins ['loss']\n"
+    assert (done.returncode, done.stderr) == (2, "anystyle: error: seen\n")
+
+
 def test_version():
     assert call("--version").stdout.startswith("anystyle ")
 

@@ -1,5 +1,7 @@
 """What `anystyle plugins` shows."""
 
+import os
+import subprocess
 import sys
 
 import pytest
@@ -102,14 +104,18 @@ def test_two_of_one_name_are_both_listed(capsys, tmp_path, monkeypatch):
     assert "declared more than once" in text
 
 
-def test_problems_go_to_the_error_stream(capsys, tmp_path, monkeypatch):
+def test_problems_are_told_once(tmp_path):
     (tmp_path / "bad").mkdir()
     (tmp_path / "bad" / "pyproject.toml").write_text("[project")
-    monkeypatch.setenv("ANYSTYLE_PLUGINS", str(tmp_path))
-    main([])
-    captured = capsys.readouterr()
-    assert "ignored: " in captured.err and "bad/pyproject.toml cannot be read" in captured.err
-    assert "cannot be read" not in captured.out
+    done = subprocess.run(
+        [sys.executable, "-m", "anystyle", "plugins"],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "ANYSTYLE_PLUGINS": str(tmp_path)},
+    )
+    assert done.returncode == 0
+    assert done.stderr.startswith(f"ignored: {tmp_path}/bad/pyproject.toml cannot be read: ")
+    assert done.stderr.count("\n") == 1
 
 
 def test_presets_are_listed(capsys):

@@ -50,8 +50,6 @@ def main(words: Sequence[str] | None = None) -> None:
     else:
         lines = in_full(known.find(arguments.kind, arguments.name))
     print("\n".join(lines))
-    for problem in known.problems:
-        print(f"ignored: {problem}", file=sys.stderr)
 
 
 def width() -> int:
