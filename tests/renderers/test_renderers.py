@@ -1,8 +1,11 @@
 """Properties of renders, and the fast renderer against the readable one."""
 
 import math
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -357,3 +360,20 @@ def test_refuses_other_devices() -> None:
         GsplatRenderer()(scene, views)
     with pytest.raises(ValueError, match="near is 0"):
         CpuRenderer(near=0.0)(scene, views)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "size", "views"), [(500_000, 112, 10), (200_000, 448, 1)])
+def test_memory_is_bounded(number: int, size: int, views: int) -> None:
+    """Forward and backward of a large scene stay under 2 GB, everything in the process included."""
+    script = f"""
+import resource, sys
+sys.path.insert(0, {str(Path(__file__).parents[1])!r})
+from renderers.scenes import cameras, gaussians
+from anystyle.renderers.cpu import CpuRenderer
+scene = gaussians(1, {number}).map(lambda tensor: tensor.requires_grad_())
+CpuRenderer()(scene, cameras(1, {views}, ({size}, {size}))).color.mean().backward()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+"""
+    result = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert int(result.stdout) * 1024 < 2e9
