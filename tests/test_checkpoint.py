@@ -1,0 +1,77 @@
+import json
+
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import nn
+
+from anystyle.checkpoint import Header, load_part, load_strictly, read_header, save_part, sha256
+
+
+def network(width=4):
+    torch.manual_seed(width)
+    return nn.Sequential(nn.Linear(3, width), nn.BatchNorm1d(width))
+
+
+def test_what_is_saved_is_loaded_bit_for_bit_with_what_it_says_of_itself(tmp_path):
+    header = Header("branch", {"a": [1, 2]}, {"backbone": "00"}, {"command": "anystyle train", "seed": 3})
+    save_part(tmp_path / "a.safetensors", network(), header)
+    other = network()
+    nn.init.zeros_(other[0].weight)
+    assert load_part(tmp_path / "a.safetensors", other, "branch") == header
+    for key, tensor in network().state_dict().items():
+        assert torch.equal(other.state_dict()[key], tensor), key
+    assert read_header(tmp_path / "a.safetensors") == header
+
+
+def test_half_precision_halves_the_file_and_keeps_integers(tmp_path):
+    save_part(tmp_path / "half.safetensors", network(), Header("branch"), half=True)
+    with safe_open(tmp_path / "half.safetensors", "pt") as file:
+        kinds = {key: file.get_tensor(key).dtype for key in file.keys()}  # noqa: SIM118
+    assert kinds["0.weight"] == torch.float16 and kinds["1.num_batches_tracked"] == torch.int64
+    other = network()
+    load_part(tmp_path / "half.safetensors", other, "branch")
+    assert other[0].weight.dtype == torch.float32
+    torch.testing.assert_close(other[0].weight, network()[0].weight, rtol=1e-3, atol=1e-4)
+
+
+def test_differences_are_named_up_to_five_of_a_kind():
+    state = network().state_dict()
+    state["0.weight"] = torch.zeros(9, 9)
+    del state["0.bias"]
+    state |= {f"extra.{place}": torch.zeros(1) for place in range(7)}
+    before = {key: tensor.clone() for key, tensor in network().state_dict().items()}
+    target = network()
+    with pytest.raises(ValueError, match="does not fit this Sequential") as caught:
+        load_strictly(target, state, source="file.safetensors")
+    message = str(caught.value)
+    assert "missing 1 (0.bias)" in message and "0.weight is [9, 9], not [4, 3]" in message
+    assert "unexpected 7 (extra.0, extra.1, extra.2, extra.3, extra.4, …)" in message
+    assert all(torch.equal(tensor, before[key]) for key, tensor in target.state_dict().items())
+
+
+def test_files_that_are_not_ours_are_refused(tmp_path):
+    save_part(tmp_path / "whole.safetensors", network(), Header("backbone"))
+    data = (tmp_path / "whole.safetensors").read_bytes()
+    (tmp_path / "half.safetensors").write_bytes(data[: len(data) // 2])
+    save_file({"a": torch.zeros(1)}, tmp_path / "plain.safetensors")
+    for name, words in (
+        ("half", "truncated or no safetensors"),
+        ("plain", "without an anystyle header"),
+        ("absent", "there is no weights file"),
+        ("whole", "holds the weights of a backbone, but those of a branch"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            load_part(tmp_path / f"{name}.safetensors", network(), "branch")
+
+
+def test_a_digest_is_that_of_the_bytes(tmp_path):
+    (tmp_path / "a").write_bytes(b"abc")
+    assert sha256(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+def test_headers_are_plain_json(tmp_path):
+    save_part(tmp_path / "a.safetensors", network(), Header("branch", provenance={"command": "x"}))
+    with safe_open(tmp_path / "a.safetensors", "pt") as file:
+        assert json.loads(file.metadata()["provenance"]) == {"command": "x"}
