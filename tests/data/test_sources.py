@@ -9,10 +9,11 @@ import pytest
 import torch
 from PIL import Image
 
+from anystyle.data.captions import read_captions
 from anystyle.data.poses import read_poses
 from anystyle.data.re10k import Re10kScenes
 from anystyle.data.scene_folder import FolderScenes
-from anystyle.data.style_folder import FolderStyles, read_captions
+from anystyle.data.style_folder import FolderStyles
 from anystyle.data.wikiart import WikiArtStyles
 from real_data import real
 

@@ -1,11 +1,11 @@
 """A folder of style images with what was written about them."""
 
-import json
 from pathlib import Path
 
 from PIL import Image
 
 from anystyle.contracts import StyleSource
+from anystyle.data.captions import read_captions
 from anystyle.data.folder import natural
 from anystyle.data.images import SUFFIXES
 from anystyle.data.paintings import read_square, readable
@@ -60,38 +60,3 @@ class FolderStyles(StyleSource):
             raise ValueError(f"style {style}: there are {len(self.paths)}, counted from 0")
         path = self.paths[style]
         return Style(image=read_square(path, self.size), text=(self.captions.get(path.name, ""),), names=(path.stem,))
-
-
-def read_captions(path: Path) -> dict[str, str]:
-    """Captions by image name, from JSON Lines or from lines ``name;text``.
-
-    Raises:
-        ValueError: The file cannot be read; the message names the line.
-    """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"captions {path} cannot be read ({error})") from None
-    captions: dict[str, str] = {}
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        if path.suffix.lower() in (".jsonl", ".json"):
-            name, text = _json_line(line, f"line {number} of {path}")
-        else:
-            name, separator, text = line.partition(";")
-            if not separator:
-                raise ValueError(f"line {number} of {path} has no semicolon; 'image;text' is expected")
-        captions[name.strip()] = text.strip()
-    return captions
-
-
-def _json_line(line: str, place: str) -> tuple[str, str]:
-    try:
-        entry = json.loads(line)
-        name, text = entry["image"], entry["text"]
-    except (ValueError, KeyError, TypeError):
-        raise ValueError(f'{place} is not of the form {{"image": "...", "text": "..."}}') from None
-    if not isinstance(name, str) or not isinstance(text, str):
-        raise ValueError(f'{place} is not of the form {{"image": "...", "text": "..."}}')
-    return name, text

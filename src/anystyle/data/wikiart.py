@@ -7,8 +7,8 @@ from typing import Literal
 from PIL import Image
 
 from anystyle.contracts import StyleSource
+from anystyle.data.captions import read_captions
 from anystyle.data.paintings import read_square, readable
-from anystyle.data.style_folder import read_captions
 from anystyle.types import Style
 
 logger = logging.getLogger(__name__)
