@@ -11,6 +11,7 @@ from jaxtyping import AbstractArray
 from torch import Tensor
 
 from anystyle.testing.check import expect
+from anystyle.types import Value
 
 
 def conform(value: object, cls: type, where: str, **sizes: int) -> None:
@@ -129,7 +130,7 @@ def _plain(value: Any) -> Any:
         return {str(name): plain for name, item in value.items() if (plain := _plain(item)) is not None}
     if isinstance(value, (list, tuple)):
         return _plain(dict(enumerate(value)))
-    if type(value).__module__ == "anystyle.types":
+    if isinstance(value, Value):
         return _plain({item.name: getattr(value, item.name) for item in fields(value)})
     return None
 

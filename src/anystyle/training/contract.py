@@ -8,10 +8,11 @@ import lightning.pytorch as pl
 from torch import nn
 
 from anystyle.contracts import SceneSource, StyleSource
+from anystyle.registry.socket import Socket
 from anystyle.training.data import BatchSource
 
 
-class Training(pl.LightningModule, ABC):
+class Training(Socket, pl.LightningModule, ABC):
     """One of the trainings that ``anystyle train`` runs.
 
     The constructor names the parts it needs among ``backbone``, ``style_encoder``, ``renderer``, ``stylizer`` and

@@ -1,6 +1,7 @@
 """Training the tiny style encoder: pictures of styles and their captions, brought together."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -84,6 +85,11 @@ class EmbeddingTraining(Training):
         self.traits = TraitHeads(style_encoder.dim)
         self.log_temperature = nn.Parameter(torch.tensor(0.07).log())
         self.source: StyleBatches | None = None
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """A few small pictures."""
+        return {"texture": None, "batch_size": 4, "photos": 2, "pool": 8, "whiten_on": 8, "warmup": 1, "bf16": False}
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> StyleBatches:
         """Styles with captions, and photographs of scenes."""

@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -74,6 +75,11 @@ class PerceptualTraining(Training):
         self.norm = nn.BatchNorm1d(POOLED)
         self.traits = TraitHeads(POOLED)
         self.palette = nn.Linear(POOLED, 3 * COLORS)
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """A few small pictures."""
+        return {"batch_size": 4, "photos": 2, "pool": 8, "crop": 24, "warmup": 1, "bf16": False}
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> StyleBatches:
         """Styles, and photographs that shine through them."""

@@ -96,9 +96,7 @@ class Padded(PairAdapter):
 
 class Logits(ToyAdapter):
     def forward(self, attributes, geometry, clusters):
-        return replace(
-            super().forward(attributes, geometry, clusters), opacities=attributes.opacity.flatten(1, 3) * 9
-        )
+        return replace(super().forward(attributes, geometry, clusters), opacities=attributes.opacity.flatten(1, 3) * 9)
 
 
 class Detached(ToyAdapter):
@@ -233,8 +231,14 @@ CHANGED = {
     ),
     "width before height": (geometry(_turned), {"encodes every shape"}),
     "scenes of a batch mixed": (aggregator(AcrossScenes), {"encodes several scenes at once"}),
-    "double precision": (geometry(lambda given: replace(given, confidence=given.confidence.double())), {"dtypes are kept"}),
-    "NaN": (geometry(lambda given: replace(given, depth=(given.depth - 2).log())), {"numbers are finite", "attributes carry gradients"}),
+    "double precision": (
+        geometry(lambda given: replace(given, confidence=given.confidence.double())),
+        {"dtypes are kept"},
+    ),
+    "NaN": (
+        geometry(lambda given: replace(given, depth=(given.depth - 2).log())),
+        {"numbers are finite", "attributes carry gradients"},
+    ),
     "mirrored cameras": (geometry(_flipped), {"cameras are rigid pinholes"}),
     "negative confidence": (
         geometry(lambda given: replace(given, confidence=-1 - given.confidence)),
@@ -277,4 +281,3 @@ CHANGED = {
     "a layer that does not go to eval": (aggregator(_restless()), {"freezing is for good"}),
     "opacity without gradient": (with_part("adapter", lambda *_: Detached()), {"attributes carry gradients"}),
 }
-
