@@ -44,22 +44,26 @@ class StudyServer(ThreadingHTTPServer):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    server: StudyServer
     server_version = "anystyle-study"
     sys_version = ""
     protocol_version = "HTTP/1.1"
     timeout = 60
 
+    @property
+    def _study(self) -> StudyServer:
+        assert isinstance(self.server, StudyServer)
+        return self.server
+
     def do_GET(self) -> None:
         """The page, a picture, or a participant's state."""
         place = urlsplit(self.path)
         if place.path == "/":
-            self._reply(200, "text/html; charset=utf-8", self.server.page)
-        elif place.path in self.server.pictures:
-            self._reply(200, "image/jpeg", self.server.pictures[place.path].read_bytes(), "public, max-age=86400")
+            self._reply(200, "text/html; charset=utf-8", self._study.page)
+        elif place.path in self._study.pictures:
+            self._reply(200, "image/jpeg", self._study.pictures[place.path].read_bytes(), "public, max-age=86400")
         elif place.path == "/state":
             participant = parse_qs(place.query).get("participant", [""])[0]
-            state = self.server.store.state(participant)
+            state = self._study.store.state(participant)
             self._json(404 if state is None else 200, state or {"error": "no answers yet"})
         else:
             self._json(404, {"error": "there is nothing here"})
@@ -78,7 +82,7 @@ class _Handler(BaseHTTPRequestHandler):
             message = json.loads(body)
             if not isinstance(message, dict):
                 raise ValueError("an object is expected")
-            self.server.store.add(message)
+            self._study.store.add(message)
         except (ValueError, RecursionError) as error:
             return self._json(400, {"error": str(error)})
         return self._json(200, {"saved": True})

@@ -35,6 +35,11 @@ CREATE VIEW IF NOT EXISTS responses AS
         AND other.session = answers.session AND other.item = answers.item AND other.question = answers.question)
     ORDER BY id;
 """
+_ADD = """
+INSERT OR IGNORE INTO answers
+    (received, participant, session, item, question, score, ours_is, expected, comparison, seconds, time, revision)
+VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
+"""
 _LONGEST_COMMENT = 10_000
 _SESSION = re.compile(r"[0-9a-f]{16}")
 
@@ -100,10 +105,7 @@ class Store:
             statement = "INSERT INTO comments (received, participant, session, comment) VALUES (?, ?, ?, ?)"
             values: tuple[Any, ...] = (received, participant.id, session, comment)
         else:
-            names = (
-                "received, participant, session, item, question, score, ours_is, expected, comparison, seconds, time"
-            )
-            statement = f"INSERT OR IGNORE INTO answers ({names}, revision) VALUES ({', '.join('?' * 12)})"
+            statement = _ADD
             item, question, score, revision = self._checked(message)
             known, check = self._items.get(item), self._checks.get(item)
             values = (

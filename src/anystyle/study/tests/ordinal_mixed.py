@@ -11,6 +11,8 @@ from anystyle.study import clmm
 from anystyle.study.contract import Alternative, Responses, StudyTest, TestResult, Unit
 from anystyle.study.probability import log_normal_pvalue
 
+_LARGEST_ERROR = 10.0  # logits; a flat likelihood gives larger ones
+
 
 class OrdinalMixed(StudyTest):
     """A cumulative-logit model with crossed random effects of participants and items (:mod:`anystyle.study.clmm`).
@@ -42,8 +44,8 @@ class OrdinalMixed(StudyTest):
             fitted = clmm.fit(responses)
         except ValueError as error:
             return replace(nothing, note=str(error))
-        if not (fitted.converged and math.isfinite(fitted.error)):
-            return replace(nothing, note="the fit did not converge; one side may have every answer")
+        if not (fitted.converged and fitted.error < _LARGEST_ERROR):
+            return replace(nothing, note="the model has no finite fit; one side may have all but every answer")
         reach = float(special.ndtri((1 + self.confidence) / 2)) * fitted.error
         interval = (fitted.preference - reach, fitted.preference + reach)
         spreads = f"SD {fitted.participant_sd:.2f} between participants, {fitted.item_sd:.2f} between items"
