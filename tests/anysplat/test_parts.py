@@ -201,7 +201,7 @@ def test_depth_head(chunk: int) -> None:
     assert len(names) == record["n_keys"]
     head = GeometryHead(camera=camera, depth=depth, taps=(0, 1, 2, 3), chunk=chunk, focal_epsilon=1e-3)
     with torch.no_grad():
-        geometry = head(levels(1010, 32), (28, 42))
+        geometry = head(levels(1010, 32), torch.zeros(1, 2, 3, 28, 42))
     assert_matches(geometry.depth[..., None], record["depth"])
     assert_matches(geometry.confidence, record["conf"])
 

@@ -51,8 +51,9 @@ class GeometryHead(contracts.GeometryHead):
         last = features[self.taps[-1]].data
         with torch.autocast(last.device.type, enabled=False):
             encodings = self.camera(last[:, :, 0].to(self.camera.embed_pose.weight.dtype))
+            # Here too: under autocast a product of matrices would leave poses with three digits.
+            cameras = decode_pose(encodings[-1].float(), size, focal_epsilon=self.focal_epsilon)
             logs = self.log_depth(features, size)
-        cameras = decode_pose(encodings[-1].float(), size, focal_epsilon=self.focal_epsilon)
         depth, confidence = logs.float().exp().unbind(2)
         geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
         return geometry if self.aligner is None else self.aligned(geometry, images, self.aligner)
