@@ -1,5 +1,6 @@
 """Train a component, or continue to: every word is a Hydra override."""
 
+import logging
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
@@ -7,6 +8,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from anystyle.commands._compose import main
+from anystyle.paths import shown
 from anystyle.training.run import train
 
 
@@ -17,8 +19,10 @@ def run(config: DictConfig) -> dict[str, float]:
         ValueError: Several devices are asked for inside a multirun.
     """
     check_devices(config)
+    # Lightning tells what it does; the run's own lines say what matters.
+    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     outcome = train(config, Path(config.out))
-    where = Path(config.out)
+    where = shown(Path(config.out))
     if outcome.finished:
         names = ", ".join(path.name for path in outcome.weights) or "nothing to keep"
         print(f"{outcome.steps} steps done; {names} in {where}")

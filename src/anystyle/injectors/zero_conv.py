@@ -18,12 +18,17 @@ class ZeroConv(Injector):
         style_dim: Dimensions of the style embedding.
         hidden: Width of the projection's hidden layer, at most twice ``dim`` (published: 1024 at token sites, 256 at
             the direct site's 128 channels).
+        gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
+            at first; the root of ``style_dim`` makes up for it where training is short (published: 1).
         special_tokens: Whether camera and register tokens are styled too; the paper says all tokens, the published
             weights were trained with patches only.
     """
 
-    def __init__(self, *, dim: int, style_dim: int, hidden: int = 1024, special_tokens: bool = False) -> None:
+    def __init__(
+        self, *, dim: int, style_dim: int, hidden: int = 1024, gain: float = 1.0, special_tokens: bool = False
+    ) -> None:
         super().__init__()
+        self.gain = gain
         width = min(hidden, 2 * dim)
         self.special_tokens = special_tokens
         self.fc = nn.Sequential(nn.Linear(style_dim, width), nn.ReLU(), nn.Linear(width, dim))
@@ -33,7 +38,7 @@ class ZeroConv(Injector):
 
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
         """Shift the tokens by the style's vector."""
-        shift = self.zero_proj(self.fc(style.to(self.zero_proj.weight.dtype)))[:, None, None]
+        shift = self.zero_proj(self.fc(self.gain * style.to(self.zero_proj.weight.dtype)))[:, None, None]
         if self.special_tokens:
             return tokens.with_data(tokens.data + shift)
         return tokens.with_patches(tokens.patches + shift)

@@ -70,9 +70,9 @@ def train(config: DictConfig, out: Path) -> Outcome:
     torch.manual_seed(config.seed)
     training = make_training(config)
     data = make_data(config, training)
-    average = Average(config.average) if config.average else None
+    average = Average(float(config.average)) if config.average else None
     keeper = LastCheckpoint(
-        last, every_steps=config.checkpoint.every_steps, every_minutes=config.checkpoint.every_minutes
+        last, every_steps=config.checkpoint.every_steps, every_minutes=float(config.checkpoint.every_minutes)
     )
     # A trial of a step or two leaves nothing behind.
     keepers: list[pl.Callback] = [] if config.fast_dev_run else [keeper]
@@ -157,6 +157,7 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
     try:
         return pl.Trainer(
             **{str(key): value for key, value in options.items()},
+            default_root_dir=out,
             max_epochs=-1,
             check_val_every_n_epoch=None,
             num_sanity_val_steps=0,

@@ -100,8 +100,12 @@ class StylizationTraining(Training):
         self.warmup, self.weight_decay = warmup, weight_decay
         self.floor, self.decay_steps = floor, decay_steps
         self.preview_every, self.preview_texts = preview_every, preview_texts
-        self.preview_path: Path | None = None
         self.seed = 0
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """One scene a step, as large as it is."""
+        return {"batch_size": 1, "context_views": (2, 2), "spread": "any", "heights": None, "width": None, "warmup": 1}
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
         """Scenes with one style each."""
@@ -169,8 +173,9 @@ class StylizationTraining(Training):
     def on_train_batch_end(self, outputs: Any, batch: Batch, batch_idx: int) -> None:
         """Draw the grid of styled renders when it is time."""
         due = self.preview_every and self.global_step % self.preview_every == 0
-        if due and self.preview_path is not None and self.trainer.is_global_zero:
-            write_preview(self.preview_path / f"step_{self.global_step:07d}.png", self.preview(batch))
+        if due and self.trainer.is_global_zero:
+            folder = Path(self.trainer.default_root_dir) / "previews"
+            write_preview(folder / f"step_{self.global_step:07d}.png", self.preview(batch))
 
     @torch.no_grad()
     def preview(self, batch: Batch) -> list[list[Float[Tensor, "3 H W"]]]:

@@ -1,0 +1,117 @@
+"""Seeds, averages and guards, against closed forms."""
+
+from unittest.mock import Mock
+
+import lightning.pytorch as pl
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from anystyle.training.callbacks import Average, SkipOutliers, StepSeed, gradient_norm
+from anystyle.training.optim import decayed_groups, learning_rate, scheduled, trainable
+
+
+class Module(pl.LightningModule):
+    """One weight and a bias."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.weight = nn.Parameter(torch.ones(1, 1))
+        self.bias = nn.Parameter(torch.zeros(1), requires_grad=False)
+
+
+def at(step: int = 0, rank: int = 0) -> pl.Trainer:
+    """The little of a trainer that callbacks look at."""
+    trainer = Mock(spec=pl.Trainer)
+    trainer.global_step, trainer.global_rank = step, rank
+    return trainer
+
+
+def draw(seed: int, step: int, rank: int) -> float:
+    StepSeed(seed).on_train_batch_start(at(rank=rank), Module(), None, step)
+    return torch.rand(()).item()
+
+
+def test_a_steps_randomness_depends_on_seed_step_and_rank_alone():
+    assert draw(1, 2, 3) == draw(1, 2, 3)
+    values = {draw(seed, step, rank) for seed in range(4) for step in range(4) for rank in range(4)}
+    assert len(values) == 64
+    # Neighbouring words give unrelated numbers.
+    series = np.array([draw(0, step, 0) for step in range(400)])
+    assert abs(np.corrcoef(series[:-1], series[1:])[0, 1]) < 0.15
+    assert abs(series.mean() - 0.5) < 0.05
+
+
+def test_the_average_is_the_one_of_its_definition():
+    module = Module()
+    average, expected, decay = Average(0.9), None, 0.9
+    for step, value in enumerate([1.0, 3.0, -2.0, 5.0], start=1):
+        module.weight.data.fill_(value)
+        average.on_train_batch_end(at(step), module, None, None, 0)
+        share = min(decay, (1 + step) / (10 + step))
+        expected = value if expected is None else share * expected + (1 - share) * value
+    assert average.weights["weight"].item() == pytest.approx(expected)
+    average.swap(module)
+    assert module.weight.item() == pytest.approx(expected)
+    average.swap(module)
+    assert module.weight.item() == 5.0
+    again = Average(0.9)
+    again.load_state_dict(average.state_dict())
+    assert torch.equal(again.weights["weight"], average.weights["weight"])
+
+
+def test_losses_far_above_the_usual_hardly_count():
+    module = Module()
+    skip = SkipOutliers(window=4, deviations=0.85, after=2)
+    history = [1.0, 2.0, 3.0, 2.0]
+    for step, loss in enumerate(history):
+        skip.on_before_backward(at(step), module, torch.tensor(loss))
+    limit = np.mean(history) + 0.85 * np.std(history)
+    for loss, kept in ((limit - 0.01, 1.0), (limit + 0.5, 1e-10)):
+        fresh = SkipOutliers(window=4, deviations=0.85, after=2)
+        fresh.load_state_dict(skip.state_dict())
+        module.weight.grad = torch.ones_like(module.weight)
+        fresh.on_before_backward(at(3), module, torch.tensor(loss))
+        fresh.on_after_backward(at(3), module)
+        assert module.weight.grad.item() == pytest.approx(kept)
+    assert skip.history == history
+
+
+def test_the_gradient_norm_is_that_of_all_gradients_together():
+    module = nn.Linear(3, 2)
+    module(torch.randn(5, 3)).square().sum().backward()
+    expected = torch.cat([p.grad.flatten() for p in module.parameters()]).norm()
+    torch.testing.assert_close(gradient_norm(module), expected)
+    assert gradient_norm(nn.Linear(1, 1)) == 0
+
+
+def test_the_schedule_is_the_published_one():
+    def rate(step: int, peak: float = 1e-4) -> float:
+        return learning_rate(step, peak=peak, total=300_000)
+
+    assert rate(0) == pytest.approx(1e-6)
+    assert rate(100) == pytest.approx(1e-4)
+    assert rate(90_000) == pytest.approx(8.15e-5, rel=2e-3)
+    assert rate(90_000, 3e-5) == pytest.approx(2.59e-5, rel=2e-3)
+    assert rate(400_000) == pytest.approx(1e-5)
+
+
+def test_every_group_ends_at_one_floor():
+    module = nn.Linear(2, 2)
+    groups = [{"params": [module.weight], "lr": 1e-2}, {"params": [module.bias], "lr": 1e-3}]
+    made = scheduled(torch.optim.SGD(groups), total=10, warmup=2, floor=1e-4)
+    for _ in range(12):
+        made["optimizer"].step()
+        made["lr_scheduler"]["scheduler"].step()
+    assert [group["lr"] for group in made["optimizer"].param_groups] == pytest.approx([1e-4, 1e-4])
+
+
+def test_matrices_decay_and_vectors_do_not():
+    module = nn.Sequential(nn.Linear(2, 2), nn.LayerNorm(2))
+    module[0].requires_grad_(True)
+    module[1].bias.requires_grad_(False)
+    matrices, vectors = decayed_groups([module, module], lr=1.0, weight_decay=0.1)
+    assert matrices["weight_decay"] == 0.1 and matrices["params"] == [module[0].weight]
+    assert vectors["weight_decay"] == 0.0 and len(vectors["params"]) == 2
+    assert len(trainable([module, module])) == 3

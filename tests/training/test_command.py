@@ -1,0 +1,65 @@
+"""`anystyle train`, as people call it."""
+
+import csv
+import os
+import subprocess
+import sys
+
+import pytest
+from omegaconf import OmegaConf
+
+from anystyle.registry.compose import compose
+from training_cases import BACKBONE
+
+
+def anystyle(folder, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"OMP_NUM_THREADS": "1"}
+    command = [sys.executable, "-m", "anystyle", "train", *words]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=environment)
+
+
+def test_a_smoke_run_learns_and_says_what_it_left(tmp_path):
+    small = [word for word in BACKBONE if not word.startswith(("backbone=", "renderer="))]
+    result = anystyle(
+        tmp_path, "experiment=tiny_reconstruction", "debug=smoke", *small, "scenes.num_scenes=2", "training.warmup=2",
+        "training.learning_rate=0.003", "training.render_every=1", "trainer.precision=32-true",
+    )  # fmt: skip
+    assert result.returncode == 0, result.stderr
+    assert result.stdout == "12 steps done; backbone.safetensors in runs/smoke-tiny_reconstruction\n"
+    assert "Traceback" not in result.stderr and "Warning" not in result.stderr
+    with (tmp_path / "runs/smoke-tiny_reconstruction/log/version_0/metrics.csv").open() as file:
+        losses = [float(row["train/loss"]) for row in csv.DictReader(file) if row["train/loss"]]
+    assert sum(losses[-4:]) < 0.95 * sum(losses[:4])
+    assert result.stderr.splitlines()[-1].startswith("val/")
+
+
+def test_mistakes_end_in_one_line(tmp_path):
+    result = anystyle(tmp_path, "experiment=tiny_reconstruction", "debug=smoke", "trainer.max_stepps=3")
+    assert result.returncode == 2 and result.stdout == ""
+    assert "max_stepps" in result.stderr and len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("name", ["all_geometry", "no_clip_loss", "no_style_loss", "no_text"])
+def test_a_row_of_the_ablation_table_is_a_small_difference(name):
+    base = compose("train", ["experiment=paper_head", "name=x", "out=x"])
+    row = compose("train", ["experiment=paper_head", f"ablation={name}", "name=x", "out=x"])
+    base, row = (OmegaConf.to_container(config, enum_to_str=True) for config in (base, row))
+    changed = {key for key in base if base[key] != row[key]}
+    expected = {"all_geometry": "branch", "no_clip_loss": "loss", "no_style_loss": "loss", "no_text": "training"}
+    assert changed == {expected[name]}
+
+
+def test_the_published_recipe_is_what_the_reference_says():
+    config = compose("train", ["experiment=paper_full", "name=x", "out=x"])
+    training = config.training
+    assert (training.text_ratio, training.learning_rate, training.aggregator_rate) == (0.25, 1e-4, 0.3)
+    assert (training.images, list(training.context_views), training.view_power) == (36, [2, 18], 2.0)
+    assert (training.weight_decay, list(training.betas), training.warmup) == (0.05, [0.9, 0.95], 100)
+    assert (list(training.heights), training.width, training.flip) == ([224, 448], 448, 0.5)
+    weights = {name: loss.weight for name, loss in config.loss.items()}
+    assert weights == {
+        "content": 0.075, "style": 1.0, "clip_directional": 2.0, "clip_patch": 4.0, "depth_consistency": 0.1
+    }  # fmt: skip
+    assert config.loss.content.weight == 0.075 and config.trainer.gradient_clip_val == 0.5
+    head = compose("train", ["experiment=paper_head", "name=x", "out=x"])
+    assert head.loss.content.weight == 0.05

@@ -1,0 +1,129 @@
+"""Whole runs, a second each: they learn, they continue bit for bit, and they stop when they should."""
+
+import json
+import signal
+
+import pytest
+import torch
+
+from anystyle.checkpoint import load_part, read_header
+from anystyle.contracts import Backbone
+from anystyle.registry.build import build
+from anystyle.training import run as module
+from anystyle.training.reconstruction import ReconstructionTraining
+from anystyle.training.run import train
+from training_cases import RECONSTRUCTION, STYLIZATION, configuration
+
+
+def weights(path):
+    from safetensors.torch import load_file
+
+    return load_file(path)
+
+
+def stop_at(monkeypatch, step: int, how: str) -> None:
+    """Let the training meet its end at a step: a signal, or a sudden error as if the power failed."""
+    whole = ReconstructionTraining.training_step
+
+    def training_step(self, batch, index):
+        if index == step:
+            if how == "signal":
+                signal.raise_signal(signal.SIGTERM)
+            else:
+                raise RuntimeError("power failure")
+        return whole(self, batch, index)
+
+    monkeypatch.setattr(ReconstructionTraining, "training_step", training_step)
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole")
+    outcome = train(configuration(RECONSTRUCTION, out), out)
+    return out, outcome
+
+
+def test_a_run_leaves_weights_that_say_how_they_were_made(uninterrupted):
+    out, outcome = uninterrupted
+    assert outcome.finished and outcome.steps == 6
+    header = read_header(out / "backbone.safetensors")
+    assert header.part == "backbone" and header.provenance["steps"] == 6 and header.provenance["seed"] == 0
+    backbone = build(Backbone, header.config["backbone"])
+    load_part(out / "backbone.safetensors", backbone, "backbone")
+    assert json.loads((out / "metrics.json").read_text())["train/loss"] == pytest.approx(outcome.metrics["train/loss"])
+
+
+@pytest.mark.parametrize(("how", "step"), [("signal", 3), ("failure", 5)])
+def test_a_run_that_was_stopped_ends_with_the_same_weights(uninterrupted, tmp_path, monkeypatch, how, step):
+    whole, _ = uninterrupted
+    overrides = (*RECONSTRUCTION, "checkpoint.every_steps=2")
+    with monkeypatch.context() as patch:
+        stop_at(patch, step, how)
+        if how == "signal":
+            outcome = train(configuration(overrides, tmp_path), tmp_path)
+            assert not outcome.finished and outcome.steps == step + 1
+        else:
+            with pytest.raises(RuntimeError, match="power failure"):
+                train(configuration(overrides, tmp_path), tmp_path)
+    assert not (tmp_path / "backbone.safetensors").exists()
+    assert train(configuration(overrides, tmp_path), tmp_path).finished
+    first, second = weights(whole / "backbone.safetensors"), weights(tmp_path / "backbone.safetensors")
+    assert all(torch.equal(first[key], second[key]) for key in first)
+
+
+def test_a_run_of_another_configuration_is_not_continued(uninterrupted):
+    out, _ = uninterrupted
+    other = configuration((*RECONSTRUCTION, "training.learning_rate=0.5"), out)
+    with pytest.raises(ValueError, match=r"training.learning_rate 0.001 -> 0.5\).*resume=changed"):
+        train(other, out)
+    # What does not change the result may change.
+    assert train(configuration((*RECONSTRUCTION, "checkpoint.every_steps=1"), out), out).finished
+
+
+def test_a_loss_that_is_no_number_stops_the_run_and_keeps_the_batch(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        ReconstructionTraining, "total", lambda self, losses: torch.stack(list(losses.values())).sum() * float("nan")
+    )
+    with pytest.raises(ValueError, match="at step 0 the loss is nan; the batch is in"):
+        train(configuration(RECONSTRUCTION, tmp_path), tmp_path)
+    kept = torch.load(tmp_path / "refused_batch.pt", weights_only=False)
+    assert kept["step"] == 0 and kept["batch"].views.images.shape[0] == 2
+    assert not (tmp_path / "last.ckpt").exists()
+
+
+def test_a_full_disk_keeps_the_last_good_checkpoint(tmp_path, monkeypatch):
+    overrides = (*RECONSTRUCTION, "checkpoint.every_steps=2")
+    whole = module.pl.Trainer.save_checkpoint
+
+    def save(self, path, *args, **kwargs):
+        if self.global_step > 2:
+            path.write_bytes(b"half a checkpoint")
+            raise OSError(28, "No space left on device")
+        whole(self, path, *args, **kwargs)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(module.pl.Trainer, "save_checkpoint", save)
+        with pytest.raises(OSError, match="No space left"):
+            train(configuration(overrides, tmp_path), tmp_path)
+    assert torch.load(tmp_path / "last.ckpt", weights_only=True)["global_step"] == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bound.json", "last.ckpt", "log"]
+
+
+def test_stylization_learns_and_continues_bit_for_bit(tmp_path):
+    # One scene and one style: every step sees the same.
+    overrides = (*STYLIZATION, "training.pool=1", "training.batch_size=1", "training.text_ratio=0")
+    whole, halves = tmp_path / "whole", tmp_path / "halves"
+    outcome = train(configuration(overrides, whole), whole)
+    lines = (whole / "log" / "version_0" / "metrics.csv").read_text().splitlines()
+    column = lines[0].split(",").index("train/loss")
+    losses = [float(line.split(",")[column]) for line in lines[1:]]
+    assert losses[-1] < losses[0]
+    shorter = (*overrides, "trainer.max_steps=3", "training.decay_steps=6")
+    longer = (*overrides, "training.decay_steps=6", "resume=changed")
+    train(configuration(shorter, halves), halves)
+    train(configuration(longer, halves), halves)
+    first, second = weights(whole / "branch.safetensors"), weights(halves / "branch.safetensors")
+    assert outcome.finished and all(torch.equal(first[key], second[key]) for key in first)
+    # The checkpoint holds the branch alone; what is frozen has files of its own.
+    state = torch.load(halves / "last.ckpt", weights_only=True)["state_dict"]
+    assert all(key.startswith("stylizer.branch.") for key in state)
