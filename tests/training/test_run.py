@@ -80,6 +80,15 @@ def test_a_run_of_another_configuration_is_not_continued(uninterrupted):
     assert train(configuration((*RECONSTRUCTION, "checkpoint.every_steps=1"), out), out).finished
 
 
+def test_two_runs_do_not_share_a_folder(tmp_path):
+    with module.alone(tmp_path):
+        with pytest.raises(ValueError, match=r"another run is at work in .*; wait for its end"):
+            train(configuration(RECONSTRUCTION, tmp_path), tmp_path)
+        assert [path.name for path in tmp_path.iterdir()] == [".lock"]
+    with module.alone(tmp_path):
+        pass
+
+
 def test_a_loss_that_is_no_number_stops_the_run_and_keeps_the_batch(tmp_path, monkeypatch):
     monkeypatch.setattr(
         ReconstructionTraining, "total", lambda self, losses: torch.stack(list(losses.values())).sum() * float("nan")
@@ -106,7 +115,7 @@ def test_a_full_disk_keeps_the_last_good_checkpoint(tmp_path, monkeypatch):
         with pytest.raises(OSError, match="No space left"):
             train(configuration(overrides, tmp_path), tmp_path)
     assert torch.load(tmp_path / "last.ckpt", weights_only=True)["global_step"] == 2
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["bound.json", "last.ckpt", "log"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "bound.json", "last.ckpt", "log"]
 
 
 def test_stylization_learns_and_continues_bit_for_bit(tmp_path):

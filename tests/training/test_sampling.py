@@ -68,7 +68,7 @@ def test_bounded_views_lie_in_their_window(count):
 
 
 def test_a_capture_that_is_too_short_says_what_to_change():
-    with pytest.raises(ValueError, match="too short for 18 views.*context_views"):
+    with pytest.raises(ValueError, match=r"too short for 18 views.*context_views"):
         gap_bounds(18, 20)
 
 

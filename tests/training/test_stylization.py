@@ -125,5 +125,5 @@ def test_nothing_to_learn_from_is_refused(tmp_path):
     training, _ = parts(tmp_path)
     with pytest.raises(ValueError, match="nothing to learn from"):
         StylizationTraining(stylizer=training.stylizer, losses={})
-    with pytest.raises(ValueError, match="text_ratio is 2.0"):
+    with pytest.raises(ValueError, match=r"text_ratio is 2\.0"):
         parts(tmp_path, "training.text_ratio=2.0")

@@ -7,7 +7,8 @@ import shlex
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,9 +63,15 @@ def train(config: DictConfig, out: Path) -> Outcome:
         out: Where checkpoints, logs and weights go; a run is continued from the checkpoint found there.
 
     Raises:
-        ValueError: The configuration contradicts itself, or is not that of the run to be continued.
+        ValueError: The configuration contradicts itself or is not that of the run to be continued, or another run is
+            at work there.
     """
     out.mkdir(parents=True, exist_ok=True)
+    with alone(out):
+        return _train(config, out)
+
+
+def _train(config: DictConfig, out: Path) -> Outcome:
     last = out / "last.ckpt"
     resume = _resumable(config, last)
     torch.manual_seed(config.seed)
@@ -92,6 +99,30 @@ def train(config: DictConfig, out: Path) -> Outcome:
         with atomic_path(out / "metrics.json") as temporary:
             temporary.write_text(json.dumps(metrics, indent=2, sort_keys=True) + "\n")
     return Outcome(trainer.global_step, finished, metrics, weights)
+
+
+@contextmanager
+def alone(out: Path) -> Iterator[None]:
+    """Keep other runs out of a folder until this one ends, however it ends.
+
+    Raises:
+        ValueError: Another run is in it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # no such locks on this system
+        yield
+        return
+    # The processes of one distributed run share its folder.
+    if os.environ.get("LOCAL_RANK", "0") != "0" or os.environ.get("NODE_RANK", "0") != "0":
+        yield
+        return
+    with (out / ".lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"another run is at work in {out}; wait for its end, or choose another name=...") from None
+        yield
 
 
 def make_training(config: DictConfig) -> Training:

@@ -1,0 +1,86 @@
+"""Scenes kept on disk, and loaders that start where a run stands."""
+
+import pytest
+import torch
+
+from anystyle.contracts import SceneSource
+from anystyle.training.cache import CachedScenes
+from anystyle.training.data import StepLoader
+from anystyle.types import Cameras, Views
+from oracle import hashed
+
+
+class Counted(SceneSource):
+    """Scenes that count how often they are made."""
+
+    def __init__(self, *, size: int = 12, depth: bool = True, odd: bool = False) -> None:
+        self.size, self.depth, self.odd, self.made = size, depth, odd, 0
+
+    def __len__(self) -> int:
+        return 3
+
+    def name(self, scene: int) -> str:
+        return f"scene-{scene}"
+
+    def num_views(self, scene: int) -> int:
+        return 5 if self.odd and scene == 2 else 4
+
+    def read(self, scene, views) -> Views:
+        self.made += 1
+        count, size = self.num_views(scene), self.size
+        images = (hashed(scene + 1, (1, count, 3, size, size)) * 255).round() / 255
+        cameras = Cameras(hashed(9, (1, count, 4, 4)), hashed(8, (1, count, 3, 3)), (size, size))
+        depth = hashed(7, (1, count, size, size), 0.5, 8) if self.depth else None
+        return Views(images=images, cameras=cameras, depth=depth).select(list(views))
+
+
+def test_scenes_are_made_once_and_read_as_they_were(tmp_path):
+    source = Counted()
+    cached = CachedScenes(source, tmp_path)
+    views = source.read(1, [3, 0])
+    made = source.made
+    for _ in range(3):
+        read = cached.read(1, [3, 0])
+        torch.testing.assert_close(read.images, views.images, atol=1e-7, rtol=0)
+        torch.testing.assert_close(read.depth, views.depth, atol=0, rtol=2**-11)
+        assert torch.equal(read.cameras.world_from_camera, views.cameras.world_from_camera)
+        assert torch.equal(read.cameras.intrinsics, views.cameras.intrinsics)
+    assert source.made == made + 1
+    # Another process, or the same command a day later, finds what was made; it looks at the first scene alone.
+    later = Counted()
+    again = CachedScenes(later, tmp_path)
+    assert torch.equal(again.read(1, [2]).images, cached.read(1, [2]).images)
+    assert later.made == 1 and len(again) == 3 and again.name(2) == "scene-2" and again.num_views(0) == 4
+
+
+def test_a_cache_of_another_source_is_refused(tmp_path):
+    CachedScenes(Counted(), tmp_path)
+    with pytest.raises(ValueError, match="made by another scene source"):
+        CachedScenes(Counted(size=16), tmp_path)
+
+
+def test_only_equal_scenes_with_cameras_and_depth_can_be_kept(tmp_path):
+    with pytest.raises(ValueError, match="cameras and depth can be cached"):
+        CachedScenes(Counted(depth=False), tmp_path / "a")
+    cached = CachedScenes(Counted(odd=True), tmp_path / "b")
+    with pytest.raises(ValueError, match=r"scene-2 has 5 views .* cache=null"):
+        cached.read(2, [0])
+
+
+class Steps:
+    """Batches that say which step, process and number of processes they are for."""
+
+    def batch(self, step: int, rank: int, world: int) -> Views:
+        return Views(images=torch.tensor([step, rank, world], dtype=torch.float32).reshape(1, 1, 3, 1, 1))
+
+
+@pytest.mark.parametrize("workers", [0, 2])
+def test_a_loader_starts_where_the_run_stands_and_draws_no_random_number(workers):
+    torch.manual_seed(0)
+    before = torch.get_rng_state()
+    loader = StepLoader(Steps(), start=3, stop=7, rank=1, world=2, workers=workers)
+    rows = [batch.images.flatten().tolist() for batch in loader]
+    assert rows == [[step, 1, 2] for step in range(3, 7)]
+    # Lightning counts the steps already done.
+    assert len(loader) == 7
+    assert torch.equal(torch.get_rng_state(), before)
