@@ -81,7 +81,9 @@ class Cameras(Value):
     def camera_from_world(self) -> Float[Tensor, "B V 4 4"]:
         """The inverse rigid motions, in closed form."""
         rotation, origin = self.world_from_camera[..., :3, :3], self.world_from_camera[..., :3, 3:]
-        inverse = torch.cat([rotation.mT, -rotation.mT @ origin], dim=-1)
+        # Sums of products, for a matrix product would be rounded under autocast.
+        back = -(rotation * origin).sum(-2)[..., None]
+        inverse = torch.cat([rotation.mT, back], dim=-1)
         return torch.cat([inverse, self.world_from_camera[..., 3:, :]], dim=-2)
 
     def resized(self, size: tuple[int, int]) -> "Cameras":
@@ -253,17 +255,17 @@ class Geometry(Value):
         u = torch.arange(width, device=self.depth.device, dtype=self.depth.dtype) + pixel_center
         x = (u - intrinsics[..., 0, 2, None]) / intrinsics[..., 0, 0, None]  # B V W
         y = (v - intrinsics[..., 1, 2, None]) / intrinsics[..., 1, 1, None]  # B V H
-        ray = torch.stack(
-            [
-                x[..., None, :].expand(*self.depth.shape),
-                y[..., :, None].expand(*self.depth.shape),
-                torch.ones_like(self.depth),
-            ],
-            dim=-1,
-        )
-        local = (ray * self.depth[..., None]).flatten(2, 3)  # B V HW 3
-        world = local @ pose[..., :3, :3].mT + pose[..., None, :3, 3]
-        return world.unflatten(2, (height, width))
+        # Row by row of the rotation, for a matrix product would be rounded under autocast.
+        rotation, origin = pose[..., :3, :3, None, None], pose[..., :3, 3, None, None]
+        horizontal, vertical = x[..., None, :] * self.depth, y[..., :, None] * self.depth
+        world = [
+            rotation[:, :, row, 0] * horizontal
+            + rotation[:, :, row, 1] * vertical
+            + rotation[:, :, row, 2] * self.depth
+            + origin[:, :, row]
+            for row in range(3)
+        ]
+        return torch.stack(world, dim=-1)
 
 
 @dataclass(frozen=True)
