@@ -48,12 +48,12 @@ def test_by_the_second_step_every_parameter_has_a_gradient(tmp_path, placement):
 
 def test_parameter_groups_are_the_published_ones(tmp_path):
     training, _ = parts(tmp_path, "placement=full")
-    head, aggregator = branch_groups(training.stylizer, lr=1e-4, aggregator_rate=0.3)
-    assert (head["lr"], aggregator["lr"]) == (1e-4, pytest.approx(3e-5))
+    groups = branch_groups(training.stylizer, lr=1e-4, aggregator_rate=0.3)
+    assert [group["lr"] for group in groups] == [1e-4, 1e-4, pytest.approx(3e-5)]
     branch = training.stylizer.branch
-    count = sum(p.numel() for group in (head, aggregator) for p in group["params"])
+    count = sum(p.numel() for group in groups for p in group["params"])
     assert count == sum(p.numel() for p in branch.parameters())
-    slow = {id(p) for p in aggregator["params"]}
+    slow = {id(p) for p in groups[-1]["params"]}
     assert {id(p) for p in branch.aggregator.parameters()} <= slow
     assert all(
         (id(p) in slow) == name.startswith("aggregator/")

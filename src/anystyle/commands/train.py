@@ -23,10 +23,10 @@ def run(config: DictConfig) -> dict[str, float]:
     logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
     outcome = train(config, Path(config.out))
     where = shown(Path(config.out))
-    if outcome.finished:
+    if outcome.leading and outcome.finished:
         names = ", ".join(path.name for path in outcome.weights) or "nothing to keep"
         print(f"{outcome.steps} steps done; {names} in {where}")
-    else:
+    elif outcome.leading:
         print(f"stopped after step {outcome.steps}; the same command continues from {where}")
     return dict(outcome.metrics)
 

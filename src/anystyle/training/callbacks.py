@@ -289,7 +289,7 @@ class Lines(pl.Callback):
     ) -> None:
         """Say where the run is."""
         now, step, total = time.monotonic(), trainer.global_step, trainer.max_steps
-        if now - self._last < self.every_seconds and step < total:
+        if not trainer.is_global_zero or (now - self._last < self.every_seconds and step < total):
             return
         self._last = now
         speed = (now - self._start) / max(1, step - self._first_step)
@@ -300,5 +300,5 @@ class Lines(pl.Callback):
     def on_validation_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Say what validation found."""
         found = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
-        if found and not trainer.sanity_checking:
+        if found and trainer.is_global_zero and not trainer.sanity_checking:
             self.write("  ".join(f"{name} {value:.4g}" for name, value in sorted(found.items())) + "\n")

@@ -47,12 +47,14 @@ class Outcome:
         finished: Whether it came to its end, rather than being stopped.
         metrics: The last values logged.
         weights: The files written.
+        leading: Whether this process is the one that writes and speaks.
     """
 
     steps: int
     finished: bool
     metrics: Mapping[str, float]
     weights: tuple[Path, ...]
+    leading: bool = True
 
 
 def train(config: DictConfig, out: Path) -> Outcome:
@@ -98,7 +100,7 @@ def _train(config: DictConfig, out: Path) -> Outcome:
         weights = export(config, training, out, steps=trainer.global_step)
         with atomic_path(out / "metrics.json") as temporary:
             temporary.write_text(json.dumps(metrics, indent=2, sort_keys=True) + "\n")
-    return Outcome(trainer.global_step, finished, metrics, weights)
+    return Outcome(trainer.global_step, finished, metrics, weights, trainer.is_global_zero)
 
 
 @contextmanager

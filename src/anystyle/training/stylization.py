@@ -44,6 +44,7 @@ class StylizationTraining(Training):
         alternation: ``coin`` tosses for each step; ``strict`` spreads text steps evenly.
         mix_ratio: Share of steps whose styles are random mixtures of two of the batch.
         learning_rate: Of the head and of all injectors of the head.
+        head_rate: Times ``learning_rate``, for the head's copy; below 1 the injectors lead (published: 1).
         aggregator_rate: Times ``learning_rate``, for the aggregator's copy and its injectors, as published.
         betas: Of AdamW.
         warmup: Steps of the warm-up.
@@ -73,6 +74,7 @@ class StylizationTraining(Training):
         alternation: Literal["coin", "strict"] = "coin",
         mix_ratio: float = 0.0,
         learning_rate: float = 1e-4,
+        head_rate: float = 1.0,
         aggregator_rate: float = 0.3,
         betas: Sequence[float] = (0.9, 0.95),
         warmup: int = 100,
@@ -96,7 +98,8 @@ class StylizationTraining(Training):
         self.heights, self.width, self.flip, self.pool = heights, width, flip, pool
         self.encoded = EncodedScenes(stylizer.encode, cache_scenes)
         self.text_ratio, self.alternation, self.mix_ratio = text_ratio, alternation, mix_ratio
-        self.learning_rate, self.aggregator_rate, self.betas = learning_rate, aggregator_rate, betas
+        self.learning_rate, self.betas = learning_rate, betas
+        self.head_rate, self.aggregator_rate = head_rate, aggregator_rate
         self.warmup, self.weight_decay = warmup, weight_decay
         self.floor, self.decay_steps = floor, decay_steps
         self.preview_every, self.preview_texts = preview_every, preview_texts
@@ -196,7 +199,12 @@ class StylizationTraining(Training):
     def configure_optimizers(self) -> Any:
         """AdamW with the published groups, warm-up and cosine."""
         optimizer = torch.optim.AdamW(
-            branch_groups(self.stylizer, lr=self.learning_rate, aggregator_rate=self.aggregator_rate),
+            branch_groups(
+                self.stylizer,
+                lr=self.learning_rate,
+                head_rate=self.head_rate,
+                aggregator_rate=self.aggregator_rate,
+            ),
             betas=(self.betas[0], self.betas[1]),
             weight_decay=self.weight_decay,
         )
@@ -215,7 +223,9 @@ class StylizationTraining(Training):
         checkpoint["state_dict"] = frozen | checkpoint["state_dict"]
 
 
-def branch_groups(stylizer: Stylizer, *, lr: float, aggregator_rate: float) -> list[dict[str, Any]]:
+def branch_groups(
+    stylizer: Stylizer, *, lr: float, head_rate: float = 1.0, aggregator_rate: float = 0.3
+) -> list[dict[str, Any]]:
     """The published parameter groups: head and its injectors; aggregator and its injectors at a share of the rate."""
     branch = stylizer.branch
     inside = {site.name for site in stylizer.backbone.aggregator.sites}
@@ -223,7 +233,8 @@ def branch_groups(stylizer: Stylizer, *, lr: float, aggregator_rate: float) -> l
     slow += [] if branch.aggregator is None else [branch.aggregator]
     fast = [branch.injectors[name] for name in branch.injectors if name not in inside]
     groups = [
-        {"params": trainable([branch.gaussian_head, *fast]), "lr": lr, "name": "head"},
+        {"params": trainable([branch.gaussian_head]), "lr": lr * head_rate, "name": "head"},
+        {"params": trainable(fast), "lr": lr, "name": "head injectors"},
         {"params": trainable(slow), "lr": lr * aggregator_rate, "name": "aggregator"},
     ]
     return [group for group in groups if group["params"]]
