@@ -167,8 +167,10 @@ def test_sign_flip_by_random_flips_agrees_with_the_t_test():
     assert result.interval == pytest.approx(t.interval, abs=0.05)
 
 
+@pytest.mark.parametrize("listed", [0, 1000])
 @pytest.mark.parametrize("seed", range(3))
-def test_pseudo_median_equals_all_pairs(seed):
+def test_pseudo_median_equals_all_pairs(seed, listed, monkeypatch):
+    monkeypatch.setattr("anystyle.study.signed_rank._LISTED_VALUES", listed)
     values = np.random.default_rng(seed).integers(-3, 3, 31 + seed).astype(float)
     rows, columns = np.triu_indices(len(values))
     means = np.sort((values[rows] + values[columns]) / 2)

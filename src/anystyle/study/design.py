@@ -16,10 +16,8 @@ from anystyle.study import pictures
 from anystyle.study.balance import balanced_positions, draw_pairs, latin_orders, spread_checks
 from anystyle.study.naming import picture_name
 from anystyle.study.plan import Plan
-from anystyle.study.protocol import Check, Item, Participant, Study
+from anystyle.study.protocol import PICTURES, Check, Item, Participant, Study
 from anystyle.study.tabulate import escape_markdown
-
-PICTURES = "pictures"
 
 
 @dataclass(frozen=True)

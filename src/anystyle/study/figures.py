@@ -17,21 +17,21 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 OURS, NEUTRAL, THEIRS = "#1f6f8b", "#dcdcd8", "#c8642b"
-_INK, _SOFT = "#24292e", "#6b7280"
+INK, SOFT = "#24292e", "#6b7280"
 _NAMED_ROWS = 45  # above, names would overlap
 _STYLE: dict[Any, Any] = {
     "font.size": 8,
     "axes.titlesize": 9,
     "axes.labelsize": 8,
-    "axes.edgecolor": _SOFT,
+    "axes.edgecolor": SOFT,
     "axes.linewidth": 0.6,
     "axes.spines.top": False,
     "axes.spines.right": False,
     "axes.titlelocation": "left",
-    "text.color": _INK,
-    "axes.labelcolor": _INK,
-    "xtick.color": _INK,
-    "ytick.color": _INK,
+    "text.color": INK,
+    "axes.labelcolor": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
     "xtick.labelsize": 7,
     "ytick.labelsize": 7,
     "xtick.major.width": 0.6,
@@ -56,7 +56,8 @@ def require() -> None:
 
 
 @contextmanager
-def _drawing(salt: str) -> Iterator[None]:
+def drawing(salt: str) -> Iterator[None]:
+    """Draw in the study's style; ``salt`` names the figure's parts."""
     import matplotlib
 
     with matplotlib.rc_context({**_STYLE, "svg.hashsalt": salt}), warnings.catch_warnings():
@@ -68,19 +69,20 @@ def _drawing(salt: str) -> Iterator[None]:
 def save(figure: "Figure", path: Path) -> None:
     """Write a figure in the format of the suffix; the same figure is the same bytes."""
     stamp = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix)
-    with _drawing(path.stem):
+    with drawing(path.stem):
         figure.savefig(path, metadata=stamp, dpi=200)
 
 
 def as_svg(figure: "Figure", name: str) -> str:
     """A figure as an ``<svg>`` element for a page; ``name`` keeps its identifiers apart from other figures'."""
     text = io.StringIO()
-    with _drawing(name):
+    with drawing(name):
         figure.savefig(text, format="svg", metadata={"Date": None})
     return text.getvalue()[text.getvalue().index("<svg") :]
 
 
-def _figure(width: float, height: float) -> "Figure":
+def new_figure(width: float, height: float) -> "Figure":
+    """An empty figure, in inches."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width, height), layout="constrained")
@@ -113,9 +115,9 @@ def likert(analysis: Analysis) -> "Figure":
     """Diverging bars: how often each answer was given, centred on the neutral one, with counts."""
     from matplotlib.patches import Patch
 
-    with _drawing("likert"):
+    with drawing("likert"):
         questions = analysis.questions
-        figure = _figure(7.0, 1.15 + 0.5 * len(questions))
+        figure = new_figure(7.0, 1.15 + 0.5 * len(questions))
         axes = figure.add_subplot()
         levels = sorted({level for question in questions for level in question.levels})
         midpoint = analysis.settings.scale.midpoint
@@ -123,7 +125,7 @@ def likert(analysis: Analysis) -> "Figure":
         ends = [_likert_row(axes, row, question, colors, midpoint) for row, question in enumerate(questions)]
         reach = 1.02 * max(max(-left, right) for left, right in ends)
         axes.set_xlim(-reach, reach)
-        axes.axvline(0, color=_INK, linewidth=0.7, zorder=0)
+        axes.axvline(0, color=INK, linewidth=0.7, zorder=0)
         axes.set_yticks(range(len(questions)), [_wrapped(question.title) for question in questions])
         axes.tick_params(axis="y", length=0, labelsize=8)
         axes.spines["left"].set_visible(False)
@@ -159,10 +161,10 @@ def _likert_row(
         if share <= 0.028 and count and edge:
             side, place = edge
             gap = -0.006 if side == "right" else 0.006
-            axes.text(place + gap, row, f"{count}", ha=side, va="center", fontsize=7.5, color=_SOFT)
+            axes.text(place + gap, row, f"{count}", ha=side, va="center", fontsize=7.5, color=SOFT)
         elif share > 0.028:
             dark = abs(level - midpoint) > 0.6 * max(abs(levels - midpoint))
-            color = "white" if dark else _INK
+            color = "white" if dark else INK
             axes.text(left + share / 2, row, f"{count}", ha="center", va="center", fontsize=7.5, color=color)
         left += float(share)
     return start, left
@@ -176,12 +178,12 @@ def _wrapped(text: str, width: int = 26) -> str:
 
 def means(analysis: Analysis) -> "Figure":
     """Means of participants and of items with intervals, sorted, beside the mean of all and its interval."""
-    with _drawing("means"):
+    with drawing("means"):
         questions = analysis.questions
         people = max(len(question.by_participant.names) for question in questions)
         items = max(len(question.by_item.names) for question in questions)
         heights = [_rows_height(people), _rows_height(items)]
-        figure = _figure(1.0 + 2.1 * max(len(questions), 1.6), 0.9 + sum(heights))
+        figure = new_figure(1.0 + 2.1 * max(len(questions), 1.6), 0.9 + sum(heights))
         grid = figure.subplots(2, len(questions), sharex=True, squeeze=False, height_ratios=heights)
         spread = np.concatenate([_edges(side) for q in questions for side in (q.by_participant, q.by_item)])
         limit = 1.05 * float(np.abs(spread).max(initial=0.5))
@@ -192,7 +194,7 @@ def means(analysis: Analysis) -> "Figure":
                 axes = grid[row, column]
                 _caterpillar(axes, side, question, named=len(side.names) <= _NAMED_ROWS and len(questions) <= 4)
                 axes.set_xlim(-limit, limit)
-                axes.set_title(f"{len(side.names)} {name}", fontsize=7.5, color=_SOFT)
+                axes.set_title(f"{len(side.names)} {name}", fontsize=7.5, color=SOFT)
             grid[0, column].annotate(
                 _wrapped(question.title, 28),
                 (0, 1),
@@ -223,8 +225,8 @@ def _caterpillar(axes: "Axes", side: Means, question: QuestionAnalysis, named: b
     colors = np.where(centers + reach < 0, OURS, np.where(centers - reach > 0, THEIRS, "#8b9097"))
     if question.primary is not None:
         axes.axvspan(*question.primary.result.interval, color="#e8eef1", linewidth=0, zorder=0)
-    axes.axvline(float(question.responses.deviations.mean()), color=_INK, linewidth=0.8, linestyle=(0, (4, 2)))
-    axes.axvline(0, color=_INK, linewidth=0.7, zorder=1)
+    axes.axvline(float(question.responses.deviations.mean()), color=INK, linewidth=0.8, linestyle=(0, (4, 2)))
+    axes.axvline(0, color=INK, linewidth=0.7, zorder=1)
     many = len(order) > _NAMED_ROWS
     axes.hlines(rows, centers - reach, centers + reach, colors=colors.tolist(), linewidth=0.4 if many else 0.9)
     axes.scatter(centers, rows, s=1.5 if many else 7, c=colors.tolist(), zorder=3, linewidths=0)
@@ -238,9 +240,9 @@ def positions(analysis: Analysis) -> "Figure":
     """Whether the preference depends on the side: ours shown as A, ours shown as B, and the lean to a side."""
     from anystyle.study.tabulate import p_text
 
-    with _drawing("positions"):
+    with drawing("positions"):
         found = [question for question in analysis.questions if question.position is not None]
-        figure = _figure(7.0, 0.9 + 0.62 * max(len(found), 1))
+        figure = new_figure(7.0, 0.9 + 0.62 * max(len(found), 1))
         axes = figure.add_subplot()
         limit = 0.5
         for row, question in enumerate(found):
@@ -263,9 +265,9 @@ def positions(analysis: Analysis) -> "Figure":
             note = f"lean to a side: {bias:+.2f}".replace("-", "−") + f", p {p_text(pvalue)}"
             axes.annotate(
                 note, (1, row), xycoords=("axes fraction", "data"), xytext=(4, 0), textcoords="offset points",
-                va="center", fontsize=7, color=_SOFT,
+                va="center", fontsize=7, color=SOFT,
             )  # fmt: skip
-        axes.axvline(0, color=_INK, linewidth=0.7, zorder=0)
+        axes.axvline(0, color=INK, linewidth=0.7, zorder=0)
         axes.set_xlim(-1.08 * limit, 1.08 * limit)
         axes.set_ylim(len(found) - 0.5, -0.5)
         axes.set_yticks(range(len(found)), [_wrapped(question.title) for question in found])

@@ -10,8 +10,7 @@ from string import Template
 from typing import Any
 
 from anystyle.files import atomic_path
-from anystyle.study.design import PICTURES
-from anystyle.study.protocol import Study
+from anystyle.study.protocol import PICTURES, Study
 
 
 def picture_files(study: Study, folder: Path) -> dict[str, Path]:

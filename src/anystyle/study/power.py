@@ -41,7 +41,7 @@ class Rate:
         n, share = self.studies, self.share
         center = (share + z**2 / (2 * n)) / (1 + z**2 / n)
         reach = z / (1 + z**2 / n) * math.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
-        return center - reach, center + reach
+        return min(center - reach, share), max(center + reach, share)
 
 
 def rejection_rates(

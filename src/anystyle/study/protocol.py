@@ -9,7 +9,7 @@ from typing import Any
 from anystyle.files import atomic_path
 from anystyle.study.plan import Plan, plan_from
 
-FILE = "study.json"
+FILE, PICTURES = "study.json", "pictures"
 
 
 @dataclass(frozen=True)

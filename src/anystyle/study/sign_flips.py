@@ -5,7 +5,7 @@ from fractions import Fraction
 
 import numpy as np
 from jaxtyping import Float
-from scipy import optimize
+from scipy import optimize, special
 
 _MAX_GRID = 200_000  # cells of the exact distribution's table
 _MAX_WORK = 400_000_000  # cells times terms
@@ -43,7 +43,7 @@ def _log_lower_tail(sizes: np.ndarray, observed: int) -> float:
     span = int(sizes.sum())
     tilt = _tilt(sizes, min(observed, 0), span)
     # Under the tilt a term is positive with probability 1 / (1 + exp(-2 tilt size)).
-    up = 1 / (1 + np.exp(-2 * tilt * sizes))
+    up = special.expit(2 * tilt * sizes)
     masses = np.zeros(2 * span + 1)
     masses[span] = 1.0
     reached = 0

@@ -15,6 +15,7 @@ from anystyle.study.probability import log_normal_pvalue, log_pvalue
 
 ZeroMethod = Literal["wilcox", "pratt", "zsplit"]
 
+_LISTED_VALUES = 200
 _EXACT_UP_TO = 50  # observations; as scipy's "auto"
 
 
@@ -108,20 +109,30 @@ def rank_biserial_interval(ranks: SignedRanks, confidence: float) -> tuple[float
 def pseudo_median(deviations: Float[np.ndarray, " N"], confidence: float) -> tuple[float, tuple[float, float]]:
     """The Hodges-Lehmann estimate and its interval: the median and two order statistics of all pairwise means.
 
-    Pairs are counted by bisection and never listed, so memory stays linear in the number of observations.
+    Where there are many different values, pairs are counted by bisection and never listed, so that memory stays linear.
     """
     n = len(deviations)
     pairs = n * (n + 1) // 2
     reach = float(special.ndtri((1 + confidence) / 2)) * math.sqrt(n * (n + 1) * (2 * n + 1) / 24)
     outer = min(max(math.floor(pairs / 2 - reach), 1), pairs)
     wanted = np.array([(pairs + 1) // 2, pairs // 2 + 1, outer, pairs + 1 - outer])
-    low_median, high_median, lower, upper = _pairwise_means(deviations, wanted).tolist()
+    values, weights = np.unique(deviations, return_counts=True)
+    find = _listed_means if len(values) <= _LISTED_VALUES else _counted_means
+    low_median, high_median, lower, upper = (np.round(find(values, weights, wanted), 12) + 0.0).tolist()
     return (low_median + high_median) / 2, (lower, upper)
 
 
-def _pairwise_means(deviations: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The pairwise means (each value with itself included) of the wanted ranks, from 1."""
-    values, weights = np.unique(deviations, return_counts=True)
+def _listed_means(values: np.ndarray, weights: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The pairwise means of the wanted ranks, from 1, each value with itself included."""
+    first, second = np.triu_indices(len(values))
+    means = (values[first] + values[second]) / 2
+    counts = np.where(first == second, weights[first] * (weights[first] + 1) // 2, weights[first] * weights[second])
+    order = np.argsort(means, kind="stable")
+    return means[order][np.searchsorted(np.cumsum(counts[order]), wanted)]
+
+
+def _counted_means(values: np.ndarray, weights: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """The same by bisection."""
     cumulative = np.concatenate([[0], np.cumsum(weights)])
     low = np.full(len(wanted), values[0])
     high = np.full(len(wanted), values[-1])
@@ -132,4 +143,4 @@ def _pairwise_means(deviations: np.ndarray, wanted: np.ndarray) -> np.ndarray:
         themselves = cumulative[np.searchsorted(values, middle + tolerance, side="right")]
         enough = (partners @ weights + themselves) // 2 >= wanted
         low, high = np.where(enough, low, middle), np.where(enough, middle, high)
-    return np.round(high, 12) + 0.0
+    return high

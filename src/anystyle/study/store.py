@@ -25,15 +25,17 @@ CREATE TABLE IF NOT EXISTS comments (
     comment TEXT NOT NULL
 );
 CREATE VIEW IF NOT EXISTS responses AS
+    WITH last AS (
+        SELECT * FROM answers WHERE revision = (
+            SELECT max(revision) FROM answers AS other WHERE other.participant = answers.participant
+            AND other.session = answers.session AND other.item = answers.item AND other.question = answers.question
+        )
+    )
     SELECT participant, item, question, score, ours_is, expected, comparison, seconds, time, session, revision,
-        CASE WHEN id = (SELECT min(id) FROM answers AS first WHERE first.participant = answers.participant)
-            THEN (SELECT comment FROM comments WHERE comments.participant = answers.participant
-                ORDER BY id DESC LIMIT 1)
+        CASE WHEN id = (SELECT min(id) FROM last AS first WHERE first.participant = last.participant)
+            THEN (SELECT comment FROM comments WHERE comments.participant = last.participant ORDER BY id DESC LIMIT 1)
         END AS comment
-    FROM answers
-    WHERE revision = (SELECT max(revision) FROM answers AS other WHERE other.participant = answers.participant
-        AND other.session = answers.session AND other.item = answers.item AND other.question = answers.question)
-    ORDER BY id;
+    FROM last ORDER BY id;
 """
 _ADD = """
 INSERT OR IGNORE INTO answers
@@ -79,9 +81,7 @@ class Store:
             self._database.execute("INSERT INTO study VALUES (?)", (study.id,))
         elif held[0] != study.id:
             self.close()
-            raise ValueError(
-                f"{path} holds the answers of another study ({held[0]}, not {study.id}); name another file"
-            )
+            raise ValueError(f"{path} holds answers to another study ({held[0]}, not {study.id}); name another file")
 
     def close(self) -> None:
         """Close the file."""

@@ -54,8 +54,8 @@ def escape_tex(text: str) -> str:
 
 def escape_markdown(text: str) -> str:
     """Text that Markdown shows as it stands, in a cell of a table."""
-    escaped = "".join("\\" + character if character in "\\`*_[]<>|#" else character for character in text)
-    return " ".join(escaped.split())
+    plain = text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+    return " ".join("".join("\\" + letter if letter in "\\`*_[]|#" else letter for letter in plain).split())
 
 
 def _interval(bounds: tuple[float, float]) -> str:

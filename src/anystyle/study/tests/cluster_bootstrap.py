@@ -10,7 +10,7 @@ from anystyle.study.bootstrap import Bootstrap, bootstrap_mean, tabulate
 from anystyle.study.contract import Alternative, Responses, StudyTest, TestResult, Unit
 from anystyle.study.probability import log_pvalue
 
-_EFFECT_RESAMPLES = 1999  # an interval needs fewer than a small p-value
+_EFFECT_SHARE = 5  # an interval needs fewer resamples than a small p-value
 
 
 class ClusterBootstrap(StudyTest):
@@ -46,7 +46,7 @@ class ClusterBootstrap(StudyTest):
             return replace(nothing, unit="participant", n=people)
         superiority = bootstrap_mean(
             tabulate(responses, -np.sign(responses.deviations) / 2),
-            resamples=min(self.resamples, _EFFECT_RESAMPLES),
+            resamples=max(self.resamples // _EFFECT_SHARE, 99),
             seed=self.seed,
         )
         lower, upper = found.tails()

@@ -1,0 +1,63 @@
+"""What the study commands share: plans from configurations, and the tests to run."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from anystyle import paths
+from anystyle.errors import UserError, unknown
+from anystyle.registry.build import build
+from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import explain
+from anystyle.study.contract import StudyTest
+from anystyle.study.plan import Plan, plan_from
+
+
+def read_plan(config: str, overrides: Sequence[str]) -> Plan:
+    """A plan from ``conf/study/NAME.yaml`` or a file, with ``key=value`` words on top.
+
+    Raises:
+        UserError: There is no such configuration, or it is none.
+        ValueError: An option is unknown or wrong.
+    """
+    from omegaconf import OmegaConf
+    from omegaconf.errors import OmegaConfBaseException
+    from yaml import YAMLError
+
+    file = Path(config)
+    if file.suffix not in (".yaml", ".yml"):
+        file = paths.CONF / "study" / f"{config}.yaml"
+        if not file.is_file():
+            names = [path.stem for path in sorted(file.parent.glob("*.yaml"))]
+            raise UserError(unknown("study configuration", config, names))
+    try:
+        merged = OmegaConf.merge(OmegaConf.load(file), OmegaConf.from_dotlist(list(overrides)))
+        options = OmegaConf.to_container(merged, resolve=True)
+    except (OmegaConfBaseException, YAMLError, UnicodeDecodeError) as error:
+        raise UserError(f"{file.name} is no configuration: {explain(error)}") from None
+    if not isinstance(options, dict):
+        raise UserError(f"{file.name} is no configuration: expected 'option: value' lines")
+    return plan_from({str(key): value for key, value in options.items()})
+
+
+def build_tests(names: Sequence[str], overrides: Sequence[str]) -> dict[str, StudyTest]:
+    """The named tests of the catalog, all if none is named, with ``TEST.OPTION=VALUE`` words as options.
+
+    Raises:
+        UserError: An override names a test that is not run.
+        ValueError: A test or an option is unknown, or a value is wrong.
+    """
+    from omegaconf import OmegaConf
+
+    chosen = list(dict.fromkeys(names)) or catalog().names("study_test")
+    options: dict[str, dict[str, Any]] = {name: {} for name in chosen}
+    for word in overrides:
+        place, equals, value = word.partition("=")
+        test, dot, option = place.removeprefix("study_test.").partition(".")
+        if not (equals and dot and option):
+            raise UserError(f"{word!r} sets no option; expected TEST.OPTION=VALUE, such as wilcoxon.zero_method=pratt")
+        if test not in options:
+            raise UserError(unknown("test that is run", test, options))
+        options[test][option] = OmegaConf.to_container(OmegaConf.from_dotlist([f"value={value}"]))["value"]  # type: ignore[index]
+    plugins = {name: catalog().find("study_test", name) for name in chosen}
+    return {name: build(StudyTest, {"_target_": plugin.path, **options[name]}) for name, plugin in plugins.items()}

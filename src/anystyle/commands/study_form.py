@@ -1,0 +1,53 @@
+"""``anystyle study form``: the page that participants see."""
+
+import argparse
+from pathlib import Path
+
+from anystyle.study.form import write_page
+from anystyle.study.protocol import read_study
+from anystyle.study.server import serve
+
+
+def parser() -> argparse.ArgumentParser:
+    """The words of ``anystyle study form``."""
+    words = argparse.ArgumentParser(
+        prog="anystyle study form",
+        description="Write the study as one page that works offline, keeps answers in the browser and saves them as "
+        "CSV or JSON at the end; or serve it, with every answer on the disk before the next.",
+        allow_abbrev=False,
+    )
+    words.add_argument("study", type=Path, help="the folder that `anystyle study design` made")
+    words.add_argument("--out", type=Path, help="the page to write (default: form.html in the study's folder)")
+    words.add_argument("--serve", action="store_true", help="serve the page instead, until interrupted")
+    words.add_argument("--host", default="127.0.0.1", help="address to serve at; 0.0.0.0 lets other machines in")
+    words.add_argument("--port", type=int, default=8765, help="port to serve at; 0 takes a free one")
+    words.add_argument("--database", type=Path, help="answers when serving (default: answers.sqlite in the folder)")
+    return words
+
+
+def command(arguments: argparse.Namespace) -> None:
+    """Run it.
+
+    Raises:
+        ValueError: There is no study, or the database belongs to another one.
+    """
+    study = read_study(arguments.study)
+    folder = arguments.study if arguments.study.is_dir() else arguments.study.parent
+    if arguments.serve:
+        if not 0 <= arguments.port <= 65535:
+            raise ValueError(f"--port {arguments.port}: expected 0 to 65535")
+        database = arguments.database or folder / "answers.sqlite"
+
+        def ready(url: str) -> None:
+            codes = f"{study.participants[0].id} to {study.participants[-1].id}"
+            print(
+                f"serving at {url}?p={study.participants[0].id} (codes {codes}); answers go to {database}", flush=True
+            )
+
+        serve(study, folder, database, host=arguments.host, port=arguments.port, ready=ready)
+        print(f"next: anystyle study analyze {database} --study {arguments.study} --out analysis")
+        return
+    out = arguments.out or folder / "form.html"
+    write_page(study, folder, out)
+    print(f"{out}: {out.stat().st_size / 1e6:.1f} MB; participants open it and enter their code, or use {out.name}#P01")
+    print(f"next: anystyle study analyze ANSWERS... --study {arguments.study} --out analysis")

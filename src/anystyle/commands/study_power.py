@@ -1,0 +1,85 @@
+"""``anystyle study power``: what a study of some size would find."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+
+from anystyle.commands._study_options import build_tests
+from anystyle.files import atomic_directory
+from anystyle.study import figures
+from anystyle.study.power import power_json, power_markdown, power_study
+from anystyle.study.power_figure import power
+from anystyle.study.simulate import Scenario
+
+DEFAULT_TESTS = ("one_sample_t", "wilcoxon", "sign_flip", "cluster_bootstrap")
+_FAST = ("cluster_bootstrap.resamples=999", "sign_flip.resamples=199")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The words of ``anystyle study power``."""
+    scenario = Scenario()
+    words = argparse.ArgumentParser(
+        prog="anystyle study power",
+        description="Simulate studies with differences between participants and between items: how often each test "
+        "finds a preference that is there and one that is not, and how many participants it needs. The defaults are "
+        "the paper's design.",
+        allow_abbrev=False,
+    )
+    words.add_argument("options", nargs="*", metavar="TEST.OPTION=VALUE", help="options of the tests")
+    words.add_argument(
+        "--participants", type=int, nargs="+", default=[6, 10, 20, 40, 80], help="numbers to try (default: %(default)s)"
+    )
+    words.add_argument("--items", type=int, default=scenario.items, help="sets each one judges (default: %(default)s)")
+    words.add_argument("--effect", type=float, default=-0.3, help="preference in points (default: %(default)s)")
+    for name, text in (("participant", "participants"), ("item", "items"), ("residual", "single answers")):
+        default = getattr(scenario, f"{name}_sd")
+        words.add_argument(
+            f"--{name}-sd", type=float, default=default, help=f"SD between {text} (default: %(default)s)"
+        )
+    words.add_argument("--studies", type=int, default=1000, help="simulated, of each kind (default: %(default)s)")
+    words.add_argument("--level", type=float, default=0.05, help="of the tests (default: %(default)s)")
+    words.add_argument("--target", type=float, default=0.8, help="the power to reach (default: %(default)s)")
+    words.add_argument("--seed", type=int, default=0, help="of the simulation (default: %(default)s)")
+    words.add_argument("--test", action="append", default=[], metavar="NAME", help="run only these tests")
+    words.add_argument("--out", type=Path, help="a folder for power.json, power.md and power.pdf/.svg")
+    return words
+
+
+def command(arguments: argparse.Namespace) -> None:
+    """Run it.
+
+    Raises:
+        ValueError: The scenario or the options make no simulation.
+    """
+    if arguments.out is not None:
+        figures.require()
+    names = arguments.test or list(DEFAULT_TESTS)
+    fast = [word for word in _FAST if word.partition(".")[0] in names]
+    tests = build_tests(names, [*fast, *arguments.options])
+    scenario = Scenario(
+        items=arguments.items,
+        effect=arguments.effect,
+        participant_sd=arguments.participant_sd,
+        item_sd=arguments.item_sd,
+        residual_sd=arguments.residual_sd,
+    )
+    study = power_study(
+        scenario,
+        tests,
+        participants=arguments.participants,
+        studies=arguments.studies,
+        seed=arguments.seed,
+        level=arguments.level,
+        target=arguments.target,
+        progress=lambda text: print(f"{text} …", file=sys.stderr, flush=True),
+    )
+    print(power_markdown(study), end="")
+    if arguments.out is None:
+        return
+    with atomic_directory(arguments.out) as folder:
+        (folder / "power.json").write_text(json.dumps(power_json(study), indent=1) + "\n", encoding="utf-8")
+        (folder / "power.md").write_text(power_markdown(study), encoding="utf-8")
+        for suffix in ("pdf", "svg"):
+            figures.save(power(study), folder / f"power.{suffix}")
+    print(arguments.out / "power.svg")

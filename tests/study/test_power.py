@@ -1,0 +1,158 @@
+"""Calibration by simulation, power against closed forms, and answers reconstructed from published p-values."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from anystyle.study.contract import Scale
+from anystyle.study.power import PowerStudy, power_json, power_markdown, power_study, rejection_rates
+from anystyle.study.reconstruct import Rounded, answer_counts
+from anystyle.study.simulate import Scenario, simulate
+from anystyle.study.tests.cluster_bootstrap import ClusterBootstrap
+from anystyle.study.tests.one_sample_t import OneSampleT
+from anystyle.study.tests.ordinal_mixed import OrdinalMixed
+from anystyle.study.tests.sign_flip import SignFlip
+from anystyle.study.tests.wilcoxon import Wilcoxon
+
+CALIBRATED = {
+    "one_sample_t": OneSampleT(),
+    "wilcoxon": Wilcoxon(),
+    "sign_flip": SignFlip(resamples=99),
+    "cluster_bootstrap": ClusterBootstrap(resamples=299),
+}
+
+
+def shares(scenario, tests, studies, seed):
+    rates = rejection_rates(scenario, tests, studies=studies, seed=seed)
+    return {(rate.test, rate.unit): rate.share for rate in rates}
+
+
+def test_false_positives_when_participants_differ():
+    """The paper's design, no preference, an SD of 0.5 between participants: what may be believed, and what may not."""
+    found = shares(Scenario(participant_sd=0.5, item_sd=0.0), CALIBRATED, studies=1000, seed=11)
+    for name in CALIBRATED:
+        assert found[name, "participant"] == pytest.approx(0.05, abs=0.015), name
+    # 800 answers of 40 people are not 800 independent ones.
+    assert 0.2 < found["one_sample_t", "response"] < 0.32
+    assert 0.2 < found["wilcoxon", "response"] < 0.32
+    # Nor do items stand for other people.
+    assert found["one_sample_t", "item"] > 0.2
+
+
+def test_only_two_way_tests_hold_when_items_differ_too():
+    tests = {"one_sample_t": OneSampleT(), "cluster_bootstrap": ClusterBootstrap(resamples=299)}
+    found = shares(Scenario(participant_sd=0.5, item_sd=0.5), tests, studies=500, seed=5)
+    assert found["cluster_bootstrap", "participant"] == pytest.approx(0.05, abs=0.02)
+    assert found["one_sample_t", "participant"] > 0.09
+
+
+def test_the_ordinal_model_holds_its_level():
+    scenario = Scenario(participants=16, items=10, participant_sd=0.5, item_sd=0.3)
+    found = shares(scenario, {"ordinal_mixed": OrdinalMixed()}, studies=100, seed=2)
+    assert 0.01 <= found["ordinal_mixed", "participant"] <= 0.1
+
+
+def test_power_of_the_participant_t_test_is_the_noncentral_t():
+    """On a fine scale the means are as good as normal, and the power is known."""
+    scenario = Scenario(
+        participants=16,
+        items=10,
+        effect=-3.0,
+        participant_sd=5.0,
+        item_sd=0.0,
+        residual_sd=4.0,
+        scale=Scale(0.0, 100.0),
+    )
+    found = shares(scenario, {"one_sample_t": OneSampleT()}, studies=1500, seed=3)["one_sample_t", "participant"]
+    sd = math.sqrt(25 + (16 + 1 / 12) / 10)
+    power = stats.nct.cdf(stats.t.ppf(0.05, 15), 15, -3 / sd * 4)
+    assert found == pytest.approx(power, abs=0.04)
+
+
+def test_simulated_studies_are_symmetric_without_an_effect_and_repeatable():
+    for scale, steps in ((Scale(1.0, 5.0), {-2, -1, 0, 1, 2}), (Scale(1.0, 4.0), {-1.5, -0.5, 0.5, 1.5})):
+        drawn = [one.deviations for one in simulate(Scenario(scale=scale), 60, seed=4)]
+        again = [one.deviations for one in simulate(Scenario(scale=scale), 60, seed=4)]
+        assert all((a == b).all() for a, b in zip(drawn, again, strict=True))
+        values = np.concatenate(drawn)
+        assert set(values.tolist()) == steps
+        assert abs(values.mean()) < 0.06
+
+
+@pytest.fixture(scope="module")
+def study():
+    tests = {"one_sample_t": OneSampleT()}
+    return power_study(Scenario(effect=-0.4, item_sd=0.0), tests, participants=(6, 12, 24, 48), studies=300, seed=1)
+
+
+def test_participants_needed_lie_where_the_power_crosses(study: PowerStudy):
+    needed = study.needed("one_sample_t", "participant")
+    # Closed form: the smallest n whose noncentral t has 80 % beyond the 5 % point.
+    sd = math.sqrt(0.25 + (1 + 1 / 12) / 20)
+    n = next(n for n in range(3, 99) if stats.nct.cdf(stats.t.ppf(0.05, n - 1), n - 1, -0.4 / sd * math.sqrt(n)) > 0.8)
+    assert needed == pytest.approx(n, abs=4)
+    assert PowerStudy(study.null, study.power[:3], 0.99, 0.05, 1).needed("one_sample_t", "participant") is None
+
+
+def test_power_as_table_and_data(study: PowerStudy):
+    rows = power_json(study)["power"]
+    assert [row["scenario"]["participants"] for row in rows if row["unit"] == "participant"] == [6, 12, 24, 48]
+    assert all(row["interval"][0] <= row["rate"] <= row["interval"][1] for row in rows)
+    text = power_markdown(study)
+    response = next(line for line in text.splitlines() if line.startswith("| one sample t | response"))
+    assert response.endswith("| invalid |")  # power bought with false positives
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"participants": ()}, "--participants"),
+        ({"participants": (1,)}, "at least 2"),
+        ({"studies": 0}, "studies=0"),
+        ({"target": 1.0}, "target=1"),
+    ],
+)
+def test_power_of_nothing_is_refused(changes, told):
+    options = {"participants": (4,), "studies": 5, **changes}
+    with pytest.raises(ValueError, match=told):
+        power_study(Scenario(effect=-0.2), {"one_sample_t": OneSampleT()}, **options)
+
+
+def test_scenarios_that_cannot_be_are_refused():
+    with pytest.raises(ValueError, match="an effect of 0"):
+        power_study(Scenario(), {}, participants=(4,))
+    with pytest.raises(ValueError, match="negative"):
+        Scenario(item_sd=-1.0)
+    with pytest.raises(ValueError, match="0 participants"):
+        Scenario(participants=0)
+
+
+def test_the_power_figure_is_drawn(study: PowerStudy, tmp_path):
+    from anystyle.study.figures import save
+    from anystyle.study.power_figure import power
+
+    for name in ("a.svg", "b.svg"):
+        save(power(study), tmp_path / "power.svg")
+        (tmp_path / "power.svg").rename(tmp_path / name)
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+
+def test_published_p_values_have_these_answers():
+    solutions = answer_counts(800, Rounded(3.47e-40), Rounded(1.67e-35))
+    assert len(solutions) == 29
+    for counts in solutions:
+        answers = np.repeat([1, 2, 3, 4, 5], counts)
+        assert len(answers) == 800
+        assert f"{stats.ttest_1samp(answers, 3, alternative='less').pvalue:.2e}" == "3.47e-40"
+        assert f"{stats.wilcoxon(answers - 3, alternative='less', correction=False).pvalue:.2e}" == "1.67e-35"
+    assert solutions[0].tolist() == [199, 225, 237, 102, 37]
+
+
+def test_reconstruction_finds_what_made_the_p_values():
+    counts = np.array([9, 14, 20, 11, 6])
+    answers = np.repeat([1, 2, 3, 4, 5], counts)
+    t = stats.ttest_1samp(answers, 3, alternative="less").pvalue
+    w = stats.wilcoxon(answers - 3, alternative="less", method="approx", correction=False).pvalue
+    assert counts.tolist() in answer_counts(60, Rounded(t, 5), Rounded(w, 5)).tolist()
