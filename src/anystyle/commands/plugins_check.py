@@ -50,20 +50,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     if not catalog().declarations(kind, name):
         catalog().find(kind, name)  # says what there is
 
-    import torch
-
     from anystyle.testing.run import run_named
 
-    # What is checked is so small that threads would wait for each other more than they work.
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
     start = time.perf_counter()
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            outcomes = run_named(kind, name)
-    finally:
-        torch.set_num_threads(threads)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        outcomes = run_named(kind, name)
     print("\n".join(_report(kind, name, outcomes, hints=arguments.fix_hints)))
     print(_summary(outcomes, time.perf_counter() - start))
     return 0 if all(outcome.status == "passed" for outcome in outcomes) else 1

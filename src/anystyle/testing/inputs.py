@@ -53,26 +53,15 @@ def gaussians(batch: int, number: int, coefficients: int = 4, seed: int = 0) -> 
         heights = torch.linspace(-1, 1, number)[torch.randperm(number, generator=source)]
         across = torch.rand(number, 2, generator=source) * 2 - 1
         made.append(
-            Gaussians(
-                means=torch.cat([across, heights[:, None]], dim=-1),
-                rotations=F.normalize(torch.randn(number, 4, generator=source), dim=-1),
-                scales=0.05 + 0.25 * torch.rand(number, 3, generator=source),
-                opacities=0.2 + 0.7 * torch.rand(number, generator=source),
-                harmonics=0.4 * torch.randn(number, coefficients, 3, generator=source),
-            )
+            {
+                "means": torch.cat([across, heights[:, None]], dim=-1),
+                "rotations": F.normalize(torch.randn(number, 4, generator=source), dim=-1),
+                "scales": 0.05 + 0.25 * torch.rand(number, 3, generator=source),
+                "opacities": 0.2 + 0.7 * torch.rand(number, generator=source),
+                "harmonics": 0.4 * torch.randn(number, coefficients, 3, generator=source),
+            }
         )
-    return stacked(made)
-
-
-def stacked(scenes: list[Gaussians]) -> Gaussians:
-    """One batch of scenes of one size."""
-    return Gaussians(
-        means=torch.stack([scene.means for scene in scenes]),
-        rotations=torch.stack([scene.rotations for scene in scenes]),
-        scales=torch.stack([scene.scales for scene in scenes]),
-        opacities=torch.stack([scene.opacities for scene in scenes]),
-        harmonics=torch.stack([scene.harmonics for scene in scenes]),
-    )
+    return Gaussians(**{name: torch.stack([scene[name] for scene in made]) for name in made[0]})
 
 
 def frames(number: int, size: tuple[int, int]) -> Frames:

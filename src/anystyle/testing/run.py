@@ -2,10 +2,13 @@
 
 import importlib
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+import torch
 
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import catalog, kind_named
@@ -17,6 +20,17 @@ from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.testing.toy.injector import ToyInjector
 
 COMPOSED = ("backbone", "placement", "injector")
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Compute on one thread: what is checked is so small that threads wait for each other more than they work."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 def checks(kind: str) -> tuple[Check, ...]:
@@ -46,7 +60,7 @@ def run(kind: str, cls: type, options: Mapping[str, Any] | None = None) -> list[
     Raises:
         PluginError: There is no such kind.
     """
-    with tempfile.TemporaryDirectory() as folder:
+    with tempfile.TemporaryDirectory() as folder, one_thread():
         chosen = declaration.example(cls, Path(folder)) if options is None else options
         tested = subject(kind, cls, chosen)
         outcomes = run_checks(checks(kind), tested)

@@ -78,7 +78,7 @@ class Composition:
         """A stylizer after one step towards random Gaussians, and the gradients of the second."""
         stylizer = self.stylizer(ATTRIBUTES)
         embedding = stylizer.embed(text=list(TEXTS))
-        optimizer = torch.optim.Adam(stylizer.branch.parameters(), lr=1e-3)
+        optimizer = torch.optim.Adam(stylizer.branch.parameters(), lr=1e-2)
         for step in range(2):
             optimizer.zero_grad()
             total = torch.zeros(())

@@ -9,8 +9,8 @@ from anystyle.testing.toy.backbone import ToyAdapter, ToyBackbone, ToyGaussianHe
 from anystyle.testing.toy.injector import ToyInjector
 from anystyle.types import untouched
 
-from .backbone import AcrossScenes, SharedHead, aggregator, with_part
-from .injector import Born, Deaf, Unused
+from .backbone import SharedHead, with_part
+from .injector import Born, Deaf, Mixed, Unused
 
 
 class SpareHead(ToyGaussianHead):
@@ -52,8 +52,12 @@ CHANGED = {
     "not the identity": (ToyBackbone, Born, {"nothing changes at birth"}),
     "a layer of the injector too many": (ToyBackbone, Unused, {"everything learns by the second step"}),
     "a layer of the head too many": (head(SpareHead), ToyInjector, {"everything learns by the second step"}),
-    "a head that is not copied": (head(SharedHead), ToyInjector, {"the backbone does not learn"}),
-    "style unused": (ToyBackbone, Deaf, {"everything learns by the second step", "style matters after training"}),
+    "a head that is not copied": (
+        head(SharedHead),
+        ToyInjector,
+        {"the backbone does not learn", "everything learns by the second step"},
+    ),
+    "style unused": (ToyBackbone, Deaf, {"style matters after training"}),
     "scales from colours": (
         with_part("adapter", lambda *_: ColorsAsScales()),
         ToyInjector,
@@ -62,8 +66,13 @@ CHANGED = {
     "a head that counts": (
         head(CountingHead),
         ToyInjector,
-        {"nothing changes at birth", "encoding once is the single pass", "many styles are one batch"},
+        {
+            "nothing changes at birth",
+            "encoding once is the single pass",
+            "many styles are one batch",
+            "weights name their sites",
+        },
     ),
-    "scenes of a batch mixed": (aggregator(AcrossScenes), ToyInjector, {"many styles are one batch"}),
-    "weights that are not kept": (ToyBackbone, Forgetful, {"weights name their sites", "what is not styled stays"}),
+    "styles of a batch mixed": (ToyBackbone, Mixed, {"many styles are one batch"}),
+    "weights that are not kept": (ToyBackbone, Forgetful, {"weights name their sites"}),
 }

@@ -1,0 +1,41 @@
+"""Every plugin of the catalog, those of third parties too, keeps what its kind promises."""
+
+import pytest
+
+from anystyle.registry.builtin import KINDS
+from anystyle.registry.catalog import catalog
+from anystyle.testing import report, run_named
+from anystyle.testing.run import checks, run
+
+PLUGINS = [(kind, name) for kind in KINDS for name in catalog().names(kind)]
+
+
+def _toy(kind):
+    import importlib
+
+    name = "Toy" + "".join(word.capitalize() for word in kind.split("_"))
+    return getattr(importlib.import_module(f"anystyle.testing.toy.{kind}"), name)
+
+
+@pytest.mark.parametrize(("kind", "name"), PLUGINS, ids=[f"{kind}-{name}" for kind, name in PLUGINS])
+def test_contract(kind, name, any_weights):
+    outcomes = run_named(kind, name)
+    assert not report(outcomes), report(outcomes)
+    skipped = [outcome.given for outcome in outcomes if outcome.status == "skipped"]
+    if skipped:
+        pytest.skip(skipped[0])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_smallest_plugin_keeps_its_contract(kind):
+    outcomes = run(kind, _toy(kind))
+    assert all(outcome.status == "passed" for outcome in outcomes), report(outcomes)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_promise_is_said_in_words(kind):
+    names = [check.name for check in checks(kind)]
+    assert len(set(names)) == len(names) > 1
+    for check in checks(kind):
+        assert check.about.endswith(".")
+        assert check.about != check.name
