@@ -12,7 +12,7 @@ from anystyle.commands._compose import main
 from anystyle.commands.stylize import parser, slug, stylize
 from anystyle.export import write_video
 
-SMALL = ["video.frames=3", "video.scale=0.5", "views.max_views=3", "views.short_side=48"]
+SMALL = ["video.frames=3", "video.scale=0.5", "views.max_views=3", "views.short_side=56"]
 
 
 def run(*words):
@@ -56,7 +56,8 @@ def test_every_file_is_there_and_agrees(photographs, tmp_path):
     assert PlyData.read(out / "scene.ply")["vertex"].count == report["gaussians"] > 0
     assert report["views"] == 2 and all(seconds >= 0 for seconds in report["seconds"].values())
     assert set(report["weights"]) == {"backbone", "style_encoder", "branch"}
-    assert Image.open(out / "renders" / "img-0.png").size == (64, 48)
+    with Image.open(out / "renders" / "img-0.png") as render:
+        assert render.size == (70, 56)
     cameras = json.loads((out / "cameras.json").read_text())
     assert [view["name"] for view in cameras["views"]] == ["IMG 0", "IMG 1"]
     assert cameras["views"][0]["width"] == 80
@@ -157,3 +158,15 @@ def test_names_are_plain_and_bounded():
     assert slug("Étude in Blau/Weiß\n../../etc") == "etude-in-blau-wei-etc"
     assert slug("…") == "style"
     assert len(slug("word " * 100)) <= 40
+
+
+def test_a_backbone_from_a_folder_outside_the_project_stylizes(photographs, tmp_path, monkeypatch):
+    from anystyle.commands import plugins_new
+
+    assert plugins_new.main(["backbone", "elsewhere", "--into", str(tmp_path / "folders")]) == 0
+    monkeypatch.setenv("ANYSTYLE_PLUGINS", str(tmp_path / "folders"))
+    words = ["~model", "backbone=elsewhere", "--text", "dots", "--out", tmp_path / "out"]
+    run(photographs, *words, *SMALL)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["config"]["backbone"]["_target_"].endswith("Elsewhere")
+    assert report["weights"] == {} and report["gaussians"] > 0
