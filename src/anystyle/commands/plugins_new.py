@@ -46,6 +46,7 @@ from anystyle.testing import assert_contract
 
 
 def test_contract() -> None:
+    """Nothing that {article} {words} promises is broken."""
     assert_contract("{kind}", {cls})
 '''
 
