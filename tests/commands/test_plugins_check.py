@@ -283,7 +283,7 @@ def test_hints_show_the_promise_and_code_that_keeps_it(tmp_path, monkeypatch, ca
     hinted = capsys.readouterr().out
     assert "  promise   " not in plain
     assert "  promise   It selects at least one of a usual backbone's sites" in hinted
-    assert "bad_hinted.py, line 3" in hinted
+    assert "bad_hinted.py, line 3" in " ".join(hinted.split())
     assert "class ToyPlacement(Placement):" in hinted
     assert len(hinted) > 2 * len(plain)
 
