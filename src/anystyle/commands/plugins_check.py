@@ -7,7 +7,6 @@ import textwrap
 import time
 import warnings
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from anystyle.commands._flags import parse
@@ -114,7 +113,7 @@ def _example(kind: str, see: str) -> Iterator[str]:
 
     module = importlib.import_module(f"anystyle.testing.toy.{kind}")
     shown = getattr(module, see or "Toy" + "".join(word.capitalize() for word in kind.split("_")))
-    yield f"  example   {Path(module.__file__ or '').name}, which keeps it:"
+    yield f"  example   {module.__name__} keeps it:"
     yield ""
     yield textwrap.indent(textwrap.dedent(inspect.getsource(shown)).rstrip(), " " * 12)
 
