@@ -50,7 +50,8 @@ def save_gaussians(gaussians: Gaussians, path: Path) -> None:
         name: getattr(gaussians, name).detach().cpu().contiguous().clone()
         for name in ("means", "rotations", "scales", "opacities", "harmonics")
     }
-    save_file(tensors, path, metadata={"format": "anystyle/1", "part": "gaussians"})
+    # One entry alone, for safetensors writes several in an order of chance.
+    save_file(tensors, path, metadata={"format": "anystyle/1 gaussians"})
 
 
 def write_scene(
