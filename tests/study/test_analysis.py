@@ -13,7 +13,8 @@ from scipy import stats
 from study_cases import answer_rows, write_csv
 
 from anystyle.commands._run import FAILED
-from anystyle.study.analysis import Settings, analyze, as_json
+from anystyle.study.analysis import Settings, analyze
+from anystyle.study.analysis_json import as_json
 from anystyle.study.contract import Responses
 from anystyle.study.reading import read_responses
 from anystyle.study.report import html as report_html

@@ -11,7 +11,8 @@ import numpy as np
 from anystyle.commands._study_options import build_tests
 from anystyle.files import atomic_directory
 from anystyle.study import figures, report
-from anystyle.study.analysis import Analysis, Settings, analyze, as_json
+from anystyle.study.analysis import Analysis, Settings, analyze
+from anystyle.study.analysis_json import as_json
 from anystyle.study.checks import Rules
 from anystyle.study.contract import Scale
 from anystyle.study.form import comparison

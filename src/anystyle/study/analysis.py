@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any, get_args
+from dataclasses import dataclass, field
+from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -253,102 +253,3 @@ def _adjusted(found: Sequence[QuestionAnalysis]) -> list[QuestionAnalysis]:
         QuestionAnalysis(**{**vars(question), "tests": tuple(tests)})
         for question, tests in zip(found, adjusted, strict=True)
     ]
-
-
-def as_json(analysis: Analysis) -> dict[str, Any]:
-    """The analysis as plain data, ``nan`` as ``None``; what ``analysis.json`` holds."""
-    checks, settings = analysis.checks, analysis.settings
-    kinds = ("missing", "duplicated", "out_of_range", "straight_lining", "failed_attention_check")
-    content = {
-        "schema": 1,
-        "sign": "scores below the neutral answer and negative estimates mean that ours is preferred",
-        "sources": list(analysis.sources),
-        "settings": {
-            "scale": [settings.scale.low, settings.scale.high],
-            "confidence": settings.confidence,
-            "resamples": settings.resamples,
-            "seed": settings.seed,
-            "rules": asdict(settings.rules),
-        },
-        "checks": {
-            "answers_read": checks.answers_read,
-            "attention_answers": checks.attention_answers,
-            "answers_used": checks.answers_used,
-            **{kind: [asdict(item) for item in checks.findings if item.kind == kind] for kind in kinds},
-            "excluded": [asdict(item) for item in checks.exclusions],
-            "notes": list(checks.notes),
-        },
-        "questions": {question.question: _question_json(question) for question in analysis.questions},
-    }
-    return _finite(content)
-
-
-def _question_json(question: QuestionAnalysis) -> dict[str, Any]:
-    responses, position = question.responses, question.position
-    return {
-        "title": question.title,
-        "n_responses": responses.count,
-        "n_participants": len(question.by_participant.names),
-        "n_items": len(question.by_item.names),
-        "mean": float(responses.deviations.mean()) + responses.scale.midpoint,
-        "sd": float(responses.deviations.std(ddof=1)) if responses.count > 1 else math.nan,
-        "distribution": {f"{level:g}": count for level, count in zip(question.levels, question.counts, strict=True)},
-        "tests": [row_json(named) for named in question.tests],
-        "effects": [asdict(effect) for effect in question.effects],
-        "variation": None if question.variation is None else asdict(question.variation),
-        "agreement": {
-            "name": "krippendorff_alpha_ordinal",
-            "estimate": question.alpha,
-            "interval": question.alpha_interval,
-        },
-        "position": None
-        if position is None
-        else {
-            "bias": position.bias,
-            "interval": position.interval,
-            "pvalue": math.exp(position.log_pvalue),
-            "mean_when_ours_is_a": position.mean_as_a[0],
-            "mean_when_ours_is_b": position.mean_as_b[0],
-        },
-        "participants": _means_json(question.by_participant),
-        "items": _means_json(question.by_item),
-    }
-
-
-def row_json(named: NamedResult) -> dict[str, Any]:
-    """One row of a question's ``tests``."""
-    result = named.result
-    return {
-        "name": named.name,
-        "unit": result.unit,
-        "statistic": result.statistic,
-        "pvalue": result.pvalue,
-        "log10_pvalue": result.log10_pvalue,
-        "pvalue_holm": math.exp(named.log_pvalue_holm),
-        "alternative": result.alternative,
-        "estimate": result.estimate,
-        "estimate_unit": result.estimate_unit,
-        "interval": result.interval,
-        "confidence": result.confidence,
-        "effect": result.effect,
-        "effect_name": result.effect_name,
-        "effect_interval": result.effect_interval,
-        "n": result.n,
-        "generalizes_to": result.generalizes_to,
-        "method": result.method,
-        "note": result.note,
-    }
-
-
-def _means_json(means: Means) -> list[dict[str, Any]]:
-    rows = zip(means.names, means.means.tolist(), means.reach.tolist(), strict=True)
-    return [{"name": name, "mean": mean, "interval": [mean - reach, mean + reach]} for name, mean, reach in rows]
-
-
-def _finite(value: Any) -> Any:
-    """Plain data without ``nan`` or infinities, which JSON has no words for."""
-    if isinstance(value, Mapping):
-        return {key: _finite(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(item) for item in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -12,6 +12,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from anystyle.registry.socket import Socket
+
 Unit = Literal["response", "participant", "item"]
 """What a test counts as one independent observation."""
 
@@ -170,7 +172,7 @@ class TestResult:
         )
 
 
-class StudyTest(ABC):
+class StudyTest(Socket, ABC):
     """One statistical test of one question.
 
     Swapping ours and theirs (negating every deviation) negates the estimate. Answers that allow no test, such as
