@@ -98,6 +98,15 @@ class PowerStudy:
         found = [rate for rate in (self.null if null else self.power) if (rate.test, rate.unit) == (test, unit)]
         return sorted(found, key=lambda rate: rate.scenario.participants)
 
+    def valid(self, test: str, unit: Unit) -> bool:
+        """Whether a test keeps its level about where it reaches the target: power bought with errors is none.
+
+        A level is kept if the rate's interval does not lie above it by a third.
+        """
+        rates, needed = self.rates(test, unit, null=True), self.needed(test, unit)
+        near = next((rate for rate in rates if needed and rate.scenario.participants >= needed), rates[-1])
+        return near.interval()[0] <= self.level * 4 / 3
+
     def needed(self, test: str, unit: Unit) -> float | None:
         """Participants for the target power, between the simulated numbers; ``None`` where none of them reaches it.
 
@@ -180,7 +189,13 @@ def power_json(study: PowerStudy) -> dict[str, Any]:
         "false_positives": [row(rate) for rate in study.null],
         "power": [row(rate) for rate in study.power],
         "participants_needed": [
-            {"test": test, "unit": unit, "participants": study.needed(test, unit)} for test, unit in study.tests
+            {
+                "test": test,
+                "unit": unit,
+                "participants": study.needed(test, unit),
+                "keeps_its_level": study.valid(test, unit),
+            }
+            for test, unit in study.tests
         ],
     }
 
@@ -202,10 +217,9 @@ def power_markdown(study: PowerStudy) -> str:
         null = [f"{rate.share:.3f}" for rate in study.rates(test, unit, null=True)]
         power = [f"{rate.share:.3f}" for rate in study.rates(test, unit)]
         needed = study.needed(test, unit)
-        worst = max(rate.interval()[0] for rate in study.rates(test, unit, null=True))
         note = "—" if needed is None else f"{math.ceil(needed)}"
-        if worst > study.level * 1.3:
-            note = "invalid"  # power bought with false positives is none
+        if not study.valid(test, unit):
+            note = "invalid"
         lines.append("| " + " | ".join([test.replace("_", " "), unit, *null, *power, note]) + " |")
-    lines += ["", "“invalid”: its false positives exceed the level, so that its power means nothing."]
+    lines += ["", "“invalid”: its false positives exceed the level where the power suffices."]
     return "\n".join(lines) + "\n"
