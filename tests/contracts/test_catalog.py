@@ -1,18 +1,18 @@
 """Every plugin of the catalog, those of third parties too, keeps what its kind promises."""
 
+import importlib
+
 import pytest
 
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import catalog
-from anystyle.testing import report, run_named
+from anystyle.testing import assert_contract, report, run_named
 from anystyle.testing.run import checks, run
 
 PLUGINS = [(kind, name) for kind in KINDS for name in catalog().names(kind)]
 
 
 def _toy(kind):
-    import importlib
-
     name = "Toy" + "".join(word.capitalize() for word in kind.split("_"))
     return getattr(importlib.import_module(f"anystyle.testing.toy.{kind}"), name)
 
@@ -39,3 +39,27 @@ def test_every_promise_is_said_in_words(kind):
     for check in checks(kind):
         assert check.about.endswith(".")
         assert check.about != check.name
+
+
+def test_a_report_of_all_that_is_wrong_fails_the_test_of_a_plugin():
+    class Broken(_toy("placement")):
+        def select(self, sites):
+            return list(sites)
+
+    with pytest.raises(AssertionError) as caught:
+        assert_contract("placement", Broken)
+    lines = str(caught.value).splitlines()
+    assert lines[0] == "Broken breaks the contract of a placement"
+    assert lines[1] == "FAILED  selects sites of the backbone"
+    assert [line.split()[0] for line in lines[2:]] == ["given", "expected", "change"]
+    with pytest.raises(ValueError, match=r"Broken is no loss; make it inherit from anystyle\.contracts\.Loss"):
+        assert_contract("loss", Broken)
+
+
+def test_what_this_machine_lacks_is_no_success():
+    class Absent(_toy("placement")):
+        def __init__(self):
+            raise ImportError('it needs foo: pip install "acme[foo]"')
+
+    with pytest.raises(AssertionError, match="Absent: it cannot be checked here: it needs foo"):
+        assert_contract("placement", Absent)

@@ -131,7 +131,7 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return _plain(dict(enumerate(value)))
     if isinstance(value, Value):
-        return _plain({item.name: getattr(value, item.name) for item in fields(value)})
+        return _plain({item.name: getattr(value, item.name) for item in fields(value)})  # pyright: ignore[reportArgumentType]
     return None
 
 

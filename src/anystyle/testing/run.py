@@ -11,7 +11,7 @@ from typing import Any
 import torch
 
 from anystyle.registry.builtin import KINDS
-from anystyle.registry.catalog import catalog, kind_named
+from anystyle.registry.catalog import base_of, catalog, kind_named
 from anystyle.testing import declaration, system
 from anystyle.testing.check import Check, Outcome, report, run_checks
 from anystyle.testing.samples import runtime
@@ -59,7 +59,11 @@ def run(kind: str, cls: type, options: Mapping[str, Any] | None = None) -> list[
 
     Raises:
         PluginError: There is no such kind.
+        ValueError: The class does not inherit from the kind's contract.
     """
+    base = base_of(kind)
+    if not issubclass(cls, base):
+        raise ValueError(f"{cls.__name__} is no {kind}; make it inherit from {base.__module__}.{base.__qualname__}")
     with tempfile.TemporaryDirectory() as folder, one_thread():
         chosen = declaration.example(cls, Path(folder)) if options is None else options
         tested = subject(kind, cls, chosen)
@@ -105,7 +109,7 @@ def assert_contract(kind: str, cls: type, **options: Any) -> None:
     if failures:
         raise AssertionError(f"{cls.__name__} breaks the contract of a {kind}\n{failures}")
     if skipped:
-        raise AssertionError(f"{cls.__name__} cannot be checked: {skipped[0].given}")
+        raise AssertionError(f"{cls.__name__}: {skipped[0].given}")
 
 
 def _compositions(kind: str, tested: Subject[Any], folder: Path) -> list[tuple[str, system.Composition]]:

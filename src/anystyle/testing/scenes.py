@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from anystyle.contracts import SceneSource
-from anystyle.testing.backbone import expect_cameras
+from anystyle.testing.backbone_values import expect_cameras
 from anystyle.testing.check import Check, attempt, expect
 from anystyle.testing.comparing import conform, expect_finite, expect_same
 from anystyle.testing.subject import Subject
