@@ -1,12 +1,9 @@
-"""Stages of a command: timed, and shown as a bar on a terminal or as plain lines elsewhere."""
+"""Stages of a command: timed, and told in plain lines as they begin."""
 
 import sys
 import time
-from collections.abc import Iterable, Iterator, Sized
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TypeVar
-
-T = TypeVar("T")
 
 
 class Stages:
@@ -30,14 +27,3 @@ class Stages:
             yield
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
-
-    def track(self, items: Iterable[T], name: str, total: int | None = None) -> Iterator[T]:
-        """Iterate with a progress bar on a terminal, and silently elsewhere."""
-        if self._quiet or not sys.stderr.isatty():
-            yield from items
-            return
-        from rich.console import Console
-        from rich.progress import track
-
-        count = total if total is not None else len(items) if isinstance(items, Sized) else None
-        yield from track(items, description=name, total=count, console=Console(stderr=True), transient=True)
