@@ -33,6 +33,7 @@ KINDS: dict[str, Kind] = {
         "anystyle.training.contract:Training",
         runtime=("backbone", "renderer", "style_encoder", "stylizer", "losses"),
     ),
+    "protocol": Kind("anystyle.evaluation.contract:Protocol", runtime=("stylizer", "metrics", "scenes", "styles")),
 }
 
 BUILTIN: dict[str, dict[str, str]] = {
@@ -94,4 +95,5 @@ BUILTIN: dict[str, dict[str, str]] = {
         "reconstruction": "anystyle.training.reconstruction:ReconstructionTraining",
         "stylization": "anystyle.training.stylization:StylizationTraining",
     },
+    "protocol": {},
 }

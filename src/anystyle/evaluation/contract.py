@@ -1,0 +1,90 @@
+"""What a protocol promises: figures of a model or of images, with all that they rest on."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar
+
+from anystyle.registry.socket import Socket
+
+Progress = Callable[[str, int, int], None]
+"""Called with a stage in a word or two, how much of it is done, and how much there is."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """The figures of one scene in one style.
+
+    Args:
+        scene: Its name; empty where a row stands for a style over all scenes.
+        style: Its name; empty where a row stands for a scene over all styles.
+        figures: Value by name; ``nan`` where there was too little.
+    """
+
+    scene: str
+    style: str
+    figures: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What a protocol found.
+
+    Args:
+        figures: Value by name, over everything; ``nan`` where there was too little.
+        n: How many samples (images, unless ``provenance`` says otherwise) the figures rest on.
+        better: ``higher`` or ``lower`` for figures of which one is better.
+        groups: More figures by name under a name, such as those of ``baseline`` or of one scene.
+        rows: Those of each scene in each style.
+        stand_ins: For each figure that a stand-in network computed, the network's name: not comparable with any
+            figure of the network it stands for.
+        provenance: What else the figures rest on, such as the variant; plain values that JSON can hold.
+    """
+
+    figures: Mapping[str, float]
+    n: int
+    better: Mapping[str, str] = field(default_factory=dict)
+    groups: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    rows: tuple[Row, ...] = ()
+    stand_ins: Mapping[str, str] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+
+class Protocol(Socket, ABC):
+    """How a model, or any method's images, are judged: ``anystyle evaluate protocol=NAME``.
+
+    The constructor names the parts it needs among ``stylizer`` (in ``eval``, without gradients), ``metrics`` (by
+    name), ``scenes`` and ``styles``, which the framework passes, and further options. Where a source is not
+    configured, ``None`` is passed.
+    """
+
+    @abstractmethod
+    def run(self, out: Path, progress: Progress) -> Evaluation:
+        """Compute the figures.
+
+        What takes long is written below ``out`` as it is finished, under its final name only when it is complete, and
+        taken from there the next time: an interrupted run goes on, and gives what an uninterrupted one gives. The
+        names ``metrics.*``, ``table.*`` and ``*.png`` in ``out`` itself are the command's.
+
+        Args:
+            out: A folder that exists.
+            progress: Told of every step that takes a second or more.
+
+        Raises:
+            ValueError: Something that the protocol needs is missing or does not fit.
+        """
+
+
+Part = TypeVar("Part")
+
+
+def required(part: Part | None, kind: str) -> Part:
+    """A part that must be configured.
+
+    Raises:
+        ValueError: It is not.
+    """
+    if part is None:
+        raise ValueError(f"this protocol needs {kind}; add {kind}=NAME (`anystyle plugins {kind}` lists them)")
+    return part
