@@ -6,6 +6,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -131,7 +132,7 @@ def missing_sources_are_said(plugin: Plugin) -> None:
         ) from error
 
 
-def _parts() -> dict[str, object]:
+def _parts() -> dict[str, Any]:
     with seeded(0):
         backbone, space = ToyBackbone(dim=12, depth=2), ToyStyleEncoder()
         branch = StyleBranch(
@@ -148,7 +149,7 @@ def _parts() -> dict[str, object]:
     }
 
 
-def _named(plugin: Plugin, parts: dict[str, object]) -> dict[str, object]:
+def _named(plugin: Plugin, parts: dict[str, Any]) -> dict[str, Any]:
     known = inspect.signature(plugin.cls).parameters
     return {name: part for name, part in parts.items() if name in known}
 
