@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -49,6 +49,10 @@ class Evaluation:
     rows: tuple[Row, ...] = ()
     stand_ins: Mapping[str, str] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def with_facts(self, **facts: Any) -> "Evaluation":
+        """This evaluation with more in its provenance."""
+        return replace(self, provenance={**self.provenance, **facts})
 
 
 class Protocol(Socket, ABC):

@@ -31,7 +31,7 @@ KINDS: dict[str, Kind] = {
     "study_test": Kind("anystyle.study.contract:StudyTest", many=True),
     "training": Kind(
         "anystyle.training.contract:Training",
-        runtime=("backbone", "renderer", "style_encoder", "stylizer", "losses"),
+        runtime=("backbone", "renderer", "style_encoder", "stylizer", "losses", "features"),
     ),
     "protocol": Kind("anystyle.evaluation.contract:Protocol", runtime=("stylizer", "metrics", "scenes", "styles")),
 }
@@ -39,6 +39,7 @@ KINDS: dict[str, Kind] = {
 BUILTIN: dict[str, dict[str, str]] = {
     "backbone": {},
     "style_encoder": {
+        "judge": "anystyle.style_encoders.judge:Judge",
         "tiny": "anystyle.style_encoders.tiny:Tiny",
     },
     "placement": {
@@ -90,10 +91,14 @@ BUILTIN: dict[str, dict[str, str]] = {
         "wilcoxon": "anystyle.study.tests.wilcoxon:Wilcoxon",
     },
     "training": {
+        "contrast": "anystyle.training.contrast:ContrastTraining",
         "embedding": "anystyle.training.embedding:EmbeddingTraining",
         "perceptual": "anystyle.training.perceptual:PerceptualTraining",
         "reconstruction": "anystyle.training.reconstruction:ReconstructionTraining",
         "stylization": "anystyle.training.stylization:StylizationTraining",
     },
-    "protocol": {},
+    "protocol": {
+        "folders": "anystyle.evaluation.protocols.folders:Folders",
+        "paper": "anystyle.evaluation.protocols.paper:Paper",
+    },
 }

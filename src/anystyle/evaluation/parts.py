@@ -1,0 +1,95 @@
+"""Finished pieces of an evaluation on disk, so that an interrupted one goes on."""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+
+from anystyle.contracts import Metric
+from anystyle.evaluation.contract import Evaluation, Progress
+from anystyle.evaluation.folders import Cell, Pairing, Reader
+from anystyle.evaluation.judge import SceneFigures, gathered, judge_scene
+from anystyle.files import atomic_path
+
+FOLDER = "parts"
+"""Below the folder of an evaluation: ``parts/METRIC-SCENE.json``; what is deleted there is computed again."""
+
+
+def judge_pairing(
+    metrics: Mapping[str, Metric], pairing: Pairing, out: Path, progress: Progress, *, stage: str = "judge"
+) -> Evaluation:
+    """The figures of paired images; what each metric says of a scene is kept, and not computed again.
+
+    Args:
+        metrics: By name.
+        pairing: What is judged.
+        out: The folder of the evaluation.
+        progress: Told of every scene in one style.
+        stage: Its name.
+
+    Raises:
+        ValueError: There is no metric, or images cannot be judged.
+    """
+    if not metrics:
+        raise ValueError("no metric is chosen; add metric=[NAME,...] (`anystyle plugins metric` lists them)")
+    reader, done, total = Reader(), 0, len(pairing.cells)
+    found: dict[str, dict[str, SceneFigures]] = {}
+    for scene, cells in pairing.scenes().items():
+        seal = _seal(cells)
+        kept = {name: _read(_place(out, name, scene), seal) for name in metrics}
+        missing = {name: metric for name, metric in metrics.items() if kept[name] is None}
+        fresh: dict[str, SceneFigures] = {}
+        if missing:
+            base = done
+            place = iter(range(base + 1, base + len(cells) + 1))
+            progress(stage, base, total)
+            fresh = judge_scene(
+                missing, (reader(cell) for cell in cells), lambda place=place: progress(stage, next(place), total)
+            )
+            for name, figures in fresh.items():
+                _write(_place(out, name, scene), seal, figures)
+        done += len(cells)
+        found[scene] = {name: fresh.get(name) or kept[name] for name in metrics}  # pyright: ignore[reportArgumentType]
+    progress(stage, total, total)
+    return gathered(found, n=sum(len(cell.frames) for cell in pairing.cells))
+
+
+def forget(out: Path, metrics: Iterable[str]) -> None:
+    """Delete what some metrics said, so that they are asked again."""
+    for name in metrics:
+        for path in (out / FOLDER).glob(f"{name}-*.json"):
+            path.unlink()
+
+
+def _place(out: Path, metric: str, scene: str) -> Path:
+    # Two scenes may differ in what a file name cannot hold.
+    mark = hashlib.sha256(scene.encode()).hexdigest()[:8]
+    plain = "".join(letter if letter.isalnum() else "-" for letter in scene)[:40]
+    return out / FOLDER / f"{metric}-{plain}-{mark}.json"
+
+
+def _seal(cells: Iterable[Cell]) -> str:
+    """What the figures of a scene depend on: which files, of what size, written when."""
+    digest = hashlib.sha256()
+    for cell in cells:
+        files = [*cell.content, *cell.stylized, cell.reference, *cell.depth, *([cell.cameras] if cell.cameras else [])]
+        for path in files:
+            state = path.stat()
+            digest.update(f"{cell.style}\0{path.resolve()}\0{state.st_size}\0{state.st_mtime_ns}\n".encode())
+    return digest.hexdigest()
+
+
+def _write(path: Path, seal: str, figures: SceneFigures) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text(json.dumps({"seal": seal, **asdict(figures)}, indent=1) + "\n", encoding="utf-8")
+
+
+def _read(path: Path, seal: str) -> SceneFigures | None:
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        if stored.pop("seal") != seal:
+            return None
+        return SceneFigures(**{**stored, "warned": tuple(stored["warned"])})
+    except (OSError, ValueError, KeyError, TypeError):
+        return None  # absent, or of another version: computed again

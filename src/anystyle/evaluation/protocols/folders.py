@@ -1,0 +1,56 @@
+"""Any method's images, in three folders."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from PIL import Image
+
+from anystyle.contracts import Metric
+from anystyle.evaluation.contract import Evaluation, Progress, Protocol
+from anystyle.evaluation.folders import pair
+from anystyle.evaluation.parts import judge_pairing
+
+
+class Folders(Protocol):
+    """Judge stylized images of any method against their photographs and styles.
+
+    Stylized images are ``SCENE/STYLE_FRAME.png`` or, for one scene, ``STYLE_FRAME.png``; photographs are
+    ``SCENE/FRAME.png``, styles ``STYLE.png``; or all three have the same names.
+
+    Args:
+        metrics: By name; the framework passes them.
+        content: A folder of photographs.
+        style: A folder of style images.
+        stylized: A folder of results.
+        depth: A folder of depth maps ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` where cameras are known.
+
+    Raises:
+        ValueError: Images lack partners, or a folder is missing.
+    """
+
+    def __init__(
+        self, *, metrics: Mapping[str, Metric], content: str, style: str, stylized: str, depth: str | None = None
+    ) -> None:
+        self.metrics = metrics
+        self.pairing = pair(Path(content), Path(style), Path(stylized), None if depth is None else Path(depth))
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """Two scenes in two styles."""
+        grey = Image.linear_gradient("L").convert("RGB").resize((24, 16))
+        for scene, turn in (("one", 0), ("two", 180)):
+            for frame in range(2):
+                files = [("content", f"{frame}"), ("stylized", f"a_{frame}"), ("stylized", f"b_{frame}")]
+                for shade, (kind, name) in enumerate(files):
+                    (folder / kind / scene).mkdir(parents=True, exist_ok=True)
+                    picture = grey.rotate(turn).point(lambda value, shift=20 * shade: min(255, value + shift))
+                    picture.save(folder / kind / scene / f"{name}.png")
+        (folder / "style").mkdir()
+        for name in ("a", "b"):
+            grey.transpose(Image.Transpose.ROTATE_90).save(folder / "style" / f"{name}.png")
+        return {kind: str(folder / kind) for kind in ("content", "style", "stylized")}
+
+    def run(self, out: Path, progress: Progress) -> Evaluation:
+        """See :meth:`anystyle.evaluation.contract.Protocol.run`."""
+        found = judge_pairing(self.metrics, self.pairing, out, progress)
+        return found.with_facts(unused=list(self.pairing.unused))
