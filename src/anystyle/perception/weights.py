@@ -1,19 +1,23 @@
 """Where the weights of frozen networks lie: names to files, where each comes from, where it is looked for.
 
-Nothing is ever downloaded, and a network is never replaced by another in silence.
+A network is never replaced by another in silence, and nothing is downloaded unless ``anystyle weights download`` is
+run. The table is :data:`FILES`; a plugin adds rows of its own in a ``weights.toml`` beside its module.
 """
 
 import hashlib
+import importlib.util
 import os
-import pickle
-import zipfile
+import tomllib
+from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
-import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
-from torch import Tensor
+from anystyle import paths
+from anystyle.errors import did_you_mean
+from anystyle.perception.reading import read
+from anystyle.registry.catalog import catalog
+from anystyle.registry.peek import folder
 
 FOLDERS = "ANYSTYLE_WEIGHTS"
 """The environment variable that names folders of weights, separated as in ``PATH``."""
@@ -30,6 +34,11 @@ class WeightsFile:
         source: Where it comes from, in words that can be looked up.
         sha256: Of its content, in hexadecimal; as many leading digits as its publisher states, ``None`` if none.
         bundled: Whether it comes with this package.
+        size: Bytes that its tensors take, or of the whole file where a publisher states it; ``None`` if unknown.
+        hub: Where the Hugging Face hub has it, as ``owner/repository/path``.
+        package: An installed package that it travels with, as ``package/path``.
+        layout: What its tensors are called: a key of :data:`anystyle.perception.layouts.LAYOUTS`, or the plugin's
+            backbone.
     """
 
     file: str
@@ -38,6 +47,10 @@ class WeightsFile:
     source: str
     sha256: str | None = None
     bundled: bool = False
+    size: int | None = None
+    hub: str | None = None
+    package: str | None = None
+    layout: str | None = None
 
 
 def _ours(name: str, purpose: str, experiment: str) -> WeightsFile:
@@ -47,16 +60,48 @@ def _ours(name: str, purpose: str, experiment: str) -> WeightsFile:
         license="Apache-2.0",
         source=f"bundled; made by `anystyle train experiment={experiment}`",
         bundled=True,
+        layout="anystyle",
     )
 
 
+_TORCHVISION = "BSD-3-Clause (torchvision); trained on ImageNet"
+
 FILES: dict[str, WeightsFile] = {
+    "longclip_b32": WeightsFile(
+        file="longclip-B-32.pt",
+        purpose="style_encoder=long_clip, which the published style branches were trained with",
+        license="Apache-2.0",
+        source="https://huggingface.co/BeichenZhang/LongCLIP-B-32",
+        size=605_967_364,
+        hub="BeichenZhang/LongCLIP-B-32/longclip-B-32.pt",
+        layout="clip",
+    ),
+    "clip_b32": WeightsFile(
+        file="open_clip_model.safetensors",
+        purpose="style_encoder=clip; OpenAI's CLIP ViT-B/32 in OpenCLIP's file",
+        license="MIT (OpenAI CLIP)",
+        source="https://huggingface.co/timm/vit_base_patch32_clip_224.openai",
+        size=605_109_252,
+        hub="timm/vit_base_patch32_clip_224.openai/open_clip_model.safetensors",
+        layout="clip",
+    ),
+    "clip_vocabulary": WeightsFile(
+        file="bpe_simple_vocab_16e6.txt.gz",
+        purpose="texts of style_encoder=long_clip and style_encoder=clip",
+        license="MIT (OpenAI CLIP)",
+        source="the open_clip_torch package (`pip install --no-deps open_clip_torch`)",
+        sha256="924691ac288e54409236115652ad4aa250f48203de50a9e4722a6ecd48d6804a",
+        size=1_356_917,
+        package="open_clip/bpe_simple_vocab_16e6.txt.gz",
+    ),
     "vgg19": WeightsFile(
         file="vgg19-dcbb9e9d.pth",
         purpose="style and content losses of the paper; CFSD",
-        license="BSD-3-Clause (torchvision); trained on ImageNet",
+        license=_TORCHVISION,
         source="https://download.pytorch.org/models/vgg19-dcbb9e9d.pth",
         sha256="dcbb9e9d",
+        size=574_673_361,
+        layout="vgg19",
     ),
     "texture": _ours("tiny_texture", "style losses of the tiny recipes", "tiny_perceptual"),
     "tiny_style_encoder": _ours("tiny_style_encoder", "style_encoder=tiny", "tiny_embedding"),
@@ -65,59 +110,107 @@ FILES: dict[str, WeightsFile] = {
 }
 
 
+def files() -> dict[str, WeightsFile]:
+    """Every row by name: those of :data:`FILES`, then those of plugins.
+
+    Raises:
+        ValueError: A plugin's ``weights.toml`` cannot be read, or names what is there already.
+    """
+    known = dict(FILES)
+    for place in sorted({place for row in catalog() if (place := folder(row)) is not None}):
+        for name, entry in _rows(place / "weights.toml").items():
+            if known.setdefault(name, entry) != entry:
+                raise ValueError(f"{place / 'weights.toml'} names {name!r}, which another row is called; rename it")
+    return known
+
+
+@cache
+def _rows(path: Path) -> dict[str, WeightsFile]:
+    if not path.is_file():
+        return {}
+    try:
+        return {name: WeightsFile(**row) for name, row in tomllib.loads(path.read_text(encoding="utf-8")).items()}
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path} is no table of weights ({error}); see anystyle.perception.weights") from None
+
+
+def row(name: str) -> WeightsFile:
+    """The row of a name.
+
+    Raises:
+        ValueError: There is none.
+    """
+    known = files()
+    if name not in known:
+        raise ValueError(f"no weights are called {name!r}.{did_you_mean(name, known)} See: anystyle weights")
+    return known[name]
+
+
 def folders() -> tuple[Path, ...]:
     """The folders that are looked in, in order: those of ``ANYSTYLE_WEIGHTS``, then the package's own."""
     named = [Path(folder).expanduser() for folder in os.environ.get(FOLDERS, "").split(os.pathsep) if folder]
-    return (*named, Path(__file__).parents[1] / "assets")
+    return (*named, paths.ASSETS)
+
+
+def places(name: str) -> Iterator[Path]:
+    """Where a file is looked for, in order: named folders, the package, another package, the hub's cache."""
+    entry = row(name)
+    for place in folders():
+        yield place / entry.file
+    if entry.package is not None:
+        package, _, inside = entry.package.partition("/")
+        spec = importlib.util.find_spec(package)
+        if spec is not None and spec.submodule_search_locations:
+            yield Path(next(iter(spec.submodule_search_locations))) / inside
+    if entry.hub is not None and (cached := _in_hub_cache(entry.hub)) is not None:
+        yield cached
 
 
 def find(name: str, path: str | Path | None = None) -> Path:
     """The file that holds the weights called ``name``.
 
     Args:
-        name: A key of :data:`FILES`.
-        path: Where it lies, if not in one of :func:`folders`.
+        name: A key of :func:`files`.
+        path: Where it lies, if not in one of :func:`places`.
 
     Raises:
         FileNotFoundError: It is nowhere; the message says where to get it and where to put it.
     """
-    entry = FILES[name]
-    places = [Path(path).expanduser()] if path is not None else [folder / entry.file for folder in folders()]
-    for place in places:
+    looked = [Path(path).expanduser()] if path is not None else list(places(name))
+    for place in looked:
         if place.is_file():
             return place
-    raise FileNotFoundError(
-        f"the weights {name!r} are missing: get {entry.file} from {entry.source} ({entry.license}) and put it into a "
-        f"folder that {FOLDERS} names; looked for {', '.join(map(str, places))}"
+    raise FileNotFoundError(missing(name, looked))
+
+
+def missing(name: str, looked: list[Path]) -> str:
+    """One line for a file that is nowhere: which, from where, and where to put it."""
+    entry = row(name)
+    by_hub = f" (`anystyle weights download {name}` does)" if entry.hub else ""
+    shown = ", ".join(map(str, looked)) + (", the Hugging Face cache" if entry.hub else "")
+    return (
+        f"the weights {name!r} are missing: get {entry.file} from {entry.source}{by_hub} ({entry.license}) and put it "
+        f"into a folder that {FOLDERS} names; looked for {shown}"
     )
 
 
-def read(path: str | Path) -> dict[str, Tensor]:
-    """The tensors of a ``.safetensors`` file or of a PyTorch file; nothing in it is executed.
+def _in_hub_cache(hub: str) -> Path | None:
+    if importlib.util.find_spec("huggingface_hub") is None:
+        return None
+    from huggingface_hub import try_to_load_from_cache
 
-    Raises:
-        ValueError: It is truncated, or of another kind.
-    """
-    path = Path(path)
-    try:
-        if path.suffix == ".safetensors":
-            return load_file(path)
-        # Mapped where the format allows, so that a classifier that makes up most of a file is never read.
-        state = torch.load(path, map_location="cpu", weights_only=True, mmap=zipfile.is_zipfile(path))
-    except pickle.UnpicklingError:
-        raise ValueError(f"{path} is damaged or holds more than tensors; get it again, or convert it") from None
-    except (SafetensorError, OSError, RuntimeError, EOFError, ValueError, KeyError) as error:
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise ValueError(f"{path} is truncated or no file of weights ({reason}); get it again") from None
-    if not isinstance(state, dict) or not all(isinstance(value, Tensor) for value in state.values()):
-        raise ValueError(f"{path} holds no plain state dict; save `module.state_dict()` alone")
-    return state
+    owner, name, path = hub.split("/", 2)
+    cached = try_to_load_from_cache(f"{owner}/{name}", path)
+    return Path(cached) if isinstance(cached, str) else None
 
 
 def verified(name: str, path: str | Path) -> bool | None:
     """Whether a file's content is what its publisher states; ``None`` where nothing is stated."""
-    stated = FILES[name].sha256
+    stated = row(name).sha256
     if stated is None:
         return None
     with Path(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest().startswith(stated)
+
+
+__all__ = ["FILES", "FOLDERS", "WeightsFile", "files", "find", "folders", "missing", "places", "read", "row", "verified"]
