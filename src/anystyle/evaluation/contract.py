@@ -20,11 +20,13 @@ class Row:
         scene: Its name; empty where a row stands for a style over all scenes.
         style: Its name; empty where a row stands for a scene over all styles.
         figures: Value by name; ``nan`` where there was too little.
+        pictures: Images to look at, by what they show (``photograph``, ``style``, ``result``), as far as there are.
     """
 
     scene: str
     style: str
     figures: Mapping[str, float]
+    pictures: Mapping[str, Path] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import hashlib
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from anystyle.contracts import Metric
@@ -52,7 +52,15 @@ def judge_pairing(
         done += len(cells)
         found[scene] = {name: fresh.get(name) or kept[name] for name in metrics}  # pyright: ignore[reportArgumentType]
     progress(stage, total, total)
-    return gathered(found, n=sum(len(cell.frames) for cell in pairing.cells))
+    judged = gathered(found, n=sum(len(cell.frames) for cell in pairing.cells))
+    pictures = {(cell.scene, cell.style): _pictures(cell) for cell in pairing.cells}
+    rows = tuple(replace(row, pictures=pictures[row.scene, row.style]) for row in judged.rows)
+    return replace(judged, rows=rows)
+
+
+def _pictures(cell: Cell) -> dict[str, Path]:
+    middle = len(cell.frames) // 2
+    return {"photograph": cell.content[middle], "style": cell.reference, "result": cell.stylized[middle]}
 
 
 def forget(out: Path, metrics: Iterable[str]) -> None:

@@ -1,0 +1,192 @@
+"""Judge a model on a protocol, or any method's images in folders."""
+
+import argparse
+import platform
+import shlex
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from anystyle.assemble import assemble, weights_file
+from anystyle.checkpoint import load_part
+from anystyle.commands._bars import Bar
+from anystyle.commands._compose import describe, launch, override, run, split
+from anystyle.commands._run import words_of
+from anystyle.contracts import Correspondence, Metric, SceneSource, StyleEncoder, StyleSource
+from anystyle.errors import UserError
+from anystyle.evaluation import plots, record
+from anystyle.evaluation.binding import bind
+from anystyle.evaluation.contract import Evaluation, Protocol
+from anystyle.registry.build import build, build_all
+from anystyle.registry.catalog import catalog
+from anystyle.registry.schema import runtime_arguments
+
+FOLDERS = ("content", "style", "stylized", "depth")
+
+
+def parser() -> argparse.ArgumentParser:
+    """The flags of ``anystyle evaluate``; every other word is a Hydra override."""
+    flags = argparse.ArgumentParser(
+        prog="anystyle evaluate",
+        description="Judge a model on a protocol (protocol=paper_image scenes=folder scenes.root=DIR styles=folder "
+        "styles.root=DIR), or any method's images (--content, --style, --stylized).",
+        allow_abbrev=False,
+    )
+    flags.add_argument("--content", metavar="DIR", help="photographs: SCENE/FRAME.png")
+    flags.add_argument("--style", metavar="DIR", help="style images: STYLE.png")
+    flags.add_argument("--stylized", metavar="DIR", help="results: SCENE/STYLE_FRAME.png, or STYLE_FRAME.png")
+    flags.add_argument("--depth", metavar="DIR", help="depth: SCENE/FRAME.npy, and SCENE/cameras.npz if known")
+    flags.add_argument("--run", metavar="DIR", dest="trained", help="judge what a training run, or multirun, made")
+    flags.add_argument("--out", default=None, help="where the results go (default: evaluation, or in the run)")
+    return flags
+
+
+def folder_words(arguments: argparse.Namespace) -> list[str]:
+    """The overrides that flags naming folders stand for.
+
+    Raises:
+        UserError: Some of the three folders are named, and not all.
+    """
+    named = {name: getattr(arguments, name) for name in FOLDERS if getattr(arguments, name) is not None}
+    if not named:
+        return []
+    missing = [f"--{name}" for name in FOLDERS[:3] if name not in named]
+    if missing:
+        raise UserError(
+            f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; folders of images "
+            "are judged with --content DIR --style DIR --stylized DIR"
+        )
+    if arguments.trained is not None:
+        raise UserError("--run judges a model, and --stylized judges images; give one of them")
+    absolute = {name: str(Path(value).expanduser()) for name, value in named.items()}
+    return ["protocol=folders", *(override(f"protocol.{name}", value) for name, value in absolute.items())]
+
+
+def evaluate(config: DictConfig, out: Path) -> Evaluation:
+    """Run a protocol, and write what it found.
+
+    Args:
+        config: What ``conf/evaluate.yaml`` composes.
+        out: The folder for everything; an evaluation that is there goes on.
+
+    Returns:
+        What the protocol returned.
+
+    Raises:
+        ValueError: The configuration contradicts itself, or images cannot be judged.
+    """
+    start = time.perf_counter()
+    torch.manual_seed(config.seed)
+    plugin = catalog().owner("protocol", str(config.protocol.get("_target_")))
+    named = runtime_arguments(plugin)
+    parts, weights = make_parts(config, named)
+    protocol = build(Protocol, config.protocol, **parts)
+    out.mkdir(parents=True, exist_ok=True)
+    with bind(config, weights, out, named):
+        with Bar() as progress:
+            found = protocol.run(out, progress)
+        provenance = {
+            "protocol": plugin.name,
+            "variant": str(config.variant),
+            "weights": weights,
+            "seconds": round(time.perf_counter() - start, 3),
+            "machine": machine(),
+            "command": shlex.join(["anystyle", "evaluate", *sys.argv[1:]]),
+            "seed": config.seed,
+            "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True),
+            "versions": {name: version(name) for name in ("anystyle", "torch", "numpy")},
+        }
+        table = record.write(found, out, provenance)
+    draw(found, out, f"{plugin.name}, {config.variant}; n = {found.n}")
+    print(table.markdown(), end="")
+    print(f"\nin {out}: {', '.join(path.name for path in sorted(out.iterdir()) if path.is_file())}")
+    return found
+
+
+def draw(found: Evaluation, out: Path, caption: str) -> None:
+    """Write the pictures of an evaluation, as far as what they need is installed."""
+    plots.examples(found, out / "examples.png")
+    try:
+        plots.spread(found, out / "spread.png", caption=caption)
+    except ImportError as error:
+        print(f"no plot: {error}", file=sys.stderr)
+
+
+def make_parts(config: DictConfig, named: Mapping[str, bool]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The parts that a protocol's constructor names, and the weights that were loaded for them."""
+    parts: dict[str, Any] = {}
+    weights: dict[str, Any] = {}
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    encoder: StyleEncoder | None = None
+    if "stylizer" in named:
+        stylizer, weights = assemble(config)
+        parts["stylizer"] = stylizer.requires_grad_(False).eval().to(device)
+        encoder = stylizer.style_encoder
+    if "metrics" in named:
+        parts["metrics"] = {name: metric.to(device) for name, metric in make_metrics(config, encoder, device).items()}
+    for name, base in (("scenes", SceneSource), ("styles", StyleSource)):
+        if name in named:
+            parts[name] = None if config.get(name) is None else build(base, config[name])
+    return parts, weights
+
+
+def make_metrics(config: DictConfig, encoder: StyleEncoder | None, device: torch.device) -> dict[str, Metric]:
+    """The metrics that are chosen, with what their constructors name."""
+    # A variant sets options of metrics that may not be among those chosen.
+    chosen = {str(name): node for name, node in config.metric.items() if node is not None and "_target_" in node}
+    wanted = {
+        name for node in chosen.values() for name in runtime_arguments(catalog().owner("metric", str(node["_target_"])))
+    }
+    runtime: dict[str, Any] = {}
+    if "style_encoder" in wanted:
+        runtime["style_encoder"] = encoder or _style_encoder(config).to(device)
+    if "correspondence" in wanted and config.correspondence is not None:
+        runtime["correspondence"] = build(Correspondence, config.correspondence)
+    return build_all(Metric, chosen, **runtime)
+
+
+def _style_encoder(config: DictConfig) -> StyleEncoder:
+    encoder = build(StyleEncoder, config.style_encoder)
+    if config.weights.style_encoder is not None:
+        load_part(weights_file(config.weights.style_encoder), encoder, "style_encoder")
+    return encoder.requires_grad_(False).eval()
+
+
+def machine() -> str:
+    """What the figures were computed on, in a few words."""
+    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else ""
+    return f"{platform.machine()} {platform.system()}, {gpu or f'CPU with {torch.get_num_threads()} thread(s)'}"
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Be the command: with ``--run``, once for each run that is found."""
+
+    def command() -> None:
+        from anystyle.evaluation.trained import trained_runs
+
+        flags = parser()
+        describe(flags)
+        arguments, rest = split(flags, words_of(words))
+        rest = [*folder_words(arguments), *rest]
+        if arguments.trained is None:
+            launch("evaluate", lambda config: evaluate(config, Path(arguments.out or "evaluation")), rest)
+            return
+        runs = trained_runs(Path(arguments.trained))
+        for run_ in runs:
+            out = run_.folder / "evaluation" if arguments.out is None else Path(arguments.out)
+            if arguments.out is not None and len(runs) > 1:
+                out = out / run_.folder.name
+            print(f"{run_.folder}", file=sys.stderr)
+            launch("evaluate", lambda config, run_=run_, out=out: evaluate(run_.into(config), out), rest)
+
+    run(command)
+
+
+if __name__ == "__main__":
+    main()
