@@ -48,6 +48,10 @@ BUILTIN: dict[str, dict[str, str]] = {
         "full": "anystyle.placements.full:Full",
     },
     "injector": {
+        "ada_ln": "anystyle.injectors.ada_ln:AdaLN",
+        "cross_attention": "anystyle.injectors.cross_attention:CrossAttention",
+        "film": "anystyle.injectors.film:FiLM",
+        "lora": "anystyle.injectors.lora:LoRA",
         "zero_conv": "anystyle.injectors.zero_conv:ZeroConv",
     },
     "renderer": {

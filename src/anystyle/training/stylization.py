@@ -46,6 +46,7 @@ class StylizationTraining(Training):
         learning_rate: Of the head and of all injectors of the head.
         head_rate: Times ``learning_rate``, for the head's copy; below 1 the injectors lead (published: 1).
         aggregator_rate: Times ``learning_rate``, for the aggregator's copy and its injectors, as published.
+        learn_copies: Whether the copied parts learn beside the injectors; without, ``injector=lora`` is LoRA proper.
         betas: Of AdamW.
         warmup: Steps of the warm-up.
         weight_decay: Of all parameters.
@@ -76,6 +77,7 @@ class StylizationTraining(Training):
         learning_rate: float = 1e-4,
         head_rate: float = 1.0,
         aggregator_rate: float = 0.3,
+        learn_copies: bool = True,
         betas: Sequence[float] = (0.9, 0.95),
         warmup: int = 100,
         weight_decay: float = 0.05,
@@ -91,6 +93,8 @@ class StylizationTraining(Training):
         if not losses:
             raise ValueError("there is nothing to learn from; add loss=[content,style,clip_directional]")
         self.stylizer = stylizer
+        if not learn_copies:
+            stylizer.branch.requires_grad_(False).injectors.requires_grad_()
         self.terms = nn.ModuleDict(losses)
         self.images, self.batch_size = images, batch_size
         self.context_views, self.view_power = context_views, view_power

@@ -1,0 +1,80 @@
+"""Cross-attention: every token looks at a few tokens made of the style."""
+
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+from anystyle.contracts import Injector
+from anystyle.types import Tokens
+
+
+class CrossAttention(Injector):
+    """Let tokens attend to the style: ``tokens + zero_proj(attention(norm(tokens), style tokens))``.
+
+    Style enters by cross-attention in Stylos (arXiv:2509.26455) and Styl3R (arXiv:2505.21060), whose style tokens are
+    the patches of a style image. A site gives one vector, which may come from a text, so it is expanded into
+    ``num_tokens`` style tokens by a learned map, as IP-Adapter does with an image's CLIP vector (Ye et al., 2023,
+    arXiv:2308.06721, section 3.2.1). The same style can so do different things to different tokens, which a shift
+    cannot. The output projection is 0 at birth.
+
+    Args:
+        dim: Channels at the site.
+        style_dim: Dimensions of the style embedding.
+        num_tokens: Style tokens that the vector becomes; at least 2, for with one there is nothing to choose from.
+        heads: Of the attention.
+        head_dim: Channels of each head.
+        gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
+            at first; the root of ``style_dim`` makes up for it where training is short.
+        special_tokens: Whether camera and register tokens are styled too.
+
+    Raises:
+        ValueError: ``num_tokens`` is below 2, or there is no head or channel.
+    """
+
+    def __init__(
+        self,
+        *,
+        dim: int,
+        style_dim: int,
+        num_tokens: int = 8,
+        heads: int = 4,
+        head_dim: int = 32,
+        gain: float = 1.0,
+        special_tokens: bool = False,
+    ) -> None:
+        super().__init__()
+        if num_tokens < 2 or heads < 1 or head_dim < 1:
+            raise ValueError(
+                f"injector.num_tokens={num_tokens}, heads={heads} and head_dim={head_dim} leave nothing to attend to; "
+                "give at least 2, 1 and 1"
+            )
+        self.gain = gain
+        self.special_tokens = special_tokens
+        self.num_tokens, self.heads = num_tokens, heads
+        width = heads * head_dim
+        self.style_tokens = nn.Linear(style_dim, num_tokens * width)
+        self.style_norm = nn.LayerNorm(width)
+        self.norm = nn.LayerNorm(dim)
+        self.query = nn.Linear(dim, width, bias=False)
+        # No bias: what all keys share changes no softmax, and would never learn.
+        self.key = nn.Linear(width, width, bias=False)
+        self.value = nn.Linear(width, width)
+        self.zero_proj = nn.Linear(width, dim)
+        nn.init.zeros_(self.zero_proj.weight)
+        nn.init.zeros_(self.zero_proj.bias)
+
+    def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
+        """Add to each token what it attends to in the style."""
+        plain = tokens.data if self.special_tokens else tokens.patches
+        coded = self.style_tokens(self.gain * style.to(self.zero_proj.weight.dtype))
+        coded = self.style_norm(coded.unflatten(-1, (self.num_tokens, -1)))  # B K W
+        query = self.query(self.norm(plain.flatten(1, 2)))  # B (V p) W
+        found = functional.scaled_dot_product_attention(
+            self._split(query), self._split(self.key(coded)), self._split(self.value(coded))
+        )
+        added = self.zero_proj(found.transpose(1, 2).flatten(-2)).reshape(plain.shape)
+        styled = plain + added
+        return tokens.with_data(styled) if self.special_tokens else tokens.with_patches(styled)
+
+    def _split(self, channels: Tensor) -> Tensor:
+        return channels.unflatten(-1, (self.heads, -1)).transpose(1, 2)  # B heads rows head_dim

@@ -1,0 +1,43 @@
+"""Feature-wise linear modulation: the style scales and shifts each channel."""
+
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.contracts import Injector
+from anystyle.types import Tokens
+
+
+class FiLM(Injector):
+    """Scale and shift channels: ``tokens * (1 + scale(z)) + shift(z)``.
+
+    Perez et al., "FiLM: Visual Reasoning with a General Conditioning Layer", 2018 (arXiv:1709.07871), Eq. 2, with the
+    scale predicted as its difference from 1, as its section 7.2 does. The published style injector is the shift alone.
+
+    Args:
+        dim: Channels at the site.
+        style_dim: Dimensions of the style embedding.
+        hidden: Width of the projection's hidden layer, at most twice ``dim``.
+        gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
+            at first; the root of ``style_dim`` makes up for it where training is short.
+        special_tokens: Whether camera and register tokens are styled too.
+    """
+
+    def __init__(
+        self, *, dim: int, style_dim: int, hidden: int = 1024, gain: float = 1.0, special_tokens: bool = False
+    ) -> None:
+        super().__init__()
+        self.gain = gain
+        self.special_tokens = special_tokens
+        width = min(hidden, 2 * dim)
+        self.fc = nn.Sequential(nn.Linear(style_dim, width), nn.ReLU(), nn.Linear(width, dim), nn.ReLU())
+        self.modulation = nn.Linear(dim, 2 * dim)
+        nn.init.zeros_(self.modulation.weight)
+        nn.init.zeros_(self.modulation.bias)
+
+    def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
+        """Modulate the tokens by the style."""
+        coded = self.fc(self.gain * style.to(self.modulation.weight.dtype))
+        scale, shift = self.modulation(coded)[:, None, None].chunk(2, dim=-1)
+        if self.special_tokens:
+            return tokens.with_data(tokens.data * (1 + scale) + shift)
+        return tokens.with_patches(tokens.patches * (1 + scale) + shift)

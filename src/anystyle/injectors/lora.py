@@ -1,0 +1,62 @@
+"""A low-rank update of the copied blocks, with a strength of each rank that the style sets."""
+
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.contracts import Injector
+from anystyle.types import Tokens
+
+
+class LoRA(Injector):
+    """Change tokens within few directions: ``tokens + alpha / rank * up(strength(z) * down(tokens))``.
+
+    Hu et al., "LoRA: Low-Rank Adaptation of Large Language Models", 2021 (arXiv:2106.09685, Eq. 3): ``down`` is random
+    and ``up`` is 0 at birth. There the pair is added to a weight matrix; here it stands at a site, which is the same
+    for the linear layers that read the tokens there: ``W (x + U S D x) = (W + (W U) S D) x``, an update of ``W`` of
+    rank ``rank``. The style enters as the diagonal ``S = diag(strength(z))`` between the two, so that one pair of
+    matrices is a family of updates, one a style. It multiplies: a token that is 0 stays 0.
+
+    With ``training.learn_copies=false`` the copied blocks keep their weights and this update is all that learns, which
+    is what LoRA is for; otherwise they learn beside it.
+
+    Args:
+        dim: Channels at the site.
+        style_dim: Dimensions of the style embedding.
+        rank: Of the update, at most ``dim``.
+        alpha: The update is scaled by ``alpha / rank``, so that another rank needs no other learning rate.
+        gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
+            at first; the root of ``style_dim`` makes up for it where training is short.
+        special_tokens: Whether camera and register tokens are styled too.
+
+    Raises:
+        ValueError: ``rank`` is below 1.
+    """
+
+    def __init__(
+        self,
+        *,
+        dim: int,
+        style_dim: int,
+        rank: int = 16,
+        alpha: float = 16.0,
+        gain: float = 1.0,
+        special_tokens: bool = False,
+    ) -> None:
+        super().__init__()
+        if rank < 1:
+            raise ValueError(f"injector.rank is {rank}; give at least 1")
+        rank = min(rank, dim)
+        self.gain = gain
+        self.factor = alpha / rank
+        self.special_tokens = special_tokens
+        self.strength = nn.Linear(style_dim, rank)
+        self.down = nn.Linear(dim, rank, bias=False)
+        self.up = nn.Linear(rank, dim, bias=False)
+        nn.init.zeros_(self.up.weight)
+
+    def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
+        """Add the style's low-rank update."""
+        strength = self.factor * self.strength(self.gain * style.to(self.up.weight.dtype))[:, None, None]
+        plain = tokens.data if self.special_tokens else tokens.patches
+        styled = plain + self.up(strength * self.down(plain))
+        return tokens.with_data(styled) if self.special_tokens else tokens.with_patches(styled)
