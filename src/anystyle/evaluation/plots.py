@@ -64,7 +64,7 @@ def spread(found: Evaluation, path: Path, *, caption: str = "") -> bool:
             axis.plot(values, [level] * len(values), "o", color=color, alpha=0.45, markersize=5, markeredgewidth=0)
             if values:
                 middle = sum(values) / len(values)
-                axis.plot([middle, middle], [level - 0.3, level + 0.3], color=_INK, linewidth=1.4)
+                axis.plot([middle, middle], [level - 0.22, level + 0.22], color=_INK, linewidth=1.4)
         axis.set_yticks(range(len(scenes)), scenes if place % columns == 0 else [""] * len(scenes), fontsize=7)
         axis.set_ylim(len(scenes) - 0.5, -0.5)
         axis.tick_params(axis="x", labelsize=7, color=_RULE)
@@ -101,7 +101,7 @@ def examples(found: Evaluation, path: Path) -> bool:
     kinds = ("photograph", "style", "result")
     titles = [f"{rank}: {number(row.figures[ranked])} {row.scene} {row.style}".strip() for rank, row in chosen]
     cells: list[list[Cell]] = [[_picture(row, kind) for _, row in chosen] for kind in kinds]
-    note = f"by {titled(ranked, found.better)}" + (f" ({STAND_IN})" if ranked in found.stand_ins else "")
+    note = f"by {ranked}, {found.better[ranked]} is better" + (f" ({STAND_IN})" if ranked in found.stand_ins else "")
     sheet = contact_sheet(cells, column_titles=titles, row_titles=kinds, footer=note, cell=(160, 160))
     with atomic_path(path) as temporary:
         sheet.save(temporary)

@@ -1,0 +1,128 @@
+"""Tables, plots and a contact sheet of runs: Markdown, CSV, LaTeX and PNG."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from anystyle.commands._flags import parse
+from anystyle.commands._run import run, words_of
+from anystyle.evaluation import plots, published, report, runs
+from anystyle.evaluation.tables import STAND_IN, Table
+from anystyle.files import atomic_path
+from anystyle.sheet import contact_sheet
+
+_COLORS = {"ours": plots.OURS, "stand-in": plots.STOOD_IN, "published": plots.PUBLISHED, "none": plots.PUBLISHED}
+
+
+def parser() -> argparse.ArgumentParser:
+    """The words of ``anystyle report``."""
+    words = argparse.ArgumentParser(
+        prog="anystyle report",
+        description="Set runs side by side: evaluations, trainings, the jobs of a multirun. A row for each variant "
+        "(runs that differ by seed alone are one), figures in columns; jobs that failed are rows that say so.",
+        allow_abbrev=False,
+    )
+    words.add_argument("folders", nargs="*", type=Path, metavar="DIR", help="a run, a multirun, or a folder of these")
+    words.add_argument("--figures", default="", metavar="A,B", help="which figures, in this order (default: all)")
+    words.add_argument("--scenes", action="store_true", help="columns for each scene, not their mean")
+    words.add_argument("--with-published", action="store_true", help="with rows that papers printed, scene by scene")
+    words.add_argument("--published", type=Path, action="append", default=[], metavar="FILE", help="more such rows")
+    words.add_argument("--out", type=Path, help="where the files go (default: DIR/report)")
+    return words
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run ``anystyle report``.
+
+    Returns:
+        The exit status.
+
+    Raises:
+        ValueError: There is nothing to report.
+    """
+    arguments = parse(parser(), words_of(argv))
+    with_published = arguments.with_published or bool(arguments.published)
+    if not arguments.folders and not with_published:
+        raise ValueError("no folder is named; give a run, a multirun or an evaluation, or --with-published alone")
+    found = [item for folder in arguments.folders for item in runs.find(folder)]
+    lines, better = report.lines_of(found) if found else ([], {})
+    figures = published.load(arguments.published) if with_published else []
+    more, sources = report.published_lines(figures)
+    lines += more
+    better = {**published.BETTER, **better}
+    names = report.figures_of(lines, [name for name in arguments.figures.split(",") if name])
+    scenes = report.scenes_of(lines, names) if arguments.scenes or with_published else []
+    # One scene alone is not grouped by itself: its figures stand for all.
+    whole = [report.ALL] if not scenes or any(_ungrouped(line) for line in lines) else []
+    notes = _notes(lines) + sources + report.consistency_notes(figures)
+    made = report.table(lines, names, [*whole, *scenes], better, notes=notes)
+    out = arguments.out or (arguments.folders[0] / "report" if arguments.folders else Path("report"))
+    written = write(made, lines, names, [*whole, *scenes], better, out)
+    print(made.markdown(), end="")
+    print(f"\nin {out}: {', '.join(written)}")
+    return 0
+
+
+def write(
+    made: Table,
+    lines: Sequence[report.Line],
+    names: Sequence[str],
+    scenes: Sequence[str],
+    better: dict[str, str],
+    out: Path,
+) -> list[str]:
+    """Write all files of a report; return their names."""
+    texts = {"table.md": made.markdown(), "table.csv": made.csv(), "table.tex": made.latex()}
+    for name, text in texts.items():
+        with atomic_path(out / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
+    written = list(texts)
+    sheet = report.sheet_cells(lines)
+    if sheet is not None:
+        cells, titles, columns = sheet
+        with atomic_path(out / "sheet.png") as temporary:
+            contact_sheet(cells, row_titles=titles, column_titles=columns, cell=(160, 160)).save(temporary)
+        written.append("sheet.png")
+    try:
+        _plot(lines, names, scenes, better, out / "figures.png")
+        written.append("figures.png")
+    except ImportError as error:
+        print(f"no plot: {error}", file=sys.stderr)
+    return written
+
+
+def _plot(
+    lines: Sequence[report.Line], names: Sequence[str], scenes: Sequence[str], better: dict[str, str], path: Path
+) -> None:
+    groups: dict[str, dict[str, float]] = {}
+    colors: dict[str, str] = {}
+    directions: dict[str, str] = {}
+    for line in lines:
+        title = line.title + {"stand-in": f"\n{STAND_IN}", "published": "\npublished"}.get(line.origin, "")
+        title += f"\n{line.state}" if line.state else ""
+        for scene in scenes:
+            for name in names:
+                panel = f"{scene} {name}".strip()
+                directions |= {panel: better[name]} if name in better else {}
+                groups.setdefault(title, {})[panel] = line.value(scene, name)
+        colors[title] = _COLORS[line.origin]
+    panels = list(dict.fromkeys(panel for group in groups.values() for panel, value in group.items() if value == value))
+    if panels:
+        plots.bars(groups, panels, path, better=directions, colors=colors, notes={})
+
+
+def _ungrouped(line: report.Line) -> bool:
+    return bool(line.samples) and all(not scene for scene, _ in line.samples)
+
+
+def _notes(lines: Sequence[report.Line]) -> list[str]:
+    states = [f"{line.title} ({line.state})" for line in lines if line.state]
+    notes = [f"{len(states)} of {len(lines)} rows have no figures: {', '.join(states)}."] if states else []
+    if any(line.origin == "stand-in" for line in lines):
+        notes.append(f"Rows that say “{STAND_IN}” come from networks that stand in for published ones.")
+    return notes
+
+
+if __name__ == "__main__":
+    run(main)

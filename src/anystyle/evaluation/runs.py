@@ -1,0 +1,145 @@
+"""What lies in folders of runs: evaluations, trainings, the jobs of a multirun, and what became of each."""
+
+import json
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from omegaconf import OmegaConf
+
+from anystyle.evaluation import record
+from anystyle.evaluation.record import Record
+
+OVERRIDES = Path(".hydra") / "overrides.yaml"
+SWEEP = "multirun.yaml"
+_LEFT = ("last.ckpt",)
+
+State = Literal["finished", "unfinished", "failed", "missing"]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One job, or one evaluation.
+
+    Args:
+        folder: Where it lies.
+        words: The overrides that it was started with.
+        state: What became of it; ``missing`` is a job of a multirun that left no folder.
+        evaluation: Where it was judged.
+        logged: The last values that a training logged.
+    """
+
+    folder: Path
+    words: tuple[str, ...]
+    state: State
+    evaluation: Path | None = None
+    logged: Mapping[str, float] = field(default_factory=dict)
+
+    def record(self) -> Record:
+        """Its figures: those of its evaluation, or else what it logged."""
+        found = None if self.evaluation is None else record.read(self.evaluation)
+        return found or Record(self.logged, {}, {})
+
+
+def find(folder: Path) -> list[Run]:
+    """The runs in a folder, in order: itself, the jobs of a multirun, or the runs in its sub-folders.
+
+    Raises:
+        ValueError: There is no such folder, or no run in it.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"there is no folder {folder}; name a run, a multirun or an evaluation")
+    found = [_run(folder)] if _is_run(folder) else list(_inside(folder))
+    if not found:
+        raise ValueError(
+            f"{folder} holds no runs; expected an evaluation (metrics.json), a training, or a multirun with its jobs"
+        )
+    return found
+
+
+def _inside(folder: Path) -> Iterator[Run]:
+    places = sorted((path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")), key=_order)
+    known = [path for path in places if _is_run(path)]
+    words = _expected(folder / SWEEP)
+    for number, overrides in enumerate(words):
+        if not (folder / str(number)).is_dir():
+            yield Run(folder / str(number), overrides, "missing")
+        elif folder / str(number) not in known:
+            yield Run(folder / str(number), overrides, "failed")
+    for path in known:
+        run = _run(path)
+        planned = path.name.isdigit() and int(path.name) < len(words)
+        yield Run(path, words[int(path.name)], run.state, run.evaluation, run.logged) if planned else run
+    if not known and not words:
+        for path in places:
+            yield from _inside(path)
+
+
+def _is_run(folder: Path) -> bool:
+    return (folder / record.FILE).is_file() or (folder / OVERRIDES).is_file() or bool(_evaluation(folder))
+
+
+def _run(folder: Path) -> Run:
+    evaluation = _evaluation(folder)
+    logged = _logged(folder / record.FILE)
+    trained = bool(logged) or any(folder.glob("*.safetensors"))
+    state: State = "finished" if evaluation or trained else "unfinished"
+    if state == "unfinished" and not any((folder / name).is_file() for name in _LEFT):
+        state = "failed"
+    return Run(folder, _words(folder / OVERRIDES), state, evaluation, logged)
+
+
+def _evaluation(folder: Path) -> Path | None:
+    inside = sorted(path.parent for path in folder.glob(f"*/{record.FILE}"))
+    return next((path for path in (folder, folder / "evaluation", *inside) if record.read(path) is not None), None)
+
+
+def _logged(path: Path) -> dict[str, float]:
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    if not isinstance(stored, dict) or isinstance(stored.get("provenance"), dict):
+        return {}
+    return {
+        str(name): math.nan if value is None else float(value)
+        for name, value in stored.items()
+        if value is None or isinstance(value, (int, float))
+    }
+
+
+def _words(path: Path) -> tuple[str, ...]:
+    try:
+        return tuple(str(word) for word in OmegaConf.to_container(OmegaConf.load(path)) or ())
+    except (OSError, ValueError, TypeError):
+        return ()
+
+
+def _expected(path: Path) -> list[tuple[str, ...]]:
+    """The overrides of every job that a multirun was to have, in Hydra's order; none where that is not known."""
+    if not path.is_file():
+        return []
+    from itertools import product
+
+    from hydra.core.override_parser.overrides_parser import OverridesParser
+    from hydra.errors import HydraException
+    from omegaconf.errors import OmegaConfBaseException
+
+    try:
+        words = [str(word) for word in OmegaConf.load(path).hydra.overrides.task]
+        parsed = OverridesParser.create().parse_overrides(words)
+        lists = [
+            [f"{item.get_key_element()}={value}" for value in item.sweep_string_iterator()]
+            if item.is_sweep_override()
+            else [str(item.input_line)]
+            for item in parsed
+        ]
+    except (OSError, HydraException, OmegaConfBaseException, AttributeError, TypeError):
+        return []
+    return [tuple(words) for words in product(*lists)]
+
+
+def _order(path: Path) -> tuple[int, str]:
+    return (int(path.name), "") if path.name.isdigit() else (1 << 30, path.name)
