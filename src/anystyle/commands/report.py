@@ -105,7 +105,10 @@ def _plot(
             for name in names:
                 panel = f"{scene} {name}".strip()
                 directions |= {panel: better[name]} if name in better else {}
-                groups.setdefault(title, {})[panel] = line.value(scene, name)
+                value = line.value(scene, name)
+                group = groups.setdefault(title, {})
+                # One method may have rows from several papers.
+                group[panel] = group.get(panel, value) if value != value else value
         colors[title] = _COLORS[line.origin]
     panels = list(dict.fromkeys(panel for group in groups.values() for panel, value in group.items() if value == value))
     if panels:

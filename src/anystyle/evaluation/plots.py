@@ -140,14 +140,14 @@ def bars(
         axis.barh(range(len(groups)), values, color=[colors[title] for title in groups], height=0.66)
         known = [value for value in values if not math.isnan(value)]
         for level, value in enumerate(values):
-            text = "no figure" if math.isnan(value) else number(value)
+            text = "–" if math.isnan(value) else number(value)
             axis.text(0 if math.isnan(value) else value, level, f" {text}", va="center", fontsize=6.5, color=_INK)
         if known:
             axis.set_xlim(
                 min(0, *known) * 1.3 if len(known) > 1 else min(0, known[0]) * 1.3, max(0, *known, 1e-9) * 1.3
             )
         axis.set_yticks(range(len(groups)), list(groups) if place % columns == 0 else [""] * len(groups), fontsize=7.5)
-        axis.invert_yaxis()
+        axis.set_ylim(len(groups) - 0.5, -0.5)
         axis.set_xticks([])
         axis.tick_params(axis="y", length=0)
         axis.set_title(titled(name, better), fontsize=8.5, color=_INK, loc="left")
