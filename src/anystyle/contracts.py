@@ -8,6 +8,7 @@ study's socket, :class:`anystyle.study.contract.StudyTest`, needs no torch and l
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import ClassVar, final
 
 import torch
@@ -205,6 +206,12 @@ class Metric(Socket, torchmetrics.Metric, ABC):
 
     better: ClassVar[Mapping[str, str]]
     """For each name that :meth:`compute` returns, ``higher`` or ``lower``."""
+
+    stand_ins: Mapping[str, str] = MappingProxyType({})
+    """Set by an instance: for each figure that a stand-in network computes, the network's name."""
+
+    weights: Mapping[str, str] = MappingProxyType({})
+    """Set by an instance: the SHA-256 of every file of weights that figures rest on, by the file's name."""
 
     @abstractmethod
     def update(self, comparison: Comparison) -> None:
