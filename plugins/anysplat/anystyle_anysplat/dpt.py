@@ -147,8 +147,9 @@ class Dpt(nn.Module):
         aspect = size[1] / size[0]
         maps = []
         for tokens, project, resize, reduce in zip(levels, self.projects, self.resize, self.reduce, strict=True):
-            small = project(tokens).mT.unflatten(2, grid)
-            maps.append(reduce(resize(add_positions_(small.contiguous(), aspect))))
+            # Tokens are a map whose channels lie side by side: convolutions keep that order, and are faster for it.
+            small = project(tokens).unflatten(1, grid).movedim(-1, 1)
+            maps.append(reduce(resize(add_positions_(small, aspect))))
         x = self.fusions[3](maps[3], None, _size(maps[2]))
         x = self.fusions[2](x, maps[2], _size(maps[1]))
         x = self.fusions[1](x, maps[1], _size(maps[0]))
@@ -156,9 +157,9 @@ class Dpt(nn.Module):
         x = self.fusions[0](x, maps[0], (2 * height, 2 * width))
         return _resize(self.neck(x), size)
 
-    def predict_(self, x: Float[Tensor, "M E H W"]) -> Float[Tensor, "M F H W"]:
+    def predict_(self, x: Float[Tensor, "M E H W"]) -> Float[Tensor, "M H W F"]:
         """The result from a decoded map, which is overwritten."""
-        return self.output(add_positions_(x, x.shape[-1] / x.shape[-2]))
+        return self.output(add_positions_(x, x.shape[-1] / x.shape[-2])).movedim(1, -1)
 
 
 def _size(x: Float[Tensor, "M C h w"]) -> tuple[int, int]:

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -57,18 +58,17 @@ class GaussianHead(contracts.GaussianHead):
         """Predict raw attributes; quaternions are xyzw."""
         batch, views = images.shape[:2]
         raw = by_views(lambda some: self._raw(features, images, inject, some), views, max(1, self.chunk // batch))
-        channels_last = raw.movedim(2, -1)  # B V H W F
         return Attributes(
-            opacity=raw[:, :, 0],
-            scale=channels_last[..., 1:4],
-            rotation=channels_last[..., 4:8],
-            color=channels_last[..., 8:-1].unflatten(-1, (3, self.coefficients)),
-            confidence=raw[:, :, -1],
+            opacity=raw[..., 0],
+            scale=raw[..., 1:4],
+            rotation=raw[..., 4:8],
+            color=raw[..., 8:-1].unflatten(-1, (3, self.coefficients)),
+            confidence=raw[..., -1],
         )
 
     def _raw(
         self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject, views: slice
-    ) -> Float[Tensor, "B v F H W"]:
+    ) -> Float[Tensor, "B v H W F"]:
         images = images[:, views].to(self.direct.weight.dtype)
         batch, count, _, height, width = images.shape
         levels = []
@@ -78,10 +78,11 @@ class GaussianHead(contracts.GaussianHead):
             styled = inject(_site(level), replace(tokens, data=patches, special=0))
             levels.append(styled.data.flatten(0, 1))
         decoded = self.dpt.decode(levels, features[self.taps[0]].grid, (height, width))
-        # Pixels as tokens are a view of the convolution's output: nothing is copied, with or without style.
-        direct = F.relu(self.direct(images.flatten(0, 1))).flatten(2).mT.unflatten(0, (batch, count))
+        # Channels lie side by side, so that pixels as tokens are a view: nothing is copied, with or without style.
+        pixels = images.flatten(0, 1).contiguous(memory_format=torch.channels_last)
+        direct = F.relu_(self.direct(pixels)).movedim(1, -1).flatten(1, 2).unflatten(0, (batch, count))
         direct = inject("head/direct", Tokens(direct, grid=(height, width))).data
-        direct = direct.flatten(0, 1).mT.unflatten(2, (height, width)).contiguous()
+        direct = direct.flatten(0, 1).unflatten(1, (height, width)).movedim(-1, 1)
         return self.dpt.predict_(decoded.add_(direct)).unflatten(0, (batch, count))
 
 

@@ -76,4 +76,4 @@ class GeometryHead(contracts.GeometryHead):
             levels = [self.depth.norm(level.patches[:, chosen].to(dtype)).flatten(0, 1) for level in tokens]
             return self.depth.predict_(self.depth.decode(levels, tokens[0].grid, size)).unflatten(0, (batch, -1))
 
-        return by_views(some, views, max(1, self.chunk // batch))
+        return by_views(some, views, max(1, self.chunk // batch)).movedim(-1, 2)
