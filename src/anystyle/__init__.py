@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from anystyle import types
+    from anystyle import types, weights
     from anystyle.registry.build import build
     from anystyle.registry.catalog import catalog, plugin
     from anystyle.stylizer import Stylizer
@@ -44,8 +44,8 @@ def load(model: str = "tiny", overrides: Sequence[str] = ()) -> "Stylizer":
 
 
 def __getattr__(name: str) -> Any:
-    if name == "types":
-        return importlib.import_module("anystyle.types")
+    if name in ("types", "weights"):
+        return importlib.import_module(f"anystyle.{name}")
     if name == "__version__":
         from importlib.metadata import version
 
@@ -61,4 +61,4 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-__all__ = ["Stylizer", "build", "catalog", "load", "plugin", "types"]
+__all__ = ["Stylizer", "build", "catalog", "load", "plugin", "types", "weights"]

@@ -76,6 +76,18 @@ def read_header(path: str | Path) -> Header:
     )
 
 
+def has_header(path: str | Path) -> bool:
+    """Whether a file is one of ours; other files hold weights under the names that their publishers gave them.
+
+    Raises:
+        ValueError: It is a truncated ``.safetensors`` file, or there is none.
+    """
+    if Path(path).suffix != ".safetensors":
+        return False
+    with _open(path) as file:
+        return (file.metadata() or {}).get("format") == FORMAT
+
+
 def load_part(path: str | Path, module: nn.Module, part: str) -> Header:
     """Load weights into a module, strictly.
 

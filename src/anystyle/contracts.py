@@ -9,7 +9,7 @@ study's socket, :class:`anystyle.study.contract.StudyTest`, needs no torch and l
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import ClassVar, final
+from typing import ClassVar, Protocol, final, runtime_checkable
 
 import torch
 import torchmetrics
@@ -93,6 +93,43 @@ class Adapter(nn.Module, ABC):
         """Activate and fuse. Differentiable in ``attributes``; linear work only in the number of Gaussians."""
 
 
+@runtime_checkable
+class Published(Protocol):
+    """The checkpoints that others published for a network: how they are told apart, and how they load.
+
+    Usually a module of a backbone's package with these functions. A state dict has the original names, with or without
+    the prefixes of its file. Functions raise a ValueError of one line where a state dict is of another network.
+    """
+
+    def placement(self, state: Mapping[str, Tensor]) -> str | None:
+        """The placement that the style branch in it was trained with; ``None`` if it holds none."""
+        ...
+
+    def options(self, state: Mapping[str, Tensor]) -> dict[str, object]:
+        """Options of the backbone whose weights these are, as far as shapes tell."""
+        ...
+
+    def injector_options(self, state: Mapping[str, Tensor], sites: Sequence[Site]) -> dict[str, dict[str, int]]:
+        """For each site, options of the injector whose weights these are; empty without a style branch."""
+        ...
+
+    def load_backbone(self, backbone: nn.Module, state: Mapping[str, Tensor]) -> None:
+        """Load the reconstruction network, strictly; a module on the meta device takes the tensors themselves."""
+        ...
+
+    def load_branch(self, branch: nn.Module, state: Mapping[str, Tensor]) -> None:
+        """Load the style branch, strictly."""
+        ...
+
+    def text_adapter(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """What a style encoder that the branch was trained with adds to its own weights; empty if nothing."""
+        ...
+
+    def complete(self, state: Mapping[str, Tensor]) -> bool:
+        """Whether the state dict holds all of the reconstruction network, or is an initialisation of parts of it."""
+        ...
+
+
 class Backbone(Socket, nn.Module, ABC):
     """A feed-forward reconstruction network in five parts.
 
@@ -108,6 +145,8 @@ class Backbone(Socket, nn.Module, ABC):
     patch_size: int
     resolution: int
     frozen: bool = False
+    published: ClassVar[Published | None] = None
+    """How checkpoints in the original layout load, where there are any."""
 
     @property
     @final
@@ -137,6 +176,19 @@ class Backbone(Socket, nn.Module, ABC):
         return super().train(mode and not self.frozen)
 
 
+@runtime_checkable
+class PublishedEncoder(Protocol):
+    """How a style encoder's weights load that others published."""
+
+    def load(self, encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
+        """Load original names, strictly; a module on the meta device takes the tensors themselves."""
+        ...
+
+    def load_text_adapter(self, encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
+        """Load what a style branch was trained with on top of them; see :meth:`Published.text_adapter`."""
+        ...
+
+
 class StyleEncoder(Socket, nn.Module, ABC):
     """Images and texts in one space.
 
@@ -145,6 +197,8 @@ class StyleEncoder(Socket, nn.Module, ABC):
 
     dim: int
     neutral: str
+    published: ClassVar[PublishedEncoder | None] = None
+    """How checkpoints in the original layout load, where there are any."""
 
     @abstractmethod
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
@@ -284,6 +338,8 @@ __all__ = [
     "Loss",
     "Metric",
     "Placement",
+    "Published",
+    "PublishedEncoder",
     "Renderer",
     "SceneSource",
     "StyleEncoder",

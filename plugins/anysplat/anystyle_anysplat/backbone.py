@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from torch import Tensor
 
@@ -68,6 +68,8 @@ class AnySplat(contracts.Backbone):
     Raises:
         ValueError: Options contradict each other.
     """
+
+    published: ClassVar[contracts.Published | None] = keys
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

@@ -1,18 +1,25 @@
 """The published checkpoints' names for our parameters, and strict loading by them.
 
-Two files are known: AnySplat's (keys ``encoder.…``, 1405 of them) and AnyStyle's Lightning checkpoints (keys
-``model.encoder.…``), which hold AnySplat and a style branch. Names here are without those prefixes.
+Three files are known: AnySplat's (keys ``encoder.…``, 1405 of them); AnyStyle's Lightning checkpoints (keys
+``model.encoder.…``), which hold AnySplat and a style branch; and VGGT's (keys without a prefix), which AnySplat's
+training starts from. Names here are without prefixes. This module is what
+:class:`anystyle.contracts.Published` asks for.
 """
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
+from anystyle.types import Site
+from anystyle_anysplat import shapes
+
 PREFIXES = ("model.encoder.", "encoder.")
 BACKBONE_PARTS = ("aggregator.", "camera_head.", "depth_head.", "gaussian_param_head.")
+VGGT_PARTS = ("point_head.", "track_head.")
+"""What VGGT's file holds and AnySplat drops."""
 BRANCH_PARTS = ("aggregator_injection.", "gaussian_param_head_style.")
 TEXT_ADAPTER = "text_adapter."
 UNUSED = ("aggregator.patch_embed.mask_token",)
@@ -94,14 +101,44 @@ def without_prefix(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     for key, tensor in state.items():
         name = next((key.removeprefix(prefix) for prefix in PREFIXES if key.startswith(prefix)), key)
         bare[name] = tensor
-    known = (*BACKBONE_PARTS, *BRANCH_PARTS, TEXT_ADAPTER)
+    known = (*BACKBONE_PARTS, *BRANCH_PARTS, *VGGT_PARTS, TEXT_ADAPTER)
     foreign = [name for name in bare if not name.startswith(known)]
-    if foreign:
+    if foreign or not bare:
         raise ValueError(
             f"the checkpoint has {len(foreign)} keys that are neither AnySplat's nor AnyStyle's ({_some(foreign)}); "
             "give the file of lhjiang/anysplat or a Lightning checkpoint of AnyStyle"
         )
     return bare
+
+
+def complete(state: Mapping[str, Tensor]) -> bool:
+    """Whether a state dict holds all of AnySplat; VGGT's lacks the Gaussian head."""
+    return not _of_vggt(without_prefix(state))
+
+
+def _of_vggt(names: Mapping[str, Tensor]) -> bool:
+    return "gaussian_param_head." not in {name[: name.find(".") + 1] for name in names}
+
+
+def options(state: Mapping[str, Tensor]) -> dict[str, object]:
+    """Options of the :class:`~anystyle_anysplat.AnySplat` whose weights these are; see :mod:`anystyle_anysplat.shapes`.
+
+    Raises:
+        ValueError: Tensors are missing that sizes are read off.
+    """
+    return shapes.options(without_prefix(state))
+
+
+def injector_options(state: Mapping[str, Tensor], sites: Sequence[Site]) -> dict[str, dict[str, int]]:
+    """Widths of the injectors in a checkpoint, by site; empty without a style branch."""
+    names = without_prefix(state)
+    layers = sorted(int(site.name.rpartition("/")[2]) for site in sites if site.name.startswith("aggregator/"))
+    found: dict[str, dict[str, int]] = {}
+    for site in sites:
+        weight = names.get(_published_branch(f"injectors.{site.name}.fc.0.weight", layers))
+        if weight is not None and weight.dim() == 2:
+            found[site.name] = {"hidden": weight.shape[0], "style_dim": weight.shape[1]}
+    return found
 
 
 def placement(state: Mapping[str, Tensor]) -> Literal["head", "full"] | None:
@@ -122,18 +159,22 @@ def text_adapter(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def load_backbone(backbone: nn.Module, state: Mapping[str, Tensor]) -> None:
-    """Load AnySplat's weights from either file into a backbone of the same options.
+    """Load AnySplat's weights from any of the files into a backbone of the same options.
+
+    Of VGGT's file, which is an initialisation, the Gaussian head stays as it is.
 
     Raises:
         ValueError: Keys or shapes differ; up to five of each kind of difference are named.
     """
     own = backbone.state_dict()
-    chosen = {
-        name: tensor
-        for name, tensor in without_prefix(state).items()
-        if name.startswith(BACKBONE_PARTS) and name not in UNUSED
-    }
-    _load(backbone, _matched(chosen, own, backbone_names(own), "backbone"))
+    given = without_prefix(state)
+    chosen = {name: tensor for name, tensor in given.items() if name.startswith(BACKBONE_PARTS) and name not in UNUSED}
+    names, what = backbone_names(own), "backbone"
+    if _of_vggt(given):
+        what = "backbone's part that VGGT initialises"
+        names = {key: name for key, name in names.items() if not name.startswith("gaussian_param_head.")}
+    matched = _matched(chosen, own, names, what)
+    _load(backbone, {key: tensor for key, tensor in own.items() if key not in matched} | matched)
 
 
 def load_branch(branch: nn.Module, state: Mapping[str, Tensor]) -> None:
@@ -144,11 +185,14 @@ def load_branch(branch: nn.Module, state: Mapping[str, Tensor]) -> None:
     """
     own = branch.state_dict()
     chosen = {name: tensor for name, tensor in without_prefix(state).items() if name.startswith(BRANCH_PARTS)}
-    _load(branch, _matched(chosen, own, branch_names(own), "style branch"))
+    trained = placement(state)
+    what = "style branch" if trained else "style branch, and holds none of its own"
+    hint = f"; it was trained with placement={trained}" if trained else ""
+    _load(branch, _matched(chosen, own, branch_names(own), what, hint))
 
 
 def _matched(
-    state: Mapping[str, Tensor], own: Mapping[str, Tensor], names: Mapping[str, str], what: str
+    state: Mapping[str, Tensor], own: Mapping[str, Tensor], names: Mapping[str, str], what: str, hint: str = ""
 ) -> dict[str, Tensor]:
     published = set(names.values())
     missing = [name for name in names.values() if name not in state]
@@ -164,7 +208,10 @@ def _matched(
         if found
     ]
     if differences:
-        raise ValueError(f"the checkpoint does not fit this {what}: {'; '.join(differences)}")
+        raise ValueError(
+            f"the checkpoint does not fit this {what}: {'; '.join(differences)}{hint} "
+            f"(expected: {len(names)} tensors in the layout of AnySplat and AnyStyle)"
+        )
     return {key: state[name].reshape(own[key].shape).to(own[key].dtype) for key, name in names.items()}
 
 

@@ -109,7 +109,6 @@ FILES: dict[str, WeightsFile] = {
         license=_TORCHVISION,
         source="https://download.pytorch.org/models/alexnet-owt-7be5be79.pth",
         sha256="7be5be79",
-        layout="alexnet",
     ),
     "vgg16": WeightsFile(
         file="vgg16-397923af.pth",
@@ -117,7 +116,6 @@ FILES: dict[str, WeightsFile] = {
         license=_TORCHVISION,
         source="https://download.pytorch.org/models/vgg16-397923af.pth",
         sha256="397923af",
-        layout="vgg16",
     ),
     "lpips_alex": WeightsFile(
         file="alex.pth",
@@ -125,7 +123,6 @@ FILES: dict[str, WeightsFile] = {
         license="BSD-2-Clause (Zhang et al. 2018)",
         source="the torchmetrics package",
         package="torchmetrics/functional/image/lpips_models/alex.pth",
-        layout="lpips",
     ),
     "lpips_vgg": WeightsFile(
         file="vgg.pth",
@@ -133,7 +130,6 @@ FILES: dict[str, WeightsFile] = {
         license="BSD-2-Clause (Zhang et al. 2018)",
         source="the torchmetrics package",
         package="torchmetrics/functional/image/lpips_models/vgg.pth",
-        layout="lpips",
     ),
     "art_inception": WeightsFile(
         file="art_inception.pth",
@@ -141,21 +137,18 @@ FILES: dict[str, WeightsFile] = {
         license="MIT (ArtFID, Wright and Ommer 2022); trained on WikiArt",
         source="https://huggingface.co/matthias-wright/art_inception/resolve/main/art_inception.pth",
         hub="matthias-wright/art_inception/art_inception.pth",
-        layout="art_inception",
     ),
     "art_score": WeightsFile(
         file="loss@listMLE_model@resnet50_denseLayer@True_batch_size@16_lr@0.0001_dropout@0.5_E_8.pth",
         purpose="art_score",
         license="as the ArtScore repository states (Chen et al. 2024)",
         source="https://github.com/jchen175/ArtScore",
-        layout="art_score",
     ),
     "raft_things": WeightsFile(
         file="raft-things.pth",
         purpose="correspondence=raft, which warp_consistency uses",
         license="BSD-3-Clause (RAFT, Teed and Deng 2020)",
         source="https://github.com/princeton-vl/RAFT (download_models.sh)",
-        layout="raft",
     ),
     "raft_large": WeightsFile(
         file="raft_large_C_T_V2-1bb1363a.pth",
@@ -163,7 +156,6 @@ FILES: dict[str, WeightsFile] = {
         license="BSD-3-Clause (torchvision)",
         source="https://download.pytorch.org/models/raft_large_C_T_V2-1bb1363a.pth",
         sha256="1bb1363a",
-        layout="raft",
     ),
     "texture": _ours("tiny_texture", "style losses of the tiny recipes", "tiny_perceptual"),
     "tiny_style_encoder": _ours("tiny_style_encoder", "style_encoder=tiny", "tiny_embedding"),
@@ -275,4 +267,16 @@ def verified(name: str, path: str | Path) -> bool | None:
         return hashlib.file_digest(file, "sha256").hexdigest().startswith(stated)
 
 
-__all__ = ["FILES", "FOLDERS", "WeightsFile", "files", "find", "folders", "missing", "places", "read", "row", "verified"]
+__all__ = [
+    "FILES",
+    "FOLDERS",
+    "WeightsFile",
+    "files",
+    "find",
+    "folders",
+    "missing",
+    "places",
+    "read",
+    "row",
+    "verified",
+]

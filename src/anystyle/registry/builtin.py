@@ -40,6 +40,7 @@ BUILTIN: dict[str, dict[str, str]] = {
     "backbone": {},
     "style_encoder": {
         "judge": "anystyle.style_encoders.judge:Judge",
+        "long_clip": "anystyle.style_encoders.long_clip:LongClip",
         "tiny": "anystyle.style_encoders.tiny:Tiny",
     },
     "placement": {

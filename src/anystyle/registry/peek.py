@@ -41,6 +41,15 @@ def peek(plugin: Plugin) -> Summary:
     return Summary(text.partition("\n")[0], tuple(_options(found, kind_named(plugin.kind).runtime)))
 
 
+def folder(plugin: Plugin) -> Path | None:
+    """The folder of a plugin's module; ``None`` where there is none."""
+    try:
+        file = None if plugin.defined is not None else _file(plugin.target.partition(":")[0], plugin.root)
+    except (ValueError, ImportError):
+        return None
+    return None if file is None else file.parent
+
+
 def _file(module: str, root: Path | None) -> Path | None:
     """The file of a module; no package on the way is imported, as ``find_spec`` of a dotted name would."""
     top, *rest = module.split(".")

@@ -1,0 +1,239 @@
+"""The published style encoder: Long-CLIP, its prompts averaged over templates."""
+
+import gzip
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.contracts import PublishedEncoder, StyleEncoder
+from anystyle.perception import bpe, weights
+from anystyle.perception.clip import Clip, load_clip
+
+TEMPLATES = (
+    "a photo of a {}.",
+    "a rendering of a {}.",
+    "a cropped photo of the {}.",
+    "the photo of a {}.",
+    "a photo of a clean {}.",
+    "a photo of a dirty {}.",
+    "a dark photo of the {}.",
+    "a photo of my {}.",
+    "a photo of the cool {}.",
+    "a close-up photo of a {}.",
+    "a bright photo of the {}.",
+    "a cropped photo of a {}.",
+    "a photo of the {}.",
+    "a good photo of the {}.",
+    "a photo of one {}.",
+    "a close-up photo of the {}.",
+    "a rendition of the {}.",
+    "a photo of the clean {}.",
+    "a rendition of a {}.",
+    "a photo of a nice {}.",
+    "a good photo of a {}.",
+    "a photo of the nice {}.",
+    "a photo of the small {}.",
+    "a photo of the weird {}.",
+    "a photo of the large {}.",
+    "a photo of a cool {}.",
+    "a photo of a small {}.",
+)
+"""The prompts of "imagenet_templates_small", which the published weights were trained with."""
+
+LOADED_SIDE = 256
+"""Pixels of the square that style images are brought to first, as published."""
+
+
+class TextAdapter(nn.Module):
+    """A residual MLP on the text tower's features, frozen as it was initialised; part of the published checkpoints.
+
+    Args:
+        dim: Of the features.
+    """
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.mlp = nn.Sequential(nn.Linear(dim, dim), nn.GELU(), nn.Linear(dim, dim))
+
+    def forward(self, features: Float[Tensor, "*batch D"]) -> Float[Tensor, "*batch D"]:
+        """Unit vectors of features that are not normalised."""
+        return F.normalize(features + self.mlp(features), dim=-1)
+
+
+class _Published:
+    """Loads Long-CLIP's or CLIP's file, and the text adapter of a style branch."""
+
+    def load(self, encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
+        assert isinstance(encoder, LongClip)
+        load_clip(encoder.network, state)
+
+    def load_text_adapter(self, encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
+        assert isinstance(encoder, LongClip)
+        own = {} if encoder.adapter is None else encoder.adapter.state_dict()
+        if {key: tensor.shape for key, tensor in own.items()} != {key: tensor.shape for key, tensor in state.items()}:
+            raise ValueError(
+                f"the checkpoint's text adapter has the tensors {sorted(state) or 'none'}, and the style encoder's "
+                f"{sorted(own) or 'none'}; set style_encoder.text_adapter={str(bool(state)).lower()}"
+            )
+        if encoder.adapter is not None:
+            given = {key: tensor.to(own[key].dtype) for key, tensor in state.items()}
+            encoder.adapter.load_state_dict(given, assign=True)
+
+
+class LongClip(StyleEncoder):
+    """Long-CLIP ViT-B/32: images and texts of up to 248 tokens in one space of 512 dimensions.
+
+    A text is put into 27 templates, whose embeddings are averaged. With ``context=77`` it is CLIP itself.
+
+    Args:
+        context: Tokens of the longest text, template included. Weights of CLIP, which reads 77, are stretched to 248.
+        templates: ``small``, the published 27, or ``none``.
+        neutral: The prompt that stands for no style.
+        text_adapter: Whether texts pass a residual MLP, whose weights come with a style branch. Published branches need
+            it; it is left as initialised where nothing is loaded into it.
+        activation: ``quick_gelu``, as OpenAI's and Long-CLIP's weights need, or ``gelu``, as most of OpenCLIP's do.
+        vocabulary: File of the tokeniser's merges; where it is not given, ``clip_vocabulary`` of ``anystyle weights``.
+        vocabulary_size: Tokens there are.
+        dim: Of the space.
+        text_width: Channels of the text tower, a multiple of 64.
+        text_layers: Its blocks.
+        image_width: Channels of the image tower, a multiple of 64.
+        image_layers: Its blocks.
+        patch_size: Pixels a patch.
+        resolution: Side of the images that the tower sees, in pixels.
+        batch: Prompts embedded at a time; a matter of memory alone.
+    """
+
+    published: ClassVar[PublishedEncoder | None] = _Published()
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """Two thin layers a tower, and a vocabulary of three merges."""
+        merges = gzip.compress(b"#version: 0.2\nr e\nre d</w>\no f</w>\n", mtime=0)
+        (folder / "vocabulary.txt.gz").write_bytes(merges)
+        return {
+            "vocabulary": str(folder / "vocabulary.txt.gz"),
+            "vocabulary_size": 512 + 3 + 2,
+            "dim": 16,
+            "text_width": 64,
+            "text_layers": 2,
+            "image_width": 64,
+            "image_layers": 2,
+            "patch_size": 16,
+            "resolution": 32,
+        }
+
+    def __init__(
+        self,
+        *,
+        context: int = 248,
+        templates: Literal["small", "none"] = "small",
+        neutral: str = "a Photo",
+        text_adapter: bool = False,
+        activation: Literal["quick_gelu", "gelu"] = "quick_gelu",
+        vocabulary: str | None = None,
+        vocabulary_size: int = 49408,
+        dim: int = 512,
+        text_width: int = 512,
+        text_layers: int = 12,
+        image_width: int = 768,
+        image_layers: int = 12,
+        patch_size: int = 32,
+        resolution: int = 224,
+        batch: int = 108,
+    ) -> None:
+        super().__init__()
+        self.dim, self.neutral = dim, neutral
+        self.templates = TEMPLATES if templates == "small" else ("{}",)
+        self.vocabulary, self.vocabulary_size = vocabulary, vocabulary_size
+        self.batch = batch
+        self.network = Clip(
+            context=context,
+            vocabulary=vocabulary_size,
+            text_width=text_width,
+            text_layers=text_layers,
+            image_width=image_width,
+            image_layers=image_layers,
+            patch_size=patch_size,
+            resolution=resolution,
+            dim=dim,
+            activation=activation,
+        )
+        self.adapter = TextAdapter(dim) if text_adapter else None
+        self._neutral: tuple[tuple[object, ...], Tensor] | None = None
+
+    def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
+        """See :meth:`StyleEncoder.embed_images`.
+
+        Images go through a square of 256 pixels, cropped at the centre, as published. One that has the tower's size
+        already is taken as it is: losses bring theirs to that size in their own way.
+        """
+        side = self.network.resolution
+        if images.shape[-2:] != (side, side):
+            images = centre(resized(images, LOADED_SIDE, "bilinear"), LOADED_SIDE)
+            images = resized(images, side, "bicubic")
+        return F.normalize(self.network.embed_pixels(images), dim=-1)
+
+    def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
+        """See :meth:`StyleEncoder.embed_texts`; that of the neutral prompt alone is kept.
+
+        Raises:
+            ValueError: A text is empty, or too long with its template.
+            FileNotFoundError: The vocabulary is missing.
+        """
+        if list(texts) != [self.neutral] or torch.is_grad_enabled():
+            return self._embed(texts)
+        weight = self.network.text_projection
+        state = (weight.data_ptr(), weight._version, weight.device, weight.dtype, self.adapter)
+        if self._neutral is None or self._neutral[0] != state:
+            self._neutral = (state, self._embed(texts))
+        return self._neutral[1].clone()
+
+    def features(self, prompts: Sequence[str]) -> Float[Tensor, "N D"]:
+        """The text tower's features of prompts as they are: no template, no adapter, not normalised."""
+        tokens = self.tokens(prompts).to(self.network.text_projection.device)
+        return torch.cat([self.network.embed_tokens(some) for some in tokens.split(self.batch)])
+
+    def tokens(self, prompts: Sequence[str]) -> Tensor:
+        """Numbers of the tokens of prompts, N L, padded with 0 behind the last one."""
+        file = weights.find("clip_vocabulary") if self.vocabulary is None else Path(self.vocabulary)
+        tokenizer = bpe.load(file, self.vocabulary_size)
+        rows = [tokenizer.encode(prompt) for prompt in prompts]
+        for prompt, row in zip(prompts, rows, strict=True):
+            if len(row) > self.network.context:
+                raise ValueError(
+                    f"the text {prompt[:40]!r}… has {len(row)} tokens, template included, and at most "
+                    f"{self.network.context} are read; shorten it"
+                )
+        tokens = torch.zeros(len(rows), max(map(len, rows)), dtype=torch.long)
+        for place, row in enumerate(rows):
+            tokens[place, : len(row)] = torch.tensor(row)
+        return tokens
+
+    def _embed(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
+        if not texts or any(not text.strip() for text in texts):
+            raise ValueError("a text is empty; describe a style in words")
+        prompts = [template.replace("{}", text) for text in texts for template in self.templates]
+        features = self.features(prompts)
+        if self.adapter is not None:
+            features = self.adapter(features)
+        return F.normalize(features.unflatten(0, (len(texts), -1)).mean(1), dim=-1)
+
+
+def resized(images: Float[Tensor, "M 3 H W"], side: int, mode: str) -> Float[Tensor, "M 3 h w"]:
+    """Images whose shorter side is ``side`` pixels, the longer rounded down."""
+    height, width = images.shape[-2:]
+    short = min(height, width)
+    size = (int(side * height / short), int(side * width / short))
+    return images if size == (height, width) else F.interpolate(images, size=size, mode=mode, antialias=True)
+
+
+def centre(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "M 3 side side"]:
+    """The square in the middle."""
+    top, left = (round((length - side) / 2) for length in images.shape[-2:])
+    return images[..., top : top + side, left : left + side]
