@@ -1,0 +1,114 @@
+"""The later blocks of the trunk: within each view and across all views by turns."""
+
+from collections.abc import Sequence
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.utils.checkpoint import checkpoint
+
+from anystyle import contracts
+from anystyle.types import Features, Inject, Site, Tokens, untouched
+from anystyle_depth_anything.attention import Block, start_as_dino
+from anystyle_depth_anything.reference_view import in_order
+from anystyle_depth_anything.rope import Rotary, flat_positions, grid_positions, rotary
+
+
+class Aggregator(contracts.Aggregator):
+    """Blocks of which the odd ones, counted over the whole trunk, see all views, and the even ones a view each.
+
+    Style may enter ahead of every block, on the residual stream. Marked as tapped are the first block and, for each
+    layer that heads read, the local block whose output is the first half of what they read, so that style is in both
+    halves. A tapped feature is the last local block's output and the normalised stream, side by side in the channels;
+    its leading token, which cameras are read off, is not normalised.
+
+    Args:
+        dim: Channels.
+        start: The first block's place in the trunk.
+        depth: Of the trunk.
+        heads: Attention heads; ``dim / heads`` is a multiple of 4.
+        ffn: Kind of feed-forward layer.
+        mlp_ratio: Its width, in ``dim``.
+        layer_scale: Initial LayerScale.
+        rope_base: Of the frequencies of the rotary position embedding.
+        taps: The layers that heads read, in rising order.
+        checkpointing: Whether training recomputes blocks in the backward pass to save memory.
+    """
+
+    def __init__(
+        self,
+        *,
+        dim: int,
+        start: int,
+        depth: int,
+        heads: int,
+        ffn: Literal["mlp", "swiglu"],
+        mlp_ratio: float,
+        layer_scale: float,
+        rope_base: float,
+        taps: Sequence[int],
+        checkpointing: bool,
+    ) -> None:
+        super().__init__()
+        self.dim, self.head_dim = dim, dim // heads
+        self.start, self.depth = start, depth
+        self.taps = tuple(taps)
+        self.rope_base = rope_base
+        self.checkpointing = checkpointing
+        # By their places in the trunk, which is what checkpoints call them.
+        self.blocks = nn.ModuleDict(
+            {
+                str(layer): Block(
+                    dim, heads, mlp_ratio=mlp_ratio, layer_scale=layer_scale, ffn=ffn, qk_norm=True, eps=1e-6
+                )
+                for layer in range(start, depth)
+            }
+        )
+        self.norm = nn.LayerNorm(dim)
+        start_as_dino(self.blocks)
+
+    @property
+    def sites(self) -> tuple[Site, ...]:
+        """``aggregator/<block>``, ahead of every block."""
+        tapped = {self.start, *(max(self.start, layer - layer % 2) for layer in self.taps)}
+        return tuple(Site(_site(layer), self.dim, tapped=layer in tapped) for layer in range(self.start, self.depth))
+
+    def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
+        """Turn the stem into tapped features, in the order of the input views."""
+        batch, views = stem.data.shape[:2]
+        within, across = (
+            rotary(positions(stem.grid), self.head_dim, base=self.rope_base, like=stem.data)
+            for positions in (grid_positions, flat_positions)
+        )
+        across = Rotary(across.cos.repeat(views, 1), across.sin.repeat(views, 1))
+        tokens, local = stem, stem.data
+        features: dict[int, Tokens] = {}
+        for layer in range(self.start, self.depth):
+            tokens, block = inject(_site(layer), tokens), self.blocks[str(layer)]
+            if layer % 2:
+                joint = self._run(block, tokens.data.flatten(1, 2), across)  # B VP C
+                tokens = tokens.with_data(joint.unflatten(1, (views, -1)))
+            else:
+                local = self._run(block, tokens.data.flatten(0, 1), within).unflatten(0, (batch, views))
+                tokens = tokens.with_data(local)
+            if layer in self.taps:
+                features[layer] = self._tapped(local, tokens)
+        return features
+
+    def _tapped(self, local: Float[Tensor, "B V P C"], tokens: Tokens) -> Tokens:
+        leading = torch.cat([local[:, :, :1], tokens.data[:, :, :1]], dim=-1)
+        patches = torch.cat([local[:, :, 1:], self.norm(tokens.patches)], dim=-1)
+        data = torch.cat([leading, patches], dim=2)
+        if tokens.order is not None:
+            data = in_order(data, tokens.order.argsort(dim=1))
+        return Tokens(data, grid=tokens.grid, special=1)
+
+    def _run(self, block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary) -> Float[Tensor, "M L C"]:
+        if self.checkpointing and self.training and torch.is_grad_enabled():
+            return checkpoint(block, x, angles, use_reentrant=False)
+        return block(x, angles)
+
+
+def _site(layer: int) -> str:
+    return f"aggregator/{layer}"

@@ -1,0 +1,130 @@
+"""The transformer block of DINOv2, with the two kinds of feed-forward layer that its sizes use."""
+
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle_depth_anything.rope import Rotary, rotate
+
+
+class Attention(nn.Module):
+    """Multi-head self-attention.
+
+    Args:
+        dim: Channels.
+        heads: Heads, a divisor of ``dim``.
+        qk_norm: Whether queries and keys are normalised per head, ahead of the rotation.
+    """
+
+    def __init__(self, dim: int, heads: int, *, qk_norm: bool) -> None:
+        super().__init__()
+        self.heads = heads
+        self.qkv = nn.Linear(dim, 3 * dim)
+        self.q_norm = nn.LayerNorm(dim // heads) if qk_norm else nn.Identity()
+        self.k_norm = nn.LayerNorm(dim // heads) if qk_norm else nn.Identity()
+        self.proj = nn.Linear(dim, dim)
+
+    def forward(self, x: Float[Tensor, "M L C"], angles: Rotary | None = None) -> Float[Tensor, "M L C"]:
+        """Attend over L."""
+        q, k, v = self.qkv(x).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)  # each M heads L E
+        q, k = self.q_norm(q), self.k_norm(k)
+        if angles is not None:
+            q, k = rotate(q, angles), rotate(k, angles)
+        # Under autocast the norms leave queries and keys in another precision than values.
+        mixed = F.scaled_dot_product_attention(q.to(v.dtype), k.to(v.dtype), v)
+        return self.proj(mixed.transpose(1, 2).flatten(2))
+
+
+class Mlp(nn.Module):
+    """Two linear layers with a GELU between."""
+
+    def __init__(self, dim: int, hidden: int, out_dim: int) -> None:
+        super().__init__()
+        self.fc1 = nn.Linear(dim, hidden)
+        self.fc2 = nn.Linear(hidden, out_dim)
+
+    def forward(self, x: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch D"]:
+        """Map each token."""
+        return self.fc2(F.gelu(self.fc1(x)))
+
+
+class SwiGlu(nn.Module):
+    """A gated feed-forward layer, as DINOv2's largest size has it (Shazeer, arXiv 2002.05202).
+
+    Args:
+        dim: Channels.
+        hidden: Of an MLP with as many parameters; two thirds of it, rounded up to a multiple of 8, are gated.
+    """
+
+    def __init__(self, dim: int, hidden: int) -> None:
+        super().__init__()
+        width = (int(hidden * 2 / 3) + 7) // 8 * 8
+        self.w12 = nn.Linear(dim, 2 * width)
+        self.w3 = nn.Linear(width, dim)
+
+    def forward(self, x: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:
+        """Map each token."""
+        gate, value = self.w12(x).chunk(2, dim=-1)
+        return self.w3(F.silu(gate) * value)
+
+
+class LayerScale(nn.Module):
+    """A learnt gain a channel."""
+
+    def __init__(self, dim: int, initial: float) -> None:
+        super().__init__()
+        self.gamma = nn.Parameter(torch.full((dim,), initial))
+
+    def forward(self, x: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:
+        """Scale each channel."""
+        return x * self.gamma
+
+
+class Block(nn.Module):
+    """A pre-norm transformer block with LayerScale.
+
+    Args:
+        dim: Channels.
+        heads: Attention heads.
+        mlp_ratio: Width of the feed-forward layer, in ``dim``.
+        layer_scale: Initial LayerScale.
+        ffn: Kind of the feed-forward layer.
+        qk_norm: Whether queries and keys are normalised.
+        eps: Of the layer norms.
+    """
+
+    def __init__(
+        self,
+        dim: int,
+        heads: int,
+        *,
+        mlp_ratio: float,
+        layer_scale: float,
+        ffn: Literal["mlp", "swiglu"] = "mlp",
+        qk_norm: bool = False,
+        eps: float = 1e-5,
+    ) -> None:
+        super().__init__()
+        hidden = int(dim * mlp_ratio)
+        self.norm1 = nn.LayerNorm(dim, eps=eps)
+        self.attn = Attention(dim, heads, qk_norm=qk_norm)
+        self.ls1 = LayerScale(dim, layer_scale)
+        self.norm2 = nn.LayerNorm(dim, eps=eps)
+        self.mlp = SwiGlu(dim, hidden) if ffn == "swiglu" else Mlp(dim, hidden, dim)
+        self.ls2 = LayerScale(dim, layer_scale)
+
+    def forward(self, x: Float[Tensor, "M L C"], angles: Rotary | None = None) -> Float[Tensor, "M L C"]:
+        """Attend, then map each token; both added to the input."""
+        x = x + self.ls1(self.attn(self.norm1(x), angles))
+        return x + self.ls2(self.mlp(self.norm2(x)))
+
+
+def start_as_dino(module: nn.Module) -> None:
+    """Give the linear layers of blocks DINOv2's initial values."""
+    for layer in module.modules():
+        if isinstance(layer, nn.Linear):
+            nn.init.trunc_normal_(layer.weight, std=0.02)
+            nn.init.zeros_(layer.bias)

@@ -1,0 +1,209 @@
+"""The network: five parts, and every option that its weights fix."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from types import ModuleType
+from typing import ClassVar, Literal
+
+from torch import Tensor
+
+from anystyle import contracts
+from anystyle_depth_anything import keys
+from anystyle_depth_anything.adapter import Adapter
+from anystyle_depth_anything.aggregator import Aggregator
+from anystyle_depth_anything.cameras import CameraEncoder
+from anystyle_depth_anything.embedder import Embedder
+from anystyle_depth_anything.gaussian_head import GaussianHead
+from anystyle_depth_anything.geometry_head import GeometryHead
+from anystyle_depth_anything.scratch import start_from_scratch, start_gaussians
+
+
+class DepthAnything(contracts.Backbone):
+    """Cameras, depth and one Gaussian a pixel of photographs, in one pass (Depth Anything 3, arXiv 2511.10647).
+
+    The defaults are the largest published network, DA3-GIANT of 1.36 billion parameters, the only one with a Gaussian
+    head. The published weights fix every option but ``reference``, ``chunk`` and ``checkpointing``.
+
+    Args:
+        resolution: Shorter side, in pixels, that the weights were made for; published pictures have a longer side of
+            504, which at 4:3 is this.
+        patch_size: Pixels a patch; image sides are multiples of it.
+        native_resolution: Side of the square image that position embeddings are stored for; others are resampled.
+        dim: Channels of the trunk.
+        depth: Blocks of the trunk.
+        heads: Attention heads of the trunk.
+        ffn: Feed-forward layers of the trunk.
+        mlp_ratio: Their width, in channels; gated ones have two thirds of it.
+        layer_scale: Initial LayerScale of the trunk.
+        alternate_from: The block that the aggregator starts with: from here on every odd block sees all views.
+        rope_base: Of the frequencies of the rotary position embedding.
+        reference: How the view is chosen that others are seen from, where there are three or more; see
+            :func:`anystyle_depth_anything.reference_view.reference_view`.
+        taps: The four layers that the heads read; the last is the trunk's last.
+        camera_encoder_depth: Blocks of the encoder of known cameras; at 0 there is none.
+        camera_encoder_heads: Its attention heads.
+        rays: Whether the geometry head has the chain that tells rays.
+        depth_features: Channels of the depth head's decoder.
+        depth_channels: Channels of its four levels.
+        gaussian_features: Channels of the Gaussian head's decoder.
+        gaussian_channels: Channels of its four levels.
+        sh_degree: Of its harmonics.
+        depth_along: How the adapter reads depth; see :class:`anystyle_depth_anything.adapter.Adapter`.
+        rotations: How it reads quaternions.
+        scale_min: Least scale of a Gaussian, in tenths of the sum of a pixel's sides at its depth.
+        scale_max: Largest scale, in the same unit.
+        chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; a matter of memory alone.
+        checkpointing: Whether training recomputes blocks of the aggregator to save memory.
+        init: ``published``: initial values as DINOv2's; ``scratch``: values from which photographs are reproduced on
+            a plane at depth 1, for training without pretrained weights (see
+            :func:`anystyle_depth_anything.scratch.start_from_scratch`). The computation is the same.
+
+    Raises:
+        ValueError: Options contradict each other.
+    """
+
+    published: ClassVar[ModuleType] = keys
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """A few thin layers for small images."""
+        return {
+            "resolution": 56,
+            "native_resolution": 56,
+            "dim": 32,
+            "depth": 8,
+            "heads": 2,
+            "ffn": "mlp",
+            "alternate_from": 3,
+            "layer_scale": 0.5,
+            "taps": (4, 5, 6, 7),
+            "camera_encoder_depth": 1,
+            "camera_encoder_heads": 2,
+            "depth_features": 16,
+            "depth_channels": (8, 8, 8, 8),
+            "gaussian_features": 32,
+            "gaussian_channels": (8, 8, 8, 8),
+            "sh_degree": 1,
+            "init": "scratch",
+        }
+
+    def __init__(
+        self,
+        *,
+        resolution: int = 378,
+        patch_size: int = 14,
+        native_resolution: int = 518,
+        dim: int = 1536,
+        depth: int = 40,
+        heads: int = 24,
+        ffn: Literal["mlp", "swiglu"] = "swiglu",
+        mlp_ratio: float = 4.0,
+        layer_scale: float = 1.0,
+        alternate_from: int = 13,
+        rope_base: float = 100.0,
+        reference: Literal["saddle_balanced", "saddle_sim_range", "middle", "first"] = "saddle_balanced",
+        taps: Sequence[int] = (19, 27, 33, 39),
+        camera_encoder_depth: int = 4,
+        camera_encoder_heads: int = 16,
+        rays: bool = True,
+        depth_features: int = 256,
+        depth_channels: Sequence[int] = (256, 512, 1024, 1024),
+        gaussian_features: int = 256,
+        gaussian_channels: Sequence[int] = (256, 512, 1024, 1024),
+        sh_degree: int = 2,
+        depth_along: Literal["ray", "z"] = "ray",
+        rotations: Literal["published", "camera"] = "published",
+        scale_min: float = 1e-5,
+        scale_max: float = 30.0,
+        chunk: int = 4,
+        checkpointing: bool = False,
+        init: Literal["published", "scratch"] = "published",
+    ) -> None:
+        super().__init__()
+        _check(dim=dim, heads=heads, depth=depth, alternate_from=alternate_from, taps=taps)
+        if init == "scratch" and gaussian_features < 24:
+            raise ValueError(f"gaussian_features is {gaussian_features}; init=scratch needs 24, for three colours")
+        for features, channels in ((depth_features, depth_channels), (gaussian_features, gaussian_channels)):
+            _check_decoder(features, channels)
+        if camera_encoder_depth and dim % camera_encoder_heads:
+            raise ValueError(f"camera_encoder_heads is {camera_encoder_heads}, which does not divide {dim} channels")
+        if chunk < 1:
+            raise ValueError(f"chunk is {chunk}; at least 1 view is decoded at a time")
+        self.patch_size = patch_size
+        self.resolution = resolution
+        self.embedder = Embedder(
+            dim=dim,
+            depth=alternate_from,
+            heads=heads,
+            ffn=ffn,
+            mlp_ratio=mlp_ratio,
+            layer_scale=layer_scale,
+            patch_size=patch_size,
+            grid=native_resolution // patch_size,
+            reference=reference,
+            camera_encoder=CameraEncoder(dim=dim, depth=camera_encoder_depth, heads=camera_encoder_heads, mlp_ratio=4.0)
+            if camera_encoder_depth
+            else None,
+        )
+        self.aggregator = Aggregator(
+            dim=dim,
+            start=alternate_from,
+            depth=depth,
+            heads=heads,
+            ffn=ffn,
+            mlp_ratio=mlp_ratio,
+            layer_scale=layer_scale,
+            rope_base=rope_base,
+            taps=taps,
+            checkpointing=checkpointing,
+        )
+        self.geometry_head = GeometryHead(
+            dim=2 * dim,
+            features=depth_features,
+            channels=depth_channels,
+            rays=rays,
+            taps=taps,
+            chunk=2 * chunk,
+        )
+        self.gaussian_head = GaussianHead(
+            dim=2 * dim,
+            features=gaussian_features,
+            channels=gaussian_channels,
+            sh_degree=sh_degree,
+            taps=taps,
+            chunk=chunk,
+        )
+        self.adapter = Adapter(depth_along=depth_along, rotations=rotations, scale_min=scale_min, scale_max=scale_max)
+        if init == "scratch":
+            start_from_scratch(self.embedder, self.geometry_head)
+            start_gaussians(self.gaussian_head, scale_min=scale_min, scale_max=scale_max)
+
+    def load_reference(self, state: Mapping[str, Tensor]) -> None:
+        """Load the published weights: the state dict of a checkpoint, with or without the prefixes of its file.
+
+        Where a checkpoint has no Gaussian head, ours stays as it is: train it.
+
+        Raises:
+            ValueError: They do not fit; up to five missing, unexpected and misshapen keys are named.
+        """
+        keys.load_backbone(self, state)
+
+
+def _check(*, dim: int, heads: int, depth: int, alternate_from: int, taps: Sequence[int]) -> None:
+    if dim % (4 * heads):
+        raise ValueError(f"dim {dim} with {heads} heads; the channels of a head must be a multiple of 4")
+    if not 1 <= alternate_from < depth:
+        raise ValueError(f"alternate_from is {alternate_from}; give a block from 1 to depth - 1 = {depth - 1}")
+    if len(taps) != 4 or list(taps) != sorted(set(taps)) or taps[0] < alternate_from or taps[-1] != depth - 1:
+        raise ValueError(
+            f"taps are {list(taps)}; give four layers in rising order, from alternate_from = {alternate_from} on, of "
+            f"which the last is depth - 1 = {depth - 1}"
+        )
+
+
+def _check_decoder(features: int, channels: Sequence[int]) -> None:
+    if features % 8 or len(channels) != 4 or any(width % 4 for width in channels):
+        raise ValueError(
+            f"a decoder of {features} features and levels of {list(channels)} channels; features must be a multiple "
+            "of 8, and the four levels multiples of 4"
+        )

@@ -1,0 +1,59 @@
+"""From camera tokens to cameras, and from known cameras to camera tokens."""
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.types import Cameras
+from anystyle_depth_anything.attention import Block, Mlp
+from anystyle_depth_anything.pose import encode_pose
+
+
+class CameraDecoder(nn.Module):
+    """Reads pose encodings off camera tokens, in one pass.
+
+    Args:
+        dim: Channels of the tokens.
+    """
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.trunk = nn.Sequential(nn.Linear(dim, dim), nn.ReLU(), nn.Linear(dim, dim), nn.ReLU())
+        self.translation = nn.Linear(dim, 3)
+        self.quaternion = nn.Linear(dim, 4)
+        self.field_of_view = nn.Linear(dim, 2)
+
+    def forward(self, tokens: Float[Tensor, "B V C"]) -> Float[Tensor, "B V 9"]:
+        """Pose encodings (layout: :mod:`anystyle_depth_anything.pose`)."""
+        x = self.trunk(tokens)
+        return torch.cat([self.translation(x), self.quaternion(x), F.relu(self.field_of_view(x))], dim=-1)
+
+
+class CameraEncoder(nn.Module):
+    """Camera tokens of known cameras, which take the place of the learnt ones.
+
+    Args:
+        dim: Channels of the tokens.
+        depth: Blocks; they attend across views.
+        heads: Attention heads.
+        mlp_ratio: Width of the blocks' MLPs.
+    """
+
+    def __init__(self, *, dim: int, depth: int, heads: int, mlp_ratio: float) -> None:
+        super().__init__()
+        self.pose_branch = Mlp(9, dim // 2, dim)
+        self.token_norm = nn.LayerNorm(dim)
+        self.trunk = nn.ModuleList(Block(dim, heads, mlp_ratio=mlp_ratio, layer_scale=0.01) for _ in range(depth))
+        self.trunk_norm = nn.LayerNorm(dim)
+
+    def forward(self, cameras: Cameras) -> Float[Tensor, "B V C"]:
+        """One token a view.
+
+        Args:
+            cameras: In the frame of the first view, at a scale where their median distance from it is 1.
+        """
+        x = self.token_norm(self.pose_branch(encode_pose(cameras).to(self.token_norm.weight.dtype)))
+        for block in self.trunk:
+            x = block(x)
+        return self.trunk_norm(x)

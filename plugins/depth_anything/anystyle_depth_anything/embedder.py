@@ -1,0 +1,145 @@
+"""From photographs to the tokens that enter the first alternating block."""
+
+import math
+from dataclasses import replace
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle import contracts
+from anystyle.types import Cameras, Tokens
+from anystyle_depth_anything.attention import Block, start_as_dino
+from anystyle_depth_anything.cameras import CameraEncoder
+from anystyle_depth_anything.reference_view import LEAST_VIEWS, Strategy, in_order, order_of, reference_view
+
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+OFFSET = 0.1
+"""Added to the sides of a grid of patches where position embeddings are resampled, as DINOv2 was trained."""
+
+
+def normalised(images: Float[Tensor, "*batch 3 H W"]) -> Float[Tensor, "*batch 3 H W"]:
+    """Images in [0, 1] with the mean and deviation of ImageNet's taken off."""
+    mean, std = images.new_tensor(IMAGENET_MEAN), images.new_tensor(IMAGENET_STD)
+    return (images - mean[:, None, None]) / std[:, None, None]
+
+
+class Embedder(contracts.Embedder):
+    """DINOv2's blocks up to the first alternating one, reference-view selection and camera tokens.
+
+    Ahead of its last block the reference view is chosen, and the views reordered so that it comes first. In the stem a
+    camera token has taken the place of the class token.
+
+    Args:
+        dim: Channels.
+        depth: Blocks, at least 1.
+        heads: Attention heads.
+        ffn: Kind of feed-forward layer.
+        mlp_ratio: Its width, in ``dim``.
+        layer_scale: Initial LayerScale.
+        patch_size: Pixels a patch.
+        grid: Side, in patches, of the square grid that position embeddings are stored for.
+        reference: How the reference view is chosen.
+        camera_encoder: Makes camera tokens of known cameras.
+    """
+
+    def __init__(
+        self,
+        *,
+        dim: int,
+        depth: int,
+        heads: int,
+        ffn: Literal["mlp", "swiglu"],
+        mlp_ratio: float,
+        layer_scale: float,
+        patch_size: int,
+        grid: int,
+        reference: Strategy,
+        camera_encoder: CameraEncoder | None,
+    ) -> None:
+        super().__init__()
+        self.patch_size, self.grid = patch_size, grid
+        self.reference: Strategy = reference
+        self.proj = nn.Conv2d(3, dim, patch_size, stride=patch_size)
+        self.cls_token = nn.Parameter(torch.empty(1, 1, dim))
+        self.camera_token = nn.Parameter(torch.empty(1, 2, dim))
+        self.pos_embed = nn.Parameter(torch.empty(1, 1 + grid**2, dim))
+        self.blocks = nn.ModuleList(
+            Block(dim, heads, mlp_ratio=mlp_ratio, layer_scale=layer_scale, ffn=ffn, eps=1e-6) for _ in range(depth)
+        )
+        self.camera_encoder = camera_encoder
+        nn.init.normal_(self.cls_token, std=1e-6)
+        nn.init.normal_(self.camera_token, std=0.02)
+        nn.init.trunc_normal_(self.pos_embed, std=0.02)
+        start_as_dino(self.blocks)
+
+    def forward(self, images: Float[Tensor, "B V 3 H W"], cameras: Cameras | None = None) -> Tokens:
+        """Embed sRGB images in [0, 1].
+
+        Args:
+            images: As in the contract.
+            cameras: Known ones, as :class:`~anystyle_depth_anything.cameras.CameraEncoder` reads them; the first view
+                is then the reference.
+
+        Raises:
+            ValueError: A side is no multiple of the patch size, or cameras are given and there is no encoder of them.
+        """
+        tokens = self.patches(images)
+        for block in self.blocks[:-1]:
+            tokens = self._local(block, tokens)
+        if cameras is None:
+            tokens = self.reordered(tokens)
+        tokens = self._local(self.blocks[-1], tokens)
+        batch, views = images.shape[:2]
+        camera = self._camera_tokens(cameras, views).to(tokens.data.dtype).expand(batch, -1, -1)
+        return tokens.with_data(torch.cat([camera[:, :, None], tokens.patches], dim=2))
+
+    def patches(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
+        """Class token and patches, with positions added.
+
+        Raises:
+            ValueError: A side is no multiple of the patch size.
+        """
+        batch, views, _, height, width = images.shape
+        grid = (height // self.patch_size, width // self.patch_size)
+        if (height, width) != (grid[0] * self.patch_size, grid[1] * self.patch_size) or math.prod(grid) == 0:
+            raise ValueError(
+                f"images are {height}x{width} pixels; both sides must be multiples of {self.patch_size}: resize them"
+            )
+        patches = self.proj(normalised(images.to(self.proj.weight.dtype)).flatten(0, 1)).flatten(2).mT
+        cls = self.cls_token.to(patches.dtype).expand(batch * views, -1, -1)
+        tokens = torch.cat([cls, patches], dim=1) + self.positions(grid).to(patches.dtype)
+        return Tokens(tokens.unflatten(0, (batch, views)), grid=grid, special=1)
+
+    def positions(self, grid: tuple[int, int]) -> Float[Tensor, "1 L C"]:
+        """Position embeddings of the class token and of a grid, resampled from the stored one where it differs."""
+        if grid == (self.grid, self.grid):
+            return self.pos_embed
+        stored = self.pos_embed[:, 1:].float().mT.unflatten(2, (self.grid, self.grid))
+        rows, columns = ((side + OFFSET) / self.grid for side in grid)
+        resampled = F.interpolate(stored, scale_factor=(rows, columns), mode="bicubic")
+        return torch.cat([self.pos_embed[:, :1].float(), resampled.flatten(2).mT], dim=1)
+
+    def reordered(self, tokens: Tokens) -> Tokens:
+        """The views with the reference first; as they are where that is the first anyway."""
+        views = tokens.data.shape[1]
+        if views < LEAST_VIEWS or self.reference == "first":
+            return tokens
+        order = order_of(reference_view(tokens.data[:, :, 0], self.reference), views)
+        return replace(tokens, data=in_order(tokens.data, order), order=order)
+
+    def _local(self, block: nn.Module, tokens: Tokens) -> Tokens:
+        views = tokens.data.shape[1]
+        return tokens.with_data(block(tokens.data.flatten(0, 1)).unflatten(0, (-1, views)))
+
+    def _camera_tokens(self, cameras: Cameras | None, views: int) -> Float[Tensor, "b V C"]:
+        if cameras is None:
+            # One of its own for the reference; all others share theirs.
+            return torch.cat([self.camera_token[:, :1], self.camera_token[:, 1:].expand(-1, views - 1, -1)], dim=1)
+        if self.camera_encoder is None:
+            raise ValueError("cameras are given, but this network has no encoder of them; set camera_encoder_depth")
+        with torch.autocast(self.camera_token.device.type, enabled=False):
+            return self.camera_encoder(cameras)

@@ -1,0 +1,72 @@
+"""Cameras, depth and rays."""
+
+from collections.abc import Callable, Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle import contracts
+from anystyle.types import Features, Geometry
+from anystyle_depth_anything.cameras import CameraDecoder
+from anystyle_depth_anything.dpt import Dpt, RayChain, by_views
+from anystyle_depth_anything.pose import decode_pose
+
+
+class GeometryHead(contracts.GeometryHead):
+    """The camera decoder on the last tap's camera tokens, and the dual decoder; in the weights' precision throughout.
+
+    Args:
+        dim: Channels of the tokens.
+        features: Channels of the decoder.
+        channels: Channels of its four levels.
+        rays: Whether it has the chain that tells rays, which :meth:`rays` alone computes.
+        taps: The layers that the decoder reads, four, in rising order.
+        chunk: Views decoded at a time; a matter of memory alone.
+    """
+
+    def __init__(
+        self, *, dim: int, features: int, channels: Sequence[int], rays: bool, taps: Sequence[int], chunk: int
+    ) -> None:
+        super().__init__()
+        self.camera = CameraDecoder(dim)
+        self.norm = nn.LayerNorm(dim)
+        self.depth = Dpt(dim=dim, features=features, channels=channels, outputs=2)
+        self.ray = RayChain(features) if rays else None
+        self.taps = tuple(taps)
+        self.chunk = chunk
+
+    def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
+        """Predict geometry; depth is the distance along z."""
+        size = (images.shape[-2], images.shape[-1])
+        last = features[self.taps[-1]].data
+        with torch.autocast(last.device.type, enabled=False):
+            encodings = self.camera(last[:, :, 0].to(self.norm.weight.dtype))
+            # Here too: under autocast a product of matrices would leave poses with three digits.
+            cameras = decode_pose(encodings.float(), size)
+            logs = self._by_views(features, lambda maps: self.depth.predict(self.depth.decode(maps, size)))  # B V 2 H W
+        depth, confidence = logs.float().exp().unbind(2)
+        return Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
+
+    def rays(self, features: Features) -> tuple[Float[Tensor, "B V h w 6"], Float[Tensor, "B V h w"]]:
+        """Direction and origin of the ray of every place, eight to a patch's side, and their confidence.
+
+        Raises:
+            ValueError: The network has no chain for rays.
+        """
+        if self.ray is None:
+            raise ValueError("this network tells no rays; set rays=true")
+        with torch.autocast(features[self.taps[-1]].data.device.type, enabled=False):
+            raw = self._by_views(features, self.ray).movedim(2, -1).float()
+        return raw[..., :6], 1 + raw[..., 6].exp()
+
+    def _by_views(self, features: Features, decode: Callable[[list[Tensor]], Tensor]) -> Float[Tensor, "B V *rest"]:
+        tokens = [features[layer] for layer in self.taps]
+        batch, views = tokens[0].data.shape[:2]
+        dtype = self.norm.weight.dtype
+
+        def some(chosen: slice) -> Tensor:
+            levels = [self.norm(level.patches[:, chosen].to(dtype)).flatten(0, 1) for level in tokens]
+            return decode(self.depth.levels(levels, tokens[0].grid)).unflatten(0, (batch, -1))
+
+        return by_views(some, views, max(1, self.chunk // batch))

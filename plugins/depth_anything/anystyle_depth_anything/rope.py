@@ -1,0 +1,59 @@
+"""Rotary position embedding of image grids, and the degenerate one of attention across views."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+class Rotary(NamedTuple):
+    """Angles of a sequence of tokens, ready to rotate queries and keys with.
+
+    Args:
+        cos: Cosines.
+        sin: Sines, with the sign of the pair's first entry folded in.
+    """
+
+    cos: Float[Tensor, "L E"]
+    sin: Float[Tensor, "L E"]
+
+
+def grid_positions(grid: tuple[int, int]) -> Float[Tensor, "L 2"]:
+    """Row and column of a view's tokens: the leading token at (0, 0), patches from (1, 1) on."""
+    rows, columns = grid
+    y, x = torch.meshgrid(torch.arange(rows) + 1.0, torch.arange(columns) + 1.0, indexing="ij")
+    return torch.cat([torch.zeros(1, 2), torch.stack([y, x], dim=-1).flatten(0, 1)])
+
+
+def flat_positions(grid: tuple[int, int]) -> Float[Tensor, "L 2"]:
+    """What the published network uses across views: the leading token at (0, 0), every patch at (1, 1)."""
+    return torch.cat([torch.zeros(1, 2), torch.ones(grid[0] * grid[1], 2)])
+
+
+def rotary(positions: Float[Tensor, "L 2"], dim: int, *, base: float, like: Float[Tensor, "..."]) -> Rotary:
+    """Angles of tokens at ``positions``.
+
+    The first half of a head's channels turns with the row, the second with the column; entry ``i`` of a half of ``m``
+    channels pairs with entry ``i + m / 2`` and turns by ``position * base ** (-2 i / m)``.
+
+    Args:
+        positions: Rows and columns.
+        dim: Channels of a head, a multiple of 4.
+        base: Of the geometric series of frequencies.
+        like: A tensor whose device and dtype the result has.
+    """
+    quarter = dim // 4
+    frequencies = base ** (-torch.arange(quarter, dtype=torch.float32) / quarter)
+    angles = positions[:, :, None] * frequencies  # L 2 quarter
+    sin, cos = angles.sin(), angles.cos()
+    return Rotary(
+        cos=torch.stack([cos, cos], dim=2).flatten(1).to(like),
+        sin=torch.stack([-sin, sin], dim=2).flatten(1).to(like),
+    )
+
+
+def rotate(x: Float[Tensor, "*batch L E"], angles: Rotary) -> Float[Tensor, "*batch L E"]:
+    """Turn each pair of channels by its token's angle."""
+    swapped = x.unflatten(-1, (2, 2, -1)).flip(-2).flatten(-3)
+    return x * angles.cos.to(x.dtype) + swapped * angles.sin.to(x.dtype)
