@@ -88,13 +88,14 @@ def evaluate(config: DictConfig, out: Path) -> Evaluation:
     parts, weights = make_parts(config, named)
     protocol = build(Protocol, config.protocol, **parts)
     out.mkdir(parents=True, exist_ok=True)
-    with bind(config, weights, out, named):
+    judges = {name: metric.weights for name, metric in parts.get("metrics", {}).items()}
+    with bind(config, weights, out, named, judges):
         with Bar() as progress:
             found = protocol.run(out, progress)
         provenance = {
             "protocol": plugin.name,
             "variant": str(config.variant),
-            "weights": weights,
+            "weights": {**weights, **{f"metric {name}": dict(files) for name, files in judges.items() if files}},
             "seconds": round(time.perf_counter() - start, 3),
             "machine": machine(),
             "command": shlex.join(["anystyle", "evaluate", *sys.argv[1:]]),

@@ -16,7 +16,13 @@ _STYLIZER = ("backbone", "style_encoder", "placement", "injector", "renderer", "
 
 
 @contextmanager
-def bind(config: DictConfig, weights: Mapping[str, Any], out: Path, named: Mapping[str, bool]) -> Iterator[None]:
+def bind(
+    config: DictConfig,
+    weights: Mapping[str, Any],
+    out: Path,
+    named: Mapping[str, bool],
+    judges: Mapping[str, Mapping[str, str]],
+) -> Iterator[None]:
     """Tie a folder to a configuration, so that what an earlier run left there is of the same one.
 
     Metrics may be added and changed: what a changed one said before is forgotten.
@@ -26,6 +32,7 @@ def bind(config: DictConfig, weights: Mapping[str, Any], out: Path, named: Mappi
         weights: What was loaded, with checksums.
         out: The folder.
         named: The parts that the protocol takes; others do not count.
+        judges: For each metric, the weights that it rests on, with checksums.
 
     Raises:
         ValueError: The folder holds an evaluation of another configuration, or another one is at work there.
@@ -36,7 +43,8 @@ def bind(config: DictConfig, weights: Mapping[str, Any], out: Path, named: Mappi
     assert isinstance(whole, dict)
     plain = {name: whole.get(name) for name in kept}
     plain["weights"] = {part: row["sha256"] for part, row in weights.items()}
-    metrics = {name: whole.get(name) for name in ("metric", "correspondence")} if "metrics" in named else {}
+    nodes = whole.get("metric") or {}
+    metrics = {name: [nodes.get(name), whole.get("correspondence"), dict(files)] for name, files in judges.items()}
     current = json.loads(json.dumps({"images": plain, "metrics": metrics}))
     path = out / FILE
     with alone(out):
@@ -49,16 +57,11 @@ def bind(config: DictConfig, weights: Mapping[str, Any], out: Path, named: Mappi
                 f"{out} holds an evaluation of another configuration ({shown}{', …' if len(changed) > 4 else ''}); "
                 "choose another --out, or delete that folder"
             )
-        forget(out, _stale(earlier["metrics"], current["metrics"]))
+        forget(out, [name for name, row in current["metrics"].items() if earlier["metrics"].get(name) != row])
+        current["metrics"] = {**earlier["metrics"], **current["metrics"]}
         with atomic_path(path) as temporary:
             temporary.write_text(json.dumps(current, indent=1, sort_keys=True) + "\n", encoding="utf-8")
         yield
-
-
-def _stale(earlier: Mapping[str, Any], current: Mapping[str, Any]) -> list[str]:
-    before, now = earlier.get("metric") or {}, current.get("metric") or {}
-    moved = earlier.get("correspondence") != current.get("correspondence")
-    return [name for name in now if moved or before.get(name) != now[name]]
 
 
 @contextmanager

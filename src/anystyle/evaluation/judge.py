@@ -99,7 +99,7 @@ def judge_scene(
             figures = numbers(metric.compute())
         metric.reset()
         found[name] = SceneFigures(
-            figures, rows[name], dict(metric.better), stand_ins_of(metric), tuple(dict.fromkeys(warned[name]))
+            figures, rows[name], dict(metric.better), dict(metric.stand_ins), tuple(dict.fromkeys(warned[name]))
         )
     return found
 
@@ -171,11 +171,6 @@ def mean(values: Sequence[float]) -> float:
 def numbers(figures: Mapping[str, Tensor]) -> dict[str, float]:
     """Figures as plain numbers."""
     return {name: float(value) for name, value in figures.items()}
-
-
-def stand_ins_of(metric: Metric) -> dict[str, str]:
-    """For each figure that a metric computes with a stand-in network, the network's name."""
-    return {}
 
 
 class _heard(warnings.catch_warnings):

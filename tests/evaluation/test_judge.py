@@ -1,0 +1,166 @@
+"""Figures of rows, scenes and all: each image is seen once, and nothing bad passes in silence."""
+
+import json
+import warnings
+
+import pytest
+import torch
+
+from anystyle.evaluation.folders import Reader, pair
+from anystyle.evaluation.judge import judge, mean
+from anystyle.evaluation.parts import judge_pairing
+from anystyle.testing.samples import comparison
+from anystyle.testing.toy.metric import ToyMetric
+from anystyle.types import Comparison
+from evaluation_cases import Mean, folders, picture
+
+
+def silent(stage, done, total):
+    pass
+
+
+def test_rows_scenes_and_all_are_what_a_metric_says_of_them(tmp_path):
+    cells = pair(*folders(tmp_path)).cells
+    comparisons = [Reader()(cell) for cell in cells]
+    found = judge({"toy": ToyMetric()}, comparisons)
+
+    def alone(*rows):
+        metric = ToyMetric()
+        for row in rows:
+            metric.update(row)
+        return pytest.approx(float(metric.compute()["change"]), rel=1e-6)
+
+    assert [(row.scene, row.style) for row in found.rows] == [(cell.scene, cell.style) for cell in cells]
+    assert [row.figures["change"] for row in found.rows] == [alone(row) for row in comparisons]
+    assert found.groups["scene one"]["change"] == alone(*comparisons[:2])
+    assert found.groups["scene two"]["change"] == alone(*comparisons[2:])
+    scenes = [found.groups[f"scene {name}"]["change"] for name in ("one", "two")]
+    assert found.figures == {"change": pytest.approx(sum(scenes) / 2)}
+    assert found.n == 12 and found.better == {"change": "lower"}
+
+
+def test_lists_of_states_keep_their_order_and_each_row_is_seen_once(tmp_path):
+    metric = Mean()
+    comparisons = [Reader()(cell) for cell in pair(*folders(tmp_path, scenes=("one",))).cells]
+    found = judge({"mean": metric}, comparisons)
+    assert metric.seen == [("one", "a"), ("one", "b")]
+    assert found.figures["mean"] == pytest.approx((1 + 21) / 2 / 255, rel=1e-5)
+    assert found.groups == {}
+
+
+def test_warnings_of_metrics_are_kept_once_and_not_those_of_rows():
+    class Loud(Mean):
+        def update(self, given):
+            super().update(given)
+            warnings.warn("a row's own warning", stacklevel=1)
+
+        def compute(self):
+            warnings.warn(f"{len(self.values)} values are few", stacklevel=1)
+            return super().compute()
+
+    given = comparison(2, 2)
+    rows = [row_of(given, row) for row in range(2)]
+    found = judge({"loud": Loud()}, [rows[0], row_of(given, 0, style="other")])
+    assert found.provenance["warnings"] == ["a row's own warning", "2 values are few"]
+
+
+def row_of(given: Comparison, row: int, style: str = "style") -> Comparison:
+    one = given.map(lambda tensor: tensor[row : row + 1])
+    return Comparison(one.content, one.stylized, scenes=(f"scene_{row}",), styles=(style,))
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+@pytest.mark.parametrize("what", ["content", "stylized"])
+def test_images_that_are_no_numbers_are_refused(value, what):
+    given = row_of(comparison(1, 2), 0)
+    getattr(given, what)[0, 1, 0, 3, 3] = value
+    with pytest.raises(ValueError, match=f"scene_0 in style style: the {what} images hold NaN or infinity"):
+        judge({"toy": ToyMetric()}, [given])
+
+
+def test_nothing_and_sizes_that_differ_are_refused():
+    with pytest.raises(ValueError, match="nothing to judge"):
+        judge({"toy": ToyMetric()}, [])
+    given = row_of(comparison(1, 3), 0)
+    # As it can be made where no test's hook checks shapes.
+    object.__setattr__(given, "content", given.content[:, :2])
+    with pytest.raises(ValueError, match=r"scene_0 in style style: photographs are 2 of 80x64 .* 3 of 80x64 pixels"):
+        judge({"toy": ToyMetric()}, [given])
+
+
+def test_a_scene_without_a_figure_is_told():
+    class Half(Mean):
+        def compute(self):
+            figures = super().compute()
+            return figures if self.seen[-1][0] == "scene_0" else {"mean": torch.tensor(float("nan"))}
+
+    given = comparison(2, 2)
+    found = judge({"half": Half()}, [row_of(given, 0), row_of(given, 1)])
+    assert found.figures["mean"] == found.groups["scene scene_0"]["mean"]
+    assert found.provenance["warnings"] == [
+        "mean is the mean over the scenes but scene_1, which have too little for it"
+    ]
+    assert mean([float("nan")]) != mean([float("nan")])
+
+
+def test_finished_scenes_are_not_judged_again(tmp_path):
+    pairing = pair(*folders(tmp_path / "images"))
+    metric = Mean()
+    first = judge_pairing({"mean": metric}, pairing, tmp_path, silent)
+    again = judge_pairing({"mean": metric}, pairing, tmp_path, silent)
+    assert len(metric.seen) == 4 and again == first
+    # A metric that is new sees everything, the other nothing.
+    other = Mean(figure="other")
+    both = judge_pairing({"mean": metric, "other": other}, pairing, tmp_path, silent)
+    assert (len(metric.seen), len(other.seen)) == (4, 4)
+    assert both.figures["other"] == both.figures["mean"] == first.figures["mean"]
+
+
+def test_a_changed_image_is_judged_again_with_its_scene_alone(tmp_path):
+    content, style, stylized = folders(tmp_path / "images")
+    metric = Mean()
+    judge_pairing({"mean": metric}, pair(content, style, stylized), tmp_path, silent)
+    picture(stylized / "two" / "b_1.png", 255)
+    found = judge_pairing({"mean": metric}, pair(content, style, stylized), tmp_path, silent)
+    assert metric.seen[4:] == [("two", "a"), ("two", "b")]
+    assert found.groups["scene two"]["mean"] == pytest.approx((60 + 61 + 62 + 80 + 255 + 82) / 6 / 255, rel=1e-5)
+
+
+def test_an_interruption_keeps_the_scenes_that_are_done(tmp_path):
+    pairing = pair(*folders(tmp_path / "images"))
+    metric = Mean()
+
+    def stop(stage, done, total):
+        if done == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        judge_pairing({"mean": metric}, pairing, tmp_path, stop)
+    found = judge_pairing({"mean": metric}, pairing, tmp_path, silent)
+    assert [scene for scene, _ in metric.seen] == ["one", "one", "two", "two", "two"]
+    fresh = judge_pairing({"mean": Mean()}, pairing, tmp_path / "fresh", silent)
+    assert found == fresh
+
+
+def test_a_damaged_part_is_computed_again(tmp_path):
+    pairing = pair(*folders(tmp_path / "images"))
+    first = judge_pairing({"mean": Mean()}, pairing, tmp_path, silent)
+    parts = sorted((tmp_path / "parts").iterdir())
+    parts[0].write_text(parts[0].read_text()[:50])
+    parts[1].write_text(json.dumps({"seal": "another"}))
+    assert judge_pairing({"mean": Mean()}, pairing, tmp_path, silent) == first
+
+
+def test_stand_ins_are_handed_on(tmp_path):
+    found = judge_pairing(
+        {"mean": Mean(), "other": Mean(figure="other", stand_in="texture")},
+        pair(*folders(tmp_path / "images")),
+        tmp_path,
+        silent,
+    )
+    assert found.stand_ins == {"other": "texture"}
+
+
+def test_no_metric_is_an_error(tmp_path):
+    with pytest.raises(ValueError, match=r"no metric is chosen; add metric=\[NAME"):
+        judge_pairing({}, pair(*folders(tmp_path / "images")), tmp_path, silent)

@@ -1,0 +1,198 @@
+"""The published protocol: what is written, in which variant, and that nothing is made twice."""
+
+import json
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from anystyle.contracts import StyleSource
+from anystyle.evaluation.protocols.paper import Paper, middle_square
+from anystyle.testing.inputs import cameras, images
+from anystyle.testing.protocol import _parts
+from anystyle.testing.toy.scenes import ToyScenes
+from anystyle.types import Style, Views
+from evaluation_cases import Mean
+
+
+def silent(stage, done, total):
+    pass
+
+
+@pytest.fixture
+def parts():
+    parts = _parts()
+    return parts | {"metrics": {"mean": Mean()}, "scenes": ToyScenes(num_scenes=2, views=4, size=(32, 40))}
+
+
+class Counted:
+    """Counts the calls of a stylizer's method."""
+
+    def __init__(self, stylizer, monkeypatch, name):
+        self.calls = 0
+        original = getattr(stylizer, name)
+
+        def call(*given, **named):
+            self.calls += 1
+            return original(*given, **named)
+
+        monkeypatch.setattr(stylizer, name, call)
+
+
+def stems(folder):
+    return sorted(path.name for path in folder.iterdir() if not path.name.startswith("."))
+
+
+def test_what_is_written_and_judged(parts, tmp_path):
+    found = Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent)
+    kept = tmp_path / "images"
+    assert stems(kept / "stylized") == ["wall_0000", "wall_0001"]
+    assert stems(kept / "stylized" / "wall_0001") == [
+        f"{style}_{f}.jpg" for style in ("00", "01", "02") for f in ("000", "001")
+    ]
+    assert stems(kept / "content" / "wall_0000") == ["000.jpg", "001.jpg"]
+    assert stems(kept / "style") == ["00.jpg", "01.jpg", "02.jpg"]
+    assert stems(kept / "depth" / "wall_0000") == ["000.npy", "001.npy", "cameras.npz"]
+    assert found.n == 2 * 3 * 2
+    assert [(row.scene, row.style) for row in found.rows][:2] == [("wall_0000", "00"), ("wall_0000", "01")]
+    assert found.provenance["variant"] == "reference"
+    assert found.provenance["seconds_a_style"] > 0
+    assert found.rows[0].pictures["result"] == kept / "stylized" / "wall_0000" / "00_001.jpg"
+
+
+def test_the_reference_truncates_into_jpeg_and_the_corrected_rounds_into_png(parts, tmp_path):
+    for variant in ("reference", "corrected"):
+        Paper(**parts, num_styles=1, num_scenes=1, frames=1, variant=variant).run(tmp_path / variant, silent)
+    photograph = middle_square(parts["scenes"].read(0, [0])).images[0, 0]
+    exact = np.asarray(Image.open(tmp_path / "corrected" / "images" / "content" / "wall_0000" / "000.png"))
+    assert (exact == (photograph * 255).round().byte().permute(1, 2, 0).numpy()).all()
+    written = tmp_path / "reference" / "images" / "content" / "wall_0000" / "000.jpg"
+    truncated = Image.fromarray((photograph * 255).byte().permute(1, 2, 0).contiguous().numpy())
+    truncated.save(tmp_path / "expected.jpg", quality=75)  # Pillow's own default is 4:2:0
+    assert written.read_bytes() == (tmp_path / "expected.jpg").read_bytes()
+    with Image.open(written) as image:
+        # Table K.1 of the JPEG standard at quality 75.
+        assert image.quantization[0][:4] == [8, 6, 5, 8]
+
+
+def test_the_reference_shows_all_views_and_the_corrected_those_that_are_judged(parts, tmp_path, monkeypatch):
+    shown = []
+    original = parts["stylizer"].encode
+    monkeypatch.setattr(parts["stylizer"], "encode", lambda views: shown.append(views.images.shape) or original(views))
+    for variant in ("reference", "corrected"):
+        Paper(**parts, num_styles=1, num_scenes=1, frames=2, variant=variant).run(tmp_path / variant, silent)
+    assert [tuple(shape) for shape in shown] == [(1, 4, 3, 32, 32), (1, 2, 3, 32, 32)]
+
+
+def test_nothing_is_rendered_or_judged_twice(parts, tmp_path, monkeypatch):
+    restyle = Counted(parts["stylizer"], monkeypatch, "restyle")
+    encode = Counted(parts["stylizer"], monkeypatch, "encode")
+    first = Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent)
+    assert (restyle.calls, encode.calls) == (6, 2)
+    again = Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent)
+    assert (restyle.calls, encode.calls) == (6, 2)
+    assert again == first
+    assert len(parts["metrics"]["mean"].seen) == 6
+
+
+def test_an_interrupted_run_goes_on_where_it_was(parts, tmp_path, monkeypatch):
+    restyle = Counted(parts["stylizer"], monkeypatch, "restyle")
+
+    def stop(stage, done, total):
+        if (stage, done) == ("render", 4):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        Paper(**parts, num_styles=3, frames=2).run(tmp_path, stop)
+    assert restyle.calls == 4
+    (tmp_path / "images" / "stylized" / "wall_0000" / ".02").unlink()  # stopped between images and their mark
+    found = Paper(**parts, num_styles=3, frames=2).run(tmp_path, silent)
+    assert restyle.calls == 4 + 3
+    fresh = Paper(**parts, num_styles=3, frames=2).run(tmp_path / "fresh", silent)
+    assert found.figures == fresh.figures and [row.figures for row in found.rows] == [row.figures for row in fresh.rows]
+
+
+def test_texts_and_images_guide(parts, tmp_path, monkeypatch):
+    asked = []
+    original = parts["stylizer"].embed
+    monkeypatch.setattr(parts["stylizer"], "embed", lambda **given: asked.append(sorted(given)) or original(**given))
+    for guide in ("image", "text"):
+        Paper(**parts, num_styles=1, num_scenes=1, frames=1, guide=guide).run(tmp_path / guide, silent)
+    assert asked == [["image"], ["text"]]
+
+
+def test_styles_that_lack_what_is_needed(parts, tmp_path):
+    class Bare(StyleSource):
+        def __init__(self, style):
+            self.style = style
+
+        def __len__(self):
+            return 1
+
+        def read(self, style):
+            return self.style
+
+    imageless = Paper(**parts | {"styles": Bare(Style(text=("words",)))}, num_scenes=1, frames=1)
+    with pytest.raises(ValueError, match="style 0 has no image, which the figures compare with"):
+        imageless.run(tmp_path / "a", silent)
+    wordless = Bare(Style(image=images(1, (8, 8)), text=(" ",)))
+    with pytest.raises(ValueError, match="style 0 has no text; give captions"):
+        Paper(**parts | {"styles": wordless}, guide="text", num_scenes=1, frames=1).run(tmp_path / "b", silent)
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"scenes": None}, "needs scenes; add scenes=NAME"),
+        ({"styles": None}, "needs styles; add styles=NAME"),
+        ({"scene_names": ["Train"]}, "there is no scene 'Train' in this source, which has wall_0000, wall_0001"),
+        ({"frames": 0}, "frames=0: give at least 1"),
+        ({"num_styles": 0}, "num_styles=0: give at least 1"),
+    ],
+)
+def test_what_cannot_be_judged(parts, changed, told):
+    with pytest.raises(ValueError, match=told):
+        Paper(**parts | changed)
+
+
+def test_sides_that_the_model_cannot_take(parts, tmp_path):
+    odd = parts | {"scenes": ToyScenes(num_scenes=1, views=2, size=(30, 30))}
+    with pytest.raises(ValueError, match=r"wall_0000 are 30x30 pixels; this model needs .* multiples of 8"):
+        Paper(**odd).run(tmp_path, silent)
+
+
+def test_a_model_that_gives_no_numbers_is_found_out(parts, tmp_path, monkeypatch):
+    original = parts["stylizer"].restyle
+
+    def broken(scene, embedding):
+        made = original(scene, embedding)
+        return made.map(lambda tensor: tensor * torch.nan)
+
+    monkeypatch.setattr(parts["stylizer"], "restyle", broken)
+    with pytest.raises(ValueError, match="render of wall_0000 in style 00 holds NaN"):
+        Paper(**parts, num_styles=1, num_scenes=1, frames=1).run(tmp_path, silent)
+    assert not (tmp_path / "images" / "stylized").exists()
+
+
+def test_the_middle_square_shows_the_same_rays():
+    seen = cameras(1, 2, (20, 31))
+    views = Views(images=torch.rand(1, 2, 3, 20, 31), cameras=seen, depth=torch.rand(1, 2, 20, 31))
+    cut = middle_square(views)
+    assert cut.size == cut.cameras.size == (20, 20)
+    left = 5
+    assert torch.equal(cut.images, views.images[..., left : left + 20])
+    assert torch.equal(cut.depth, views.depth[..., left : left + 20])
+    # The pixel that was at (column 11, row 3) is at (6, 3) now, on the same ray.
+    for before, after in zip(
+        torch.linalg.solve(seen.intrinsics, torch.tensor([11.5, 3.5, 1.0]).expand(1, 2, 3)).flatten(),
+        torch.linalg.solve(cut.cameras.intrinsics, torch.tensor([6.5, 3.5, 1.0]).expand(1, 2, 3)).flatten(),
+        strict=True,
+    ):
+        assert float(before) == pytest.approx(float(after), abs=1e-6)
+
+
+def test_times_are_kept_with_the_renders(parts, tmp_path):
+    Paper(**parts, num_styles=1, num_scenes=1, frames=1).run(tmp_path, silent)
+    mark = tmp_path / "images" / "stylized" / "wall_0000" / ".00"
+    assert json.loads(mark.read_text())["seconds"] > 0

@@ -1,0 +1,99 @@
+"""Tables say the same in three forms, and what is not comparable says so in each."""
+
+import csv
+import io
+import json
+import math
+
+import pytest
+
+from anystyle.evaluation import record
+from anystyle.evaluation.contract import Evaluation, Row
+from anystyle.evaluation.tables import STAND_IN, Table, figures_table, number, tex
+
+FOUND = Evaluation(
+    figures={"art_fid": 30.125, "change": 0.25, "warp": math.nan},
+    n=8,
+    better={"art_fid": "lower", "change": "lower"},
+    groups={"scene Train": {"art_fid": 20.0, "change": 0.2}, "scene M60": {"art_fid": 40.25, "change": 0.3}},
+    rows=(Row("Train", "00", {"art_fid": 1.0, "change": 0.1}), Row("Train", "a,b", {"change": math.nan})),
+    stand_ins={"art_fid": "texture"},
+    provenance={"warnings": ["few images"]},
+)
+KNOWN = {"protocol": "paper", "variant": "reference", "seconds": 3.2, "machine": "a machine"}
+
+
+def test_what_is_written_is_read_again(tmp_path):
+    record.write(FOUND, tmp_path, KNOWN)
+    stored = json.loads((tmp_path / "metrics.json").read_text())
+    assert stored["art_fid"] == 30.125 and stored["warp"] is None
+    assert stored["provenance"]["n"] == 8 and stored["provenance"]["protocol"] == "paper"
+    read = record.read(tmp_path)
+    assert read.figures["art_fid"] == 30.125 and math.isnan(read.figures["warp"])
+    assert read.scenes == {"Train": {"art_fid": 20.0, "change": 0.2}, "M60": {"art_fid": 40.25, "change": 0.3}}
+    assert read.stand_ins == {"art_fid": "texture"} and read.better["change"] == "lower"
+
+
+def test_every_form_names_the_stand_ins(tmp_path):
+    record.write(FOUND, tmp_path, KNOWN)
+    for name in ("metrics.csv", "table.md", "table.tex"):
+        assert STAND_IN in (tmp_path / name).read_text(), name
+    lines = (tmp_path / "table.md").read_text().splitlines()
+    said = {line.split("|")[1].strip(): line for line in lines if line.startswith("| ")}
+    assert STAND_IN in said["art_fid ↓"] and STAND_IN not in said["change ↓"]
+    plain = Evaluation(figures={"change": 0.25}, n=1)
+    record.write(plain, tmp_path, KNOWN)
+    assert all(STAND_IN not in (tmp_path / name).read_text() for name in ("metrics.csv", "table.md", "table.tex"))
+
+
+def test_rows_are_a_table_of_numbers(tmp_path):
+    record.write(FOUND, tmp_path, KNOWN)
+    rows = list(csv.DictReader((tmp_path / "metrics.csv").open()))
+    assert [(row["scene"], row["style"], row["art_fid"], row["change"]) for row in rows] == [
+        ("Train", "00", "1.0", "0.1"), ("Train", "a,b", "", "")
+    ]  # fmt: skip
+
+
+def test_what_is_no_evaluation_is_told_apart(tmp_path):
+    assert record.read(tmp_path) is None
+    (tmp_path / "metrics.json").write_text('{"train/loss": 0.5}')
+    assert record.read(tmp_path) is None
+    (tmp_path / "metrics.json").write_text('{"train/loss": 0.5')
+    with pytest.raises(ValueError, match=r"metrics\.json is damaged .*; evaluate again"):
+        record.read(tmp_path)
+
+
+def test_markdown_is_a_table_whatever_the_words():
+    made = Table(("a|b", "c"), (("x\ny", "1"), ("long word", "22")), caption="Title", notes=("note",))
+    title, _, *lines = made.markdown().splitlines()
+    assert title == "**Title**"
+    assert [len(line) for line in lines[:4]] == [len(lines[0])] * 4
+    assert lines[0] == r"| a\|b      | c   |" and lines[2].startswith("| x y ")
+    assert lines[1] == "|-----------|----:|"
+    assert lines[-1] == "note"
+
+
+def test_latex_escapes_what_would_be_commands():
+    assert tex(r"50% a_b & {c} \d $e #f ~^ ↓ ↑") == (
+        r"50\% a\_b \& \{c\} \textbackslash{}d \$e \#f \textasciitilde{}\textasciicircum{} $\downarrow$ $\uparrow$"
+    )
+    made = Table(("name", "x_y ↓"), (("a & b", "1"),)).latex()
+    assert r"name & x\_y $\downarrow$ \\" in made and r"a \& b & 1 \\" in made
+    assert made.count(r"\begin{") == made.count(r"\end{") == 2
+
+
+def test_csv_is_what_a_reader_reads():
+    made = Table(("a", "b"), (("x,y", 'say "z"'),))
+    assert list(csv.reader(io.StringIO(made.csv()))) == [["a", "b"], ["x,y", 'say "z"']]
+
+
+def test_numbers_in_four_digits():
+    assert [number(value) for value in (0.0, 12.3456, 0.070123, 1234.5, 123456.0, 2e-5, -3.14159, None, math.nan)] == [
+        "0", "12.35", "0.07012", "1234", "1.23e+05", "2.00e-05", "-3.142", "–", "–"
+    ]  # fmt: skip
+
+
+def test_figures_that_a_group_lacks_are_dashes():
+    made = figures_table({"all": {"a": 1.0, "b": 2.0}, "base": {"a": 3.0}}, {}, {})
+    assert made.columns == ("figure", "all", "base")
+    assert made.rows == (("a", "1", "3"), ("b", "2", "–"))

@@ -1,0 +1,53 @@
+"""What the tests of evaluations share: small pictures in folders, and metrics whose values are known."""
+
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import torch
+from PIL import Image
+
+from anystyle.contracts import Metric
+
+
+class Mean(Metric):
+    """The mean value of stylized images, and how many there were."""
+
+    better: ClassVar[dict[str, str]] = {"mean": "higher"}
+    full_state_update = False
+
+    def __init__(self, figure="mean", stand_in=None):
+        super().__init__()
+        if figure != "mean":
+            self.better = {figure: "higher"}
+        self.figure = figure
+        self.stand_ins = {figure: stand_in} if stand_in else {}
+        self.seen = []
+        self.add_state("values", [], dist_reduce_fx="cat")
+
+    def update(self, comparison):
+        self.seen.append((comparison.scenes[0], comparison.styles[0]))
+        self.values.append(comparison.stylized.mean((-1, -2, -3)).flatten())
+
+    def compute(self):
+        values = torch.cat([value.reshape(-1) for value in self.values]) if self.values else torch.zeros(0)
+        return {self.figure: values.mean()}
+
+
+def picture(path: Path, value, size=(12, 8)):
+    """A grey picture of one value."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    Image.fromarray(np.full((size[1], size[0], 3), value, dtype=np.uint8)).save(path)
+    return path
+
+
+def folders(root: Path, scenes=("one", "two"), styles=("a", "b"), frames=3):
+    """Content, style and stylized folders; the value of a result counts scenes, styles and frames."""
+    for s, scene in enumerate(scenes):
+        for f in range(frames):
+            picture(root / "content" / scene / f"{f:03d}.png", 100 + f)
+            for t, style in enumerate(styles):
+                picture(root / "stylized" / scene / f"{style}_{f}.png", 60 * s + 20 * t + f)
+    for t, style in enumerate(styles):
+        picture(root / "style" / f"{style}.png", 200 + t, size=(6, 6))
+    return root / "content", root / "style", root / "stylized"
