@@ -69,7 +69,7 @@ def test_a_row_of_the_ablation_table_is_a_small_difference(name):
     row = compose("train", ["experiment=paper_head", f"ablation={name}", "name=x", "out=x"])
     base, row = (OmegaConf.to_container(config, enum_to_str=True) for config in (base, row))
     changed = {key for key in base if base[key] != row[key]}
-    expected = {"all_geometry": "branch", "no_clip_loss": "loss", "no_style_loss": "loss", "no_text": "training"}
+    expected = {"all_geometry": "branch", "no_clip_loss": "without", "no_style_loss": "without", "no_text": "training"}
     assert changed == {expected[name]}
 
 

@@ -138,13 +138,24 @@ def make_training(config: DictConfig) -> Training:
         "style_encoder": lambda: _weighted(config, "style_encoder", build(StyleEncoder, config.style_encoder)),
         "renderer": lambda: build(Renderer, config.renderer),
         "losses": lambda: build_all(
-            Loss, config.loss, style_encoder=parts["stylizer"].style_encoder if "stylizer" in parts else None
+            Loss, objective(config), style_encoder=parts["stylizer"].style_encoder if "stylizer" in parts else None
         ),
     }
     for name, make in makers.items():
         if name in named:
             parts[name] = make()
     return build(Training, config.training, **parts)
+
+
+def objective(config: DictConfig) -> dict[str, Any]:
+    """The terms of the objective, by name: those configured, but for those that an ablation leaves out.
+
+    Raises:
+        PluginError: What is left out is no loss.
+    """
+    for name in config.without:
+        catalog().find("loss", name)
+    return {name: node for name, node in (config.loss or {}).items() if name not in config.without}
 
 
 def _weighted(config: DictConfig, part: str, module: nn.Module) -> nn.Module:
