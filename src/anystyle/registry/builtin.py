@@ -75,8 +75,17 @@ BUILTIN: dict[str, dict[str, str]] = {
         "style_3d": "anystyle.losses.style_3d:Style3D",
         "total_variation": "anystyle.losses.total_variation:TotalVariation",
     },
-    "metric": {},
-    "correspondence": {},
+    "metric": {
+        "art_fid": "anystyle.metrics.art_fid:ArtFID",
+        "lpips": "anystyle.metrics.lpips:LPIPS",
+        "lpips_gray": "anystyle.metrics.lpips_gray:LPIPSGray",
+        "psnr": "anystyle.metrics.psnr:PSNR",
+        "ssim": "anystyle.metrics.ssim:SSIM",
+        "warp_consistency": "anystyle.metrics.warp_consistency:WarpConsistency",
+    },
+    "correspondence": {
+        "raft": "anystyle.correspondences.raft:Raft",
+    },
     "scenes": {
         "folder": "anystyle.data.scene_folder:FolderScenes",
         "procedural": "anystyle.data.procedural.scenes:ProceduralScenes",
