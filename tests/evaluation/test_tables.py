@@ -48,7 +48,7 @@ def test_every_form_names_the_stand_ins(tmp_path):
 
 def test_rows_are_a_table_of_numbers(tmp_path):
     record.write(FOUND, tmp_path, KNOWN)
-    rows = list(csv.DictReader((tmp_path / "metrics.csv").open()))
+    rows = list(csv.DictReader((tmp_path / "metrics.csv").read_text().splitlines()))
     assert [(row["scene"], row["style"], row["art_fid"], row["change"]) for row in rows] == [
         ("Train", "00", "1.0", "0.1"), ("Train", "a,b", "", "")
     ]  # fmt: skip
