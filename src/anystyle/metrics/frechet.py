@@ -1,7 +1,7 @@
 """The Fréchet distance between two sets of features, exactly and without a matrix square root."""
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 
@@ -32,6 +32,44 @@ def frechet_distance(first: Float[Tensor, "N D"], second: Float[Tensor, "M D"]) 
     a, b = _scaled(first), _scaled(second)
     spread = a.square().sum() + b.square().sum()
     return mean_gap + spread - 2 * torch.linalg.svdvals(_compact(a) @ _compact(b).T).sum()
+
+
+def frechet_infinity(
+    first: Float[Tensor, "N D"], second: Float[Tensor, "M D"], *, smallest: int, points: int = 15
+) -> Float[Tensor, ""]:
+    """The Fréchet distance extrapolated to endless samples (Chong and Forsyth, CVPR 2020).
+
+    Distances of growing samples, drawn with a fixed seed, lie close to a line over one divided by their size; the
+    line's value at 0 is the figure.
+
+    Args:
+        first: One row a sample; its samples grow.
+        second: One row a sample; all are used.
+        smallest: Size of the smallest sample. If there are no more, there is nothing to extrapolate from, and the
+            figure is the plain distance.
+        points: How many sizes.
+
+    Returns:
+        In float64.
+    """
+    count = first.shape[0]
+    if count <= smallest:
+        return frechet_distance(first, second)
+    # A sum does not depend on the order of rows, but a sample does: rows are sorted, then drawn.
+    rows = first[_order(first)]
+    generator = torch.Generator().manual_seed(0)
+    sizes = torch.linspace(smallest, count, points).round().long().unique().tolist()
+    distances = []
+    for size in sizes:
+        drawn = torch.randperm(count, generator=generator)[:size].to(first.device)
+        distances.append(frechet_distance(rows[drawn], second))
+    inverse = 1 / torch.tensor(sizes, dtype=torch.float64, device=first.device)
+    design = torch.stack([torch.ones_like(inverse), inverse], dim=1)
+    return torch.linalg.lstsq(design, torch.stack(distances)[:, None]).solution[0, 0]
+
+
+def _order(rows: Float[Tensor, "N D"]) -> Int[Tensor, " N"]:
+    return rows.double().mean(1).argsort(stable=True)
 
 
 def _scaled(features: Float[Tensor, "N D"]) -> Float[Tensor, "N D"]:

@@ -3,11 +3,17 @@
 from pathlib import Path
 
 from anystyle.perception import weights
-from anystyle.perception.features import FeatureNetwork, freeze
+from anystyle.perception.alexnet import AlexNet
+from anystyle.perception.features import FeatureNetwork, load_strictly
 from anystyle.perception.texture import Texture
-from anystyle.perception.vgg import VGG19
+from anystyle.perception.vgg import VGG16, VGG19
 
-NETWORKS: dict[str, type[FeatureNetwork]] = {"vgg19": VGG19, "texture": Texture}
+NETWORKS: dict[str, type[FeatureNetwork]] = {
+    "vgg19": VGG19,
+    "vgg16": VGG16,
+    "alexnet": AlexNet,
+    "texture": Texture,
+}
 """The networks that :func:`load` knows; the weights of each are under the same name in ``weights.FILES``."""
 
 
@@ -15,7 +21,7 @@ def load(name: str, path: str | Path | None = None) -> FeatureNetwork:
     """A trained network, frozen.
 
     Args:
-        name: ``vgg19`` or ``texture``.
+        name: ``vgg19``, ``vgg16``, ``alexnet`` or ``texture``.
         path: Its file of weights, if not where :func:`anystyle.perception.weights.find` looks.
 
     Raises:
@@ -28,17 +34,7 @@ def load(name: str, path: str | Path | None = None) -> FeatureNetwork:
     network = NETWORKS[name]()
     # Published files carry the classifier too; everything under `features` must fit to the last key.
     state = {key: tensor for key, tensor in weights.read(file).items() if key.startswith("features.")}
-    own = network.state_dict()
-    wrong = sorted(
-        key
-        for key in own.keys() | state.keys()
-        if key not in own or key not in state or own[key].shape != state[key].shape
-    )
-    if wrong:
-        shown = ", ".join(wrong[:5]) + (", …" if len(wrong) > 5 else "")
-        raise ValueError(f"{file} does not hold the weights of {name}: {len(wrong)} keys differ ({shown})")
-    network.load_state_dict(state)
-    return freeze(network.train(False))
+    return load_strictly(network, state, name=name, file=file)
 
 
-__all__ = ["NETWORKS", "VGG19", "FeatureNetwork", "Texture", "load"]
+__all__ = ["NETWORKS", "VGG16", "VGG19", "AlexNet", "FeatureNetwork", "Texture", "load"]

@@ -3,7 +3,8 @@
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, final
+from pathlib import Path
+from typing import Any, TypeVar, final
 
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -12,7 +13,16 @@ RGB = "rgb"
 """The name under which every network offers the image itself."""
 
 
-class FeatureNetwork(nn.Module, ABC):
+class Frozen(nn.Module):
+    """A network that judges and never learns."""
+
+    @final
+    def train(self, mode: bool = True) -> "Frozen":
+        """Stay in ``eval``, whatever is asked for: whoever owns this network may be training, it is not."""
+        return super().train(False)
+
+
+class FeatureNetwork(Frozen, ABC):
     """A network that turns images into maps of features.
 
     The constructor sets ``layers``, the names it offers in the order of the computation; the first is ``rgb``, the
@@ -20,11 +30,6 @@ class FeatureNetwork(nn.Module, ABC):
     """
 
     layers: tuple[str, ...]
-
-    @final
-    def train(self, mode: bool = True) -> "FeatureNetwork":
-        """Stay in ``eval``, whatever is asked for: whoever owns this network may be training, it is not."""
-        return super().train(False)
 
     @abstractmethod
     def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
@@ -71,7 +76,10 @@ def walk(
     return [images if layer == RGB else found[names[layer]] for layer in layers]
 
 
-def freeze(network: FeatureNetwork) -> FeatureNetwork:
+AnyFrozen = TypeVar("AnyFrozen", bound=Frozen)
+
+
+def freeze(network: AnyFrozen) -> AnyFrozen:
     """Fix a network for good: no gradients, and no copy of its weights in anyone's state dict.
 
     A loss that holds it moves with it from device to device, but a training checkpoint does not repeat weights that
@@ -82,6 +90,32 @@ def freeze(network: FeatureNetwork) -> FeatureNetwork:
     network.register_state_dict_post_hook(_leave_out)
     network.register_load_state_dict_pre_hook(partial(_put_back, keys))
     return network
+
+
+def load_strictly(network: AnyFrozen, state: Mapping[str, Tensor], *, name: str, file: str | Path) -> AnyFrozen:
+    """Fill a network to the last key and fix it for good.
+
+    Args:
+        network: To be filled.
+        state: Under the network's own keys.
+        name: Of the network, for the message.
+        file: Where the weights come from, for the message.
+
+    Raises:
+        ValueError: A key is missing, is left over, or has another shape.
+    """
+    own = network.state_dict()
+    wrong = sorted(
+        key
+        for key in own.keys() | state.keys()
+        if key not in own or key not in state or own[key].shape != state[key].shape
+    )
+    if wrong:
+        shown = ", ".join(wrong[:5]) + (", …" if len(wrong) > 5 else "")
+        raise ValueError(f"{file} does not hold the weights of {name}: {len(wrong)} keys differ ({shown})")
+    network.load_state_dict(state)
+    network.train(False)
+    return freeze(network)
 
 
 def _leave_out(module: nn.Module, state: dict[str, Any], prefix: str, metadata: Any) -> None:

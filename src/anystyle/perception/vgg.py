@@ -1,6 +1,9 @@
-"""VGG-19 (Simonyan and Zisserman 2015, configuration E), the network of the paper's style and content losses."""
+"""VGG-16 and VGG-19 (Simonyan and Zisserman 2015, configurations D and E).
 
-from collections.abc import Iterator, Sequence
+VGG-19 is the network of the paper's style and content losses and of CFSD, VGG-16 that of one of the two LPIPS.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
 
 import torch
 from jaxtyping import Float
@@ -8,27 +11,30 @@ from torch import Tensor, nn
 
 from anystyle.perception.features import RGB, FeatureNetwork, walk
 
-BLOCKS = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))
-"""Channels and convolutions of each block; a maximum pooling follows each."""
+# Channels and convolutions of each block; a maximum pooling follows each.
+BLOCKS_16 = ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))
+BLOCKS_19 = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))
 
 # Of ImageNet's sRGB images in [0, 1]; what the published weights expect.
 MEAN = (0.485, 0.456, 0.406)
 STD = (0.229, 0.224, 0.225)
 
 
-class VGG19(FeatureNetwork):
-    """The convolutions of VGG-19, under the keys of torchvision's file (``features.N.weight``).
+class Normalised(FeatureNetwork):
+    """A chain of layers that reads images normalised as ImageNet's, under torchvision's keys (``features.N.weight``).
 
-    Layers are named ``relu{block}_{convolution}``, from ``relu1_1`` to ``relu5_4``.
+    Args:
+        stages: The chain.
+        names: For each offered layer the place in the chain whose output it is.
     """
 
     mean: Tensor
     std: Tensor
 
-    def __init__(self) -> None:
+    def __init__(self, stages: Iterator[nn.Module], names: Mapping[str, int]) -> None:
         super().__init__()
-        self.features = nn.Sequential(*_stages())
-        self.names = _names()
+        self.features = nn.Sequential(*stages)
+        self.names = dict(names)
         self.layers = (RGB, *self.names)
         self.register_buffer("mean", torch.tensor(MEAN).view(3, 1, 1), persistent=False)
         self.register_buffer("std", torch.tensor(STD).view(3, 1, 1), persistent=False)
@@ -38,9 +44,23 @@ class VGG19(FeatureNetwork):
         return walk(self.features, self.names, images, (images - self.mean) / self.std, layers)
 
 
-def _stages() -> Iterator[nn.Module]:
+class VGG16(Normalised):
+    """The convolutions of VGG-16; layers are named ``relu{block}_{convolution}``, up to ``relu5_3``."""
+
+    def __init__(self) -> None:
+        super().__init__(_stages(BLOCKS_16), _names(BLOCKS_16))
+
+
+class VGG19(Normalised):
+    """The convolutions of VGG-19; layers are named ``relu{block}_{convolution}``, up to ``relu5_4``."""
+
+    def __init__(self) -> None:
+        super().__init__(_stages(BLOCKS_19), _names(BLOCKS_19))
+
+
+def _stages(blocks: Sequence[tuple[int, int]]) -> Iterator[nn.Module]:
     channels = 3
-    for width, count in BLOCKS:
+    for width, count in blocks:
         for _ in range(count):
             yield nn.Conv2d(channels, width, 3, padding=1)
             yield nn.ReLU()
@@ -48,11 +68,11 @@ def _stages() -> Iterator[nn.Module]:
         yield nn.MaxPool2d(2)
 
 
-def _names() -> dict[str, int]:
+def _names(blocks: Sequence[tuple[int, int]]) -> dict[str, int]:
     """Place of each rectified output in the chain."""
     names: dict[str, int] = {}
     place = 0
-    for block, (_, count) in enumerate(BLOCKS, start=1):
+    for block, (_, count) in enumerate(blocks, start=1):
         for convolution in range(1, count + 1):
             names[f"relu{block}_{convolution}"] = place + 1
             place += 2

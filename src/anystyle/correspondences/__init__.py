@@ -1,0 +1,1 @@
+"""Correspondences: where the pixels of one frame are seen in another."""

@@ -1,0 +1,114 @@
+"""RAFT: optical flow by the network of the published consistency scripts."""
+
+import logging
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from anystyle.contracts import Correspondence
+from anystyle.geometry.warp import cycle_visible
+from anystyle.perception import raft
+from anystyle.perception.matching import match
+from anystyle.perception.memo import MEMO, fingerprints
+from anystyle.perception.sources import Source, Weights, locate, published
+from anystyle.types import Flow, Frames
+
+log = logging.getLogger(__name__)
+
+VOLUME = 1 << 29
+"""Bytes that the correlations of the pairs that are matched together may take."""
+
+
+class Raft(Correspondence):
+    """Optical flow of RAFT (Teed and Deng 2020), ``things`` weights, 32 iterations, as published.
+
+    Frames are padded by their border to multiples of 8; smaller ones than 128 pixels a side to 128, which is logged:
+    the published network gives no numbers there.
+
+    Args:
+        checkpoint: Which published weights: the original's or torchvision's.
+        iterations: Of the update.
+        visibility: ``cycle`` calls visible what returns to its start by the flow back, at twice the cost; ``frame``
+            calls visible what stays in the frame, which suffices where visibility is not used.
+        weights: ``auto`` takes a search in windows as a stand-in where the weights are missing, and says so.
+    """
+
+    def __init__(
+        self,
+        *,
+        checkpoint: Literal["raft_things", "raft_large"] = "raft_things",
+        iterations: int = 32,
+        visibility: Literal["cycle", "frame"] = "cycle",
+        weights: Weights = "auto",
+    ) -> None:
+        if iterations < 1:
+            raise ValueError(f"raft.iterations is {iterations}; at least 1 is needed")
+        file = locate(checkpoint, weights)
+        self.network = None if file is None else raft.load(checkpoint, file)
+        source = Source(checkpoint, stand_in="window_matching") if file is None else published(checkpoint, file)
+        self.sources = (source,)
+        self.iterations = iterations
+        self.cycle = visibility == "cycle"
+
+    @torch.no_grad()
+    def __call__(self, source: Frames, target: Frames) -> Flow:
+        """See :meth:`anystyle.contracts.Correspondence.__call__`."""
+        if source.images.shape != target.images.shape:
+            raise ValueError(
+                f"frames are {list(source.images.shape)} and {list(target.images.shape)}; flow needs pairs of one size"
+            )
+        height, width = source.images.shape[-2:]
+        first, second = padded(source.images), padded(target.images)
+        marks = fingerprints(first), fingerprints(second)
+        parts = []
+        count = max(1, VOLUME // (first.shape[-1] * first.shape[-2] // 64) ** 2 // 6)
+        for start in range(0, first.shape[0], count):
+            part = slice(start, start + count)
+            some = (first[part], second[part], marks[0][part], marks[1][part])
+            forward = self._flow(*some)[..., :height, :width]
+            if self.cycle:
+                backward = self._flow(second[part], first[part], marks[1][part], marks[0][part])[..., :height, :width]
+                visible = cycle_visible(forward, backward)
+            else:
+                visible = _stays(forward)
+            parts.append((forward, visible))
+        return Flow(torch.cat([flow for flow, _ in parts]), torch.cat([visible for _, visible in parts]))
+
+    def _flow(self, first: Tensor, second: Tensor, marks: list[str], others: list[str]) -> Tensor:
+        network = self.network
+        if network is None:
+            return match(first, second)
+        network.to(first)
+        identity = self.sources[0].identity
+        described = MEMO.rows(
+            torch.cat([first, second]), [*marks, *others], ("raft", identity), lambda x: [network.describe(x)]
+        )[0]
+        state, reading = MEMO.rows(first, marks, ("raft context", identity), lambda x: list(network.context(x)))
+        one, other = described.chunk(2)
+        return network.flow(one, other, raft.Context(state, reading), self.iterations)
+
+
+def padded(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 h w"]:
+    """Images continued by their border at the right and below, to what RAFT takes."""
+    height, width = images.shape[-2:]
+    if min(height, width) < raft.SMALLEST:
+        log.warning(
+            "frames of %dx%d pixels are padded to %d: RAFT has no numbers for smaller ones, and its flow near the "
+            "border is a guess",
+            height,
+            width,
+            raft.SMALLEST,
+        )
+    below = max(raft.SMALLEST, -(-height // 8) * 8) - height
+    right = max(raft.SMALLEST, -(-width // 8) * 8) - width
+    return F.pad(images, (0, right, 0, below), mode="replicate") if below or right else images
+
+
+def _stays(flow: Float[Tensor, "M 2 H W"]) -> Bool[Tensor, "M H W"]:
+    height, width = flow.shape[-2:]
+    x = torch.arange(width, device=flow.device) + flow[:, 0]
+    y = torch.arange(height, device=flow.device)[:, None] + flow[:, 1]
+    return (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
