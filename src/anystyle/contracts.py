@@ -16,6 +16,7 @@ import torchmetrics
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle.perception.sources import Source
 from anystyle.registry.socket import Socket
 from anystyle.types import (
     Attributes,
@@ -278,6 +279,9 @@ class Metric(Socket, torchmetrics.Metric, ABC):
 
 class Correspondence(Socket, ABC):
     """Where the pixels of one frame are seen in another."""
+
+    sources: tuple[Source, ...] = ()
+    """The networks it rests on; set by the constructor of one that has any."""
 
     @abstractmethod
     def __call__(self, source: Frames, target: Frames) -> Flow:
