@@ -13,7 +13,7 @@ from anystyle.metrics._pairs import checked, mean_of, pairs, row_means, style_im
 from anystyle.metrics.frechet import frechet_distance, frechet_infinity
 from anystyle.perception import lpips, pictures, vectors
 from anystyle.perception.memo import MEMO, fingerprints
-from anystyle.perception.sources import Weights
+from anystyle.perception.sources import Weights, checksums, stand_ins
 from anystyle.types import Comparison
 
 FID_SIZE = {"reference": 512, "corrected": 299}
@@ -54,7 +54,13 @@ class ArtFID(Metric):
         self.size = FID_SIZE[variant]
         self.inception = vectors.load_art_inception(weights)
         self.network = lpips.load("alex", weights)
-        self.sources = (self.inception.source, self.network.source)
+        both = (self.inception.source, self.network.source)
+        self.stand_ins = {
+            **stand_ins(("art_fid",), *both),
+            **stand_ins(("fid", "fid_infinity"), both[0]),
+            **stand_ins(("lpips",), both[1]),
+        }
+        self.weights = checksums(*both)
         self.add_state("stylized", [], dist_reduce_fx="cat")
         self.add_state("style", [], dist_reduce_fx="cat")
         self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")

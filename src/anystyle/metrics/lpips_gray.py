@@ -10,7 +10,7 @@ from anystyle.contracts import Metric
 from anystyle.metrics._lpips import pair_lpips
 from anystyle.metrics._pairs import checked, gathered, mean_of
 from anystyle.perception import lpips
-from anystyle.perception.sources import Weights
+from anystyle.perception.sources import Weights, checksums, stand_ins
 from anystyle.types import Comparison
 
 
@@ -44,7 +44,8 @@ class LPIPSGray(Metric):
         self.size = size
         self.rounded = variant == "reference"
         self.network = lpips.load(backbone, weights)
-        self.sources = (self.network.source,)
+        self.stand_ins = stand_ins(self.better, self.network.source)
+        self.weights = checksums(self.network.source)
         self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("rows", torch.zeros((), dtype=torch.long), dist_reduce_fx="sum")
 

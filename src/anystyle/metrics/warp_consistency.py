@@ -14,7 +14,7 @@ from anystyle.geometry.warp import backward_warp, softmax_splat
 from anystyle.metrics._pairs import checked
 from anystyle.perception import lpips, pictures
 from anystyle.perception.memo import batch_of
-from anystyle.perception.sources import Weights
+from anystyle.perception.sources import Weights, checksums, stand_ins
 from anystyle.types import Comparison, Frames
 
 log = logging.getLogger(__name__)
@@ -86,7 +86,12 @@ class WarpConsistency(Metric):
         self.flow_from = flow_from
         self.reference = variant == "reference"
         self.network = lpips.load("vgg", weights)
-        self.sources = (*correspondence.sources, self.network.source)
+        every = (*correspondence.sources, self.network.source)
+        self.stand_ins = {
+            **stand_ins(self.better, *correspondence.sources),
+            **stand_ins(("warp_lpips_short", "warp_lpips_long"), *every),
+        }
+        self.weights = checksums(*every)
         self.add_state("totals", torch.zeros(2, 3, dtype=torch.float64), dist_reduce_fx="sum")
         self.add_state("rows", torch.zeros(2, dtype=torch.long), dist_reduce_fx="sum")
 

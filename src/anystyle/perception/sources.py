@@ -2,6 +2,7 @@
 
 import hashlib
 import logging
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -65,6 +66,17 @@ def bundled(network: str, stand_in: str) -> Source:
     """A stand-in that rests on the bundled network of textures."""
     own = published("texture", weights.find("texture"))
     return Source(network=network, file=own.file, sha256=own.sha256, stand_in=stand_in)
+
+
+def stand_ins(figures: Iterable[str], *sources: Source) -> dict[str, str]:
+    """For each of the figures that rest on these networks, the stand-ins among them; empty where there is none."""
+    names = ", ".join(dict.fromkeys(source.stand_in for source in sources if source.stand_in))
+    return dict.fromkeys(figures, names) if names else {}
+
+
+def checksums(*sources: Source) -> dict[str, str]:
+    """The SHA-256 of every file that was read, by its name."""
+    return {source.file: source.sha256 for source in sources if source.file}
 
 
 @cache
