@@ -21,7 +21,8 @@ class Mean(Metric):
         if figure != "mean":
             self.better = {figure: "higher"}
         self.figure = figure
-        self.stand_ins = {figure: stand_in} if stand_in else {}
+        if stand_in:
+            self.stand_ins = {figure: stand_in}
         self.seen = []
         self.add_state("values", [], dist_reduce_fx="cat")
 

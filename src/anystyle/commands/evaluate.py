@@ -88,14 +88,14 @@ def evaluate(config: DictConfig, out: Path) -> Evaluation:
     parts, weights = make_parts(config, named)
     protocol = build(Protocol, config.protocol, **parts)
     out.mkdir(parents=True, exist_ok=True)
-    judges = {name: metric.weights for name, metric in parts.get("metrics", {}).items()}
+    judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
     with bind(config, weights, out, named, judges):
         with Bar() as progress:
             found = protocol.run(out, progress)
         provenance = {
             "protocol": plugin.name,
             "variant": str(config.variant),
-            "weights": {**weights, **{f"metric {name}": dict(files) for name, files in judges.items() if files}},
+            "weights": {**weights, **{f"metric {name}": found for name, found in judges.items() if found}},
             "seconds": round(time.perf_counter() - start, 3),
             "machine": machine(),
             "command": shlex.join(["anystyle", "evaluate", *sys.argv[1:]]),
