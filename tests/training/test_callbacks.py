@@ -8,7 +8,8 @@ import pytest
 import torch
 from torch import nn
 
-from anystyle.training.callbacks import Average, SkipOutliers, StepSeed, gradient_norm
+from anystyle.training.callbacks import Average, StepSeed
+from anystyle.training.guards import SkipOutliers, gradient_norm
 from anystyle.training.optim import decayed_groups, learning_rate, scheduled, trainable
 
 

@@ -6,12 +6,10 @@ import subprocess
 import sys
 
 import pytest
-import torch
 from omegaconf import OmegaConf
-from safetensors.torch import load_file
 
 from anystyle.registry.compose import compose
-from training_cases import BACKBONE, STYLIZATION
+from training_cases import BACKBONE
 
 
 def anystyle(folder, *words: str) -> subprocess.CompletedProcess[str]:
@@ -39,21 +37,6 @@ def test_mistakes_end_in_one_line(tmp_path):
     result = anystyle(tmp_path, "experiment=tiny_reconstruction", "debug=smoke", "trainer.max_stepps=3")
     assert result.returncode == 2 and result.stdout == ""
     assert "max_stepps" in result.stderr and len(result.stderr.splitlines()) == 1
-
-
-@pytest.mark.slow
-def test_two_processes_end_where_one_does(tmp_path):
-    words = [word for word in STYLIZATION if not word.startswith(("name=", "styles.num_styles="))]
-    runs = (("one", ()), ("two", ("trainer.devices=2", "trainer.strategy=ddp")))
-    for name, more in runs:
-        result = anystyle(
-            tmp_path, *words, f"name={name}", "styles.num_styles=6", "trainer.max_steps=20", "export.half=false", *more
-        )
-        assert result.returncode == 0, result.stderr
-        assert result.stdout == f"20 steps done; branch.safetensors in runs/{name}\n"
-    one, two = (load_file(tmp_path / "runs" / name / "branch.safetensors") for name, _ in runs)
-    for key, tensor in one.items():
-        torch.testing.assert_close(two[key], tensor, atol=1e-5, rtol=0)
 
 
 def test_devices_inside_a_multirun_are_refused_with_a_way_out(tmp_path):

@@ -3,6 +3,7 @@
 import json
 import signal
 
+import lightning.pytorch as pl
 import pytest
 import torch
 
@@ -102,7 +103,7 @@ def test_a_loss_that_is_no_number_stops_the_run_and_keeps_the_batch(tmp_path, mo
 
 def test_a_full_disk_keeps_the_last_good_checkpoint(tmp_path, monkeypatch):
     overrides = (*RECONSTRUCTION, "checkpoint.every_steps=2")
-    whole = module.pl.Trainer.save_checkpoint
+    whole = pl.Trainer.save_checkpoint
 
     def save(self, path, *args, **kwargs):
         if self.global_step > 2:
@@ -111,7 +112,7 @@ def test_a_full_disk_keeps_the_last_good_checkpoint(tmp_path, monkeypatch):
         whole(self, path, *args, **kwargs)
 
     with monkeypatch.context() as patch:
-        patch.setattr(module.pl.Trainer, "save_checkpoint", save)
+        patch.setattr(pl.Trainer, "save_checkpoint", save)
         with pytest.raises(OSError, match="No space left"):
             train(configuration(overrides, tmp_path), tmp_path)
     assert torch.load(tmp_path / "last.ckpt", weights_only=True)["global_step"] == 2

@@ -3,7 +3,8 @@
 import pytest
 import torch
 
-from anystyle.training.data import Batch, stack_styles
+from anystyle.training.data import Batch
+from anystyle.training.fitting import stack_styles
 from anystyle.training.run import make_data, make_training
 from anystyle.training.scene_cache import stack_scenes
 from anystyle.training.stylization import StylizationTraining, branch_groups, style_vectors

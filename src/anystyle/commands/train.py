@@ -20,7 +20,8 @@ def run(config: DictConfig) -> dict[str, float]:
     """
     check_devices(config)
     # Lightning tells what it does; the run's own lines say what matters.
-    logging.getLogger("lightning.pytorch").setLevel(logging.WARNING)
+    for name in ("lightning.pytorch", "lightning.fabric"):
+        logging.getLogger(name).setLevel(logging.WARNING)
     outcome = train(config, Path(config.out))
     where = shown(Path(config.out))
     if outcome.leading and outcome.finished:

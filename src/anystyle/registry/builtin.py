@@ -77,14 +77,24 @@ BUILTIN: dict[str, dict[str, str]] = {
     },
     "metric": {
         "art_fid": "anystyle.metrics.art_fid:ArtFID",
+        "art_score": "anystyle.metrics.art_score:ArtScore",
+        "cfsd": "anystyle.metrics.cfsd:CFSD",
+        "clip_direction": "anystyle.metrics.clip_direction:ClipDirection",
+        "clip_style": "anystyle.metrics.clip_style:ClipStyle",
+        "color_match": "anystyle.metrics.color_match:ColorMatch",
+        "depth_agreement": "anystyle.metrics.depth_agreement:DepthAgreement",
+        "kid": "anystyle.metrics.kid:KID",
         "lpips": "anystyle.metrics.lpips:LPIPS",
         "lpips_gray": "anystyle.metrics.lpips_gray:LPIPSGray",
         "psnr": "anystyle.metrics.psnr:PSNR",
         "ssim": "anystyle.metrics.ssim:SSIM",
+        "timing": "anystyle.metrics.timing:Timing",
         "warp_consistency": "anystyle.metrics.warp_consistency:WarpConsistency",
     },
     "correspondence": {
+        "dis": "anystyle.correspondences.dis:DIS",
         "raft": "anystyle.correspondences.raft:Raft",
+        "rendered_depth": "anystyle.correspondences.rendered_depth:RenderedDepth",
     },
     "scenes": {
         "folder": "anystyle.data.scene_folder:FolderScenes",
@@ -114,5 +124,6 @@ BUILTIN: dict[str, dict[str, str]] = {
     "protocol": {
         "folders": "anystyle.evaluation.protocols.folders:Folders",
         "paper": "anystyle.evaluation.protocols.paper:Paper",
+        "tiny_heldout": "anystyle.evaluation.protocols.tiny_heldout:TinyHeldout",
     },
 }

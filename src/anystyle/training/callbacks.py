@@ -1,4 +1,4 @@
-"""What a run needs besides its maths: seeds, safety, averages and signs of life."""
+"""What a run needs besides its maths: seeds, checkpoints, averages and signs of life."""
 
 import logging
 import signal
@@ -120,54 +120,6 @@ def _atomic_on_first(trainer: pl.Trainer, path: Path) -> Iterator[Path]:
         yield path
 
 
-class FiniteLoss(pl.Callback):
-    """Stop a run whose loss or gradient is no number, and keep the batch that did it.
-
-    Args:
-        path: Where the batch goes.
-        max_gradient: A gradient norm above this stops the run too; ``None`` means any finite one will do.
-    """
-
-    def __init__(self, path: str | Path, *, max_gradient: float | None = None) -> None:
-        self.path = Path(path)
-        self.max_gradient = max_gradient
-        self._batch: Any = None
-
-    def on_train_batch_start(
-        self, trainer: pl.Trainer, pl_module: pl.LightningModule, batch: Any, batch_idx: int
-    ) -> None:
-        """Remember the batch."""
-        self._batch = batch
-
-    def on_before_backward(self, trainer: pl.Trainer, pl_module: pl.LightningModule, loss: Tensor) -> None:
-        """Look at the loss before it spoils a weight."""
-        if not torch.isfinite(loss):
-            self._refuse(trainer, f"the loss is {loss.item()}")
-
-    def on_before_optimizer_step(
-        self, trainer: pl.Trainer, pl_module: pl.LightningModule, optimizer: torch.optim.Optimizer
-    ) -> None:
-        """Look at the gradient, and log its norm."""
-        norm = gradient_norm(pl_module)
-        pl_module.log("train/gradient_norm", norm)
-        if not torch.isfinite(norm) or (self.max_gradient is not None and norm > self.max_gradient):
-            self._refuse(trainer, f"the gradient's norm is {norm.item():g}")
-
-    def _refuse(self, trainer: pl.Trainer, what: str) -> None:
-        with atomic_path(self.path) as temporary:
-            torch.save({"step": trainer.global_step, "batch": self._batch}, temporary)
-        raise ValueError(
-            f"at step {trainer.global_step} {what}; the batch is in {self.path}. "
-            f"Lower training.learning_rate, or continue from the last checkpoint with another seed"
-        )
-
-
-def gradient_norm(module: nn.Module) -> Tensor:
-    """The norm of all gradients together."""
-    norms = [parameter.grad.norm() for parameter in module.parameters() if parameter.grad is not None]
-    return torch.stack(norms).norm() if norms else torch.zeros(())
-
-
 class Average(pl.Callback):
     """An exponential moving average of the trainable weights, used for validation and for what is exported.
 
@@ -220,50 +172,6 @@ class Average(pl.Callback):
 
 def _trainable(module: nn.Module) -> list[tuple[str, nn.Parameter]]:
     return [(name, parameter) for name, parameter in module.named_parameters() if parameter.requires_grad]
-
-
-class SkipOutliers(pl.Callback):
-    """The reference's rule for losses far above the usual: their gradients count for almost nothing.
-
-    From step ``after`` on, a loss above ``mean + deviations * std`` of the last ``window`` losses has its gradient
-    scaled by 1e-10; the optimiser's averages and the weight decay still move, as in the published code.
-
-    Args:
-        window: Losses remembered; the rule sleeps until there are so many.
-        deviations: Of the mean, in population standard deviations.
-        after: The first step at which it applies.
-    """
-
-    def __init__(self, *, window: int = 500, deviations: float = 0.85, after: int = 3000) -> None:
-        self.window, self.deviations, self.after = window, deviations, after
-        self.history: list[float] = []
-        self._skip = False
-
-    def on_before_backward(self, trainer: pl.Trainer, pl_module: pl.LightningModule, loss: Tensor) -> None:
-        """Compare the loss with its history."""
-        value = float(loss.detach())
-        self._skip = False
-        if len(self.history) == self.window:
-            mean = sum(self.history) / self.window
-            deviation = (sum((past - mean) ** 2 for past in self.history) / self.window) ** 0.5
-            self._skip = trainer.global_step > self.after and value > mean + self.deviations * deviation
-        self.history = [*self.history, value][-self.window :]
-
-    @torch.no_grad()
-    def on_after_backward(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Scale the gradients of a skipped step."""
-        if self._skip:
-            for parameter in pl_module.parameters():
-                if parameter.grad is not None:
-                    parameter.grad.mul_(1e-10)
-
-    def state_dict(self) -> dict[str, Any]:
-        """The history."""
-        return {"history": self.history}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take the history up again."""
-        self.history = list(state_dict["history"])
 
 
 class Lines(pl.Callback):

@@ -1,8 +1,8 @@
 """What a training promises: a Lightning module that says what it reads and what it leaves behind."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import TypeVar
+from collections.abc import Mapping, Sequence
+from typing import TypeVar, final
 
 import lightning.pytorch as pl
 from torch import nn
@@ -10,6 +10,7 @@ from torch import nn
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.registry.socket import Socket
 from anystyle.training.data import BatchSource
+from anystyle.training.sharding import shard
 
 
 class Training(Socket, pl.LightningModule, ABC):
@@ -31,6 +32,16 @@ class Training(Socket, pl.LightningModule, ABC):
     @abstractmethod
     def exports(self) -> Mapping[str, nn.Module]:
         """What the run is for: modules to be written as weights files, by the part they are."""
+
+    def units(self) -> Sequence[nn.Module]:
+        """Parts of what is exported that ``trainer=fsdp`` gathers one at a time; the rest is gathered as one."""
+        return ()
+
+    @final
+    def configure_model(self) -> None:
+        """Share out what learns among the processes, where ``trainer=fsdp`` asks for it."""
+        if self.device_mesh is not None:
+            shard(list(self.exports().values()), self.units(), self.device_mesh["data_parallel"])
 
 
 Source = TypeVar("Source", SceneSource, StyleSource)

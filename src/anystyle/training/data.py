@@ -1,17 +1,24 @@
 """Batches as functions of the step, and the Lightning data module that serves them."""
 
+import logging
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
 
 import lightning.pytorch as pl
 import torch
-import torch.nn.functional as F
 from torch.utils.data import DataLoader, Dataset
 
 from anystyle.contracts import SceneSource, StyleSource
+from anystyle.errors import one_line
+from anystyle.training.fitting import fit_views, mirror_views, stack_styles, stack_views
 from anystyle.training.sampling import Draw, any_views, batch_rows, bounded_views, generator, view_probabilities
-from anystyle.types import Cameras, Style, Value, Views
+from anystyle.types import Style, Value, Views
+
+logger = logging.getLogger(__name__)
+
+ATTEMPTS = 16
+"""So many draws may fail in a row before the data, or what is asked of it, is to blame."""
 
 
 @dataclass(frozen=True)
@@ -23,12 +30,19 @@ class Batch(Value):
         context: How many views the network is given.
         style: One style a scene, where the training has styles.
         keys: Names the content of each row; equal keys mean equal context views.
+        skipped: A line for each scene or style that was drawn and could not be read, so that another took its place.
     """
 
     views: Views
     context: int
     style: Style | None = None
     keys: tuple[int, ...] = ()
+    skipped: tuple[str, ...] = ()
+
+    @property
+    def num_images(self) -> int:
+        """Context images of all rows."""
+        return self.views.images.shape[0] * self.context
 
     @property
     def inputs(self) -> Views:
@@ -98,45 +112,67 @@ class SceneBatches:
         self.heights, self.width, self.multiple = heights, width, multiple
         self.flip, self.pool = flip, pool
 
-    def draws(self, step: int) -> tuple[int, list[Draw]]:
-        """The number of context views of ``step``, and all its rows."""
+    def shape(self, step: int) -> tuple[int, int]:
+        """How many scenes ``step`` has over all processes, and of how many context views."""
         rng = generator(self.seed, 1, step)
         context = int(rng.choice(self.counts, p=self.probabilities))
-        rows = self.batch_size or batch_rows(context, self.images)
-        return context, [self._draw(step, row, context) for row in range(rows)]
+        return self.batch_size or batch_rows(context, self.images), context
 
-    def _draw(self, step: int, row: int, context: int) -> Draw:
-        rng = generator(self.seed, 2, step, row)
+    def _draw(self, step: int, row: int, context: int, attempt: int) -> Draw:
+        rng = generator(self.seed, 8, step, row, attempt) if attempt else generator(self.seed, 2, step, row)
         content = int(rng.integers(0, self.pool or 2**62))
         style = int(rng.integers(0, len(self.styles))) if self.styles is not None else 0
         key = content * (self.counts[-1] + 1) + context
         inner = generator(self.seed, 3, content, content >> 32, context)
         scene = int(inner.integers(0, len(self.scenes)))
         flip = bool(inner.random() < self.flip)
-        views = self.choose(inner, self.scenes.num_views(scene), context, self.target_views)
+        try:
+            views = self.choose(inner, self.scenes.num_views(scene), context, self.target_views)
+        except ValueError as error:
+            raise ValueError(f"{self.scenes.name(scene)}: {error}") from None
         return Draw(key=key, scene=scene, views=views, style=style, flip=flip)
 
     def batch(self, step: int, rank: int = 0, world: int = 1) -> Batch:
         """The rows of ``step`` that process ``rank`` of ``world`` works on.
 
-        Raises:
-            ValueError: The rows cannot be shared out evenly.
-        """
-        context, draws = self.draws(step)
-        if len(draws) % world:
-            raise ValueError(
-                f"{len(draws)} scenes a step cannot be shared by {world} processes; change data.batch_size"
-            )
-        mine = draws[rank::world]
-        rows = [self._read(draw) for draw in mine]
-        size = self._size(step, rows[0])
-        views = stack_views([row if size is None else fit_views(row, size) for row in rows])
-        style = None if self.styles is None else stack_styles([self.styles.read(draw.style) for draw in mine])
-        return Batch(views=views, context=context, style=style, keys=tuple(draw.key for draw in mine))
+        What cannot be read, and scenes with too few views, give way to another draw; the batch lists them.
 
-    def _read(self, draw: Draw) -> Views:
-        views = self.scenes.read(draw.scene, list(draw.views))
-        return mirror_views(views) if draw.flip else views
+        Raises:
+            ValueError: The rows cannot be shared out evenly, or nothing can be read.
+        """
+        count, context = self.shape(step)
+        if count % world:
+            raise ValueError(
+                f"{count} scenes a step cannot be shared by {world} processes; change training.batch_size, or "
+                f"training.images with training.context_views=[n,n]"
+            )
+        rows, styles, keys, skipped = [], [], [], []
+        for row in range(rank, count, world):
+            key, views, style = self._row(step, row, context, skipped)
+            rows.append(views)
+            styles.append(style)
+            keys.append(key)
+        size = self._size(step, rows[0])
+        return Batch(
+            views=stack_views([row if size is None else fit_views(row, size) for row in rows]),
+            context=context,
+            style=None if self.styles is None else stack_styles(styles),
+            keys=tuple(keys),
+            skipped=tuple(skipped),
+        )
+
+    def _row(self, step: int, row: int, context: int, skipped: list[str]) -> tuple[int, Views, Style]:
+        for attempt in range(ATTEMPTS):
+            try:
+                draw = self._draw(step, row, context, attempt)
+                views = self.scenes.read(draw.scene, list(draw.views))
+                style = Style() if self.styles is None else self.styles.read(draw.style)
+            except (ValueError, OSError) as error:
+                skipped.append(one_line(error))
+                logger.warning("skipped: %s", skipped[-1])
+                continue
+            return draw.key, mirror_views(views) if draw.flip else views, style
+        raise ValueError(f"{ATTEMPTS} draws of scenes and styles could not be read; the last one: {skipped[-1]}")
 
     def _size(self, step: int, views: Views) -> tuple[int, int] | None:
         if self.heights is None:
@@ -148,81 +184,6 @@ class SceneBatches:
             return height, self.width
         aspect = views.size[1] / views.size[0]
         return height, max(1, round(height * aspect / self.multiple)) * self.multiple
-
-
-def fit_views(views: Views, size: tuple[int, int]) -> Views:
-    """Views resized to cover ``size`` and cut to it around the middle; cameras and depth follow.
-
-    Depth is taken from the nearest pixel, for a mean over an edge lies on no surface.
-    """
-    if views.size == size:
-        return views
-    (height, width), (source_height, source_width) = size, views.size
-    scale = max(height / source_height, width / source_width)
-    cover = max(height, round(source_height * scale)), max(width, round(source_width * scale))
-    top, left = (cover[0] - height) // 2, (cover[1] - width) // 2
-    flat = F.interpolate(views.images.flatten(0, 1), size=cover, mode="bilinear", antialias=True, align_corners=False)
-    images = flat[..., top : top + height, left : left + width].unflatten(0, views.images.shape[:2])
-    depth = views.depth
-    if depth is not None:
-        depth = F.interpolate(depth, size=cover, mode="nearest-exact")[..., top : top + height, left : left + width]
-    cameras = views.cameras
-    if cameras is not None:
-        intrinsics = cameras.resized(cover).intrinsics.clone()
-        intrinsics[..., 0, 2] -= left
-        intrinsics[..., 1, 2] -= top
-        cameras = Cameras(cameras.world_from_camera, intrinsics, size)
-    return replace(views, images=images.clamp(0, 1), depth=depth, cameras=cameras)
-
-
-def mirror_views(views: Views) -> Views:
-    """Views of the mirrored scene."""
-    cameras = views.cameras
-    if cameras is not None:
-        mirror = torch.diag(cameras.world_from_camera.new_tensor([-1.0, 1.0, 1.0, 1.0]))
-        intrinsics = cameras.intrinsics.clone()
-        intrinsics[..., 0, 2] = views.size[1] - intrinsics[..., 0, 2]
-        cameras = Cameras(mirror @ cameras.world_from_camera @ mirror, intrinsics, cameras.size)
-    return replace(
-        views,
-        images=views.images.flip(-1),
-        depth=None if views.depth is None else views.depth.flip(-1),
-        cameras=cameras,
-    )
-
-
-def stack_views(rows: Sequence[Views]) -> Views:
-    """One batch of scenes with equally many views of one size; what one of them does not know is left out."""
-    sizes = {row.size for row in rows}
-    if len(sizes) > 1:
-        raise ValueError(f"scenes of sizes {sorted(sizes)} cannot be one batch; set heights and width")
-    cameras = [row.cameras for row in rows if row.cameras is not None]
-    depth = [row.depth for row in rows if row.depth is not None]
-    return Views(
-        images=torch.cat([row.images for row in rows]),
-        cameras=Cameras(
-            torch.cat([one.world_from_camera for one in cameras]),
-            torch.cat([one.intrinsics for one in cameras]),
-            rows[0].size,
-        )
-        if len(cameras) == len(rows)
-        else None,
-        depth=torch.cat(depth) if len(depth) == len(rows) else None,
-    )
-
-
-def stack_styles(rows: Sequence[Style]) -> Style:
-    """One batch of styles; a row without an image gets a black one that ``has_image`` denies."""
-    shape = next((row.image.shape[1:] for row in rows if row.image is not None), None)
-    image = has_image = None
-    if shape is not None:
-        image = torch.cat([torch.zeros(1, *shape) if row.image is None else row.image for row in rows])
-        has_image = torch.cat(
-            [torch.tensor([row.image is not None]) if row.has_image is None else row.has_image for row in rows]
-        )
-    texts = tuple(text for row in rows for text in (row.text or ("",)))
-    names = tuple(name for row in rows for name in row.names)
-    return Style(image=image, text=texts if any(texts) else None, has_image=has_image, names=names)
 
 
 class _Steps(Dataset[Value]):

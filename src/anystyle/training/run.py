@@ -1,26 +1,22 @@
 """One run of a training: built, continued where it was left, and its weights written at the end."""
 
 import json
-import logging
 import os
 import shlex
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import lightning.pytorch as pl
 import torch
-from lightning.pytorch.loggers import CSVLogger, Logger
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
 
 from anystyle.assemble import assemble, branch_header, weights_file
-from anystyle.checkpoint import Header, load_part, save_part
+from anystyle.checkpoint import Header, load_part, save_part, sha256
 from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
 from anystyle.files import atomic_path
 from anystyle.paths import SHARED
@@ -28,14 +24,16 @@ from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
 from anystyle.registry.schema import runtime_arguments
 from anystyle.training.cache import CachedScenes
-from anystyle.training.callbacks import Average, FiniteLoss, LastCheckpoint, Lines, SkipOutliers, StepSeed
+from anystyle.training.callbacks import Average, LastCheckpoint
 from anystyle.training.contract import Training
 from anystyle.training.data import StepData
+from anystyle.training.feature_store import FeaturePlace
+from anystyle.training.resume import alone, resumable, sweep, trial
+from anystyle.training.sharding import gathered
+from anystyle.training.trainer import make_trainer
 
-log = logging.getLogger(__name__)
-
-UNBOUND = ("resume", "checkpoint", "loggers", "workers", "export", "out", "fast_dev_run", "name")
-"""Parts of a configuration that may change between the two halves of a run: they do not change its result."""
+FEATURES = "features"
+"""The ``cache`` that keeps encoded scenes; any other name is a folder of scenes as they were made or decoded."""
 
 
 @dataclass(frozen=True)
@@ -70,12 +68,17 @@ def train(config: DictConfig, out: Path) -> Outcome:
     """
     out.mkdir(parents=True, exist_ok=True)
     with alone(out):
-        return _train(config, out)
+        if not config.fast_dev_run:
+            return _train(config, out)
+        with trial(config, out) as (short, folder):
+            outcome = _train(short, folder)
+        return replace(outcome, weights=())
 
 
 def _train(config: DictConfig, out: Path) -> Outcome:
     last = out / "last.ckpt"
-    resume = _resumable(config, last)
+    sweep(last)
+    resume = resumable(config, last)
     torch.manual_seed(config.seed)
     training = make_training(config)
     data = make_data(config, training)
@@ -83,52 +86,34 @@ def _train(config: DictConfig, out: Path) -> Outcome:
     keeper = LastCheckpoint(
         last, every_steps=config.checkpoint.every_steps, every_minutes=float(config.checkpoint.every_minutes)
     )
-    # A trial of a step or two leaves nothing behind.
-    keepers: list[pl.Callback] = [] if config.fast_dev_run else [keeper]
-    trainer = make_trainer(config, out, [*([average] if average else []), *keepers])
+    trainer = make_trainer(config, out, [*([average] if average else []), keeper])
     with warnings.catch_warnings():
         # Lightning advises on choices that are made on purpose here.
         warnings.filterwarnings("ignore", module=r"lightning\..*")
         warnings.filterwarnings("ignore", message=".*LeafSpec.*")
+        # The attributes of a branch are views of one tensor; nothing writes into them.
+        warnings.filterwarnings("ignore", message="FSDP2-wrapped module .* returned a view")
         trainer.fit(training, datamodule=data, ckpt_path=str(last) if resume else None, weights_only=resume or None)
     finished = trainer.global_step >= trainer.max_steps
-    metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
+    # What the clock says is no result: the same command twice gives the same bytes.
+    metrics = {name: float(value) for name, value in trainer.callback_metrics.items() if not name.startswith("speed/")}
     weights: tuple[Path, ...] = ()
-    if trainer.is_global_zero and finished and not config.fast_dev_run:
-        if average:
-            average.swap(training)
-        weights = export(config, training, out, steps=trainer.global_step)
+    if finished and average:
+        average.swap(training)
+    made = {part: gathered(module) for part, module in training.exports().items()} if finished else {}
+    if trainer.is_global_zero and finished:
+        weights = export(config, made, out, steps=trainer.global_step)
         with atomic_path(out / "metrics.json") as temporary:
             temporary.write_text(json.dumps(metrics, indent=2, sort_keys=True) + "\n")
     return Outcome(trainer.global_step, finished, metrics, weights, trainer.is_global_zero)
 
 
-@contextmanager
-def alone(out: Path) -> Iterator[None]:
-    """Keep other runs out of a folder until this one ends, however it ends.
+def make_training(config: DictConfig) -> Training:
+    """Build the training and the parts that it names.
 
     Raises:
-        ValueError: Another run is in it.
+        ValueError: Features are to be kept for a training that changes what makes them.
     """
-    try:
-        import fcntl
-    except ImportError:  # no such locks on this system
-        yield
-        return
-    # The processes of one distributed run share its folder.
-    if os.environ.get("LOCAL_RANK", "0") != "0" or os.environ.get("NODE_RANK", "0") != "0":
-        yield
-        return
-    with (out / ".lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ValueError(f"another run is at work in {out}; wait for its end, or choose another name=...") from None
-        yield
-
-
-def make_training(config: DictConfig) -> Training:
-    """Build the training and the parts that it names."""
     plugin = catalog().owner("training", str(config.training.get("_target_")))
     named = runtime_arguments(plugin)
     parts: dict[str, Any] = {}
@@ -141,10 +126,33 @@ def make_training(config: DictConfig) -> Training:
             Loss, objective(config), style_encoder=parts["stylizer"].style_encoder if "stylizer" in parts else None
         ),
     }
+    if config.get("cache") == FEATURES:
+        if "features" not in named:
+            raise ValueError(f"cache=features is for trainings on a frozen backbone, and {plugin.name} is none")
+        makers["features"] = lambda: _features(config)
     for name, make in makers.items():
         if name in named:
             parts[name] = make()
     return build(Training, config.training, **parts)
+
+
+def _features(config: DictConfig) -> FeaturePlace:
+    """Where encoded scenes are kept, and all of the configuration that they depend on."""
+    weights = config.weights.get("backbone")
+    parts = OmegaConf.to_container(
+        OmegaConf.masked_copy(config, ["backbone", "scenes"]), resolve=True, enum_to_str=True
+    )
+    assert isinstance(parts, dict)
+    description = {
+        **{str(key): value for key, value in parts.items()},
+        "weights": None if weights is None else sha256(weights_file(weights)),
+        # Weights as initialised are a function of the seed.
+        "seed": config.seed,
+        "precision": str(config.trainer.precision),
+        "accelerator": str(config.trainer.accelerator),
+        "torch": torch.__version__,
+    }
+    return FeaturePlace(Path(str(config.features.folder)).expanduser(), float(config.features.gigabytes), description)
 
 
 def objective(config: DictConfig) -> dict[str, Any]:
@@ -185,96 +193,14 @@ def _scenes(config: DictConfig, key: str) -> SceneSource | None:
         return None
     source = build(SceneSource, config[key])
     cache = config.get("cache")
-    return source if cache is None else CachedScenes(source, Path(str(cache)).expanduser() / key)
+    return source if cache in (None, FEATURES) else CachedScenes(source, Path(str(cache)).expanduser() / key)
 
 
-def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) -> pl.Trainer:
-    """Lightning's trainer with everything that no run goes without."""
-    options = OmegaConf.to_container(config.trainer, resolve=True)
-    assert isinstance(options, dict)
-    terminal = sys.stderr.isatty()
-    guards: list[pl.Callback] = [StepSeed(config.seed), FiniteLoss(out / "refused_batch.pt")]
-    if config.skip_outliers:
-        guards.append(SkipOutliers())
-    if not terminal:
-        guards.append(Lines())
-    try:
-        return pl.Trainer(
-            **{str(key): value for key, value in options.items()},
-            default_root_dir=out,
-            max_epochs=-1,
-            check_val_every_n_epoch=None,
-            num_sanity_val_steps=0,
-            use_distributed_sampler=False,
-            enable_checkpointing=False,
-            enable_model_summary=False,
-            enable_progress_bar=terminal,
-            logger=make_loggers(list(config.loggers), out),
-            callbacks=[*guards, *callbacks],
-        )
-    except TypeError as error:
-        raise ValueError(f"trainer: {error}; the options are those of lightning's Trainer") from None
-
-
-def make_loggers(names: list[str], out: Path) -> list[Logger]:
-    """The loggers of these names; each run of a training that is continued gets a version of its own."""
-    return [_logger(name, out) for name in names]
-
-
-def _logger(name: str, out: Path) -> Logger:
-    if name == "csv":
-        return CSVLogger(out, name="log", flush_logs_every_n_steps=20)
-    if name == "tensorboard":
-        try:
-            from lightning.pytorch.loggers import TensorBoardLogger
-
-            return TensorBoardLogger(out, name="tensorboard")
-        except ModuleNotFoundError:
-            raise ValueError('loggers: tensorboard is not installed; pip install "anystyle[tracking]"') from None
-    raise ValueError(f"loggers: no logger is named '{name}'; choose from csv, tensorboard")
-
-
-def bound(config: DictConfig) -> dict[str, Any]:
-    """The part of a configuration that a continued run must share, as plain values by their full keys."""
-    plain = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
-    assert isinstance(plain, dict)
-    return dict(_flat({key: value for key, value in plain.items() if key not in UNBOUND}))
-
-
-def _flat(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
-    if isinstance(node, dict):
-        return [row for key, value in node.items() for row in _flat(value, f"{prefix}.{key}" if prefix else str(key))]
-    return [(prefix, node)]
-
-
-def _resumable(config: DictConfig, last: Path) -> bool:
-    """Whether there is a run to continue; writes down the configuration of a new one.
-
-    Raises:
-        ValueError: There is one, of another configuration.
-    """
-    record = last.with_name("bound.json")
-    current = json.loads(json.dumps(bound(config)))
-    if config.resume != "never" and last.is_file():
-        earlier = json.loads(record.read_text()) if record.is_file() else current
-        changed = sorted(key for key in {*earlier, *current} if earlier.get(key) != current.get(key))
-        if changed and config.resume != "changed":
-            shown = ", ".join(f"{key} {earlier.get(key)} -> {current.get(key)}" for key in changed[:5])
-            raise ValueError(
-                f"{last.parent} holds a run of another configuration ({shown}{', …' if len(changed) > 5 else ''}); "
-                f"pass resume=changed to continue it so, resume=never to start again, or another name=..."
-            )
-        return True
-    with atomic_path(record) as temporary:
-        temporary.write_text(json.dumps(current, indent=2, sort_keys=True) + "\n")
-    return False
-
-
-def export(config: DictConfig, training: Training, out: Path, *, steps: int) -> tuple[Path, ...]:
-    """Write what the training made, as weights files that say how they were made."""
+def export(config: DictConfig, made: Mapping[str, nn.Module], out: Path, *, steps: int) -> tuple[Path, ...]:
+    """Write what a training made, as weights files that say how they were made."""
     provenance = provenance_of(config, steps)
     written = []
-    for part, module in training.exports().items():
+    for part, module in made.items():
         if part == "branch":
             header = branch_header(config, provenance)
         else:

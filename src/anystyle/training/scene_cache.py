@@ -1,4 +1,4 @@
-"""Encoded scenes kept in memory, for trainings in which the backbone does not change."""
+"""Encoded scenes kept in memory and on disk, for trainings in which the backbone does not change."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -9,34 +9,43 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from anystyle.training.feature_store import FeatureStore
 from anystyle.types import Clusters, Scene, Value, Views
 
 
 class EncodedScenes:
-    """Scenes by the keys of what they show, least recently used first out.
+    """Scenes by the keys of what they show and their size, least recently used first out.
 
     Every scene is encoded alone, whether or not it stays: a batch is the same with and without the cache.
 
     Args:
         encode: Turns the views of one scene into a scene.
-        limit: How many are kept; 0 keeps none.
+        limit: How many are kept in memory; 0 keeps none.
+        store: Keeps them on disk too.
     """
 
-    def __init__(self, encode: Callable[[Views], Scene], limit: int) -> None:
-        self.encode, self.limit = encode, limit
-        self._kept: OrderedDict[int, Scene] = OrderedDict()
+    def __init__(self, encode: Callable[[Views], Scene], limit: int, store: FeatureStore | None = None) -> None:
+        self.encode, self.limit, self.store = encode, limit, store
+        self._kept: OrderedDict[str, Scene] = OrderedDict()
 
     def __call__(self, views: Views, keys: Sequence[int]) -> Scene:
         """The scenes of a batch of views, one key a row."""
         return stack_scenes([self._one(views, row, key) for row, key in enumerate(keys)])
 
     def _one(self, views: Views, row: int, key: int) -> Scene:
-        if key in self._kept:
-            self._kept.move_to_end(key)
-            return self._kept[key]
-        scene = self.encode(views.map(lambda tensor: tensor[row : row + 1]))
+        # A pool's views are the same each time, and yet of another size where sizes change from step to step.
+        name = f"{key}_{views.size[0]}x{views.size[1]}"
+        if name in self._kept:
+            self._kept.move_to_end(name)
+            return self._kept[name]
+        alone = views.map(lambda tensor: tensor[row : row + 1])
+        scene = None if self.store is None else self.store.get(name, alone)
+        if scene is None:
+            scene = self.encode(alone)
+            if self.store is not None:
+                self.store.put(name, scene)
         if self.limit:
-            self._kept[key] = scene
+            self._kept[name] = scene
             while len(self._kept) > self.limit:
                 self._kept.popitem(last=False)
         return scene

@@ -54,6 +54,11 @@ class StyleBatch(Value):
     photo_texts: tuple[str, ...]
     keys: tuple[int, ...] = ()
 
+    @property
+    def num_images(self) -> int:
+        """Styles and photographs."""
+        return self.images.shape[0] + self.photos.shape[0]
+
 
 @runtime_checkable
 class MadeStyles(Protocol):

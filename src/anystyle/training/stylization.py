@@ -15,6 +15,8 @@ from anystyle.files import atomic_path
 from anystyle.stylizer import Stylizer
 from anystyle.training.contract import Training, required
 from anystyle.training.data import Batch, SceneBatches
+from anystyle.training.feature_store import FeaturePlace, without_stem
+from anystyle.training.loggers import Picture, show
 from anystyle.training.optim import scheduled, trainable
 from anystyle.training.sampling import generator
 from anystyle.training.scene_cache import EncodedScenes
@@ -30,6 +32,7 @@ class StylizationTraining(Training):
     Args:
         stylizer: Its branch learns.
         losses: The objective: terms by name, each with its weight.
+        features: Where encoded scenes are kept on disk; ``None`` keeps none there.
         images: Images a step over all processes; with n views a scene that is ``images // n`` scenes.
         batch_size: Scenes a step, instead of ``images``.
         context_views: Least and most views of a scene.
@@ -61,6 +64,7 @@ class StylizationTraining(Training):
         *,
         stylizer: Stylizer,
         losses: Mapping[str, Loss],
+        features: FeaturePlace | None = None,
         images: int = 36,
         batch_size: int | None = None,
         context_views: Sequence[int] = (2, 18),
@@ -92,6 +96,11 @@ class StylizationTraining(Training):
                 raise ValueError(f"training.{name} is {share}; give a share between 0 and 1")
         if not losses:
             raise ValueError("there is nothing to learn from; add loss=[content,style,clip_directional]")
+        if features is not None and pool is None:
+            raise ValueError(
+                "cache=features keeps what is seen again, and training.pool=null shows no views twice; set "
+                "training.pool to a number of selections of views"
+            )
         self.stylizer = stylizer
         if not learn_copies:
             stylizer.branch.requires_grad_(False).injectors.requires_grad_()
@@ -100,7 +109,8 @@ class StylizationTraining(Training):
         self.context_views, self.view_power = context_views, view_power
         self.spread: Literal["any", "bounded"] = spread
         self.heights, self.width, self.flip, self.pool = heights, width, flip, pool
-        self.encoded = EncodedScenes(stylizer.encode, cache_scenes)
+        self.features = features
+        self.encoded = EncodedScenes(self._encode, cache_scenes)
         self.text_ratio, self.alternation, self.mix_ratio = text_ratio, alternation, mix_ratio
         self.learning_rate, self.betas = learning_rate, betas
         self.head_rate, self.aggregator_rate = head_rate, aggregator_rate
@@ -108,6 +118,7 @@ class StylizationTraining(Training):
         self.floor, self.decay_steps = floor, decay_steps
         self.preview_every, self.preview_texts = preview_every, preview_texts
         self.seed = 0
+        self._source: SceneBatches | None = None
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -117,7 +128,11 @@ class StylizationTraining(Training):
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
         """Scenes with one style each."""
         self.seed = seed
-        return SceneBatches(
+        if self.features is not None:
+            self.encoded.store = self.features.store(
+                seed=seed, spread=self.spread, flip=self.flip, context_views=list(self.context_views)
+            )
+        self._source = SceneBatches(
             required(scenes, "scenes"),
             required(styles, "styles"),
             seed=seed,
@@ -132,23 +147,33 @@ class StylizationTraining(Training):
             flip=self.flip,
             pool=self.pool,
         )
+        return self._source
 
     def exports(self) -> Mapping[str, nn.Module]:
         """The style branch."""
         return {"branch": self.stylizer.branch}
+
+    def units(self) -> Sequence[nn.Module]:
+        """The blocks of the aggregator's copy, which hold nine tenths of what learns."""
+        copied = self.stylizer.branch.aggregator
+        lists = [] if copied is None else [part for part in copied.modules() if isinstance(part, nn.ModuleList)]
+        return [block for blocks in lists for block in blocks]
 
     def training_step(self, batch: Batch, step: int) -> Tensor:
         """The weighted sum of the terms."""
         assert batch.style is not None
         embedding = self.embed(batch.style, self.global_step)
         result = self.stylize(batch, embedding)
-        total = torch.zeros((), device=result.renders.color.device)
         rows = len(batch.keys)
-        for name, term in self.terms.items():
-            value = term(result)
-            total = total + term.weight * value
-            self.log(f"train/{name}", value, batch_size=rows)
-        self.log("train/loss", total, batch_size=rows, prog_bar=True)
+        # In full precision, as published, whatever the networks are computed in.
+        with torch.autocast(result.renders.color.device.type, enabled=False):
+            result = result.to(torch.float32)
+            total = torch.zeros((), device=result.renders.color.device)
+            for name, term in self.terms.items():
+                value = term(result)
+                total = total + term.weight * value
+                self.log(f"train/{name}", value, batch_size=rows, sync_dist=True)
+        self.log("train/loss", total, batch_size=rows, prog_bar=True, sync_dist=True)
         return total
 
     def stylize(self, batch: Batch, embedding: StyleEmbedding) -> Stylization:
@@ -157,8 +182,14 @@ class StylizationTraining(Training):
         views = batch.inputs
         scene = self.encoded(Views(images=views.images), batch.keys)
         gaussians = self.stylizer.restyle(scene, embedding)
-        renders = self.stylizer.render(gaussians, scene.cameras)
+        with torch.autocast(views.images.device.type, enabled=False):
+            renders = self.stylizer.render(gaussians.to(torch.float32), scene.cameras.to(torch.float32))
         return Stylization(views, batch.style, embedding, scene, gaussians, renders)
+
+    def _encode(self, views: Views) -> Scene:
+        scene = self.stylizer.encode(views)
+        copied = self.stylizer.branch.aggregator is not None
+        return scene if self.encoded.store is None or copied else without_stem(scene)
 
     def embed(self, style: Style, step: int) -> StyleEmbedding:
         """The styles of a step: as texts or as images; a row that lacks the one comes as the other."""
@@ -178,17 +209,22 @@ class StylizationTraining(Training):
         return bool(generator(self.seed, 5, step).random() < self.text_ratio)
 
     def on_train_batch_end(self, outputs: Any, batch: Batch, batch_idx: int) -> None:
-        """Draw the grid of styled renders when it is time."""
-        due = self.preview_every and self.global_step % self.preview_every == 0
-        if due and self.trainer.is_global_zero:
-            folder = Path(self.trainer.default_root_dir) / "previews"
-            write_preview(folder / f"step_{self.global_step:07d}.png", self.preview(batch))
+        """Draw the grid of styled renders when it is time: always of the same scene, in the same styles."""
+        step = self.global_step
+        if not (self.preview_every and step % self.preview_every == 0 and self.trainer.is_global_zero):
+            return
+        assert self._source is not None
+        shown = self._source.batch(0, 0, self.trainer.world_size).to(self.device)
+        picture = grid(self.preview(shown))
+        with atomic_path(Path(self.trainer.default_root_dir) / "previews" / f"step_{step:07d}.png") as temporary:
+            Image.fromarray(picture).save(temporary)
+        show(self.trainer.loggers, "previews", picture, step)
 
     @torch.no_grad()
     def preview(self, batch: Batch) -> list[list[Float[Tensor, "3 H W"]]]:
         """Rows of images: the photographs of the first scene, unstyled renders, and renders in each style."""
         views = Views(images=batch.inputs.images[:1])
-        scene = self.encoded(views, batch.keys[:1])
+        scene = self.stylizer.encode(views)
         rows = [list(views.images[0]), self._drawn(scene, None)]
         rows += [self._drawn(scene, self.stylizer.embed(text=text)) for text in self.preview_texts]
         if batch.style is not None and batch.style.image is not None:
@@ -271,9 +307,7 @@ def style_vectors(stylizer: Stylizer, style: Style, *, as_text: bool) -> Float[T
     return torch.stack(rows)
 
 
-def write_preview(path: Path, rows: Sequence[Sequence[Float[Tensor, "3 H W"]]]) -> None:
-    """Write a grid of images as a PNG file."""
-    grid = torch.cat([torch.cat(list(row), dim=-1) for row in rows], dim=-2).clamp(0, 1)
-    levels = (grid.permute(1, 2, 0).cpu().float().numpy() * 255 + 0.5).astype(np.uint8)
-    with atomic_path(path) as temporary:
-        Image.fromarray(levels).save(temporary)
+def grid(rows: Sequence[Sequence[Float[Tensor, "3 H W"]]]) -> Picture:
+    """Rows of images as one picture."""
+    joined = torch.cat([torch.cat(list(row), dim=-1) for row in rows], dim=-2).clamp(0, 1)
+    return (joined.permute(1, 2, 0).cpu().float().numpy() * 255 + 0.5).astype(np.uint8)

@@ -1,0 +1,120 @@
+"""Whose folder this is: one run at a time, continued only with the configuration it began with."""
+
+import json
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from anystyle.files import atomic_path
+
+UNBOUND = (
+    "resume", "checkpoint", "loggers", "workers", "export", "out", "fast_dev_run", "name", "features", "explosion",
+)  # fmt: skip
+"""Parts of a configuration that may change between the two halves of a run: they do not change its result."""
+
+
+def leads() -> bool:
+    """Whether this is the only process of a run, or the first of several."""
+    return all(os.environ.get(name, "0") == "0" for name in ("LOCAL_RANK", "NODE_RANK", "SLURM_PROCID"))
+
+
+@contextmanager
+def alone(out: Path) -> Iterator[None]:
+    """Keep other runs out of a folder until this one ends, however it ends.
+
+    Raises:
+        ValueError: Another run is in it.
+    """
+    try:
+        import fcntl
+    except ImportError:  # no such locks on this system
+        yield
+        return
+    # The processes of one distributed run share its folder.
+    if not leads():
+        yield
+        return
+    with (out / ".lock").open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise ValueError(f"another run is at work in {out}; wait for its end, or choose another name=...") from None
+        yield
+
+
+def bound(config: DictConfig) -> dict[str, Any]:
+    """The part of a configuration that a continued run must share, as plain values by their full keys."""
+    plain = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
+    assert isinstance(plain, dict)
+    return dict(_flat({key: value for key, value in plain.items() if key not in UNBOUND}))
+
+
+def _flat(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
+    if isinstance(node, dict):
+        return [row for key, value in node.items() for row in _flat(value, f"{prefix}.{key}" if prefix else str(key))]
+    return [(prefix, node)]
+
+
+def resumable(config: DictConfig, last: Path) -> bool:
+    """Whether there is a run to continue; writes down the configuration of a new one.
+
+    Raises:
+        ValueError: There is one, of another configuration.
+    """
+    record = last.with_name("bound.json")
+    current = json.loads(json.dumps(bound(config)))
+    if config.resume != "never" and last.is_file():
+        earlier = json.loads(record.read_text()) if record.is_file() else current
+        changed = sorted(key for key in {*earlier, *current} if earlier.get(key) != current.get(key))
+        if changed and config.resume != "changed":
+            shown = ", ".join(f"{key} {earlier.get(key)} -> {current.get(key)}" for key in changed[:5])
+            raise ValueError(
+                f"{last.parent} holds a run of another configuration ({shown}{', …' if len(changed) > 5 else ''}); "
+                f"pass resume=changed to continue it so, resume=never to start again, or another name=..."
+            )
+        return True
+    with atomic_path(record) as temporary:
+        temporary.write_text(json.dumps(current, indent=2, sort_keys=True) + "\n")
+    return False
+
+
+def sweep(last: Path) -> None:
+    """Remove what a run that was killed while it wrote a checkpoint left half-written."""
+    if leads():
+        for partial in last.parent.glob(f".{last.stem}-*{last.suffix}"):
+            partial.unlink(missing_ok=True)
+
+
+@contextmanager
+def trial(config: DictConfig, out: Path) -> Iterator[tuple[DictConfig, Path]]:
+    """A run of two steps with everything on, in a folder that is gone afterwards.
+
+    Validation, checkpoint, every logger and the grid of renders take part; nothing is continued and nothing is left.
+    """
+    short = OmegaConf.merge(
+        config,
+        {
+            "fast_dev_run": False,
+            "resume": "never",
+            "validation_steps": min(1, config.validation_steps),
+            "checkpoint": {"every_steps": 1},
+            "trainer": {"max_steps": 2, "val_check_interval": 1, "log_every_n_steps": 1},
+        },
+    )
+    assert isinstance(short, DictConfig)
+    if "preview_every" in short.training:
+        OmegaConf.update(short, "training.preview_every", 1)
+    folder = out / ".trial"
+    if leads():
+        shutil.rmtree(folder, ignore_errors=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield short, folder
+    finally:
+        if leads():
+            shutil.rmtree(folder, ignore_errors=True)

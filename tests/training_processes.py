@@ -1,0 +1,44 @@
+"""Trainings in processes of their own, forked from one that has imported everything: they start in a moment."""
+
+import multiprocessing
+import os
+import socket
+from collections.abc import Mapping, Sequence
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+
+PRELOADED = ("anystyle.training.run", "anystyle.training.stylization", "anystyle.renderers.cpu", "training_cases")
+
+
+def start(words: Sequence[str], out: Path, environment: Mapping[str, str] | None = None) -> BaseProcess:
+    """A training at work, or about to be."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(PRELOADED))
+    process = context.Process(target=_train, args=(tuple(words), out, dict(environment or {})), daemon=True)
+    process.start()
+    return process
+
+
+def together(count: int, words: Sequence[str], out: Path) -> list[BaseProcess]:
+    """The processes of one distributed training, as torchrun starts them."""
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    places = {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": str(port), "WORLD_SIZE": str(count)}
+    words = (*words, f"trainer.devices={count}")
+    return [start(words, out, places | {"LOCAL_RANK": str(rank), "RANK": str(rank)}) for rank in range(count)]
+
+
+def _train(words: Sequence[str], out: Path, environment: Mapping[str, str]) -> None:
+    import torch
+
+    from anystyle.training.run import train
+    from training_cases import configuration
+
+    os.environ.update(environment)
+    torch.set_num_threads(1)
+    out.mkdir(parents=True, exist_ok=True)
+    log = os.open(out / f"process_{os.getpid()}.txt", os.O_CREAT | os.O_WRONLY)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    train(configuration(words, out), out)
