@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import ModuleType
 from typing import ClassVar, Literal
 
 from torch import Tensor
@@ -62,7 +61,7 @@ class DepthAnything(contracts.Backbone):
         ValueError: Options contradict each other.
     """
 
-    published: ClassVar[ModuleType] = keys
+    published: ClassVar[contracts.Published | None] = keys
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

@@ -13,6 +13,8 @@ TAPS = {12: (5, 7, 9, 11), 24: (11, 15, 19, 23), 40: (19, 27, 33, 39)}
 def options(state: Mapping[str, Tensor]) -> dict[str, object]:
     """Options of the backbone, as far as shapes tell.
 
+    Without a Gaussian head in it, they are of a network whose head is like the depth head and not yet trained.
+
     Args:
         state: Names without prefixes.
 
@@ -57,7 +59,8 @@ def _decoder(state: Mapping[str, Tensor], part: str, name: str) -> dict[str, obj
 def _gaussians(state: Mapping[str, Tensor]) -> dict[str, object]:
     outputs = "gs_head.scratch.output_conv2.2.weight"
     if outputs not in state:
-        return {}
+        untrained = {"depth_along": "z", "rotations": "camera", "init": "scratch"}
+        return _decoder(state, "head", "gaussian") | untrained
     degree = isqrt((_size(state, outputs, 0) - 11) // 3) - 1
     return {"sh_degree": degree} | _decoder(state, "gs_head", "gaussian")
 
