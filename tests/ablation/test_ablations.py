@@ -1,0 +1,156 @@
+"""The rows of the ablation table: what each changes, and sweeps over them as people type them."""
+
+import resource
+import statistics
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import yaml
+from safetensors.torch import load_file
+
+from anystyle.commands._compose import launch
+from anystyle.commands.train import run
+from anystyle.errors import UserError
+from anystyle.registry.compose import ERRORS, compose, explain
+from anystyle.training.run import objective
+from training_cases import BACKBONE
+
+ROWS = ("base", "all_geometry", "no_clip_loss", "no_style_loss", "no_text")
+TERMS = {
+    "paper_head": {
+        "base": {"content", "style", "clip_directional", "clip_patch", "depth_consistency"},
+        "no_clip_loss": {"content", "style", "depth_consistency"},
+        "no_style_loss": {"content", "clip_directional", "clip_patch", "depth_consistency"},
+    },
+    "tiny_style": {
+        "base": {"sliced_wasserstein", "luminance", "clip_directional", "total_variation"},
+        "no_clip_loss": {"sliced_wasserstein", "luminance", "total_variation"},
+        "no_style_loss": {"luminance", "clip_directional", "total_variation"},
+    },
+}
+TABLE = f"ablation={','.join(ROWS)}"
+# The tiny recipe on a still smaller network, from its initialisation.
+SMALL = [word for word in BACKBONE if not word.startswith(("backbone=", "renderer="))]
+FEW_STEPS = (
+    *SMALL, "experiment=tiny_style", "weights.backbone=null", "trainer.max_steps=2", "scenes.size=28",
+    "scenes.num_scenes=2", "styles.num_styles=1", "styles.size=28", "training.batch_size=1", "training.pool=2",
+    "training.cache_scenes=2", "training.warmup=1", "training.preview_every=0", "hydra.sweep.dir=sweep",
+)  # fmt: skip
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def multirun(*words: str) -> None:
+    launch("train", run, ["-m", *FEW_STEPS, *words])
+
+
+def weights_of(job: int) -> Path:
+    return Path("sweep") / str(job) / "branch.safetensors"
+
+
+def last(job: int) -> Path:
+    return weights_of(job).with_name("last.ckpt")
+
+
+@pytest.mark.parametrize("experiment", TERMS)
+@pytest.mark.parametrize("ablation", ROWS)
+def test_objective_of_each_row(experiment, ablation):
+    config = compose("train", [f"experiment={experiment}", f"ablation={ablation}", "name=x", "out=x"])
+    assert set(objective(config)) == TERMS[experiment].get(ablation, TERMS[experiment]["base"])
+    assert (config.training.text_ratio == 0) is (ablation == "no_text")
+    styled = ["opacity", "scale", "rotation", "color"] if ablation == "all_geometry" else ["rotation", "color"]
+    assert list(config.branch.styled) == styled
+
+
+def test_what_is_left_out_must_be_a_loss():
+    config = compose("train", ["experiment=tiny_style", "without=[clip_directoinal]", "name=x", "out=x"])
+    with pytest.raises(UserError, match=r"no loss is named 'clip_directoinal'\. Did you mean 'clip_directional'"):
+        objective(config)
+
+
+def test_the_table_trains_in_one_command_and_again_does_only_what_is_missing(capfd):
+    multirun(TABLE)
+    shown = capfd.readouterr()
+    assert shown.out.count("2 steps done; branch.safetensors in ") == len(ROWS)
+    branches = [load_file(weights_of(job)) for job in range(len(ROWS))]
+    base, geometry, no_clip, no_style, no_text = branches
+    assert all(base.keys() == other.keys() for other in branches)
+    for other in (geometry, no_clip, no_style, no_text):
+        assert any(not base[key].equal(other[key]) for key in base)
+    for job, row in enumerate(ROWS):
+        assert f"ablation={row}" in yaml.safe_load((weights_of(job).parent / ".hydra" / "overrides.yaml").read_text())
+    for file in (last(1), weights_of(1), weights_of(3)):
+        file.unlink()
+    before = [checkpoint.stat().st_mtime_ns if checkpoint.is_file() else 0 for checkpoint in map(last, range(5))]
+    multirun(TABLE)
+    # Job 1 has lost its checkpoint and is trained again; job 3 has its checkpoint and only writes its weights.
+    again = [last(job).stat().st_mtime_ns != before[job] for job in range(len(ROWS))]
+    assert again == [False, True, False, False, False]
+    for job, branch in enumerate(branches):
+        now = load_file(weights_of(job))
+        assert all(now[key].equal(branch[key]) for key in branch)
+
+
+def test_a_job_that_fails_leaves_the_others_and_the_sweep_says_so():
+    with pytest.raises(ValueError, match=r"training\.text_ratio is 7\.0; give a share between 0 and 1"):
+        multirun("training.text_ratio=0.5,7,0")
+    assert [weights_of(job).is_file() for job in range(3)] == [True, False, True]
+
+
+def test_placements_are_swept_by_name():
+    multirun("placement=head,aggregator,full", "trainer.max_steps=1")
+    parts = [{key.split(".")[0] for key in load_file(weights_of(job))} for job in range(3)]
+    assert parts == [{"gaussian_head", "injectors"}] + 2 * [{"aggregator", "gaussian_head", "injectors"}]
+    sites = [
+        {key.split(".")[1].split("/")[0] for key in load_file(weights_of(job)) if key[0] == "i"} for job in range(3)
+    ]
+    assert sites == [{"head"}, {"aggregator"}, {"aggregator", "head"}]
+
+
+def test_low_rank_updates_alone_learn_where_the_copies_do_not():
+    multirun("injector=lora,film", "training.learn_copies=false", "weights.backbone=null", "export.half=false")
+    lora, film = (load_file(weights_of(job)) for job in range(2))
+    copies = [key for key in lora if key.startswith("gaussian_head.")]
+    assert copies
+    assert all(lora[key].equal(film[key]) for key in copies)
+    assert any(lora[key].any() for key in lora if key.endswith(".up.weight"))
+
+
+@pytest.mark.parametrize(
+    ("word", "told"),
+    [
+        ("training.learning_rat=0.1,0.2", "Did you mean: 'learning_rate'"),
+        ("ablation=base,no_clip", "Could not find 'ablation/no_clip'"),
+        ("loss.stlye.weight=1,2", "stlye"),
+    ],
+)
+def test_a_sweep_over_what_does_not_exist_trains_nothing(word, told):
+    with pytest.raises(ERRORS) as caught:
+        multirun(word)
+    message = explain(caught.value)
+    assert told in message or told.replace(": ", " ") in message, message
+    assert "\n" not in message
+    assert not list(Path().rglob("*.safetensors"))
+
+
+def test_composing_a_job_costs_little_beside_starting_one():
+    words = ["experiment=tiny_style", "name=x", "out=x"]
+    compose("train", words)
+    seconds = []
+    for row in ROWS:
+        start = time.process_time()
+        compose("train", [*words, f"ablation={row}"])
+        seconds.append(time.process_time() - start)
+    # Processor time of this process and of one that only imports torch, as each job of its own process must: a second
+    # or two on an idle machine, so that half of it is a generous second.
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([sys.executable, "-c", "import torch, lightning"], check=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    starting = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    assert statistics.median(seconds) < 0.5 * starting, (seconds, starting)
