@@ -121,3 +121,39 @@ def _cross_matrix(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3
     x, y, z = vectors.unbind(-1)
     zero = torch.zeros_like(x)
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
+
+
+class Similarity(NamedTuple):
+    """A change of frame ``x -> scale rotation x + translation``."""
+
+    scale: Float[Tensor, ""]
+    rotation: Float[Tensor, "3 3"]
+    translation: Float[Tensor, "3"]
+
+    def moved(self, world_from_camera: Float[Tensor, "V 4 4"]) -> Float[Tensor, "V 4 4"]:
+        """Cameras of the old frame in the new one."""
+        pose = world_from_camera.clone()
+        pose[:, :3, :3] = self.rotation @ world_from_camera[:, :3, :3]
+        pose[:, :3, 3] = self.scale * world_from_camera[:, :3, 3] @ self.rotation.mT + self.translation
+        return pose
+
+
+def similarity_of_cameras(source: Float[Tensor, "V 4 4"], target: Float[Tensor, "V 4 4"]) -> Similarity:
+    """The change of frame that brings cameras closest to others of the same views.
+
+    The rotation is the chordal mean of what each view says, since the places of a few cameras on a line leave it open;
+    scale and translation then have the least squared error of the places. Cameras at one place keep their scale.
+
+    Args:
+        source: World from camera in the old frame; at least one view.
+        target: World from camera in the new frame.
+    """
+    u, _, vh = torch.linalg.svd((target[:, :3, :3] @ source[:, :3, :3].mT).mean(0))
+    flip = torch.ones_like(u[0])
+    flip[2] = torch.det(u @ vh)
+    rotation = u @ (flip[:, None] * vh)
+    turned, places = source[:, :3, 3] @ rotation.mT, target[:, :3, 3]
+    spread, wanted = turned - turned.mean(0), places - places.mean(0)
+    size = spread.square().sum()
+    scale = torch.where(size > 1e-12, (spread * wanted).sum().clamp_min(0) / size.clamp_min(1e-12), 1.0)
+    return Similarity(scale, rotation, places.mean(0) - scale * turned.mean(0))

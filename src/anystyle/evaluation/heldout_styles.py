@@ -1,0 +1,152 @@
+"""How a stylized scene is judged: whose style it looks like, its colours, its edges, and the way between two styles."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import kornia
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import StyleEncoder
+from anystyle.perception.histogram import hellinger, rgb_uv_histogram
+from anystyle.stylizer import Stylizer
+from anystyle.types import Cameras, Gaussians, Scene, StyleEmbedding
+
+CHUNK = 5
+"""Styles that are restyled and rendered at a time; a matter of memory alone."""
+HISTOGRAM_SIDE = 64
+"""Images are brought to this size for their histograms of colour, which cost by the pixel."""
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the renders of some styles are held against.
+
+    Args:
+        judged_images: The judge's vectors of the style images.
+        judged_texts: The judge's vectors of the captions.
+        by_image: The model's embeddings of the style images.
+        by_text: The model's embeddings of the captions.
+        histograms: Of the style images.
+        palettes: The sRGB colours each was painted with.
+    """
+
+    judged_images: Float[Tensor, "S D"]
+    judged_texts: Float[Tensor, "S D"]
+    by_image: StyleEmbedding
+    by_text: StyleEmbedding
+    histograms: Float[Tensor, "S 3 b b"]
+    palettes: tuple[Float[Tensor, "_ 3"], ...]
+
+
+def histograms(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 b b"]:
+    """Histograms of colour as the published colour-matching loss has them, of small copies."""
+    return rgb_uv_histogram(images, limit=HISTOGRAM_SIDE)
+
+
+def edges(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M P"]:
+    """Magnitude of the gradient of the luma at every pixel, by Sobel filters."""
+    return kornia.filters.sobel(kornia.color.rgb_to_grayscale(images)).flatten(1)
+
+
+def correlation(first: Float[Tensor, "M P"], second: Float[Tensor, "M P"]) -> Float[Tensor, " M"]:
+    """Pearson's correlation of each row; 0 where a row is constant."""
+    first, second = first - first.mean(-1, keepdim=True), second - second.mean(-1, keepdim=True)
+    return (first * second).sum(-1) / (first.norm(dim=-1) * second.norm(dim=-1)).clamp_min(1e-12)
+
+
+def first_choices(judge: StyleEncoder, images: Float[Tensor, "M 3 H W"], targets: Float[Tensor, "S D"]) -> list[int]:
+    """The style that the judge finds each image most alike."""
+    return (judge.embed_images(images) @ targets.T).argmax(-1).tolist()
+
+
+def share_of_second(
+    images: Float[Tensor, "M 3 H W"], first: Float[Tensor, "_ 3"], second: Float[Tensor, "_ 3"]
+) -> Float[Tensor, " M"]:
+    """The share of each image that is of the second palette rather than of the first.
+
+    A pixel counts as ``a / (a + b)``, where a and b are the distances in CIELAB to the nearest colour of the first and
+    of the second palette: 1 where it is a colour of the second, half where it is as near to one as to the other.
+    """
+    pixels = kornia.color.rgb_to_lab(images.clamp(0, 1)).flatten(2).mT  # M P 3
+
+    def distance(palette: Tensor) -> Tensor:
+        lab = kornia.color.rgb_to_lab(palette.T[None, :, :, None])[0, :, :, 0].T
+        return torch.cdist(pixels, lab.expand(len(pixels), -1, -1)).amin(-1)
+
+    off, near = distance(first), distance(second)
+    return (off / (off + near).clamp_min(1e-6)).mean(-1)
+
+
+def style_record(
+    stylizer: Stylizer, judge: StyleEncoder, scene: Scene, cameras: Cameras, wanted: Wanted
+) -> dict[str, list[float]]:
+    """What the renders of one scene in all styles are worth, in the order styles, then views; plain numbers by name.
+
+    The judge's choices are numbers of styles; ``unstyled`` ones are of the reconstruction itself.
+    """
+    plain = stylizer.render(stylizer.unstyled(scene), cameras).color[0].clamp(0, 1)
+    own_edges, own_colors = edges(plain), histograms(plain)
+    found: dict[str, list[float]] = {
+        "unstyled_image": [float(choice) for choice in first_choices(judge, plain, wanted.judged_images)],
+        "unstyled_text": [float(choice) for choice in first_choices(judge, plain, wanted.judged_texts)],
+        "chosen_image": [],
+        "chosen_text": [],
+        "color": [],
+        "unstyled_color": [],
+        "edge_correlation": [],
+    }
+    views = len(plain)
+    for styles, images in _restyled(stylizer, scene, cameras, wanted.by_image):
+        targets = wanted.histograms[styles].repeat_interleave(views, 0)
+        count = len(images) // views
+        found["chosen_image"] += first_choices(judge, images, wanted.judged_images)
+        found["color"] += hellinger(histograms(images), targets).tolist()
+        found["unstyled_color"] += hellinger(own_colors.repeat(count, 1, 1, 1), targets).tolist()
+        found["edge_correlation"] += correlation(edges(images), own_edges.repeat(count, 1)).tolist()
+    for _, images in _restyled(stylizer, scene, cameras, wanted.by_text):
+        found["chosen_text"] += first_choices(judge, images, wanted.judged_texts)
+    return {name: [float(value) for value in values] for name, values in found.items()}
+
+
+def strip_record(
+    stylizer: Stylizer, scene: Scene, wanted: Wanted, pair: tuple[int, int], steps: int
+) -> dict[str, list[float]]:
+    """The share of the second style's palette along the way from one style to another, as the first view shows it."""
+    first, second = (_rows(wanted.by_image, slice(place, place + 1)) for place in pair)
+    amounts = torch.linspace(0, 1, steps + 1, device=first.vector.device)
+    way = StyleEmbedding(
+        vector=first.vector.expand(len(amounts), -1), direction=first.direction.expand(len(amounts), -1)
+    ).toward(
+        StyleEmbedding(
+            vector=second.vector.expand(len(amounts), -1), direction=second.direction.expand(len(amounts), -1)
+        ),
+        amounts,
+    )
+    shares: list[float] = []
+    for _, images in _restyled(stylizer, scene, scene.cameras.select([0]), way):
+        shares += share_of_second(images, wanted.palettes[pair[0]], wanted.palettes[pair[1]]).tolist()
+    return {"pair": [float(place) for place in pair], "shares": shares}
+
+
+def rises(shares: Sequence[float]) -> bool:
+    """Whether every step of a strip shows more of the second style's palette than the one before."""
+    return all(after > before for before, after in pairwise(shares))
+
+
+def _restyled(
+    stylizer: Stylizer, scene: Scene, cameras: Cameras, embedding: StyleEmbedding
+) -> list[tuple[slice, Float[Tensor, "M 3 H W"]]]:
+    """Renders of a scene in some styles: which styles, and their images, style by style and view by view."""
+    drawn: list[tuple[slice, Tensor]] = []
+    for start in range(0, len(embedding.vector), CHUNK):
+        styles = slice(start, min(start + CHUNK, len(embedding.vector)))
+        gaussians: Gaussians = stylizer.restyle(scene, _rows(embedding, styles))
+        drawn.append((styles, stylizer.render(gaussians, cameras).color.flatten(0, 1).clamp(0, 1)))
+    return drawn
+
+
+def _rows(embedding: StyleEmbedding, rows: slice) -> StyleEmbedding:
+    return StyleEmbedding(vector=embedding.vector[rows], direction=embedding.direction[rows])
