@@ -41,8 +41,12 @@ def make_branch(
     placement = build(Placement, config.placement)
 
     def make_injector(site: Site) -> Injector:
-        node = OmegaConf.merge(config.injector, dict((options or {}).get(site.name, {})))
-        return build(Injector, node, dim=site.dim, style_dim=style_dim)
+        node = OmegaConf.to_container(config.injector, resolve=True, enum_to_str=True)
+        assert isinstance(node, dict)
+        own = (options or {}).get(site.name, {})
+        return build(
+            Injector, {str(key): value for key, value in node.items()} | own, dim=site.dim, style_dim=style_dim
+        )
 
     return StyleBranch(
         backbone,
@@ -73,9 +77,9 @@ def assemble(config: DictConfig) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
     """Build a stylizer and load its weights.
 
     Args:
-        config: Nodes ``backbone, style_encoder, placement, injector, renderer, branch`` and ``weights``, which names a
-            file for each of ``backbone, style_encoder, branch``, or ``null`` for a part left as initialised. A file is
-            one of ours, or holds weights under the names that their publishers gave them.
+        config: Nodes ``backbone, style_encoder, placement, injector, renderer, branch, precision`` and ``weights``,
+            which names a file for each of ``backbone, style_encoder, branch``, or ``null`` for a part left as
+            initialised. A file is one of ours, or holds weights under the names that their publishers gave them.
 
     Returns:
         The stylizer, and for each part what was loaded: file name, SHA-256, provenance.
@@ -141,7 +145,8 @@ def put_together(
     elif "branch" in ours:
         headers["branch"] = load_part(ours["branch"], branch, "branch")
     renderer = build(Renderer, config.renderer)
-    return Stylizer(backbone=backbone, style_encoder=encoder, branch=branch, renderer=renderer), headers
+    stylizer = Stylizer(backbone=backbone, style_encoder=encoder, branch=branch, renderer=renderer)
+    return stylizer.set_precision(config.precision), headers
 
 
 def _style_encoder(

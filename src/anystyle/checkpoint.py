@@ -54,8 +54,26 @@ def save_part(path: str | Path, module: nn.Module, header: Header, *, half: bool
         "base": json.dumps(header.base, sort_keys=True),
         "provenance": json.dumps(header.provenance, sort_keys=True),
     }
+    save_tensors(path, state, metadata)
+
+
+def save_tensors(path: str | Path, state: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
+    """Write a ``.safetensors`` file, whole or not at all; the same content gives the same bytes."""
     with atomic_path(path) as temporary:
-        save_file(state, temporary, metadata=metadata)
+        save_file(dict(state), temporary, metadata=dict(metadata))
+        _sort_metadata(Path(temporary))
+
+
+def _sort_metadata(path: Path) -> None:
+    # The library writes these entries in an order that differs from process to process.
+    with path.open("r+b") as file:
+        length = int.from_bytes(file.read(8), "little")
+        header = json.loads(file.read(length))
+        header["__metadata__"] = dict(sorted(header["__metadata__"].items()))
+        written = json.dumps(header, separators=(",", ":"), ensure_ascii=False).encode()
+        assert len(written) <= length
+        file.seek(8)
+        file.write(written.ljust(length))
 
 
 def read_header(path: str | Path) -> Header:

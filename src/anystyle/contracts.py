@@ -102,6 +102,10 @@ class Published(Protocol):
     the prefixes of its file. Functions raise a ValueError of one line where a state dict is of another network.
     """
 
+    def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The state dict with names as here, whichever of the files it comes from."""
+        ...
+
     def placement(self, state: Mapping[str, Tensor]) -> str | None:
         """The placement that the style branch in it was trained with; ``None`` if it holds none."""
         ...

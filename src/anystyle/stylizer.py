@@ -1,6 +1,8 @@
 """The method in one file: Figure 2 of the paper, top to bottom."""
 
-from collections.abc import Sequence
+import contextlib
+from collections.abc import Iterator, Sequence
+from typing import Literal, get_args
 
 import torch
 import torch.nn.functional as F
@@ -10,6 +12,8 @@ from torch import Tensor, nn
 from anystyle.branch import StyleBranch
 from anystyle.contracts import Backbone, Renderer, StyleEncoder, neutral_embedding
 from anystyle.types import Cameras, Gaussians, Renders, Scene, StyleEmbedding, Views
+
+Precision = Literal["fp32", "bf16", "reference"]
 
 
 class Stylizer(nn.Module):
@@ -32,6 +36,7 @@ class Stylizer(nn.Module):
         self.style_encoder = style_encoder.requires_grad_(False).eval()
         self.branch = branch
         self.renderer = renderer
+        self.mixed = False
 
     def train(self, mode: bool = True) -> "Stylizer":
         """Set the mode of the style branch; what is frozen stays in ``eval``."""
@@ -39,10 +44,39 @@ class Stylizer(nn.Module):
         self.style_encoder.eval()
         return self
 
+    def set_precision(self, precision: Precision) -> "Stylizer":
+        """Choose what inference computes in; weights lose what the precision cannot hold. Geometry is always fp32.
+
+        Args:
+            precision: ``fp32``; ``bf16``: weights and activations of transformers and Gaussian heads, half the memory;
+                ``reference``: as the published code runs on a graphics card, the frozen transformers' weights in bf16
+                and all matrix products of the rest.
+
+        Raises:
+            ValueError: There is no such precision.
+        """
+        if precision not in get_args(Precision):
+            raise ValueError(f"precision is {precision!r}; choose from {', '.join(get_args(Precision))}")
+        self.mixed = precision == "reference"
+        if precision != "fp32":
+            self.backbone.embedder.to(torch.bfloat16)
+            self.backbone.aggregator.to(torch.bfloat16)
+        if precision == "bf16":
+            self.backbone.gaussian_head.to(torch.bfloat16)
+            self.branch.to(torch.bfloat16)
+        return self
+
+    @contextlib.contextmanager
+    def _precision(self, device: torch.device) -> Iterator[None]:
+        # Where nothing is mixed, whoever trains has the say.
+        with torch.autocast(device.type, torch.bfloat16) if self.mixed else contextlib.nullcontext():
+            yield
+
     @torch.no_grad()
     def encode(self, views: Views) -> Scene:
         """Compute, once a scene, all that does not depend on style."""
-        return self.backbone.encode(views)
+        with self._precision(views.images.device):
+            return self.backbone.encode(views)
 
     @torch.no_grad()
     def embed(
@@ -74,7 +108,8 @@ class Stylizer(nn.Module):
             ValueError: There are several scenes, and not as many styles.
         """
         scene = _paired(scene, embedding)
-        styled = self.branch(scene, embedding)
+        with self._precision(scene.views.images.device):
+            styled = self.branch(scene, embedding)
         attributes = scene.attributes.with_(styled, self.branch.styled)
         return self.backbone.adapter(attributes, scene.geometry, scene.clusters)
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from jaxtyping import Float
+from omegaconf import DictConfig
 from torch import Tensor
 
 from anystyle.assemble import published_by, put_together, weights_file
@@ -47,18 +48,10 @@ def load_reference(
         True
     """
     state = _state(checkpoint)
-    common = ["~model", *_unless_given(overrides, "style_encoder", "long_clip")]
-    published = published_by(compose("stylize", [*common, *overrides]))
-    placement = published.placement(state)
-    options = published.options(state)
-    chosen = [override(f"backbone.{name}", value) for name, value in options.items()]
-    chosen += _unless_given(overrides, "placement", placement or "head")
-    if placement is None:
-        chosen.append(override("branch.sh_degree", options.get("sh_degree", 0)))
-    chosen.append(override("style_encoder.text_adapter", bool(published.text_adapter(state))))
-    config = compose("stylize", [*common, *chosen, *overrides])
+    config = reference_config(state, overrides)
+    published = published_by(config)
     parts: dict[str, Mapping[str, Tensor]] = {"backbone": state}
-    if placement is not None:
+    if published.placement(state) is not None:
         parts["branch"] = state
     missing: StyleEncoder | None = None
     try:
@@ -69,6 +62,25 @@ def load_reference(
         missing = _Missing(dim=config.style_encoder.dim, neutral=config.style_encoder.neutral, reason=str(error))
     stylizer, _ = put_together(config, {}, parts, missing)
     return stylizer.requires_grad_(False).eval()
+
+
+def reference_config(state: Mapping[str, Tensor], overrides: Sequence[str] = ()) -> DictConfig:
+    """The configuration that a checkpoint in the original layout fits: variant and sizes read off its tensors.
+
+    Raises:
+        ValueError: It is of another network, or incomplete.
+    """
+    common = ["~model", *_unless_given(overrides, "style_encoder", "long_clip")]
+    published = published_by(compose("stylize", [*common, *overrides]))
+    placement = published.placement(state)
+    options = published.options(state)
+    chosen = [override(f"backbone.{name}", value) for name, value in options.items()]
+    chosen += _unless_given(overrides, "placement", placement or "head")
+    if placement is None:
+        chosen.append(override("branch.sh_degree", options.get("sh_degree", 0)))
+    adapter = bool(published.text_adapter(state))
+    chosen += [override("style_encoder.text_adapter", adapter)] if adapter else []
+    return compose("stylize", [*common, *chosen, *overrides])
 
 
 def _unless_given(overrides: Sequence[str], group: str, name: str) -> list[str]:
@@ -100,4 +112,4 @@ class _Missing(StyleEncoder):
         raise FileNotFoundError(self.reason)
 
 
-__all__ = ["load_reference"]
+__all__ = ["load_reference", "reference_config"]

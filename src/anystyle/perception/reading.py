@@ -12,7 +12,10 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 _IDLE = ("omegaconf.", "typing.", "collections.", "lightning.", "pytorch_lightning.", "src.")
-"""Where a training checkpoint's configuration has its classes; they are replaced by one that does nothing."""
+"""Where a training checkpoint's configuration has its classes; one that does nothing replaces them, and plain types."""
+
+
+_PLAIN = {"builtins.dict", "builtins.list", "builtins.tuple", "builtins.int", "builtins.float", "builtins.str"}
 
 
 class _Idle:
@@ -75,7 +78,7 @@ def _torch_file(path: Path) -> Any:
     if mapped and _is_program(path):
         raise ValueError("it is a TorchScript program; get the state dict, as .safetensors or .pt")
     known = [] if not mapped else torch.serialization.get_unsafe_globals_in_checkpoint(path)
-    idle: list[Any] = [(_Idle, name) for name in known if name.startswith(_IDLE)]
+    idle: list[Any] = [(_Idle, name) for name in known if name.startswith(_IDLE) or name in _PLAIN]
     with torch.serialization.safe_globals(idle):
         return torch.load(path, map_location="cpu", weights_only=True, mmap=mapped)
 

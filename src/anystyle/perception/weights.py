@@ -241,17 +241,51 @@ def missing(name: str, looked: list[Path]) -> str:
     """One line for a file that is nowhere: which, from where, and where to put it."""
     entry = row(name)
     by_hub = f" (`anystyle weights download {name}` does)" if entry.hub else ""
-    shown = ", ".join(map(str, looked)) + (", the Hugging Face cache" if entry.hub else "")
+    shown = ", ".join(map(str, looked)) + (", the Hugging Face cache" if entry.hub and _has_hub() else "")
     return (
         f"the weights {name!r} are missing: get {entry.file} from {entry.source}{by_hub} ({entry.license}) and put it "
         f"into a folder that {FOLDERS} names; looked for {shown}"
     )
 
 
+def download(name: str) -> Path:
+    """Fetch a file from the Hugging Face hub into its cache; an interrupted download goes on where it stopped.
+
+    Raises:
+        ValueError: The hub does not have it.
+        OSError: The hub cannot be reached, or refuses.
+        ImportError: ``huggingface_hub`` is missing.
+    """
+    entry = row(name)
+    if entry.hub is None:
+        raise ValueError(
+            f"the Hugging Face hub does not have {name!r}: get {entry.file} from {entry.source} ({entry.license}) and "
+            f"put it into a folder that {FOLDERS} names"
+        )
+    try:
+        from huggingface_hub import hf_hub_download  # pyright: ignore[reportMissingImports]
+        from huggingface_hub.errors import HfHubHTTPError  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise ImportError('downloading needs huggingface_hub: pip install "anystyle[hub]"') from None
+    owner, repository, path = entry.hub.split("/", 2)
+    try:
+        return Path(hf_hub_download(f"{owner}/{repository}", path))
+    except (OSError, HfHubHTTPError) as error:
+        reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
+        raise OSError(
+            f"{entry.hub} cannot be fetched ({reason}); try again, or get it from {entry.source} elsewhere and "
+            f"put it as {entry.file} into a folder that {FOLDERS} names"
+        ) from None
+
+
+def _has_hub() -> bool:
+    return importlib.util.find_spec("huggingface_hub") is not None
+
+
 def _in_hub_cache(hub: str) -> Path | None:
-    if importlib.util.find_spec("huggingface_hub") is None:
+    if not _has_hub():
         return None
-    from huggingface_hub import try_to_load_from_cache
+    from huggingface_hub import try_to_load_from_cache  # pyright: ignore[reportMissingImports]
 
     owner, name, path = hub.split("/", 2)
     cached = try_to_load_from_cache(f"{owner}/{name}", path)
@@ -271,6 +305,7 @@ __all__ = [
     "FILES",
     "FOLDERS",
     "WeightsFile",
+    "download",
     "files",
     "find",
     "folders",

@@ -1,0 +1,122 @@
+"""What ``anystyle weights verify`` and ``convert`` share: a file of weights, its kind told from its keys."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from anystyle.assemble import published_by, put_together
+from anystyle.checkpoint import has_header, read_header, sha256
+from anystyle.contracts import Backbone
+from anystyle.perception import weights
+from anystyle.perception.layouts import LAYOUTS, layout_of
+from anystyle.registry.build import build
+from anystyle.registry.catalog import PluginError, catalog
+from anystyle.weights import reference_config
+
+State = Mapping[str, Tensor]
+
+
+@dataclass(frozen=True)
+class Known:
+    """A file of weights that was recognised and found whole.
+
+    Args:
+        layout: Its kind: ``anystyle``, a key of :data:`LAYOUTS`, or a backbone of the catalog.
+        holds: What is in it, one line each.
+        state: Its tensors as they are kept: without a file's prefixes and what training left behind.
+    """
+
+    layout: str
+    holds: tuple[str, ...]
+    state: State
+
+
+def existing(name: str) -> Path:
+    """The file of a path, or of a row of the table.
+
+    Raises:
+        ValueError: There is none.
+        FileNotFoundError: The row's file is nowhere.
+    """
+    path = weights.find(name) if name in weights.files() else Path(name).expanduser()
+    if not path.is_file():
+        raise ValueError(f"there is no file {path}; name a file, or a row of `anystyle weights`")
+    return path
+
+
+def recognise(path: Path) -> Known:
+    """Tell what a file holds, and judge it strictly.
+
+    Raises:
+        ValueError: It is truncated, of no known kind, or not whole; one line says what is wrong.
+    """
+    if has_header(path):
+        header = read_header(path)
+        state = weights.read(path)
+        made = ", ".join(f"{key} {value}" for key, value in header.provenance.items())
+        return Known("anystyle", (f"{header.part} that anystyle wrote{f' ({made})' if made else ''}",), state)
+    state = weights.read(path)
+    name = layout_of(state)
+    if name is not None:
+        LAYOUTS[name].check(path, state)
+        return Known(name, (LAYOUTS[name].about,), LAYOUTS[name].names(state))
+    for backbone in catalog().names("backbone"):
+        known = _of_backbone(backbone, state)
+        if known is not None:
+            return known
+    some = ", ".join(list(state)[:5])
+    raise ValueError(
+        f"{path} is of no known kind: {len(state)} tensors, such as {some}; known are {', '.join(LAYOUTS)} and the "
+        "checkpoints of backbones"
+    )
+
+
+def _of_backbone(name: str, state: State) -> Known | None:
+    """What a backbone's plugin says of a state dict; ``None`` where it is of another network."""
+    try:
+        loaded = catalog().find("backbone", name).load()
+        published = loaded.published if issubclass(loaded, Backbone) else None
+        if published is None:
+            return None
+        published.options(state)
+    except (PluginError, ValueError):
+        return None
+    config = reference_config(state, [f"backbone={name}"])
+    published = published_by(config)
+    placement = published.placement(state)
+    if published.complete(state):
+        parts = {"backbone": state} | ({"branch": state} if placement else {})
+        put_together(config, {}, parts)
+    else:
+        with torch.device("meta"):
+            backbone = build(Backbone, config.backbone)
+        published.load_backbone(backbone, state)
+    count = sum(tensor.numel() for tensor in state.values())
+    types = ", ".join(sorted({str(tensor.dtype).removeprefix("torch.") for tensor in state.values()}))
+    holds = [f"backbone={name}" + ("" if published.complete(state) else ", an initialisation of parts of it")]
+    holds += [f"a style branch of placement={placement}"] if placement else []
+    holds += ["a text adapter"] if published.text_adapter(state) else []
+    return Known(
+        name, (*holds, f"{len(state)} tensors, {count:,} parameters, {types}"), published.without_prefix(state)
+    )
+
+
+def checksum(path: Path) -> str:
+    """The SHA-256 of a file, and whether it is the one that a row of the same file name states.
+
+    Raises:
+        ValueError: It is another.
+    """
+    digest = sha256(path)
+    for name, entry in weights.files().items():
+        if entry.sha256 is not None and path.name == entry.file:
+            if not digest.startswith(entry.sha256):
+                raise ValueError(
+                    f"{path} has the SHA-256 {digest[:12]}…, and the published {name} {entry.sha256[:12]}…; get it "
+                    f"again from {entry.source}"
+                )
+            return f"{digest} (as published)"
+    return f"{digest} (none is published)"
