@@ -13,6 +13,8 @@ from anystyle.geometry.bundle import Bundle, Tracks, adjust
 from anystyle.geometry.matching import Matches, describe_points, grid_points, match_points
 from anystyle.types import Cameras, Geometry, Scene
 
+LEAST = 20
+"""A scene with a view that has fewer matches stays as it is."""
 WORKING = 112
 """Shorter side, in pixels, that views are compared at."""
 POINTS = 4096
@@ -60,6 +62,11 @@ def _refined(
     log_scale = torch.zeros(len(images), dtype=inverse.dtype, device=inverse.device)
     for reach, doubtful in ROUNDS:
         tracks = matcher.tracks(rotation, translation, log_scale, reach)
+        if (
+            int(torch.bincount(torch.cat([tracks.view[tracks.point], tracks.target]), minlength=len(images)).min())
+            < LEAST
+        ):
+            return cameras.world_from_camera[row], torch.ones_like(log_scale)
         start = Bundle(rotation, translation, log_scale, tracks.log_depth + log_scale[tracks.view])
         pixel = 1 / matcher.focal
         moved = adjust(start, tracks, doubtful=tuple(bound * pixel for bound in doubtful), noise=pixel)
@@ -67,9 +74,7 @@ def _refined(
     pose = cameras.world_from_camera[row].clone()
     pose[:, :3, :3] = rotation.mT
     pose[:, :3, 3] = -torch.einsum("vji,vj->vi", rotation, translation)
-    found = pose.isfinite().all() & log_scale.isfinite().all()
-    # Without enough matches nothing is known better than before.
-    return (pose, log_scale.exp()) if bool(found) else (cameras.world_from_camera[row], torch.ones_like(log_scale))
+    return pose, log_scale.exp()
 
 
 class _Matcher:

@@ -86,8 +86,8 @@ def adjust(
         tracks: What is seen.
         doubtful: For each step the error at z = 1 from which on an observation counts as doubtful; from coarse to fine.
         noise: Standard deviation of observations at z = 1.
-        depth_noise: Standard deviation of the logarithm of depth; far above what it is pixel by pixel, for its errors are
-            alike in all points of a surface.
+        depth_noise: Standard deviation of the logarithm of depth; far above that of single pixels, for errors are alike
+            in all points of a surface.
         scale_noise: Standard deviation of the logarithm of the views' scales.
     """
     for bound in doubtful:

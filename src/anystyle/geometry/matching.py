@@ -13,6 +13,8 @@ SCALES = ((1.0, 2), (2.0, 4))
 """Blur and spacing of samples, in pixels, of each of the patches around a point."""
 CHANNELS = 48
 """Principal components of patches that are compared."""
+LEAST_ALIKE = 0.3
+"""Points that look less alike are not matched."""
 PATCH_NOISE = 0.15
 """Contrast, as the norm of a patch's samples, below which a patch says little."""
 
@@ -92,11 +94,12 @@ def match_points(
     # A point returns to itself or to a neighbour on the source's coarser grid.
     kept = (points[back] - points).norm(dim=-1) <= 2.1 * spacing
     kept &= (row > 0) & (row < rows - 1) & (column > 0) & (column < columns - 1)
+    kept &= alike.gather(1, best[:, None])[:, 0] >= LEAST_ALIKE
     source = kept.nonzero().squeeze(1)
     best = best[source]
     centre = alike[source, best]
     shift = [_peak(alike[source, best - step], centre, alike[source, best + step]) for step in (1, columns)]
-    return Matches(source, cells[best] + spacing * torch.stack(shift, dim=-1), centre.clamp_min(0))
+    return Matches(source, cells[best] + spacing * torch.stack(shift, dim=-1), centre)
 
 
 def _peak(before: Float[Tensor, " m"], centre: Float[Tensor, " m"], after: Float[Tensor, " m"]) -> Float[Tensor, " m"]:
