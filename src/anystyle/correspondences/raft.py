@@ -1,6 +1,7 @@
 """RAFT: optical flow by the network of the published consistency scripts."""
 
 import logging
+from pathlib import Path
 from typing import Literal
 
 import torch
@@ -52,6 +53,11 @@ class Raft(Correspondence):
         self.sources = (source,)
         self.iterations = iterations
         self.cycle = visibility == "cycle"
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """Stand-ins: quick, and the same everywhere."""
+        return {"weights": "stand_in"}
 
     @torch.no_grad()
     def __call__(self, source: Frames, target: Frames) -> Flow:

@@ -1,20 +1,21 @@
 """LPIPS: how much content was changed, as a network sees it."""
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import ClassVar, Literal
 
-import torch
+from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Metric
 from anystyle.metrics._lpips import pair_lpips
-from anystyle.metrics._pairs import checked, gathered, mean_of
+from anystyle.metrics._mean import RowMean
+from anystyle.metrics._pairs import gathered
 from anystyle.perception import lpips
 from anystyle.perception.sources import Weights, checksums, stand_ins
 from anystyle.types import Comparison
 
 
-class LPIPS(Metric):
+class LPIPS(RowMean):
     """LPIPS of stylized images and photographs (Zhang et al. 2018; eval_artfid.py).
 
     Args:
@@ -27,10 +28,6 @@ class LPIPS(Metric):
 
     better: ClassVar[Mapping[str, str]] = {"lpips": "lower"}
     higher_is_better = False
-    is_differentiable = False
-    full_state_update = False
-    total: Tensor
-    rows: Tensor
 
     def __init__(
         self,
@@ -46,19 +43,15 @@ class LPIPS(Metric):
         self.network = lpips.load(backbone, weights)
         self.stand_ins = stand_ins(self.better, self.network.source)
         self.weights = checksums(self.network.source)
-        self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
-        self.add_state("rows", torch.zeros((), dtype=torch.long), dist_reduce_fx="sum")
 
-    @torch.no_grad()
-    def update(self, comparison: Comparison) -> None:
-        """See :meth:`anystyle.contracts.Metric.update`."""
-        found = gathered(
-            checked(comparison),
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """Stand-ins: quick, and the same everywhere."""
+        return {"weights": "stand_in"}
+
+    def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
+        """The mean over each row's views."""
+        return gathered(
+            comparison,
             lambda some: pair_lpips(self.network, some, size=self.size, rounded=self.rounded, gray=False),
         )
-        self.total += found.sum()
-        self.rows += found.numel()
-
-    def compute(self) -> dict[str, Tensor]:
-        """See :meth:`anystyle.contracts.Metric.compute`."""
-        return {"lpips": mean_of(self.total, self.rows, "lpips")}

@@ -8,8 +8,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Metric
-from anystyle.metrics._pairs import Pairs, checked, gathered, mean_of
+from anystyle.metrics._mean import RowMean
+from anystyle.metrics._pairs import Pairs, gathered
 from anystyle.types import Comparison
 
 RADIUS, SIGMA = 5, 1.5
@@ -17,7 +17,7 @@ RADIUS, SIGMA = 5, 1.5
 C1, C2 = 0.01**2, 0.03**2
 
 
-class SSIM(Metric):
+class SSIM(RowMean):
     """Structural similarity of reconstructions (Wang et al. 2004) with the published Gaussian window, in [-1, 1].
 
     Each channel by itself, averaged over those places whose window lies inside of the image.
@@ -25,26 +25,10 @@ class SSIM(Metric):
 
     better: ClassVar[Mapping[str, str]] = {"ssim": "higher"}
     higher_is_better = True
-    is_differentiable = False
-    full_state_update = False
-    total: Tensor
-    rows: Tensor
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
-        self.add_state("rows", torch.zeros((), dtype=torch.long), dist_reduce_fx="sum")
-
-    @torch.no_grad()
-    def update(self, comparison: Comparison) -> None:
-        """See :meth:`anystyle.contracts.Metric.update`."""
-        found = gathered(checked(comparison), structural_similarity)
-        self.total += found.sum()
-        self.rows += found.numel()
-
-    def compute(self) -> dict[str, Tensor]:
-        """See :meth:`anystyle.contracts.Metric.compute`."""
-        return {"ssim": mean_of(self.total, self.rows, "ssim")}
+    def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
+        """The mean over each row's views."""
+        return gathered(comparison, structural_similarity)
 
 
 def structural_similarity(some: Pairs) -> Float[Tensor, " M"]:

@@ -8,10 +8,12 @@ an image that was changed is another image.
 import hashlib
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from itertools import count
+from weakref import WeakKeyDictionary
 
 import torch
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 Key = tuple[object, ...]
 Compute = Callable[[Tensor], Sequence[Tensor]]
@@ -49,9 +51,9 @@ class Memo:
         found = {key: self._kept[key] for key in keys if key in self._kept}
         places = {key: place for place, key in reversed(list(enumerate(keys))) if key not in found}
         order = sorted(places, key=lambda key: places[key])
-        count = batch_of(images)
-        for start in range(0, len(order), count):
-            part = order[start : start + count]
+        together = batch_of(images)
+        for start in range(0, len(order), together):
+            part = order[start : start + together]
             results = compute(images[[places[key] for key in part]])
             for row, key in enumerate(part):
                 found[key] = tuple(result[row].clone() for result in results)
@@ -113,3 +115,16 @@ def batch_of(images: Float[Tensor, "M C H W"]) -> int:
 
 def _size(value: tuple[Tensor, ...]) -> int:
     return sum(tensor.nbytes for tensor in value)
+
+
+_NUMBERED: "WeakKeyDictionary[nn.Module, int]" = WeakKeyDictionary()
+_NUMBERS = count()
+
+
+def identity(network: nn.Module) -> str:
+    """The same for the same module with the same weights, in this process."""
+    number = _NUMBERED.setdefault(network, -1)
+    if number < 0:
+        number = _NUMBERED[network] = next(_NUMBERS)
+    versions = [tensor._version for tensor in (*network.parameters(), *network.buffers()) if not tensor.is_inference()]
+    return f"{number}:{sum(versions)}"

@@ -1,17 +1,19 @@
 """Preparing images for the evaluation's networks, as the published scripts did and as they should."""
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
+from PIL import Image
 from torch import Tensor
 
 
-def eight_bit(images: Float[Tensor, "M C H W"]) -> Float[Tensor, "M C H W"]:
+def eight_bit(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 H W"]:
     """Images in [0, 1] as a file of 8 bits holds them."""
     return (images.clamp(0, 1) * 255).round() / 255
 
 
-def resized(images: Float[Tensor, "M C H W"], size: int, *, rounded: bool) -> Float[Tensor, "M C h w"]:
+def resized(images: Float[Tensor, "M 3 H W"], size: int, *, rounded: bool) -> Float[Tensor, "M 3 h w"]:
     """Images whose shorter side is ``size``; bilinear with antialiasing, the longer side rounded down.
 
     Args:
@@ -24,27 +26,24 @@ def resized(images: Float[Tensor, "M C H W"], size: int, *, rounded: bool) -> Fl
     other = int(size * long / short)
     shape = (size, other) if height <= width else (other, size)
     if rounded:
-        return _as_pillow(images, shape)
+        return as_pillow(images, shape)
     if shape == (height, width):
         return images
     return F.interpolate(images, size=shape, mode="bilinear", align_corners=False, antialias=True)
 
 
-def squashed(images: Float[Tensor, "M C H W"], size: int) -> Float[Tensor, "M C size size"]:
-    """Images resized to a square, their shape not kept; bilinear with antialiasing."""
-    if images.shape[-2:] == (size, size):
-        return images
-    return F.interpolate(images, size=(size, size), mode="bilinear", align_corners=False, antialias=True)
+def as_pillow(images: Float[Tensor, "M 3 H W"], shape: tuple[int, int]) -> Float[Tensor, "M 3 h w"]:
+    """Images resized by Pillow, as the published scripts do: bilinear with antialiasing, 8 bits before and after.
 
-
-def _as_pillow(images: Float[Tensor, "M C H W"], shape: tuple[int, int]) -> Float[Tensor, "M C h w"]:
-    eight = (images.clamp(0, 1) * 255).round()
-    if shape == tuple(images.shape[-2:]):
-        return eight / 255
-    # Pillow resizes rows first and rounds to 8 bits between the two passes.
-    for size in ((images.shape[-2], shape[1]), shape):
-        eight = F.interpolate(eight, size=size, mode="bilinear", align_corners=False, antialias=True).round()
-    return eight.clamp(0, 255) / 255
+    Args:
+        images: In [0, 1].
+        shape: Height and width to resize to.
+    """
+    eight = (images.clamp(0, 1) * 255).round().byte().cpu().permute(0, 2, 3, 1).contiguous().numpy()
+    height, width = shape
+    found = [np.asarray(Image.fromarray(one).resize((width, height), Image.Resampling.BILINEAR)) for one in eight]
+    back = torch.from_numpy(np.stack(found)).to(images.device).permute(0, 3, 1, 2)
+    return back.to(images.dtype).contiguous() / 255
 
 
 def gray(images: Float[Tensor, "M 3 H W"], *, rounded: bool) -> Float[Tensor, "M 3 H W"]:

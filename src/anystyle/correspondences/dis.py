@@ -1,0 +1,64 @@
+"""DIS: fast optical flow by dense inverse search, from OpenCV."""
+
+from typing import Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from anystyle.contracts import Correspondence
+from anystyle.geometry.warp import cycle_visible
+from anystyle.perception.pictures import gray
+from anystyle.types import Flow, Frames
+
+SMALLEST = 16
+
+
+class DIS(Correspondence):
+    """Dense inverse search (Kroeger et al., ECCV 2016), no weights; visible is what returns to its start.
+
+    Needs the extra ``flow``.
+
+    Args:
+        preset: Of OpenCV, from fast and coarse to slow and fine.
+    """
+
+    def __init__(self, *, preset: Literal["ultrafast", "fast", "medium"] = "medium") -> None:
+        try:
+            import cv2
+        except ImportError as error:
+            raise ImportError('correspondence=dis needs OpenCV: pip install "anystyle[flow]"') from error
+        self._preset = {
+            "ultrafast": cv2.DISOPTICAL_FLOW_PRESET_ULTRAFAST,
+            "fast": cv2.DISOPTICAL_FLOW_PRESET_FAST,
+            "medium": cv2.DISOPTICAL_FLOW_PRESET_MEDIUM,
+        }[preset]
+
+    @torch.no_grad()
+    def __call__(self, source: Frames, target: Frames) -> Flow:
+        """See :meth:`anystyle.contracts.Correspondence.__call__`."""
+        height, width = source.images.shape[-2:]
+        if source.images.shape != target.images.shape or min(height, width) < SMALLEST:
+            raise ValueError(
+                f"dis got frames of {list(source.images.shape)} and {list(target.images.shape)}; it needs pairs of one "
+                f"size, at least {SMALLEST} pixels a side"
+            )
+        first, second = _luma(source.images), _luma(target.images)
+        forward = self._flows(first, second).to(source.images)
+        backward = self._flows(second, first).to(source.images)
+        return Flow(forward, cycle_visible(forward, backward))
+
+    def _flows(self, first: UInt8[np.ndarray, "M H W"], second: UInt8[np.ndarray, "M H W"]) -> Float[Tensor, "M 2 H W"]:
+        import cv2
+
+        # A new search for each pair: one that is reused starts from the pair before.
+        found = [
+            cv2.DISOpticalFlow_create(self._preset).calc(one, other, None)
+            for one, other in zip(first, second, strict=True)
+        ]
+        return torch.from_numpy(np.stack(found)).permute(0, 3, 1, 2).contiguous()
+
+
+def _luma(images: Float[Tensor, "M 3 H W"]) -> UInt8[np.ndarray, "M H W"]:
+    return (gray(images.clamp(0, 1), rounded=True)[:, 0] * 255).round().byte().cpu().numpy()

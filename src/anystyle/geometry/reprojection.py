@@ -1,0 +1,71 @@
+"""Where the pixels of one view lie in another, by depth and cameras."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+
+class Reprojected(NamedTuple):
+    """The points of a source view's pixels as the target's camera has them.
+
+    Args:
+        displacement: (x, y) in pixels, to be added to the source pixel.
+        depth: Along the target's z axis.
+        inside: Whether there is a point, in front of the target's camera and within its image.
+    """
+
+    displacement: Float[Tensor, "M 2 H W"]
+    depth: Float[Tensor, "M H W"]
+    inside: Bool[Tensor, "M H W"]
+
+
+def reproject(
+    depth: Float[Tensor, "M H W"],
+    source_intrinsics: Float[Tensor, "M 3 3"],
+    target_intrinsics: Float[Tensor, "M 3 3"],
+    target_from_source: Float[Tensor, "M 4 4"],
+) -> Reprojected:
+    """Move every pixel's point into the target's camera.
+
+    Args:
+        depth: Distance along the source's z axis; 0 where there is none.
+        source_intrinsics: In pixels.
+        target_intrinsics: In pixels.
+        target_from_source: Rigid motions.
+    """
+    height, width = depth.shape[-2:]
+    y = torch.arange(height, dtype=depth.dtype, device=depth.device) + 0.5
+    x = torch.arange(width, dtype=depth.dtype, device=depth.device) + 0.5
+    y, x = torch.meshgrid(y, x, indexing="ij")
+    pixels = torch.stack([x, y, torch.ones_like(x)]).flatten(1)  # 3 HW
+    points = torch.linalg.solve(source_intrinsics, pixels.expand(depth.shape[0], -1, -1)) * depth.flatten(1)[:, None]
+    moved = target_from_source[:, :3, :3] @ points + target_from_source[:, :3, 3:]
+    seen = target_intrinsics @ moved
+    place = seen[:, :2] / seen[:, 2:].clamp_min(1e-8)  # M 2 HW
+    limit = place.new_tensor([[width], [height]])
+    inside = ((place >= 0) & (place <= limit)).all(1) & (moved[:, 2] > 0) & (depth.flatten(1) > 0)
+    shape = (height, width)
+    return Reprojected(
+        (place - pixels[:2]).unflatten(2, shape), moved[:, 2].unflatten(1, shape), inside.unflatten(1, shape)
+    )
+
+
+def depth_around(
+    depth: Float[Tensor, "M H W"], displacement: Float[Tensor, "M 2 H W"]
+) -> tuple[Float[Tensor, "M H W"], Float[Tensor, "M H W"]]:
+    """The nearest and the farthest of the four depths around each pixel's moved place; outside, those of the border.
+
+    Interpolated depth would be that of neither side at an edge.
+    """
+    height, width = depth.shape[-2:]
+    y = torch.arange(height, dtype=depth.dtype, device=depth.device)[:, None] + displacement[:, 1]
+    x = torch.arange(width, dtype=depth.dtype, device=depth.device) + displacement[:, 0]
+    found = []
+    for down in (torch.floor, torch.ceil):
+        for across in (torch.floor, torch.ceil):
+            column, row = across(x).clamp(0, width - 1).long(), down(y).clamp(0, height - 1).long()
+            found.append(depth.flatten(1).gather(1, (row * width + column).flatten(1)).unflatten(1, (height, width)))
+    every = torch.stack(found)
+    return every.amin(0), every.amax(0)

@@ -1,0 +1,90 @@
+"""CFSD: whether places of an image that were alike are alike after stylization (Chung et al., StyleID, CVPR 2024)."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle import perception
+from anystyle.metrics._mean import RowMean
+from anystyle.metrics._pairs import Pairs, gathered
+from anystyle.perception import pictures
+from anystyle.perception.features import FeatureNetwork
+from anystyle.perception.lpips import STAND_IN_SIDE, shrunk
+from anystyle.perception.memo import MEMO
+from anystyle.perception.sources import Weights, bundled, checksums, locate, published, stand_ins
+from anystyle.types import Comparison
+
+CHUNK = 1 << 25
+"""Similarities that are held at once: 128 MiB in single precision."""
+
+
+class CFSD(RowMean):
+    """Content feature structural distance: relative entropy of the self-similarities of VGG-19 features (``relu3_1``).
+
+    Every place of the photograph has a distribution over all places, the softmax of inner products of features that
+    were divided by their number; so has every place of the stylized image. Summed over places, as published, not
+    averaged: a larger image has a larger distance. Similarities are computed in parts, so that memory does not grow
+    with the square of the image.
+
+    Args:
+        variant: ``reference`` sums over places and has images of 8 bits; ``corrected`` averages over places and rounds
+            nothing, so that sizes can be compared.
+        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
+    """
+
+    better: ClassVar[Mapping[str, str]] = {"cfsd": "lower"}
+    higher_is_better = False
+
+    def __init__(self, *, variant: Literal["reference", "corrected"] = "reference", weights: Weights = "auto") -> None:
+        super().__init__()
+        self.reference = variant == "reference"
+        file = locate("vgg19", weights)
+        self.network: FeatureNetwork = perception.load("texture" if file is None else "vgg19", file)
+        self.layer = "relu3_1"
+        self.longest = STAND_IN_SIDE if file is None else None
+        self._source = bundled("vgg19", "texture_similarity") if file is None else published("vgg19", file)
+        self.stand_ins = stand_ins(self.better, self._source)
+        self.weights = checksums(self._source)
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """Stand-ins: quick, and the same everywhere."""
+        return {"weights": "stand_in"}
+
+    def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
+        """The mean over each row's views."""
+        return gathered(comparison, self._distances)
+
+    def _distances(self, some: Pairs) -> Float[Tensor, " M"]:
+        what = ("cfsd", self._source.identity, self.reference)
+        content = MEMO.rows(some.content, some.content_marks, what, lambda x: [self._features(x)])[0]
+        stylized = self._features(some.stylized)
+        found = torch.stack([structural_distance(*pair) for pair in zip(stylized, content, strict=True)])
+        return found if self.reference else found / content[0, 0].numel()
+
+    def _features(self, images: Tensor) -> Tensor:
+        images = pictures.eight_bit(images) if self.reference else shrunk(images, None)
+        return self.network(shrunk(images, self.longest), (self.layer,))[0]
+
+
+def structural_distance(stylized: Float[Tensor, "C h w"], content: Float[Tensor, "C h w"]) -> Float[Tensor, ""]:
+    """Relative entropy of the content's self-similarities to the stylized ones, summed over all places.
+
+    The published ``PatchSimi``: ``sum p_content (log p_content - log p_stylized)`` with ``p`` the rows of
+    ``softmax(F Fᵀ)``, features ``F`` divided by the channels.
+    """
+    first, second = (features.flatten(1) for features in (stylized, content))  # C S
+    channels, places = first.shape
+    first, second = first / channels, second / channels
+    rows = max(1, CHUNK // places)
+    total = first.new_zeros((), dtype=torch.float64)
+    for start in range(0, places, rows):
+        part = slice(start, start + rows)
+        found = (first[:, part].mT @ first).log_softmax(-1)
+        wanted = (second[:, part].mT @ second).log_softmax(-1)
+        total += (wanted.exp() * (wanted - found)).sum(dtype=torch.float64)
+    return total

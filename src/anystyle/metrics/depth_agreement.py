@@ -1,0 +1,51 @@
+"""Depth agreement: whether the views of a stylized scene show one and the same surface."""
+
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.geometry.reprojection import depth_around, reproject
+from anystyle.metrics._mean import RowMean
+from anystyle.types import Comparison
+
+
+class DepthAgreement(RowMean):
+    """The share of pixels whose point, seen from the next view, lies on that view's surface, in [0, 1].
+
+    The depth of every view is moved into the next by their cameras. A pixel agrees where the moved depth is within a
+    tolerance of one of the four depths around it; a point that something nearer hides there says nothing. Rows without
+    depth or cameras, or with one view, are left out.
+
+    Args:
+        tolerance: Of depths, relative.
+    """
+
+    better: ClassVar[Mapping[str, str]] = {"depth_agreement": "higher"}
+    higher_is_better = True
+
+    def __init__(self, *, tolerance: float = 0.05) -> None:
+        super().__init__()
+        if tolerance <= 0:
+            raise ValueError(f"depth_agreement.tolerance is {tolerance}; it must be positive")
+        self.tolerance = tolerance
+
+    def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
+        """The share of each row, over all its pairs; ``nan`` where no pixel says anything."""
+        depth, cameras = comparison.depth, comparison.cameras
+        if depth is None or cameras is None or depth.shape[1] < 2:
+            return torch.zeros(0, dtype=torch.float64, device=comparison.stylized.device)
+        poses, intrinsics = cameras.world_from_camera, cameras.intrinsics
+        shares = []
+        for row in range(depth.shape[0]):
+            motion = torch.linalg.solve(poses[row, 1:], poses[row, :-1])
+            moved = reproject(depth[row, :-1], intrinsics[row, :-1], intrinsics[row, 1:], motion)
+            nearest, farthest = depth_around(depth[row, 1:], moved.displacement)
+            hidden = moved.depth > farthest * (1 + self.tolerance)
+            speaks = moved.inside & (nearest > 0) & ~hidden
+            agrees = speaks & (moved.depth >= nearest * (1 - self.tolerance))
+            # Where no pixel speaks, 0 / 0.
+            shares.append(agrees.double().sum() / speaks.double().sum())
+        return torch.stack(shares)
