@@ -395,6 +395,7 @@ class Comparison(Value):
         depth: Distance along z in each view, where known; 0 where there is none.
         scenes: One name a row of the batch.
         styles: One name a row of the batch.
+        seconds: That each row took, from the style to the rendered views, where known.
     """
 
     content: Float[Tensor, "B V 3 H W"]
@@ -404,6 +405,7 @@ class Comparison(Value):
     depth: Float[Tensor, "B V H W"] | None = None
     scenes: tuple[str, ...] = ()
     styles: tuple[str, ...] = ()
+    seconds: Float[Tensor, " B"] | None = None
 
 
 @dataclass(frozen=True)
