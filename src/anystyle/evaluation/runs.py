@@ -51,7 +51,7 @@ def find(folder: Path) -> list[Run]:
     """
     if not folder.is_dir():
         raise ValueError(f"there is no folder {folder}; name a run, a multirun or an evaluation")
-    found = [_run(folder)] if _is_run(folder) else list(_inside(folder))
+    found = [_run(folder)] if _is_run(folder) else sorted(_inside(folder), key=_place)
     if not found:
         raise ValueError(
             f"{folder} holds no runs; expected an evaluation (metrics.json), a training, or a multirun with its jobs"
@@ -139,6 +139,10 @@ def _expected(path: Path) -> list[tuple[str, ...]]:
     except (OSError, HydraException, OmegaConfBaseException, AttributeError, TypeError):
         return []
     return [tuple(words) for words in product(*lists)]
+
+
+def _place(run: Run) -> tuple[str, tuple[int, str]]:
+    return run.folder.parent.as_posix(), _order(run.folder)
 
 
 def _order(path: Path) -> tuple[int, str]:

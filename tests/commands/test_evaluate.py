@@ -1,0 +1,184 @@
+"""`anystyle evaluate`: any method's folders, a model on a protocol, and what it says when it cannot."""
+
+import csv
+import json
+import math
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from omegaconf import OmegaConf
+from PIL import Image
+
+from anystyle.commands import evaluate as command
+from anystyle.commands import plugins_new
+from anystyle.evaluation.tables import STAND_IN
+from anystyle.registry.compose import compose
+from evaluation_cases import folders, picture
+
+TOY = ["metric=[plain_change]"]
+
+
+@pytest.fixture(scope="module")
+def plugins(tmp_path_factory) -> Path:
+    """A folder with a metric that needs no network."""
+    into = tmp_path_factory.mktemp("plugins")
+    assert plugins_new.main(["metric", "plain_change", "--into", str(into)]) == 0
+    return into
+
+
+@pytest.fixture(autouse=True)
+def _listed(plugins, monkeypatch, tmp_path):
+    monkeypatch.setenv("ANYSTYLE_PLUGINS", f"{Path(__file__).parents[2] / 'plugins'}:{plugins}")
+    monkeypatch.chdir(tmp_path)
+
+
+def run(*words):
+    command.main([str(word) for word in words])
+
+
+def flags(content, style, stylized):
+    return ["--content", content, "--style", style, "--stylized", stylized]
+
+
+def fails(capsys, *words):
+    """Run a command that must end in one line and status 2; return the line."""
+    with pytest.raises(SystemExit) as caught:
+        run(*words)
+    assert caught.value.code == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if not line.endswith("…")]
+    assert len(lines) == 1 and lines[0].startswith("anystyle: error: "), lines
+    return lines[0]
+
+
+def metrics(out):
+    return json.loads((Path(out) / "metrics.json").read_text())
+
+
+def test_folders_of_any_method(tmp_path, capsys):
+    run(*flags(*folders(tmp_path / "in")), *TOY, "--out", "out")
+    found = metrics("out")
+    # Results are 60 s + 20 t + f, photographs 100 + f: the change is known.
+    assert found["scene one"]["change"] == pytest.approx((100 + 80) / 2 / 255, rel=1e-5)
+    assert found["scene two"]["change"] == pytest.approx((40 + 20) / 2 / 255, rel=1e-5)
+    assert found["change"] == pytest.approx(60 / 255, rel=1e-5)
+    known = found["provenance"]
+    assert (known["protocol"], known["variant"], known["n"]) == ("folders", "reference", 12)
+    assert known["seconds"] > 0 and known["machine"] and known["versions"]["anystyle"]
+    rows = list(csv.DictReader(Path("out/metrics.csv").read_text().splitlines()))
+    assert [(row["scene"], row["style"]) for row in rows] == [("one", "a"), ("one", "b"), ("two", "a"), ("two", "b")]
+    assert float(rows[3]["change"]) == pytest.approx(20 / 255, rel=1e-5)
+    for name in ("table.md", "table.tex", "examples.png", "spread.png"):
+        assert (Path("out") / name).is_file(), name
+    assert "| change ↓ |" in capsys.readouterr().out
+    with Image.open("out/examples.png") as sheet:
+        assert sheet.width > 4 * 160
+
+
+def test_the_same_again_computes_nothing_anew(tmp_path, monkeypatch):
+    given = flags(*folders(tmp_path / "in"))
+    run(*given, *TOY, "--out", "out")
+    before = metrics("out")
+    monkeypatch.setattr("anystyle.evaluation.parts.judge_scene", None)
+    run(*given, *TOY, "--out", "out")
+    again = metrics("out")
+    for found in (before, again):
+        del found["provenance"]
+    assert again == before
+
+
+def test_a_model_on_a_protocol_resumes_and_is_bound_to_its_configuration(tmp_path, capsys):
+    words = [
+        "protocol=paper_image", "protocol.num_styles=2", "protocol.num_scenes=1", "protocol.frames=2",
+        "scenes=procedural", "scenes.size=112", "scenes.num_scenes=2", "scenes.views=2",
+        "styles=procedural", "styles.size=48", "styles.split=heldout", *TOY,
+    ]  # fmt: skip
+    run(*words, "--out", "out")
+    found = metrics("out")
+    assert math.isfinite(found["change"]) and found["provenance"]["n"] == 4
+    assert set(found["provenance"]["weights"]) == {"backbone", "style_encoder", "branch"}
+    assert all(len(row["sha256"]) == 64 for row in found["provenance"]["weights"].values())
+    (scene,) = Path("out/images/stylized").iterdir()
+    kept = sorted(path for path in scene.iterdir() if path.suffix == ".jpg")
+    assert [path.stem for path in kept] == ["00_000", "00_001", "01_000", "01_001"]
+    times = [path.stat().st_mtime_ns for path in kept]
+    run(*words, "--out", "out")
+    assert [path.stat().st_mtime_ns for path in kept] == times
+    capsys.readouterr()
+    told = fails(capsys, *words, "variant=corrected", "--out", "out")
+    assert "out holds an evaluation of another configuration (protocol.variant reference -> corrected" in told
+    assert "choose another --out, or delete that folder" in told
+
+
+def test_figures_of_stand_in_networks_say_so_in_every_table(tmp_path, capsys):
+    given = flags(*folders(tmp_path / "in", scenes=("one",), styles=("a",), frames=2))
+    for path in sorted((tmp_path / "in").rglob("*.png")):
+        noise = np.random.default_rng(len(path.name)).integers(0, 255, (48, 48, 3), dtype=np.uint8)
+        Image.fromarray(noise).save(path)
+    run(*given, "metric=[lpips]", "metric.lpips.size=null", "metric.lpips.weights=stand_in", "--out", "out")
+    assert metrics("out")["provenance"]["stand_ins"].keys() == {"lpips"}
+    assert STAND_IN in capsys.readouterr().out
+    for name in ("table.md", "table.tex", "metrics.csv"):
+        assert STAND_IN in (Path("out") / name).read_text(), name
+
+
+def test_a_trained_run_is_judged_with_its_own_weights(tmp_path):
+    from anystyle.assemble import weights_file
+
+    for number in range(2):
+        folder = tmp_path / "sweep" / str(number)
+        folder.mkdir(parents=True)
+        shutil.copy(weights_file("tiny_head"), folder / "branch.safetensors")
+        bound = {"weights.backbone": "tiny_backbone", "weights.style_encoder": "tiny_style_encoder", "seed": 0}
+        (folder / "bound.json").write_text(json.dumps(bound))
+    words = ["protocol.num_styles=1", "protocol.num_scenes=1", "protocol.frames=1", *TOY]
+    words += ["scenes=procedural", "scenes.size=112", "scenes.views=2", "styles=procedural", "styles.size=48"]
+    run("--run", tmp_path / "sweep", *words)
+    one, other = (metrics(tmp_path / "sweep" / str(number) / "evaluation") for number in range(2))
+    assert one["change"] == other["change"] and one["provenance"]["weights"]["branch"]["file"] == "branch.safetensors"
+
+
+def test_variants_compose_and_set_every_metric():
+    for variant in ("reference", "corrected"):
+        config = OmegaConf.to_container(compose("evaluate", [f"variant={variant}"]), resolve=True, enum_to_str=True)
+        assert config["variant"] == config["protocol"]["variant"] == variant
+        chosen = {name: node for name, node in config["metric"].items() if "_target_" in node}
+        assert {"art_fid", "warp_consistency"} <= set(chosen)
+        assert all(node.get("variant", variant) == variant for node in chosen.values())
+    mine = compose("evaluate", ["metric=[psnr]"])
+    assert [name for name, node in mine.metric.items() if "_target_" in node] == ["psnr"]
+
+
+def test_what_cannot_be_judged_is_one_line_and_leaves_nothing(tmp_path, capsys):
+    content, style, stylized = folders(tmp_path / "in")
+    given = flags(content, style, stylized)
+    (tmp_path / "empty").mkdir()
+    cases = {
+        "--style, --stylized are missing": ["--content", content],
+        "there is no style folder": flags(content, tmp_path / "absent", stylized),
+        "the stylized folder": flags(content, style, tmp_path / "empty"),
+        "Could not load 'metric/plain_chagne'": [*given, "metric=[plain_chagne]"],
+        "--run judges a model, and --stylized judges images": [*given, "--run", tmp_path],
+        "holds no finished training": ["--run", tmp_path / "empty"],
+        "this protocol needs scenes; add scenes=NAME": [*TOY],
+        "unrecognized arguments: --contnet": ["--contnet", content],
+    }
+    for told, words in cases.items():
+        extra = [] if any("metric" in str(word) for word in words) else TOY
+        line = fails(capsys, *words, *extra, "--out", "out")
+        assert told in line, line
+        assert not Path("out").exists() or not any(Path("out").glob("metrics.*")), told
+    picture(stylized / "one" / "c_0.png", 0)
+    assert "1 of 13 stylized images have no partner: one/c_0 (no style c)" in fails(
+        capsys, *given, *TOY, "--out", "out"
+    )
+
+
+def test_two_evaluations_do_not_share_a_folder(tmp_path, capsys):
+    from anystyle.evaluation.binding import alone
+
+    given = flags(*folders(tmp_path / "in"))
+    Path("out").mkdir()
+    with alone(Path("out")):
+        assert "another evaluation is at work in out" in fails(capsys, *given, *TOY, "--out", "out")

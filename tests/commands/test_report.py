@@ -1,0 +1,78 @@
+"""`anystyle report`: four forms, and one line for what cannot be reported."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from anystyle.commands import report as command
+from anystyle.commands._run import run
+from anystyle.evaluation import record
+from anystyle.evaluation.contract import Evaluation
+from anystyle.evaluation.tables import STAND_IN
+
+
+@pytest.fixture
+def evaluated(tmp_path):
+    found = Evaluation(
+        {"art_fid": 321.5, "psnr": 20.25}, 4, better={"art_fid": "lower"}, stand_ins={"art_fid": "texture"}
+    )
+    folder = tmp_path / "evaluated"
+    folder.mkdir()
+    record.write(found, folder, {"protocol": "paper"})
+    return folder
+
+
+def test_every_form_is_written(evaluated, tmp_path, capsys):
+    assert command.main([str(evaluated), "--with-published", "--out", str(tmp_path / "out")]) == 0
+    shown = capsys.readouterr().out
+    assert "Styl3R: printed ArtFID does not equal" in shown
+    for name in ("table.md", "table.csv", "table.tex"):
+        text = (tmp_path / "out" / name).read_text()
+        assert STAND_IN in text and "published [1]" in text and "321.5" in text, name
+    rows = list(csv.DictReader((tmp_path / "out" / "table.csv").read_text().splitlines()))
+    assert {row["source"] for row in rows if row["art_fid ↓"] == "321.5"} == {STAND_IN}
+    with Image.open(tmp_path / "out" / "figures.png") as plot:
+        assert plot.width > 300 and len(np.unique(np.asarray(plot.convert("L")))) > 4
+
+
+def test_the_same_command_gives_the_same_bytes(evaluated, tmp_path):
+    for name in ("one", "two"):
+        command.main([str(evaluated), "--out", str(tmp_path / name)])
+    files = sorted(path.name for path in (tmp_path / "one").iterdir())
+    assert "figures.png" in files
+    for name in files:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+
+
+def test_without_what_draws_the_tables_are_written_all_the_same(evaluated, tmp_path, capsys, monkeypatch):
+    def absent():
+        raise ImportError('plots need matplotlib: pip install "anystyle[report]"')
+
+    monkeypatch.setattr("anystyle.evaluation.plots.plotting", absent)
+    command.main([str(evaluated), "--out", str(tmp_path / "out")])
+    assert 'no plot: plots need matplotlib: pip install "anystyle[report]"' in capsys.readouterr().err
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["table.csv", "table.md", "table.tex"]
+
+
+def test_what_cannot_be_reported_is_one_line(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "metrics.json").write_text("{")
+    (tmp_path / "rows.json").write_text(json.dumps({"rows": 1}))
+    cases = {
+        "no folder is named": [],
+        "there is no folder": [str(tmp_path / "absent")],
+        "holds no runs": [str(tmp_path / "empty")],
+        "is damaged": [str(tmp_path / "broken")],
+        "holds no published figures": ["--published", str(tmp_path / "rows.json")],
+        "unrecognized arguments: --wiht-published. Did you mean '--with-published'?": ["--wiht-published"],
+    }
+    for told, words in cases.items():
+        with pytest.raises(SystemExit) as caught:
+            run(lambda words=words: command.main(words))
+        assert caught.value.code == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert told in line, line

@@ -1,0 +1,189 @@
+"""Runs side by side: what became of each job, seeds and intervals, stand-ins and published rows kept apart."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+from scipy import stats
+
+from anystyle.evaluation import published, record, report, runs
+from anystyle.evaluation.contract import Evaluation
+from anystyle.evaluation.tables import STAND_IN
+
+
+def evaluation(folder, figures, *, groups=None, stand_ins=None, better=None):
+    folder.mkdir(parents=True, exist_ok=True)
+    found = Evaluation(figures, 4, better=better or {}, groups=groups or {}, stand_ins=stand_ins or {})
+    record.write(found, folder, {"protocol": "paper"})
+    return folder
+
+
+def job(folder, *words, figures=None, logged=None, **more):
+    (folder / ".hydra").mkdir(parents=True)
+    (folder / ".hydra" / "overrides.yaml").write_text("".join(f"- {word}\n" for word in words) or "[]\n")
+    if logged is not None:
+        (folder / "metrics.json").write_text(json.dumps(logged))
+    if figures is not None:
+        evaluation(folder / "evaluation", figures, **more)
+    return folder
+
+
+@pytest.fixture
+def sweep(tmp_path):
+    root = tmp_path / "sweep"
+    job(root / "0", "ablation=base", "experiment=tiny", figures={"art_fid": 20.0}, better={"art_fid": "lower"})
+    job(root / "1", "ablation=no_text", "experiment=tiny", figures={"art_fid": 25.0})
+    job(root / "2", "ablation=no_style_loss", "experiment=tiny")
+    job(root / "10", "ablation=all_geometry", "experiment=tiny")
+    (root / "10" / "last.ckpt").write_bytes(b"half")
+    return root
+
+
+def test_jobs_in_order_with_what_became_of_them(sweep):
+    found = runs.find(sweep)
+    assert [(run.folder.name, run.state) for run in found] == [
+        ("0", "finished"), ("1", "finished"), ("2", "failed"), ("10", "unfinished")
+    ]  # fmt: skip
+    lines, better = report.lines_of(found)
+    assert [(line.title, line.state, line.value("", "art_fid")) for line in lines[:2]] == [
+        ("base", "", 20.0), ("no_text", "", 25.0)
+    ]  # fmt: skip
+    assert [(line.title, line.state) for line in lines[2:]] == [
+        ("no_style_loss", "failed"), ("all_geometry", "unfinished")
+    ]  # fmt: skip
+    assert better == {"art_fid": "lower"}
+    made = report.table(lines, ["art_fid"], [""], better)
+    assert made.columns == ("variant", "source", "art_fid ↓")
+    assert [row[2] for row in made.rows] == ["20", "25", "failed", "unfinished"]
+
+
+def test_jobs_that_left_nothing_are_missing(sweep):
+    (sweep / "multirun.yaml").write_text(
+        "hydra: {overrides: {task: ['ablation=base,no_text,no_style_loss,all_geometry', 'experiment=tiny']}}\n"
+    )
+    found = runs.find(sweep)
+    assert [(run.folder.name, run.state, run.words[0]) for run in found] == [
+        ("0", "finished", "ablation=base"),
+        ("1", "finished", "ablation=no_text"),
+        ("2", "failed", "ablation=no_style_loss"),
+        ("3", "missing", "ablation=all_geometry"),
+        ("10", "unfinished", "ablation=all_geometry"),
+    ]
+
+
+def test_seeds_of_one_variant_are_one_row_with_an_interval(tmp_path):
+    values = {"base": (10.0, 12.0, 14.5), "no_text": (20.0, 21.0, 19.0)}
+    for v, (name, some) in enumerate(values.items()):
+        for s, value in enumerate(some):
+            job(tmp_path / str(3 * v + s), f"ablation={name}", f"seed={s}", figures={"art_fid": value})
+    lines, better = report.lines_of(runs.find(tmp_path))
+    assert [line.title for line in lines] == ["base", "no_text"]
+    low, high = stats.t.interval(0.95, 2, loc=np.mean(values["base"]), scale=stats.sem(values["base"]))
+    assert report.half_width(values["base"]) == pytest.approx((high - low) / 2)
+    made = report.table(lines, ["art_fid"], [""], better)
+    assert made.rows[0][2] == f"12.17 ± {(high - low) / 2:.4g}"
+    assert "3 seeds" in made.notes[-1]
+
+
+def test_a_seed_that_failed_is_said(tmp_path):
+    job(tmp_path / "0", "ablation=base", "seed=0", figures={"art_fid": 10.0})
+    job(tmp_path / "1", "ablation=base", "seed=1")
+    (line,) = report.lines_of(runs.find(tmp_path))[0]
+    assert line.title == "base (1 of 2 seeds failed)"
+
+
+def test_figures_of_stand_ins_are_rows_of_their_own(tmp_path):
+    folder = evaluation(tmp_path / "run", {"art_fid": 300.0, "psnr": 20.0}, stand_ins={"art_fid": "texture"})
+    lines, _ = report.lines_of(runs.find(folder))
+    assert [(line.said, sorted(name for _, name in line.samples)) for line in lines] == [
+        ("computed here", ["psnr"]), (STAND_IN, ["art_fid"])
+    ]  # fmt: skip
+    more, _ = report.published_lines(published.load())
+    made = report.table([*lines, *more], ["art_fid", "psnr"], ["", "Train"], {})
+    for row in made.rows:
+        kinds = {"300": STAND_IN, "20": "computed here", "27.74": "published [1]"}
+        assert all(row[1] == said for value, said in kinds.items() if value in row[2:])
+    for text in (made.markdown(), made.csv(), made.latex()):
+        assert STAND_IN in text and "published [1]" in text
+
+
+def test_published_figures_are_sourced_and_those_that_disagree_with_themselves_are_flagged():
+    figures = published.load()
+    assert all(item.source and item.table and np.isfinite(item.value) for item in figures)
+    found = published.disagreements(figures)
+    assert [(item.method, item.scene, item.printed, item.recomputed) for item in found] == [
+        ("Styl3R", "Train", 27.74, 34.69),
+        ("Styl3R", "Truck", 27.28, 34.11),
+        ("Styl3R", "M60", 23.98, 29.86),
+        ("Styl3R", "Garden", 29.73, 38.27),
+    ]
+    (note,) = report.consistency_notes(figures)
+    assert note.startswith("Styl3R: printed ArtFID does not equal") and "Garden 29.73, not 38.27" in note
+
+
+def test_rows_from_a_file_are_checked_from_their_parts(tmp_path):
+    rows = {
+        "sources": {"mine": "a paper"},
+        "rows": [
+            {"method": "right", "source": "mine", "table": "1", "figures": {
+                "lpips": {"Train": 0.5}, "fid": {"Train": 19.02}, "art_fid": {"Train": 30.03}}},
+            {"method": "wrong", "source": "mine", "table": "1", "figures": {
+                "lpips": {"Train": 0.5}, "fid": {"Train": 19.02}, "art_fid": {"Train": 25.0}}},
+        ],
+    }  # fmt: skip
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps(rows))
+    figures = [item for item in published.load([path]) if item.source == "a paper"]
+    (found,) = published.disagreements(figures)
+    assert (found.method, found.recomputed) == ("wrong", pytest.approx(1.5 * 20.02))
+    for text in ("[]", "{", '{"sources": {}, "rows": [{"method": "a"}]}'):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=r"mine\.json holds no published figures .* as in published\.json"):
+            published.load([path])
+
+
+def test_scenes_are_columns_in_the_order_of_the_paper(tmp_path):
+    groups = {f"scene {name}": {"art_score": 9.0 + i, "art_fid": 20.0 + i} for i, name in enumerate(("Train", "M60"))}
+    folder = evaluation(tmp_path / "run", {"art_fid": 20.5, "art_score": 9.5, "lpips": 0.4}, groups=groups)
+    lines, _ = report.lines_of(runs.find(folder))
+    assert report.figures_of(lines) == ["art_score", "art_fid", "lpips"]
+    scenes = report.scenes_of(lines, ["art_score", "art_fid"])
+    made = report.table(lines, ["art_score", "art_fid"], scenes, published.BETTER)
+    assert made.columns[2:] == ("Train art_score ↑", "Train art_fid ↓", "M60 art_score ↑", "M60 art_fid ↓")
+    assert made.rows[0][2:] == ("9", "20", "10", "21")
+    with pytest.raises(ValueError, match="no run has the figure 'nothing'; there are art_fid, art_score, lpips"):
+        report.figures_of(lines, ["nothing"])
+
+
+def test_trainings_are_reported_by_what_they_logged(tmp_path):
+    job(tmp_path / "run", logged={"train/loss": 0.5, "val/psnr": None})
+    (line,) = report.lines_of(runs.find(tmp_path / "run"))[0]
+    assert line.title == "run" and line.value("", "train/loss") == 0.5
+
+
+def test_folders_without_runs(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="there is no folder"):
+        runs.find(tmp_path / "absent")
+    with pytest.raises(ValueError, match="holds no runs; expected an evaluation"):
+        runs.find(tmp_path / "empty")
+
+
+def test_the_sheet_has_a_row_for_each_variant_and_a_column_for_each_style(sweep):
+    for number, shade in ((0, 10), (1, 90)):
+        images = sweep / str(number) / "evaluation" / "images"
+        for style in ("00", "01"):
+            for frame in range(3):
+                path = images / "stylized" / "train" / f"{style}_{frame:03d}.png"
+                path.parent.mkdir(parents=True, exist_ok=True)
+                Image.new("RGB", (8, 8), (shade + frame,) * 3).save(path)
+            (images / "style").mkdir(exist_ok=True)
+            Image.new("RGB", (8, 8), (200,) * 3).save(images / "style" / f"{style}.png")
+    lines, _ = report.lines_of(runs.find(sweep))
+    rows, titles, columns = report.sheet_cells(lines)
+    assert titles == ["style", "base", "no_text", "no_style_loss", "all_geometry"]
+    assert columns == ["style 00", "style 01"]
+    assert [cell.getpixel((0, 0))[0] for cell in (rows[0][0], rows[1][0], rows[2][1])] == [200, 11, 91]
+    assert [cell.text for cell in (rows[3][0], rows[4][1])] == ["failed", "unfinished"]
+    assert report.sheet_cells(lines[2:]) is None
