@@ -164,8 +164,8 @@ class Relief(contracts.Backbone):
 
 # %% [markdown]
 # ## Is it one?
-# The contract of a backbone, about fifty promises, and the same together with the built-in placements and injectors: an
-# untrained style branch changes nothing, every weight learns, many styles are one batch.
+# The contract of a backbone, about forty promises: shapes, batches, sites and gradients; and, together with a placement
+# and an injector, that an untrained style branch changes nothing, that every weight learns, that styles are one batch.
 
 # %%
 from anystyle.testing import run
@@ -208,7 +208,7 @@ stylizer = anystyle.load("tiny", ["~model", "backbone=relief", "backbone.depth=3
 views = ProceduralScenes(split="heldout", size=112).read(11, [0])
 scene = stylizer.encode(views)
 gaussians = stylizer.unstyled(scene)
-around = stylizer.render(gaussians, orbit(scene.cameras, 5, degrees=60)).color[0]
+around = stylizer.render(gaussians, orbit(scene.cameras, 5, degrees=30)).color[0]
 contact_sheet([[to_pil(views.images[0, 0]), *map(to_pil, around)]], column_titles=["photograph", *5 * [""]])
 
 # %% [markdown]

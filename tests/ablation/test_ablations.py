@@ -154,3 +154,24 @@ def test_composing_a_job_costs_little_beside_starting_one():
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     starting = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     assert statistics.median(seconds) < 0.5 * starting, (seconds, starting)
+
+
+@pytest.mark.parametrize(
+    "launcher",
+    [
+        pytest.param(("hydra/launcher=joblib", "hydra.launcher.n_jobs=2"), id="joblib"),
+        pytest.param(("hydra/launcher=submitit_local", "hydra.launcher.timeout_min=10"), id="submitit"),
+    ],
+)
+def test_launchers_leave_what_one_process_leaves(launcher, tmp_path):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher.joblib_launcher")
+    pytest.importorskip("hydra_plugins.hydra_submitit_launcher.submitit_launcher")
+    words = (*FEW_STEPS, "trainer.max_steps=1", "ablation=base,no_style_loss", *launcher)
+    # Jobs are processes of their own: what launches them must be the program, not this one.
+    done = subprocess.run(
+        [sys.executable, "-m", "anystyle", "train", "-m", *words], cwd=tmp_path, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    one, other = (load_file(weights_of(job)) for job in range(2))
+    assert one.keys() == other.keys()
+    assert any(not one[key].equal(other[key]) for key in one)

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from anystyle.commands import plugins_check
+
 FOLDER = Path(__file__).parents[2] / "notebooks"
 NAMES = [path.name for path in sorted(FOLDER.glob("*.py"))]
 LONGEST = 120.0
@@ -57,3 +59,18 @@ def _children() -> float:
 
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return usage.ru_utime + usage.ru_stime
+
+
+def test_the_backbone_of_the_notebook_is_a_plugin_with_two_lines_besides(tmp_path, monkeypatch, capsys):
+    cells = [cell.source for cell in read("02_add_a_backbone.py").cells if cell.cell_type == "code"]
+    last = next(place for place, source in enumerate(cells) if "class Relief(" in source)
+    code = "\n\n".join(cells[: last + 1]).replace('@anystyle.plugin("backbone", "relief")\n', "")
+    (tmp_path / "relief_of_a_notebook.py").write_text(code)
+    lines = ['[project.entry-points."anystyle.backbone"]', 'relief = "relief_of_a_notebook:Relief"']
+    (tmp_path / "pyproject.toml").write_text("\n".join(lines))
+    monkeypatch.setenv("ANYSTYLE_PLUGINS", str(tmp_path))
+    monkeypatch.setattr("sys.path", list(sys.path))
+    # Shapes of a plugin outside are checked by its contract, not by the types that this suite adds to annotations.
+    assert plugins_check.main(["backbone", "relief"]) == 0, capsys.readouterr().out
+    assert "promises kept" in capsys.readouterr().out
+    sys.modules.pop("relief_of_a_notebook", None)

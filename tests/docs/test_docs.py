@@ -1,0 +1,213 @@
+"""What the documentation shows is there: links, names, options and every command; run it with pytest tests/docs."""
+
+import argparse
+import ast
+import importlib
+import re
+import shlex
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from anystyle.__main__ import available
+from anystyle.commands._flags import parse, split
+from anystyle.commands.plugins_new import write
+from anystyle.registry.builtin import KINDS
+from anystyle.registry.compose import compose
+
+ROOT = Path(__file__).parents[2]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
+COMPOSED = ("stylize", "train", "evaluate")
+SHELLS = ("console", "bash", "sh")
+PROMPT = re.compile(r"^(\$ |srun |# !|!)?(?P<words>(\w+=\S+ )*(anystyle|torchrun) .*)$")
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+EARLIER = "experiment=paper_head", "name=x", "out=x"
+
+
+def _text(page):
+    return page.read_text(encoding="utf-8")
+
+
+def _commands(page):
+    """The lines that call the program."""
+    text = _text(page)
+    blocks = [body for language, body in FENCE.findall(text) if language in SHELLS]
+    lines = text.splitlines() if page.suffix == ".py" else "\n".join(blocks).replace("\\\n", " ").splitlines()
+    found = [PROMPT.match(line.strip()) for line in lines]
+    return [match["words"] for match in found if match and "|" not in match["words"].partition("#")[0]]
+
+
+def _named(path):
+    return str(path.relative_to(ROOT))
+
+
+ELSEWHERE = {"add_a_plugin.md": "tests/commands/test_add_a_plugin_page.py runs every command on it"}
+COMMANDS = sorted(
+    {(_named(page), line) for page in [*PAGES, *NOTEBOOKS] if page.name not in ELSEWHERE for line in _commands(page)}
+)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _mine(tmp_path_factory):
+    """The plugin that pages speak of, as `anystyle plugins new backbone mine` writes it."""
+    with pytest.MonkeyPatch.context() as patch:
+        folder = write("backbone", "mine", tmp_path_factory.mktemp("plugins"))
+        patch.setenv("ANYSTYLE_PLUGINS", str(folder))
+        patch.setattr("sys.path", list(sys.path))
+        yield
+    sys.modules.pop("anystyle_mine", None)
+
+
+def _anchors(page):
+    titles = re.findall(r"^#+ (.+)$", FENCE.sub("", _text(page)), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_named)
+def test_links_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)\s]+)\)", FENCE.sub("", _text(page))):
+        if re.match(r"[a-z]+:", target):
+            continue
+        file, _, anchor = target.partition("#")
+        there = (page.parent / file).resolve() if file else page
+        assert there.exists(), f"{page.name} links to {target}, which does not exist"
+        if anchor and there.suffix == ".md":
+            assert anchor in _anchors(there), f"{page.name} links to {target}; there is {sorted(_anchors(there))}"
+
+
+def test_every_page_can_be_reached():
+    linked = set(re.findall(r"\]\((\w+\.md)", _text(ROOT / "docs" / "index.md")))
+    assert linked == {page.name for page in (ROOT / "docs").glob("*.md")} - {"index.md"}
+
+
+@pytest.mark.parametrize("page", [*PAGES, *NOTEBOOKS], ids=_named)
+def test_names_exist(page):
+    for name in set(re.findall(r"`(anystyle(?:\.\w+)+)(?:\(\))?`", _text(page))):
+        module, parts = name, []
+        while True:
+            try:
+                found = importlib.import_module(module)
+                break
+            except ModuleNotFoundError:
+                module, _, last = module.rpartition(".")
+                parts.insert(0, last)
+        for part in parts:
+            assert hasattr(found, part), f"{page.name} speaks of {name}, and {module} has no {part}"
+            found = getattr(found, part)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_named)
+def test_files_and_variables_exist(page):
+    text = FENCE.sub("", _text(page))
+    for name in set(re.findall(r"`((?:src|conf|docs|tests|notebooks)/[\w./]*)`", text)):
+        assert (ROOT / name).exists(), f"{page.name} speaks of {name}"
+    sources = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "src").rglob("*.py"))
+    for name in set(re.findall(r"\bANYSTYLE_\w+", _text(page))) - {"ANYSTYLE_TEST_DATA"}:
+        assert name in sources, f"{page.name} speaks of {name}, which nothing reads"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_named)
+def test_options_exist(page):
+    for key in set(re.findall(r"`((?:training|trainer|views|branch|checkpoint|export)\.(?!py`)\w+)[`=]", _text(page))):
+        assert any(_has(config, key) for config in _configurations()), f"{page.name} speaks of the option {key}"
+
+
+@cache
+def _configurations():
+    roots = (("train", EARLIER), ("train", ("experiment=tiny_style", *EARLIER[1:])), ("stylize", ()))
+    return [compose(root, list(words)) for root, words in roots]
+
+
+def _has(config, key):
+    try:
+        return OmegaConf.select(config, key, throw_on_missing=False, default=_has) is not _has
+    except OmegaConfBaseException:
+        return False
+
+
+@pytest.mark.parametrize("page", PAGES, ids=_named)
+def test_code_is_python_and_its_imports_are_there(page):
+    for language, body in FENCE.findall(_text(page)):
+        if language != "python":
+            continue
+        for item in ast.walk(ast.parse(body if not body.startswith("    ") else "class _:\n" + body)):
+            if isinstance(item, ast.ImportFrom) and str(item.module).startswith("anystyle"):
+                module = importlib.import_module(str(item.module))
+                assert all(hasattr(module, alias.name) for alias in item.names)
+
+
+@pytest.mark.parametrize(("page", "line"), COMMANDS, ids=[f"{page}: {line[:60]}" for page, line in COMMANDS])
+def test_command_is_understood(page, line):
+    words = shlex.split(line, comments=True)
+    while "=" in words[0]:
+        words.pop(0)
+    if words[0] == "torchrun":
+        words = words[words.index("-m") + 1 :]
+    command, *rest = words[1:]
+    assert command in available(), f"{page} shows a command that does not exist: {line}"
+    module = importlib.import_module(f"anystyle.commands.{command}")
+    if command in COMPOSED:
+        _compose(command, module, rest)
+    elif command in ("plugins", "study"):
+        _sub_command(command, module, rest)
+    else:
+        parse(module.parser(), rest)
+
+
+def _compose(command, module, words):
+    if command == "train":
+        _, overrides = split(argparse.ArgumentParser(), words)
+        overrides = [word for word in overrides if "=" in word or word.startswith("~")]
+    else:
+        arguments, overrides = split(module.parser(), words)
+        overrides = [word for word in overrides if "=" in word or word.startswith("~")]
+        if command == "evaluate":
+            overrides = [*module.folder_words(arguments), *overrides]
+    parsed = OverridesParser.create().parse_overrides(overrides)
+    single = [word for word, item in zip(overrides, parsed, strict=True) if not item.is_sweep_override()]
+    swept = [
+        [f"{item.get_key_element()}={value}" for value in item.sweep_string_iterator()]
+        for item in parsed
+        if item.is_sweep_override()
+    ]
+    # Every value once, the others at their first.
+    for place, values in enumerate(swept or [[]]):
+        others = [choice[0] for other, choice in enumerate(swept) if other != place]
+        for value in values or [None]:
+            chosen = [*single, *others, *([value] if value else [])]
+            named = ["name=x", "out=x"] if command == "train" else []
+            compose(command, [*(word for word in chosen if not word.startswith("name=")), *named])
+
+
+def _sub_command(command, module, words):
+    if words and words[0] in ("new", "check", "design", "form", "analyze", "power"):
+        below = importlib.import_module(f"anystyle.commands.{command}_{words[0]}")
+        if command == "study":
+            # A study's words are flags and overrides.
+            split(below.parser(), words[1:])
+        else:
+            given = parse(below.parser(), words[1:])
+            assert given.kind in KINDS
+    elif command == "plugins":
+        assert all(word in KINDS for word in words[:1])
+
+
+def test_what_is_wrong_is_found(tmp_path):
+    """The checks above can fail."""
+    with pytest.raises(ValueError, match="Did you mean"):
+        test_command_is_understood("page", "anystyle train experiment=tiny_style training.learning_rat=1.0")
+    with pytest.raises(ValueError, match="unrecognized"):
+        test_command_is_understood("page", "anystyle plugins check backbone mine --hints")
+    with pytest.raises(AssertionError):
+        test_command_is_understood("page", "anystyle paint photos/")
+    page = tmp_path / "page.md"
+    page.write_text("[a](b.md), `anystyle.types.Nothing`, `src/nowhere.py`, `training.nothing`\n")
+    for check in (test_links_lead_somewhere, test_names_exist, test_files_and_variables_exist, test_options_exist):
+        with pytest.raises(AssertionError):
+            check(page)
