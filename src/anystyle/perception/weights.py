@@ -159,6 +159,7 @@ FILES: dict[str, WeightsFile] = {
     ),
     "texture": _ours("tiny_texture", "style losses of the tiny recipes", "tiny_perceptual"),
     "tiny_style_encoder": _ours("tiny_style_encoder", "style_encoder=tiny", "tiny_embedding"),
+    "tiny_judge": _ours("tiny_judge", "judge of protocol=tiny_heldout", "tiny_judge"),
     "tiny_backbone": _ours("tiny_backbone", "model=tiny", "tiny_reconstruction"),
     "tiny_head": _ours("tiny_head", "model=tiny, placement=head", "tiny_style"),
 }
