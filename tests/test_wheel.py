@@ -46,7 +46,7 @@ def test_it_carries_configurations_plugins_and_weights(wheel):
 def test_it_stylizes_from_another_folder(environment, tmp_path):
     clean = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "ANYSTYLE"))}
     command = [environment, "-m", "anystyle", "stylize", "scenes=procedural", "--text", "red and white stripes"]
-    options = ["--out", "result", "views.max_views=2", "video.frames=4", "video.scale=1"]
+    options = ["--out", "result", "views.take=2", "video.frames=4", "video.scale=1"]
     run = subprocess.run([*command, *options], cwd=tmp_path, env=clean, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     report = json.loads((tmp_path / "result" / "report.json").read_text())

@@ -12,7 +12,7 @@ from anystyle.commands._compose import main
 from anystyle.commands.stylize import parser, slug, stylize
 from anystyle.export import write_video
 
-SMALL = ["video.frames=3", "video.scale=0.5", "views.max_views=3", "views.short_side=56"]
+SMALL = ["video.frames=3", "video.scale=0.5", "views.take=3", "views.short_side=56"]
 
 
 def run(*words):

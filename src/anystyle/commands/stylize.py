@@ -1,29 +1,40 @@
 """Photographs and a style in, a stylized Gaussian scene out."""
 
 import argparse
+import contextlib
+import functools
 import re
+import sys
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
 import torch
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
+from anystyle import known_cameras, memory
 from anystyle.assemble import assemble
-from anystyle.commands._compose import main
+from anystyle.commands._compose import main, override, split
 from anystyle.commands._progress import Stages
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.data.folder import SourceImage, read_views
 from anystyle.data.images import read_image
+from anystyle.errors import UserError
 from anystyle.files import atomic_directory
+from anystyle.geometry.alignment import Similarity
+from anystyle.groups import Capture, encode_groups, with_cameras
+from anystyle.paging import thrifty
+from anystyle.refine import refine
 from anystyle.registry.build import build
-from anystyle.results import Path3D, write_cameras, write_report, write_scene, write_sheet
+from anystyle.results import Path3D, render_each, write_cameras, write_colmap, write_report, write_scene, write_sheet
 from anystyle.sheet import Cell, to_pil
 from anystyle.stylizer import Stylizer
-from anystyle.types import StyleEmbedding, Views
+from anystyle.types import Cameras, Scene, StyleEmbedding, Views
 
 LONGEST_TEXT = 2000
 
@@ -36,6 +47,25 @@ class NamedStyle:
     title: str
     cell: Cell
     embedding: StyleEmbedding
+
+
+POSES = ("predicted", "target", "known")
+MODELS = ("none", "binary", "text")
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An encoded capture with the cameras that somebody knew.
+
+    Args:
+        capture: The capture; with known cameras in place of predicted ones where they were asked for.
+        targets: Names and cameras of further views, where they were asked for.
+        change: The way from the known cameras' frame to the capture's.
+    """
+
+    capture: Capture
+    targets: tuple[Sequence[str], Cameras] | None = None
+    change: Similarity | None = None
 
 
 def parser() -> argparse.ArgumentParser:
@@ -83,6 +113,9 @@ def check_arguments(arguments: argparse.Namespace, config: DictConfig) -> list[f
             raise ValueError(f"--text has {len(text)} characters; describe the style in at most {LONGEST_TEXT}")
     if not arguments.inputs and config.get("scenes") is None:
         raise ValueError("no photographs are given; name a folder, files or a video")
+    for option, value, choices in (("poses", config.poses, POSES), ("export.colmap", config.export.colmap, MODELS)):
+        if value not in choices:
+            raise ValueError(f"{option}={value}; choose one of {', '.join(choices)}")
     amounts: list[float] = []
     for word in ",".join(arguments.mix).split(",") if arguments.mix else []:
         try:
@@ -106,16 +139,42 @@ def read_inputs(
             [Path(word) for word in arguments.inputs],
             short_side=config.views.short_side or side,
             multiple=multiple,
-            max_views=config.views.max_views,
+            max_views=config.views.take,
         )
     source = build(SceneSource, config.scenes)
     if not 0 <= config.scene < len(source):
         raise ValueError(f"scene={config.scene} does not exist; the source holds {len(source)}")
-    views = source.read(config.scene, range(min(source.num_views(config.scene), config.views.max_views)))
+    views = source.read(config.scene, range(min(source.num_views(config.scene), config.views.take)))
     if any(length % multiple for length in views.size):
         raise ValueError(f"the scene's images are {views.size}; their sides must be multiples of {multiple}")
     names = [f"view_{place:02d}" for place in range(views.images.shape[1])]
     return views, [SourceImage.unchanged(name, views.size) for name in names]
+
+
+def place_cameras(
+    config: DictConfig, stylizer: Stylizer, capture: Capture, views: Views, sources: Sequence[SourceImage]
+) -> Placed:
+    """Use stored cameras as ``poses`` says."""
+    if config.poses == "predicted":
+        return Placed(capture)
+    from_files = sources[0].path is not None
+    where = None if config.poses_from is None else Path(config.poses_from)
+    names = [source.name for source in sources]
+    stored = views.cameras
+    known = known_cameras.from_files(sources, where) if from_files else known_cameras.from_views(stored, names)
+    if config.poses == "known":
+        cameras = known.of_all(names).to(capture.cameras.intrinsics.device)
+        capture, change = with_cameras(capture, cameras, stylizer.backbone)
+        return Placed(capture, change=change)
+    targets, change = known.placed(capture.cameras)
+    return Placed(capture, (_unique([slug(name, 80) for name in known.names]), targets), change)
+
+
+def encoder(config: DictConfig, stylizer: Stylizer) -> Callable[[Views], Scene]:
+    """How views are encoded: in the single pass, or with cameras refined after it."""
+    if not config.refine:
+        return stylizer.encode
+    return lambda views: refine(stylizer.encode(views), stylizer.backbone.adapter)
 
 
 def named_styles(arguments: argparse.Namespace, config: DictConfig, stylizer: Stylizer) -> list[NamedStyle]:
@@ -155,17 +214,25 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Run the command."""
     amounts = check_arguments(arguments, config)
     stages = Stages()
-    with atomic_directory(arguments.out) as out:
+    target = job_folder(arguments.out)
+    with atomic_directory(target) as out:
         torch.manual_seed(config.seed)
         with stages("load", "the model"):
             stylizer, weights = assemble(config)
             device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
             stylizer = stylizer.requires_grad_(False).eval().to(device)
-        with stages("read", "the views"):
             backbone = stylizer.backbone
+            parts = (backbone.embedder, backbone.aggregator, backbone.geometry_head, backbone.gaussian_head)
+            thrifty([*parts, stylizer.branch])
+        with stages("read", "the views"):
             views, sources = read_inputs(arguments, config, backbone.patch_size, backbone.resolution)
-        with stages("encode", f"{views.images.shape[1]} views of {views.size[1]}x{views.size[0]}"):
-            scene = stylizer.encode(replace(views, cameras=None, depth=None).to(device))
+            count, size = views.images.shape[1], config.views.max_views
+            memory.check(backbone, min(count, size or count), views.size, device)
+        with stages("encode", f"{count} views of {views.size[1]}x{views.size[0]}"):
+            images = replace(views, cameras=None, depth=None).to(device)
+            encoded = encode_groups(encoder(config, stylizer), images, size=size, overlap=config.views.overlap)
+            placed = place_cameras(config, stylizer, encoded, views, sources)
+            capture = placed.capture
         with stages("embed", "the styles"):
             styles = named_styles(arguments, config, stylizer)
             styles = mixed(styles, amounts) if amounts else styles
@@ -173,23 +240,37 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
         names = _unique([slug(source.name, 80) for source in sources])
         path = Path3D(frames=config.video.frames, fps=config.video.fps, scale=config.video.scale)
         with stages("render", "the unstyled scene"):
-            unstyled = [to_pil(image) for image in stylizer.render(stylizer.unstyled(scene), scene.cameras).color[0]]
+            plain = capture.gaussians(stylizer.unstyled)
+            unstyled = [to_pil(image) for image in render_each(stylizer, plain, capture.cameras)]
         columns: list[tuple[str, Cell, Sequence[Cell]]] = [("unstyled", None, unstyled)]
         report: dict[str, object] = {}
         for place, style in enumerate(styles):
             folder = out if len(styles) == 1 else out / f"{place + 1:02d}-{style.name}"
             with stages("restyle", f"{place + 1}/{len(styles)}: {' '.join(style.title.split())[:70]}"):
-                gaussians = stylizer.restyle(scene, style.embedding)
+                gaussians = capture.gaussians(functools.partial(stylizer.restyle, embedding=style.embedding))
             with stages("write", "scene, renders and video"):
-                renders = write_scene(folder, stylizer, gaussians, scene.cameras, names=names, path=path)
-                write_cameras(folder / "cameras.json", scene.cameras, sources)
+                renders = write_scene(
+                    folder,
+                    stylizer,
+                    gaussians,
+                    capture.cameras,
+                    names=names,
+                    path=path,
+                    targets=placed.targets,
+                    y_up=config.export.y_up,
+                )
+                write_cameras(folder / "cameras.json", capture.cameras, sources, placed.change)
+                if config.export.colmap != "none":
+                    binary = config.export.colmap == "binary"
+                    write_colmap(folder / "sparse" / "0", gaussians, capture.cameras, sources, binary=binary)
             column = (style.title, style.cell, renders)
             write_sheet(folder / "sheet.png", photographs, [columns[0], column])
             columns.append(column)
             report = {
                 "style": style.title,
                 "gaussians": int((gaussians.opacities > 0).sum()),
-                "views": views.images.shape[1],
+                "views": count,
+                "groups": len(capture.groups),
                 "inputs": [source.name for source in sources],
                 "size": list(views.size),
                 "seconds": {stage: round(seconds, 4) for stage, seconds in stages.seconds.items()},
@@ -202,8 +283,24 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
         if len(styles) > 1:
             write_sheet(out / "sheet.png", photographs, columns)
             write_report(out / "report.json", report | {"style": [style.title for style in styles]})
-    count = f"{len(styles)} stylized scene{'s' if len(styles) > 1 else ''}"
-    print(f"{count} in {arguments.out}; look at {Path(arguments.out) / 'sheet.png'}")
+    made = f"{len(styles)} stylized scene{'s' if len(styles) > 1 else ''}"
+    print(f"{made} in {target}; look at {target / 'sheet.png'}")
+
+
+def job_folder(out: str) -> Path:
+    """Where results go: ``--out``, and in a multirun a folder of each job's own in it."""
+    if not HydraConfig.initialized() or HydraConfig.get().mode is not RunMode.MULTIRUN:
+        return Path(out)
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
+def with_sweep(words: Sequence[str]) -> list[str]:
+    """The words, and for a multirun the word that makes it write into ``--out``."""
+    with contextlib.suppress(UserError):  # told where the words are read for good
+        arguments, rest = split(parser(), words)
+        if {"-m", "--multirun"} & set(rest):
+            return [*words, override("hydra.sweep.dir", arguments.out)]
+    return list(words)
 
 
 def _unique(names: Sequence[str]) -> list[str]:
@@ -217,4 +314,4 @@ def _unique(names: Sequence[str]) -> list[str]:
 
 
 if __name__ == "__main__":
-    main("stylize", stylize, parser())
+    main("stylize", stylize, parser(), with_sweep(sys.argv[1:]))

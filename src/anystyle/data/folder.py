@@ -5,7 +5,7 @@ import logging
 import re
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -32,12 +32,14 @@ class SourceImage:
         size: Height and width of the upright source in pixels.
         box: Left, top, right and bottom of what the view shows, in source pixels.
         view_size: Height and width of the view in pixels.
+        path: The file, where the source is an image file.
     """
 
     name: str
     size: tuple[int, int]
     box: tuple[float, float, float, float]
     view_size: tuple[int, int]
+    path: Path | None = None
 
     @classmethod
     def unchanged(cls, name: str, size: tuple[int, int]) -> "SourceImage":
@@ -83,9 +85,7 @@ def read_views(
     found = _find(inputs)
     thinned = evenly(found, max_views)
     if len(thinned) < len(found):
-        _log.warning(
-            "%d of %d photographs are taken, evenly spaced; views.max_views sets how many", max_views, len(found)
-        )
+        _log.warning("%d of %d photographs are taken, evenly spaced; views.take sets how many", max_views, len(found))
     shots, problems = _open(thinned, max_views)
     if not shots:
         raise ValueError(f"no photograph can be read: {problems[0]}" + _more(len(problems) - 1))
@@ -119,7 +119,17 @@ def read_picture(path: Path, name: str, size: tuple[int, int]) -> tuple[Image.Im
     scale = min(source[0] / size[1], source[1] / size[0])
     # Decoded at twice the size that is needed where the format can, which leaves the resampling its room.
     picture = images.open_image(path, longest=max(1, round(2 * max(source) / max(scale, 1.0))))
-    return _cover(name, picture, source, size)
+    covered, shown = _cover(name, picture, source, size)
+    return covered, replace(shown, path=path)
+
+
+def covering(name: str, source: tuple[int, int], size: tuple[int, int]) -> SourceImage:
+    """What a view of ``size`` shows of a source, both height and width: its middle, as large as fits."""
+    (source_height, source_width), (height, width) = source, size
+    scale = min(source_width / width, source_height / height)
+    shown = (scale * width, scale * height)
+    left, top = (source_width - shown[0]) / 2, (source_height - shown[1]) / 2
+    return SourceImage(name, source, (left, top, left + shown[0], top + shown[1]), size)
 
 
 def natural(name: str) -> list[tuple[int, str]]:
@@ -150,10 +160,8 @@ def _find(inputs: Sequence[Path]) -> list[Path]:
     found: list[Path] = []
     for item in inputs:
         if item.is_dir():
-            inside = sorted(
-                (path for path in item.iterdir() if path.is_file() and path.suffix.lower() in images.SUFFIXES),
-                key=lambda path: natural(path.name),
-            )
+            # Captures with cameras keep their photographs in a folder of that name.
+            inside = _images(item) or (_images(item / "images") if (item / "images").is_dir() else [])
             if not inside:
                 raise ValueError(f"there are no images in the folder {item}")
             found.extend(inside)
@@ -166,6 +174,11 @@ def _find(inputs: Sequence[Path]) -> list[Path]:
                 raise ValueError(f"there is no folder, image or video {item}")
             found.extend(sorted(matches, key=lambda path: natural(str(path))))
     return found
+
+
+def _images(folder: Path) -> list[Path]:
+    found = (path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in images.SUFFIXES)
+    return sorted(found, key=lambda path: natural(path.name))
 
 
 class _Shot(NamedTuple):
@@ -212,16 +225,13 @@ def _cover(
     name: str, picture: Image.Image, source: tuple[int, int], size: tuple[int, int]
 ) -> tuple[Image.Image, SourceImage]:
     """A view of ``size`` from the middle of a picture, which may be a reduced copy of the source."""
-    height, width = size
-    scale = min(source[0] / width, source[1] / height)
-    shown = (scale * width, scale * height)
-    left, top = (source[0] - shown[0]) / 2, (source[1] - shown[1]) / 2
-    box = (left, top, left + shown[0], top + shown[1])
+    shown = covering(name, (source[1], source[0]), size)
+    box = shown.box
     x, y = picture.width / source[0], picture.height / source[1]
     # Rounding may put the box a little outside of the picture, which the resampling refuses.
     reduced = (box[0] * x, box[1] * y, min(box[2] * x, picture.width), min(box[3] * y, picture.height))
-    resized = picture.resize((width, height), Image.Resampling.LANCZOS, box=reduced)
-    return resized, SourceImage(name, (source[1], source[0]), box, size)
+    resized = picture.resize((size[1], size[0]), Image.Resampling.LANCZOS, box=reduced)
+    return resized, shown
 
 
 def _more(count: int) -> str:

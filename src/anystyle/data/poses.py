@@ -1,6 +1,7 @@
-"""Cameras that were stored beside photographs: transforms.json of NeRF tools and DL3DV, poses_bounds.npy of LLFF."""
+"""Cameras stored beside photographs: COLMAP, transforms.json of NeRF tools and DL3DV, poses_bounds.npy of LLFF."""
 
 import json
+import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
@@ -8,6 +9,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from anystyle import colmap
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -33,8 +39,8 @@ class StoredCamera:
 def read_poses(folder: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
     """The cameras of a scene's images by file name; empty where none are stored.
 
-    ``transforms.json`` names its images, which may lie in a folder of another resolution; ``poses_bounds.npy`` has one
-    row an image in the order of their names. Lens distortion is not undone.
+    ``transforms.json`` and COLMAP's models name their images, which may lie in a folder of another resolution;
+    ``poses_bounds.npy`` has one row an image in the order of their names. Lens distortion is not undone.
 
     Args:
         folder: Of the scene.
@@ -45,15 +51,42 @@ def read_poses(folder: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
     """
     if (folder / "transforms.json").is_file():
         stored = _transforms(folder / "transforms.json")
-        # Some tools leave the suffix out.
-        pairs = [(name, stored.get(name, stored.get(PurePosixPath(name).stem))) for name in images]
-        known = {name: camera for name, camera in pairs if camera is not None}
-        if not known:
-            raise ValueError(f"{folder / 'transforms.json'} names none of the photographs beside it")
-        return known
+        return _named(stored, images, folder / "transforms.json")
     if (folder / "poses_bounds.npy").is_file():
         return _llff(folder / "poses_bounds.npy", images)
+    if (sparse := colmap.find(folder)) is not None:
+        return _named(_colmap(sparse), images, sparse)
     return {}
+
+
+def _named(stored: Mapping[str, StoredCamera], images: Sequence[str], path: Path) -> dict[str, StoredCamera]:
+    # Some tools leave the suffix out.
+    pairs = [(name, stored.get(name, stored.get(PurePosixPath(name).stem))) for name in images]
+    known = {name: camera for name, camera in pairs if camera is not None}
+    if not known:
+        raise ValueError(f"{path} names none of the photographs beside it")
+    return known
+
+
+def _colmap(folder: Path) -> dict[str, StoredCamera]:
+    model = colmap.read(folder)
+    fisheye = sorted({lens.model for lens in model.cameras.values() if "FISHEYE" in lens.model or lens.model == "FOV"})
+    if fisheye:
+        raise ValueError(f"{folder} has {fisheye[0]} cameras; undistort the images (colmap image_undistorter) first")
+    strongest = max((abs(value) for lens in model.cameras.values() for value in lens.distortion), default=0.0)
+    if strongest > 1e-6:
+        _log.warning(
+            "%s has distorted images (up to %.3g), which is not undone; undistort them first", folder, strongest
+        )
+    cameras = {}
+    for photograph in model.photographs.values():
+        w, x, y, z = photograph.rotation
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix().T
+        pose[:3, 3] = -pose[:3, :3] @ np.array(photograph.translation)
+        lens = model.cameras[photograph.camera]
+        cameras[PurePosixPath(photograph.name).name] = StoredCamera(pose, lens.intrinsics, lens.size)
+    return cameras
 
 
 def _transforms(path: Path) -> dict[str, StoredCamera]:

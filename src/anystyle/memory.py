@@ -1,0 +1,186 @@
+"""What a pass will take, said before it is run: tensors without memory are followed through the network.
+
+Fake tensors compute shapes alone. Every tensor the network makes is counted from birth to death, so the largest sum is
+what the pass itself will hold beside the weights; two sizes tell the slope, for memory is linear in the views.
+"""
+
+import contextlib
+import copy
+import weakref
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTensorMode
+from torch.utils import _pytree as pytree
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from anystyle.contracts import Backbone
+from anystyle.types import Tokens
+
+SHARE = 0.9
+"""Of what is free: allocators and the system need the rest."""
+
+
+class Estimate(NamedTuple):
+    """Peak bytes of encoding ``V`` views: ``fixed + slope * V``, beside the weights."""
+
+    fixed: float
+    slope: float
+
+    def __call__(self, views: int) -> int:
+        """Bytes for so many views."""
+        return int(self.fixed + self.slope * views)
+
+    def fits(self, available: int) -> int:
+        """The most views that so many bytes allow; 0 if not even one."""
+        return max(0, int((available - self.fixed) / self.slope)) if self.slope > 0 else 0
+
+
+class _Followed(TorchDispatchMode):
+    """Counts the bytes of live storages that operations make."""
+
+    def __init__(self, weights: Sequence[Tensor]) -> None:
+        super().__init__()
+        self.live, self.peak = 0, 0
+        # Views of weights are nothing new.
+        self._known = {weight.untyped_storage()._cdata for weight in weights}
+
+    def __torch_dispatch__(self, func, types, args=(), kwargs=None):  # noqa: ANN001, ANN204  (torch calls it)
+        result = func(*args, **(kwargs or {}))
+        pytree.tree_map_only(Tensor, self._count, result)
+        return result
+
+    def _count(self, tensor: Tensor) -> Tensor:
+        storage = tensor.untyped_storage()
+        key, size = storage._cdata, storage.nbytes()
+        if key not in self._known:
+            self._known.add(key)
+            self.live += size
+            self.peak = max(self.peak, self.live)
+            weakref.finalize(storage, self._forget, key, size)
+        return tensor
+
+    def _forget(self, key: int, size: int) -> None:
+        self._known.discard(key)
+        self.live -= size
+
+
+def peak(function: Callable[[], object], weights: Sequence[Tensor] = ()) -> int:
+    """The most bytes that tensors made by a function hold at one time, weights apart."""
+    with torch.no_grad(), _Followed(weights) as followed:
+        result = function()
+    del result
+    return followed.peak
+
+
+def encoding(backbone: Backbone, size: tuple[int, int], dtype: torch.dtype = torch.float32) -> Estimate | None:
+    """What encoding views of a size takes.
+
+    Args:
+        backbone: Left as it is; its copy without memory is followed.
+        size: Height and width of the views.
+        dtype: Of the images.
+
+    Returns:
+        ``None`` for a backbone whose computation depends on values, which tensors without memory do not have.
+    """
+    # From here on, heads decode chunk by chunk: what one chunk takes no longer grows.
+    few, many = 8, 16
+    with torch.no_grad(), FakeTensorMode():
+        parts = _without_memory(backbone)
+
+        def encode(views: int) -> int:
+            images = torch.empty(1, views, 3, *size, dtype=dtype)
+
+            def run() -> list[object]:
+                embedder, aggregator, geometry_head, gaussian_head = parts
+                stem: Tokens = embedder(images)
+                features = aggregator(stem)
+                kept: list[object] = [stem, features]
+                # Cameras in closed form ask for values; they take little beside the rest.
+                with contextlib.suppress(DataDependentOutputException):
+                    kept.append(geometry_head(features, images))
+                return [*kept, gaussian_head(features, images)]
+
+            return peak(run, [weight for part in parts for weight in part.parameters()]) + images.nbytes
+
+        try:
+            first, second = encode(few), encode(many)
+        except (RuntimeError, NotImplementedError, ValueError):
+            return None
+    slope = (second - first) / (many - few)
+    return Estimate(max(0.0, first - few * slope), slope)
+
+
+def available(device: torch.device) -> int | None:
+    """Free bytes on a device; ``None`` where the system does not say."""
+    if device.type == "cuda":
+        return int(torch.cuda.mem_get_info(device)[0])
+    found = [value for value in (_of_system(), _of_group()) if value is not None]
+    return min(found) if device.type == "cpu" and found else None
+
+
+def check(backbone: Backbone, views: int, size: tuple[int, int], device: torch.device) -> None:
+    """Refuse more views than memory allows, before anything is computed.
+
+    Raises:
+        ValueError: They do not fit; the message says how many do.
+    """
+    free = available(device)
+    if free is None:
+        return
+    estimate = encoding(backbone, size)
+    if estimate is None or estimate(views) <= SHARE * free:
+        return
+    fits = estimate.fits(int(SHARE * free))
+    advice = f"{fits} fit: set views.max_views={fits}" if fits >= 2 else "not even two fit: set a smaller size"
+    raise ValueError(
+        f"{views} views of {size[1]}x{size[0]} need {_gib(estimate(views))} beside the weights, and {_gib(free)} are "
+        f"free; {advice} (groups that overlap), views.short_side or views.take"
+    )
+
+
+def _without_memory(backbone: Backbone) -> list[nn.Module]:
+    """Copies of the four networks, of which no weight is read."""
+    parts = (backbone.embedder, backbone.aggregator, backbone.geometry_head, backbone.gaussian_head)
+    memo: dict[int, object] = {}
+    for part in parts:
+        for parameter in part.parameters():
+            empty = torch.empty(parameter.shape, dtype=parameter.dtype)
+            memo[id(parameter)] = nn.Parameter(empty, requires_grad=False)
+        for buffer in part.buffers():
+            memo[id(buffer)] = torch.empty(buffer.shape, dtype=buffer.dtype)
+    copies = [copy.deepcopy(part, memo).eval() for part in parts]
+    for copied in copies:
+        for module in copied.modules():
+            module._forward_hooks.clear()
+    return copies
+
+
+def _of_system() -> int | None:
+    file = Path("/proc/meminfo")
+    if not file.is_file():
+        return None
+    for line in file.read_text().splitlines():
+        if line.startswith("MemAvailable:"):
+            return int(line.split()[1]) * 1024
+    return None
+
+
+def _of_group() -> int | None:
+    """What a container's limit leaves."""
+    folder = Path("/sys/fs/cgroup")
+    try:
+        limit, used = (folder / "memory.max").read_text().strip(), (folder / "memory.current").read_text()
+        lines = (folder / "memory.stat").read_text().splitlines()
+        cached = next((int(line.split()[1]) for line in lines if line.startswith("file ")), 0)
+        return None if limit == "max" else int(limit) - int(used) + cached
+    except (OSError, ValueError):
+        return None
+
+
+def _gib(count: float) -> str:
+    return f"{count / 2**30:.1f} GiB"
