@@ -7,7 +7,7 @@ import sys
 from anystyle.errors import UserError, did_you_mean
 from anystyle.paths import PACKAGE
 
-COMMANDS = ("stylize", "train", "report", "evaluate", "study", "plugins", "weights", "benchmark")
+COMMANDS = ("stylize", "train", "data", "report", "evaluate", "study", "plugins", "weights", "benchmark")
 _HELP = """\
 usage: anystyle COMMAND ...
 

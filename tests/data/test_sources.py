@@ -231,16 +231,15 @@ def test_wikiart_descriptions_folders_splits_and_texts_alone(gallery, caplog):
     assert len(WikiArtStyles(root=str(gallery), split="all", text_only=0)) == 3
 
 
-def test_a_painting_that_turns_out_damaged_gives_way(gallery, caplog):
+def test_a_painting_that_turns_out_damaged_is_named_and_never_replaced_in_silence(gallery):
     noise = np.random.default_rng(0).integers(0, 255, (200, 200, 3), dtype=np.uint8)
     Image.fromarray(noise).save(gallery / "Pop_Art" / "a.jpg")
     data = (gallery / "Pop_Art" / "a.jpg").read_bytes()
     (gallery / "Pop_Art" / "a.jpg").write_bytes(data[: len(data) // 2])
     styles = WikiArtStyles(root=str(gallery), size=32, text_only=0)
-    with caplog.at_level(logging.WARNING):
-        assert styles.read(1).names == styles.read(1).names == ("c",)
-    assert caplog.text.count("takes its place") == 1
-    assert styles.damaged == 1
+    with pytest.raises(ValueError, match=r"a\.jpg is a damaged image"):
+        styles.read(1)
+    assert styles.read(0).names == ("c",)
 
 
 def test_bad_galleries(tmp_path, gallery):

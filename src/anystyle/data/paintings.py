@@ -15,13 +15,19 @@ logger = logging.getLogger(__name__)
 
 
 def readable(paths: Sequence[Path]) -> list[Path]:
-    """Those files whose header is an image's; how many are not is said once in the log."""
+    """Those files whose header is an image's; the log says how many are not, and which."""
     with ThreadPoolExecutor(8) as pool:
-        good = [path for path, fine in zip(paths, pool.map(_opens, paths), strict=True) if fine]
-    if len(good) < len(paths):
-        first = next(path for path in paths if path not in set(good))
-        logger.warning("%d of %d pictures cannot be read, such as %s", len(paths) - len(good), len(paths), first)
-    return good
+        fine = list(pool.map(_opens, paths))
+    bad = [path for path, opens in zip(paths, fine, strict=True) if not opens]
+    if bad:
+        logger.warning("%d of %d pictures cannot be read and are left out: %s", len(bad), len(paths), listing(bad))
+    return [path for path, opens in zip(paths, fine, strict=True) if opens]
+
+
+def listing(items: Sequence[object], most: int = 10) -> str:
+    """Items in one line, the first ones where there are many."""
+    shown = ", ".join(str(item) for item in items[:most])
+    return shown + (f" and {len(items) - most} more" if len(items) > most else "")
 
 
 def _opens(path: Path) -> bool:

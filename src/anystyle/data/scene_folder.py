@@ -14,6 +14,7 @@ from anystyle.contracts import SceneSource
 from anystyle.data.folder import SourceImage, common_size, natural, read_picture
 from anystyle.data.images import SUFFIXES, image_size, to_tensor
 from anystyle.data.latest import Latest
+from anystyle.data.paintings import readable
 from anystyle.data.poses import StoredCamera, read_poses
 from anystyle.types import Cameras, Views
 
@@ -34,7 +35,8 @@ class FolderScenes(SceneSource):
 
     A scene's photographs lie in its folder or in its sub-folder ``images``, and are taken in natural order. Cameras
     come from ``transforms.json`` or ``poses_bounds.npy`` where there is one; photographs without a camera are then
-    left out. Every scene keeps its own aspect.
+    left out, and so are files that are no images; a damaged one is found out when it is decoded, and raises then. Every
+    scene keeps its own aspect.
 
     Args:
         root: A folder.
@@ -160,6 +162,9 @@ class FolderScenes(SceneSource):
             if len(known) < len(paths):
                 logger.warning("%d photographs of %s have no camera", len(paths) - len(known), folder)
             paths = known
+        paths = readable(paths)
+        if not paths:
+            raise ValueError(f"none of the photographs of the scene {folder} can be read")
         sizes = [image_size(path) for path in paths]
         size = common_size(sizes, short_side=self.short_side, multiple=self.multiple)
         return Shots(tuple(paths), tuple(stored[path.name] for path in paths) if stored else (), size)

@@ -1,5 +1,6 @@
 """A folder of style images with what was written about them."""
 
+import logging
 from pathlib import Path
 
 from PIL import Image
@@ -8,8 +9,10 @@ from anystyle.contracts import StyleSource
 from anystyle.data.captions import read_captions
 from anystyle.data.folder import natural
 from anystyle.data.images import SUFFIXES
-from anystyle.data.paintings import read_square, readable
+from anystyle.data.paintings import listing, read_square, readable
 from anystyle.types import Style
+
+logger = logging.getLogger(__name__)
 
 
 class FolderStyles(StyleSource):
@@ -41,6 +44,10 @@ class FolderStyles(StyleSource):
         if captions is None:
             captions = "captions.jsonl" if (folder / "captions.jsonl").is_file() else ""
         self.captions = read_captions(folder / captions) if captions else {}
+        known = {path.name for path in self.paths}
+        lost = [name for name in self.captions if name not in known]
+        if lost:
+            logger.warning("%d captions of %s have no image: %s", len(lost), folder / captions, listing(lost))
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

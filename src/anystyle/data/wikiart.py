@@ -1,6 +1,7 @@
 """WikiArt: paintings in folders of their movements, with a description each."""
 
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -8,7 +9,7 @@ from PIL import Image
 
 from anystyle.contracts import StyleSource
 from anystyle.data.captions import read_captions
-from anystyle.data.paintings import read_square, readable
+from anystyle.data.paintings import listing, read_square, readable
 from anystyle.types import Style
 
 logger = logging.getLogger(__name__)
@@ -22,20 +23,24 @@ class WikiArtStyles(StyleSource):
     """Paintings below a folder, as the published training reads them.
 
     A description is a line ``Movement/painter_title.jpg;free text``; a painting without one is described by its
-    folder's name. Descriptions of paintings that are not there become styles of text alone. Pictures that cannot be
-    read are left out; one that turns out to be damaged when it is read gives way to the next, with a warning.
+    folder's name. Descriptions of paintings that are not there become styles of text alone. Files that are no pictures
+    are left out; one that turns out to be damaged when it is decoded raises, and a training draws another and lists it.
 
     Args:
         root: A folder, walked to any depth for jpg, jpeg and png files.
         descriptions: A file; ``None`` takes ``wikiarts_descriptions.txt`` in ``root`` where there is one.
         test_files: A file with one path below ``root`` a line; ``None`` takes ``wikiarts_test_files.txt`` in ``root``
             where there is one.
+        exclude: Further files of that kind, for other test sets whose paintings no split has. A line without a folder
+            is a file name, wherever it lies. ``anystyle data check ROOT --against FOLDER --write FILE`` makes one.
+        files: A file of that kind with the paintings to take; ``None`` takes all.
         split: ``train`` leaves the listed paintings out, ``test`` takes only them, ``all`` does not care.
         text_only: The most styles of text alone; they follow the paintings.
         size: Height and width in pixels.
 
     Raises:
-        ValueError: There are no paintings, or a file that was named cannot be read.
+        ValueError: There are no paintings, a file that was named cannot be read, or ``files`` names a painting for
+            training that is kept for tests.
     """
 
     def __init__(
@@ -44,6 +49,8 @@ class WikiArtStyles(StyleSource):
         root: str = "wikiart",
         descriptions: str | None = None,
         test_files: str | None = None,
+        exclude: Sequence[str] = (),
+        files: str | None = None,
         split: Literal["train", "test", "all"] = "train",
         text_only: int = 15000,
         size: int = 256,
@@ -56,18 +63,30 @@ class WikiArtStyles(StyleSource):
         self.size = size
         self.descriptions = self._descriptions(descriptions)
         listed = self._test_files(test_files)
+        held = frozenset().union(*(_lines(Path(name), "exclude") for name in exclude))
         if split == "test" and not listed:
             raise ValueError(f"split=test needs a list of paintings; {self.root / TEST_FILES} is not there or empty")
         walked = (path for path in self.root.rglob("*") if path.suffix.lower() in PAINTINGS and path.is_file())
         names = sorted(path.relative_to(self.root).as_posix() for path in walked)
         present = set(names)
         chosen = [name for name in names if split == "all" or (name in listed) == (split == "test")]
+        if files is not None:
+            wanted = _lines(Path(files), "files")
+            kept = sorted(name for name in wanted if _named(name, held) or (name in listed and split == "train"))
+            if kept:
+                raise ValueError(
+                    f"files={files} and the test lists have {len(kept)} paintings in common: {listing(kept, 5)}; take "
+                    f"them out of files"
+                )
+            chosen = [name for name in chosen if name in wanted]
+        chosen = [name for name in chosen if not _named(name, held)]
         self.paths = readable([self.root / name for name in chosen])
         if not self.paths:
             raise ValueError(f"root={root}: there are no paintings for split={split} in it")
-        absent = [name for name in self.descriptions if name not in present and name not in listed]
+        absent = [
+            name for name in self.descriptions if name not in present and name not in listed and not _named(name, held)
+        ]
         self.texts = tuple(absent[:text_only]) if split != "test" else ()
-        self._damaged: set[int] = set()
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -82,11 +101,6 @@ class WikiArtStyles(StyleSource):
         """How many styles there are."""
         return len(self.paths) + len(self.texts)
 
-    @property
-    def damaged(self) -> int:
-        """How many paintings turned out to be damaged so far."""
-        return len(self._damaged)
-
     def read(self, style: int) -> Style:
         """One painting with its description, or a description alone."""
         if not 0 <= style < len(self):
@@ -94,17 +108,8 @@ class WikiArtStyles(StyleSource):
         if style >= len(self.paths):
             name = self.texts[style - len(self.paths)]
             return Style(text=(self.descriptions[name],), names=(Path(name).stem,))
-        for place in range(style, style + len(self.paths)):
-            path = self.paths[place % len(self.paths)]
-            try:
-                image = read_square(path, self.size)
-            except ValueError as error:
-                if place % len(self.paths) not in self._damaged:
-                    self._damaged.add(place % len(self.paths))
-                    logger.warning("%s; the next painting takes its place", error)
-                continue
-            return Style(image=image, text=(self.description(path),), names=(path.stem,))
-        raise ValueError(f"root={self.root}: none of the paintings can be read")
+        path = self.paths[style]
+        return Style(image=read_square(path, self.size), text=(self.description(path),), names=(path.stem,))
 
     def description(self, path: Path) -> str:
         """What is written about a painting; the words of its folder's name where there is nothing."""
@@ -122,8 +127,16 @@ class WikiArtStyles(StyleSource):
         path = self.root / TEST_FILES if named is None else Path(named)
         if named is None and not path.is_file():
             return frozenset()
-        try:
-            lines = path.read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise ValueError(f"test_files={path} cannot be read ({error})") from None
-        return frozenset(line.strip() for line in lines if line.strip())
+        return _lines(path, "test_files")
+
+
+def _lines(path: Path, option: str) -> frozenset[str]:
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{option}={path} cannot be read ({error})") from None
+    return frozenset(line.strip() for line in lines if line.strip())
+
+
+def _named(painting: str, held: frozenset[str]) -> bool:
+    return painting in held or painting.rpartition("/")[2] in held

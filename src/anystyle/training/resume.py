@@ -14,6 +14,7 @@ from anystyle.files import atomic_path
 
 UNBOUND = (
     "resume", "checkpoint", "loggers", "workers", "export", "out", "fast_dev_run", "name", "features", "explosion",
+    "precision",
 )  # fmt: skip
 """Parts of a configuration that may change between the two halves of a run: they do not change its result."""
 

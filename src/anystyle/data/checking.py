@@ -1,0 +1,205 @@
+"""What a folder of training data holds, and what in it is missing or broken."""
+
+import json
+from collections import Counter
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+from typing import Literal
+
+from anystyle.data.captions import read_captions
+from anystyle.data.images import SUFFIXES, image_size, open_image
+from anystyle.data.poses import read_poses
+from anystyle.data.re10k import Re10kScenes
+from anystyle.data.scene_folder import FolderScenes
+from anystyle.data.wikiart import DESCRIPTIONS, TEST_FILES
+
+Layout = Literal["scenes", "re10k", "styles", "wikiart"]
+POSES = ("transforms.json", "poses_bounds.npy", "sparse", "cameras.txt", "cameras.bin")
+RESOLUTIONS = ("images", "images_8", "images_4")
+
+
+@dataclass
+class Report:
+    """What was found.
+
+    Args:
+        layout: How the folder was read.
+        use: The words that train on it.
+        scenes: How many scenes can be used; 0 for styles.
+        images: How many images can be decoded.
+        sizes: How many images have each width and height.
+        views: How many scenes have each number of views.
+        texts: How many images have a description.
+        problems: A line for each thing that is missing or broken.
+    """
+
+    layout: Layout
+    use: str
+    scenes: int = 0
+    images: int = 0
+    sizes: Counter[tuple[int, int]] = field(default_factory=Counter)
+    views: Counter[int] = field(default_factory=Counter)
+    texts: int = 0
+    problems: list[str] = field(default_factory=list)
+
+
+def check(root: Path, *, layout: Layout | None = None, min_views: int = 2, decode: bool = True) -> Report:
+    """Look at every file of a folder of scenes or styles.
+
+    Args:
+        root: The folder.
+        layout: How to read it; ``None`` finds out.
+        min_views: A scene with fewer is reported.
+        decode: Whether pixels are decoded, which finds files that end too early; else headers alone.
+
+    Raises:
+        ValueError: There is nothing to be found there.
+    """
+    if not root.is_dir():
+        raise ValueError(f"there is no folder {root}")
+    chosen = layout or guess(root)
+    readers = {"scenes": _scenes, "re10k": _re10k, "styles": _styles, "wikiart": _wikiart}
+    return readers[chosen](root, min_views, decode)
+
+
+def guess(root: Path) -> Layout:
+    """How a folder is laid out, by what lies in it."""
+    if any((root / split / "index.json").is_file() for split in ("train", "test")):
+        return "re10k"
+    if any((root / name).is_file() for name in (DESCRIPTIONS, TEST_FILES)):
+        return "wikiart"
+    if (root / "captions.jsonl").is_file():
+        return "styles"
+    return "scenes"
+
+
+def _scenes(root: Path, min_views: int, decode: bool) -> Report:
+    index = "train_index.json" if (root / "train_index.json").is_file() else None
+    probe = FolderScenes(root=str(root), index=index)
+    images = next((name for name in RESOLUTIONS if (probe.folders[0] / name).is_dir()), "images")
+    words = [f"scenes=folder scenes.root={root}"]
+    words += [] if images == "images" else [f"scenes.images={images}"]
+    words += [] if index is None else [f"scenes.index={index}"]
+    report = Report("scenes", " ".join(words))
+    if index is not None:
+        names = json.loads((root / index).read_text())
+        report.problems += [f"{name}: in {index}, and not there" for name in names if not (root / name).is_dir()]
+    for folder in probe.folders:
+        _scene(folder, images, report, min_views, decode)
+    return report
+
+
+def _scene(folder: Path, images: str, report: Report, min_views: int, decode: bool) -> None:
+    inside = folder / images if (folder / images).is_dir() else folder
+    paths = sorted(path for path in inside.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+    good = _look(paths, report, decode)
+    try:
+        stored = read_poses(folder, [path.name for path in paths]) if paths else {}
+    except ValueError as error:
+        report.problems.append(str(error))
+        return
+    known = [path for path in good if not stored or path.name in stored]
+    if len(known) < len(good):
+        report.problems.append(f"{folder}: {len(good) - len(known)} photographs have no camera")
+    listed = _frames(folder / "transforms.json")
+    names = {path.name for path in paths} | {path.stem for path in paths}
+    absent = [name for name in listed if name not in names]
+    report.problems += [f"{folder}: transforms.json names {name}, which is not in {inside.name}" for name in absent]
+    report.views[len(known)] += 1
+    report.scenes += len(known) >= min_views
+    if len(known) < min_views:
+        report.problems.append(f"{folder}: {len(known)} views, fewer than {min_views}")
+
+
+def _frames(path: Path) -> list[str]:
+    if not path.is_file():
+        return []
+    frames = json.loads(path.read_text()).get("frames", [])
+    return [PurePosixPath(str(frame.get("file_path", ""))).name for frame in frames]
+
+
+def _re10k(root: Path, min_views: int, decode: bool) -> Report:
+    report = Report("re10k", f"scenes=re10k scenes.root={root}")
+    for split in ("train", "test"):
+        if not (root / split / "index.json").is_file():
+            continue
+        source = Re10kScenes(root=str(root), split=split)
+        for scene in range(len(source)):
+            try:
+                views = source.num_views(scene)
+                # One frame of each clip: all of them would be the whole data set in one process.
+                picture = source.read(scene, [views // 2]) if decode else None
+            except ValueError as error:
+                report.problems.append(f"{split}/{source.name(scene)}: {error}")
+                continue
+            report.views[views] += 1
+            report.images += views
+            report.scenes += views >= min_views
+            if picture is not None:
+                report.sizes[picture.size[1], picture.size[0]] += views
+            if views < min_views:
+                report.problems.append(f"{split}/{source.name(scene)}: {views} views, fewer than {min_views}")
+    return report
+
+
+def _styles(root: Path, min_views: int, decode: bool) -> Report:
+    paths = sorted(path for path in root.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+    captions = root / "captions.jsonl"
+    report = Report("styles", f"styles=folder styles.root={root}")
+    _described(paths, root, read_captions(captions) if captions.is_file() else {}, report, decode)
+    return report
+
+
+def _wikiart(root: Path, min_views: int, decode: bool) -> Report:
+    paths = sorted(path for path in root.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+    file = root / DESCRIPTIONS
+    report = Report("wikiart", f"styles=wikiart styles.root={root}")
+    if not file.is_file():
+        report.problems.append(f"{file} is not there: paintings are described by their folders")
+    _described(paths, root, read_captions(file) if file.is_file() else {}, report, decode)
+    tests = root / TEST_FILES
+    if tests.is_file():
+        present = {path.relative_to(root).as_posix() for path in paths}
+        lines = [line.strip() for line in tests.read_text(encoding="utf-8").splitlines() if line.strip()]
+        report.problems += [f"{tests.name} names {line}, which is not there" for line in lines if line not in present]
+    else:
+        report.problems.append(f"{tests} is not there: no painting is kept for tests")
+    return report
+
+
+def _described(paths: Sequence[Path], root: Path, texts: dict[str, str], report: Report, decode: bool) -> None:
+    good = _look(paths, report, decode)
+    report.texts = sum(bool(texts.get(path.relative_to(root).as_posix())) for path in good)
+    present = {path.relative_to(root).as_posix() for path in paths}
+    report.problems += [f"{name} has a description and is not there" for name in texts if name not in present]
+
+
+def _look(paths: Sequence[Path], report: Report, decode: bool) -> list[Path]:
+    """Those images that can be read; the others are problems."""
+    good = []
+    with ThreadPoolExecutor(4) as pool:
+        for path, found in zip(paths, pool.map(_open if decode else _measure, paths), strict=True):
+            if isinstance(found, str):
+                report.problems.append(found)
+            else:
+                report.images += 1
+                report.sizes[found] += 1
+                good.append(path)
+    return good
+
+
+def _measure(path: Path) -> tuple[int, int] | str:
+    try:
+        return image_size(path)
+    except (ValueError, OSError) as error:
+        return str(error)
+
+
+def _open(path: Path) -> tuple[int, int] | str:
+    try:
+        open_image(path, longest=64)
+    except (ValueError, OSError) as error:
+        return str(error)
+    return _measure(path)

@@ -1,0 +1,141 @@
+"""What `anystyle data check` finds, in folders of each layout with something wrong in each."""
+
+import io
+import json
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from anystyle.commands.data import main
+from anystyle.data.checking import check, guess
+from anystyle.data.likeness import fingerprint, same_pictures
+from anystyle.data.wikiart import DESCRIPTIONS, TEST_FILES, WikiArtStyles
+from anystyle.errors import UserError
+from oracle import hashed
+from real_data import real
+
+
+def picture(path, seed=0, size=(60, 40)):
+    path.parent.mkdir(parents=True, exist_ok=True)
+    levels = (hashed(seed, (3, size[1], size[0])) * 255).byte().permute(1, 2, 0).numpy()
+    Image.fromarray(levels).save(path)
+
+
+def truncate(path):
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+@pytest.fixture
+def dl3dv(tmp_path):
+    """Three scenes as DL3DV lays them out: one good, one with a hole and a torn file, one of a single view."""
+    for name, count in (("1K/good", 4), ("1K/torn", 4), ("2K/short", 1)):
+        frames = []
+        for number in range(count):
+            picture(tmp_path / name / "images_8" / f"frame_{number:05d}.png", seed=number)
+            frames.append({"file_path": f"images/frame_{number:05d}.png", "transform_matrix": np.eye(4).tolist()})
+        if name == "1K/torn":
+            frames.append({"file_path": "images/frame_00009.png", "transform_matrix": np.eye(4).tolist()})
+        content = {"w": 480, "h": 320, "fl_x": 400, "fl_y": 400, "cx": 240, "cy": 160, "frames": frames}
+        (tmp_path / name / "transforms.json").write_text(json.dumps(content))
+    truncate(tmp_path / "1K/torn/images_8/frame_00002.png")
+    (tmp_path / "train_index.json").write_text(json.dumps(["1K/good", "1K/torn", "2K/short", "3K/gone"]))
+    return tmp_path
+
+
+def test_scenes_are_counted_and_what_is_wrong_is_named(dl3dv):
+    report = check(dl3dv)
+    assert (report.layout, report.scenes, report.images) == ("scenes", 2, 8)
+    assert report.sizes == {(60, 40): 8} and sorted(report.views.elements()) == [1, 3, 4]
+    assert report.use == f"scenes=folder scenes.root={dl3dv} scenes.images=images_8 scenes.index=train_index.json"
+    found = "\n".join(report.problems)
+    for words in (
+        "3K/gone: in train_index.json",
+        "frame_00002.png is a damaged",
+        "names frame_00009.png",
+        "1 views, fewer",
+    ):
+        assert words in found
+    assert len(report.problems) == 4
+    assert check(dl3dv, decode=False).scenes == 2
+
+
+def test_clips_are_counted_by_their_chunks(tmp_path):
+    buffer = io.BytesIO()
+    Image.linear_gradient("L").resize((48, 27)).save(buffer, "PNG")
+    frame = torch.tensor(list(buffer.getvalue()), dtype=torch.uint8)
+    row = torch.tensor([0.8, 1.4, 0.5, 0.5, 0.0, 0.0, *torch.eye(4)[:3].flatten().tolist()])
+    (tmp_path / "train").mkdir()
+    clips = [
+        {"key": name, "cameras": row.repeat(count, 1), "images": [frame] * count}
+        for name, count in (("a", 3), ("b", 1))
+    ]
+    torch.save(clips, tmp_path / "train" / "0.torch")
+    (tmp_path / "train" / "index.json").write_text(json.dumps({"a": "0.torch", "b": "0.torch", "c": "1.torch"}))
+    report = check(tmp_path)
+    assert (guess(tmp_path), report.scenes, report.images) == ("re10k", 1, 4)
+    assert len(report.problems) == 2 and "1.torch" in "\n".join(report.problems)
+
+
+def test_paintings_are_held_against_their_descriptions_and_lists(tmp_path, capsys):
+    for number, name in enumerate(("Op_Art/a.png", "Op_Art/b.png", "Fauvism/c.png")):
+        picture(tmp_path / name, seed=number)
+    (tmp_path / "Fauvism/torn.png").write_bytes(b"nothing")
+    (tmp_path / DESCRIPTIONS).write_text("Op_Art/a.png;from dark to light\nOp_Art/gone.png;dots\n")
+    (tmp_path / TEST_FILES).write_text("Op_Art/b.png\nOp_Art/absent.png\n")
+    main(["check", str(tmp_path)])
+    told = capsys.readouterr().out
+    assert (
+        "layout    wikiart" in told and "images    3\n" in told and "texts     1\n" in told and "problems  3\n" in told
+    )
+    for words in ("torn.png is no image", "Op_Art/gone.png has a description", "names Op_Art/absent.png"):
+        assert words in told
+
+
+def test_a_folder_of_nothing_is_refused(tmp_path):
+    with pytest.raises(ValueError, match="there is no folder"):
+        check(tmp_path / "gone")
+    with pytest.raises(ValueError, match="no scene lies there"):
+        check(tmp_path)
+    with pytest.raises(UserError, match="Did you mean 'check'"):
+        main(["chekc"])
+
+
+def test_a_style_list_that_overlaps_the_test_list_is_refused(tmp_path):
+    for number, name in enumerate(("Op_Art/a.png", "Op_Art/b.png", "Fauvism/c.png", "Fauvism/d.png")):
+        picture(tmp_path / name, seed=number)
+    (tmp_path / TEST_FILES).write_text("Op_Art/b.png\n")
+    (tmp_path / "stylos.txt").write_text("c.png\n")
+    (tmp_path / "mine.txt").write_text("Op_Art/a.png\nOp_Art/b.png\nFauvism/c.png\n")
+    options = {"root": str(tmp_path), "size": 16, "exclude": (str(tmp_path / "stylos.txt"),)}
+    kept = WikiArtStyles(**options)
+    assert [path.name for path in kept.paths] == ["d.png", "a.png"]
+    with pytest.raises(ValueError, match=r"2 paintings in common: Fauvism/c.png, Op_Art/b.png"):
+        WikiArtStyles(**options, files=str(tmp_path / "mine.txt"))
+    (tmp_path / "mine.txt").write_text("Op_Art/a.png\n")
+    assert [path.name for path in WikiArtStyles(**options, files=str(tmp_path / "mine.txt")).paths] == ["a.png"]
+    with pytest.raises(ValueError, match=r"exclude=.*cannot be read"):
+        WikiArtStyles(root=str(tmp_path), exclude=("gone.txt",))
+
+
+def test_copies_of_a_painting_are_found_whatever_their_name_size_and_format(tmp_path, capsys):
+    paintings = sorted(real("styles").glob("*.jpg"))
+    train, tests = tmp_path / "train", tmp_path / "tests"
+    train.mkdir()
+    tests.mkdir()
+    for number, path in enumerate(paintings):
+        with Image.open(path) as image:
+            image.convert("RGB").save(train / path.name)
+            if number % 2 == 0:
+                image.convert("RGB").resize((300, 220)).save(tests / f"{number:02d}.png")
+    expected = {
+        train / path.name: tests / f"{number:02d}.png" for number, path in enumerate(paintings) if number % 2 == 0
+    }
+    assert same_pictures(train.glob("*"), sorted(tests.glob("*"))) == expected
+    prints = [fingerprint(path) for path in paintings]
+    distances = [(a ^ b).bit_count() for i, a in enumerate(prints) for b in prints[:i]]
+    assert min(distances) > 30
+    main(["check", str(train), "--as", "styles", "--against", str(tests), "--write", str(tmp_path / "exclude.txt")])
+    assert f"overlap   {len(expected)} of {len(expected)}" in capsys.readouterr().out
+    assert (tmp_path / "exclude.txt").read_text().split() == [path.name for path in sorted(expected)]
