@@ -2,7 +2,6 @@
 
 import contextlib
 from collections.abc import Iterator, Sequence
-from typing import Literal, get_args
 
 import torch
 import torch.nn.functional as F
@@ -13,7 +12,7 @@ from anystyle.branch import StyleBranch
 from anystyle.contracts import Backbone, Renderer, StyleEncoder, neutral_embedding
 from anystyle.types import Cameras, Gaussians, Renders, Scene, StyleEmbedding, Views
 
-Precision = Literal["fp32", "bf16", "reference"]
+PRECISIONS = ("fp32", "bf16", "reference")
 
 
 class Stylizer(nn.Module):
@@ -44,7 +43,7 @@ class Stylizer(nn.Module):
         self.style_encoder.eval()
         return self
 
-    def set_precision(self, precision: Precision) -> "Stylizer":
+    def set_precision(self, precision: str) -> "Stylizer":
         """Choose what inference computes in; weights lose what the precision cannot hold. Geometry is always fp32.
 
         Args:
@@ -55,8 +54,8 @@ class Stylizer(nn.Module):
         Raises:
             ValueError: There is no such precision.
         """
-        if precision not in get_args(Precision):
-            raise ValueError(f"precision is {precision!r}; choose from {', '.join(get_args(Precision))}")
+        if precision not in PRECISIONS:
+            raise ValueError(f"precision is {precision!r}; choose from {', '.join(PRECISIONS)}")
         self.mixed = precision == "reference"
         if precision != "fp32":
             self.backbone.embedder.to(torch.bfloat16)

@@ -75,6 +75,12 @@ class _Published:
     def load_text_adapter(self, encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
         assert isinstance(encoder, LongClip)
         own = {} if encoder.adapter is None else encoder.adapter.state_dict()
+        first = state.get("mlp.0.weight")
+        if first is not None and first.shape[-1] != encoder.dim:
+            raise ValueError(
+                f"the style branch was trained with embeddings of {first.shape[-1]} numbers, and the style encoder's "
+                f"have {encoder.dim}; choose the encoder it was trained with (style_encoder=long_clip)"
+            )
         if {key: tensor.shape for key, tensor in own.items()} != {key: tensor.shape for key, tensor in state.items()}:
             raise ValueError(
                 f"the checkpoint's text adapter has the tensors {sorted(state) or 'none'}, and the style encoder's "

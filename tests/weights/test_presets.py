@@ -1,0 +1,195 @@
+"""The published sizes as presets: built without memory, filled from the file; and other precisions."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+from safetensors.torch import save_file
+
+import anystyle
+from anystyle.assemble import assemble, put_together
+from anystyle.registry.compose import compose, override
+from anystyle.stylizer import Stylizer
+from anystyle.types import StyleEmbedding, Views
+from anystyle.weights import load_reference, reference_config
+from oracle import smooth_image
+from weights_cases import STYLE_DIM, small_checkpoint, training_checkpoint
+
+# Parameters of the files, which the published code's own modules have.
+PARAMETERS = {"anysplat": 1_190_736_456, "anystyle_head": 1_251_520_924, "anystyle_full": 1_869_372_828}
+MASK_TOKEN, TEXT_ADAPTER = 1024, 525_312
+WITHIN = 1.15
+"""Peak memory while loading, in the weights' size."""
+
+MEASURE = """
+import json, resource, sys
+from pathlib import Path
+
+def memory(field):
+    lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(lines[field].split()[0]) * 1024
+
+import torch
+from anystyle.weights import load_reference, reference_config
+from anystyle.stylizer import Stylizer
+from anystyle.registry.compose import compose, override
+from anystyle import assemble, contracts
+compose("stylize", ["~model", "style_encoder=long_clip"])
+import anystyle.renderers.auto
+anystyle_file, overrides = sys.argv[1], sys.argv[2:]
+before = memory("VmRSS")
+stylizer = load_reference(anystyle_file, overrides=overrides)
+# Every tensor is looked at, as a first forward pass would.
+total = sum(float(tensor.sum()) for tensor in stylizer.state_dict().values())
+size = sum(tensor.numel() * tensor.element_size() for tensor in stylizer.state_dict().values())
+print(json.dumps({"peak": memory("VmHWM") - before, "size": size, "total": total}))
+"""
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_presets_have_the_published_size(name: str) -> None:
+    config = compose("stylize", [f"model={name}", "style_encoder=long_clip"])
+    with torch.device("meta"):
+        stylizer, _ = put_together(config, {}, {})
+    count = sum(parameter.numel() for parameter in stylizer.backbone.parameters()) + MASK_TOKEN
+    if config.weights.branch is not None:
+        count += sum(parameter.numel() for parameter in stylizer.branch.parameters()) + TEXT_ADAPTER
+        assert (stylizer.branch.aggregator is not None) is (name == "anystyle_full")
+        assert config.style_encoder.text_adapter
+    assert count == PARAMETERS[name]
+
+
+def grown(file: Path, width: int) -> dict[str, torch.Tensor]:
+    """A checkpoint of a reduced depth and a width at which the weights outweigh the program."""
+    from anystyle_anysplat import AnySplat, keys
+    from oracle import fill_named
+
+    with torch.device("meta"):
+        backbone = AnySplat(dim=width, heads=width // 64, embed_depth=4, depth=5, taps=(1, 2, 3, 4), camera_depth=1)
+    state = backbone.state_dict()
+    shapes = {name: state[key] for key, name in keys.backbone_names(state).items()}
+    shapes["aggregator.patch_embed.mask_token"] = torch.empty(1, width, device="meta")
+    filled = fill_named(shapes)
+    save_file({f"encoder.{key}": tensor for key, tensor in filled.items()}, file)
+    return filled
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="the peak is read from the Linux kernel")
+def test_loading_holds_no_second_copy(tmp_path: Path) -> None:
+    """On a hash-filled file of half a gigabyte, in a process of its own."""
+    filled = grown(tmp_path / "it.safetensors", 512)
+    told = subprocess.run(
+        [sys.executable, "-c", MEASURE, str(tmp_path / "it.safetensors"), "backbone.taps=[1,2,3,4]"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert told.returncode == 0, told.stderr[-2000:]
+    measured = json.loads(told.stdout)
+    size = sum(tensor.numel() * tensor.element_size() for tensor in filled.values())
+    assert measured["size"] >= size - 4 * 512
+    assert measured["peak"] < WITHIN * measured["size"], measured
+
+
+def small_model(tmp_path: Path, placement: str) -> list[str]:
+    """Overrides that make a preset small, on files in a folder."""
+    torch.save(training_checkpoint(placement), tmp_path / "all.ckpt")
+    config = reference_config(small_checkpoint(placement))
+    sizes = OmegaConf.to_container(config.backbone, enum_to_str=True)
+    assert isinstance(sizes, dict)
+    plain = [override(f"backbone.{key}", value) for key, value in sizes.items() if key != "_target_"]
+    return [
+        *plain,
+        "weights.style_encoder=null",
+        f"weights.backbone={tmp_path / 'all.ckpt'}",
+        f"weights.branch={tmp_path / 'all.ckpt'}",
+    ]
+
+
+SMALL_ENCODER = [
+    f"style_encoder.{name}={value}"
+    for name, value in {"text_width": 64, "text_layers": 1, "image_width": 64, "image_layers": 1}.items()
+]
+
+
+@pytest.mark.parametrize(("name", "placement"), [("anystyle_head", "head"), ("anystyle_full", "full")])
+def test_presets_load_one_file_into_all_parts(tmp_path: Path, name: str, placement: str) -> None:
+    overrides = [*small_model(tmp_path, placement), *SMALL_ENCODER]
+    stylizer, found = assemble(compose("stylize", [f"model={name}", *overrides]))
+    assert set(found) == {"backbone", "branch"} and len(found["branch"]["sha256"]) == 64
+    reference = load_reference(tmp_path / "all.ckpt")
+    for part in ("backbone", "branch"):
+        expected = getattr(reference, part).state_dict()
+        own = getattr(stylizer, part).state_dict()
+        assert own.keys() == expected.keys() and all(torch.equal(own[key], expected[key]) for key in own)
+    adapter = stylizer.style_encoder.get_submodule("adapter").state_dict()
+    assert torch.equal(adapter["mlp.0.weight"], small_checkpoint(placement)["text_adapter.mlp.0.weight"])
+
+
+def test_a_head_checkpoint_is_no_full_model(tmp_path: Path) -> None:
+    overrides = [*small_model(tmp_path, "head"), *SMALL_ENCODER]
+    with pytest.raises(ValueError, match=r"missing \(aggregator_injection.*trained with placement=head") as caught:
+        anystyle.load("anystyle_full", overrides)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_style_encoder_must_be_the_one_it_was_trained_with(tmp_path: Path) -> None:
+    overrides = [*small_model(tmp_path, "head"), *SMALL_ENCODER, "style_encoder.dim=64"]
+    with pytest.raises(ValueError, match="trained with embeddings of 512 numbers, and the style encoder's have 64"):
+        anystyle.load("anystyle_head", overrides)
+
+
+# Precision
+
+
+@pytest.fixture(scope="module")
+def inputs() -> tuple[Views, StyleEmbedding]:
+    vector = torch.nn.functional.normalize(torch.linspace(-1, 1, STYLE_DIM)[None], dim=-1)
+    return Views(smooth_image(5, (1, 2, 3, 56, 70))), StyleEmbedding(vector, vector)
+
+
+def restyled(stylizer: Stylizer, inputs: tuple[Views, StyleEmbedding]) -> tuple[torch.Tensor, torch.Tensor]:
+    """Depth, and raw colours of the style branch: what no voxel's border can flip."""
+    with torch.no_grad():
+        scene = stylizer.encode(inputs[0])
+        gaussians = stylizer.restyle(scene, inputs[1])
+        with stylizer._precision(torch.device("cpu")):
+            color = stylizer.branch(scene, inputs[1]).color
+    assert gaussians.means.dtype == scene.geometry.depth.dtype == torch.float32
+    assert torch.isfinite(gaussians.harmonics).all()
+    return scene.geometry.depth, color.float()
+
+
+@pytest.mark.parametrize("precision", ["bf16", "reference"])
+def test_half_precision_is_near_full_precision(precision: str, inputs: tuple[Views, StyleEmbedding]) -> None:
+    state = small_checkpoint("full")
+    exact = restyled(load_reference(state), inputs)
+    stylizer = load_reference(state, overrides=[f"precision={precision}"])
+    half = restyled(stylizer, inputs)
+    for one, other in zip(exact, half, strict=True):
+        error = (one - other).square().mean().sqrt() / one.square().mean().sqrt()
+        assert 0 < error < 0.03
+    types = {
+        name: next(module.parameters()).dtype
+        for name, module in stylizer.backbone.named_children()
+        if any(True for _ in module.parameters())
+    }
+    assert types["embedder"] == types["aggregator"] == torch.bfloat16
+    assert types["geometry_head"] == torch.float32
+    low = torch.bfloat16 if precision == "bf16" else torch.float32
+    assert types["gaussian_head"] == next(stylizer.branch.parameters()).dtype == low
+
+
+def test_unknown_precisions_are_refused() -> None:
+    with pytest.raises(ValueError, match="precision is 'fp16'; choose from fp32, bf16, reference"):
+        load_reference(small_checkpoint(None), overrides=["precision=fp16"])
+
+
+def test_sizes_that_are_no_multiple_of_the_patch_are_refused() -> None:
+    stylizer = load_reference(small_checkpoint("head"))
+    with pytest.raises(ValueError, match=r"images are 50x70 pixels; both sides must be multiples of 14: resize them"):
+        stylizer.encode(Views(torch.zeros(1, 1, 3, 50, 70)))
