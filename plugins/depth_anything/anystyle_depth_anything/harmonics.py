@@ -26,7 +26,8 @@ def turning(rotations: Float[Tensor, "*batch 3 3"], degree: int) -> Float[Tensor
     """
     directions, inverse = (part.to(rotations.device) for part in _probe(degree))
     seen = basis(directions @ rotations.double(), degree)  # ... M K, in the axes of the camera
-    return (inverse @ seen).to(rotations.dtype)
+    own = torch.arange((degree + 1) ** 2, device=rotations.device).sqrt().floor()  # degree of each coefficient
+    return (inverse @ seen * (own[:, None] == own)).to(rotations.dtype)
 
 
 @cache
