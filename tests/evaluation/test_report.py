@@ -156,6 +156,19 @@ def test_scenes_are_columns_in_the_order_of_the_paper(tmp_path):
         report.figures_of(lines, ["nothing"])
 
 
+def test_one_scene_stands_beside_the_published_one_of_its_name(tmp_path):
+    found = Evaluation({"art_fid": 33.0}, 4, provenance={"scenes": ["train"]})
+    record.write(found, tmp_path, {"protocol": "paper"})
+    lines, _ = report.lines_of(runs.find(tmp_path))
+    lines += report.published_lines(published.load())[0]
+    scenes = report.scenes_of(lines, ["art_fid"])
+    made = report.table(lines, ["art_fid"], scenes, {})
+    column = made.columns.index("Train art_fid")
+    assert {row[0]: row[column] for row in made.rows} == {
+        tmp_path.name: "33", "Styl3R": "27.74", "Stylos": "26.4", "G-Style": "23.24"
+    }  # fmt: skip
+
+
 def test_trainings_are_reported_by_what_they_logged(tmp_path):
     job(tmp_path / "run", logged={"train/loss": 0.5, "val/psnr": None})
     (line,) = report.lines_of(runs.find(tmp_path / "run"))[0]

@@ -53,7 +53,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     better = {**published.BETTER, **better}
     names = report.figures_of(lines, [name for name in arguments.figures.split(",") if name])
     scenes = report.scenes_of(lines, names) if arguments.scenes or with_published else []
-    # One scene alone is not grouped by itself: its figures stand for all.
+    # What is no scene's has a column of its own.
     whole = [report.ALL] if not scenes or any(_ungrouped(line) for line in lines) else []
     notes = _notes(lines) + sources + report.consistency_notes(figures)
     made = report.table(lines, names, [*whole, *scenes], better, notes=notes)

@@ -1,5 +1,6 @@
 """Any method's images in three folders: which photograph and which style each stylized image belongs to."""
 
+import json
 import logging
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -145,6 +146,7 @@ class Reader:
             cameras=_read_cameras(cell, (stylized.shape[-2], stylized.shape[-1])),
             scenes=(cell.scene,),
             styles=(cell.style,),
+            seconds=_read_seconds(cell),
         )
 
 
@@ -198,6 +200,18 @@ def _read_cameras(cell: Cell, size: tuple[int, int]) -> Cameras | None:
         (height, width),
     )
     return cameras.resized(size)
+
+
+def mark(folder: Path, style: str) -> Path:
+    """The file that says that a scene's images in a style are complete, and how long they took."""
+    return folder / f".{style}"
+
+
+def _read_seconds(cell: Cell) -> Float[Tensor, " B"] | None:
+    path = mark(cell.stylized[0].parent, cell.style)
+    if not path.is_file():
+        return None
+    return torch.tensor([json.loads(path.read_text(encoding="utf-8"))["seconds"]], dtype=torch.float32)
 
 
 def write_cameras(path: Path, frames: Sequence[str], cameras: Cameras) -> None:

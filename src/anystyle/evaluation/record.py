@@ -41,8 +41,10 @@ class Record:
 
     @property
     def scenes(self) -> dict[str, Mapping[str, float]]:
-        """The figures of each scene, where there are several."""
-        return {name.removeprefix(_SCENE): group for name, group in self.groups.items() if name.startswith(_SCENE)}
+        """The figures of each scene; those of the only one are all there are."""
+        found = {name.removeprefix(_SCENE): group for name, group in self.groups.items() if name.startswith(_SCENE)}
+        only = self.provenance.get("scenes", [])
+        return found or ({str(only[0]): self.figures} if len(only) == 1 and only[0] else {})
 
 
 def write(found: Evaluation, out: Path, provenance: Mapping[str, Any]) -> Table:
@@ -104,7 +106,7 @@ def summary(record: Record) -> Table:
     columns |= {name.removeprefix(_SCENE): group for name, group in record.groups.items()}
     variant = f", {known['variant']}" if known.get("variant") else ""
     notes = [f"n = {known.get('n')}, {known.get('seconds', 0):.0f} s on {known.get('machine', 'an unknown machine')}."]
-    if record.scenes:
+    if any(name.startswith(_SCENE) for name in record.groups):
         notes.append("“all” is the mean of the scenes, each judged on its own.")
     if record.stand_ins:
         notes.append(

@@ -19,6 +19,7 @@ ALL = ""
 
 _SEED = "seed"
 _PREFERRED = ("art_score", "art_fid")
+_SCENES = {name.casefold(): name for name in ("Train", "Truck", "M60", "Garden")}
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,8 @@ def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
         for origin in ("ours", "stand-in"):
             samples: dict[tuple[str, str], tuple[float, ...]] = {}
             for _, record in records:
-                for scene, figures in {ALL: record.figures, **record.scenes}.items():
+                for folder, figures in {ALL: record.figures, **record.scenes}.items():
+                    scene = _SCENES.get(folder.casefold(), folder)
                     for name, value in figures.items():
                         if (name in stood_in) == (origin == "stand-in"):
                             samples[scene, name] = (*samples.get((scene, name), ()), value)
@@ -134,6 +136,8 @@ def table(
     titles = [f"{scene} {titled(name, better)}".strip() for scene, name in places]
     rows: list[tuple[str, ...]] = []
     for line in lines:
+        if line.origin == "published" and not any(place in line.samples for place in places):
+            continue
         cells = [line.state or _written(line, place) for place in places]
         rows.append((line.title, line.said or line.state, *cells))
     seeds = max((len(values) for line in lines for values in line.samples.values()), default=1)

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from anystyle.contracts import Metric, SceneSource, StyleSource
 from anystyle.evaluation.contract import Evaluation, Progress, Protocol, required
-from anystyle.evaluation.folders import CAMERAS, pair, write_cameras
+from anystyle.evaluation.folders import CAMERAS, mark, pair, write_cameras
 from anystyle.evaluation.parts import judge_pairing
 from anystyle.files import atomic_path
 from anystyle.stylizer import Stylizer
@@ -120,7 +120,7 @@ class Paper(Protocol):
             self._write_style(images / "style" / f"{style_name}{self.suffix}", number)
         for number, scene_name in self.plan.scenes:
             folder = images / "stylized" / scene_name
-            missing = [row for row in self.plan.styles if not (folder / f".{row[1]}").is_file()]
+            missing = [row for row in self.plan.styles if not mark(folder, row[1]).is_file()]
             done += len(self.plan.styles) - len(missing)
             if not missing:
                 continue
@@ -129,7 +129,7 @@ class Paper(Protocol):
             self._write_content(images, scene_name, scene, frames)
             for place, style_name in missing:
                 seconds = encoding + self._stylize(scene, frames, folder, place, style_name)
-                (folder / f".{style_name}").write_text(json.dumps({"seconds": seconds}), encoding="utf-8")
+                mark(folder, style_name).write_text(json.dumps({"seconds": seconds}), encoding="utf-8")
                 done += 1
                 progress("render", done, total)
 
@@ -217,7 +217,7 @@ class Paper(Protocol):
 
     def _seconds(self, images: Path) -> float:
         files = [
-            images / "stylized" / scene / f".{style}" for _, scene in self.plan.scenes for _, style in self.plan.styles
+            mark(images / "stylized" / scene, style) for _, scene in self.plan.scenes for _, style in self.plan.styles
         ]
         return sum(json.loads(file.read_text(encoding="utf-8"))["seconds"] for file in files) / len(files)
 
