@@ -1,0 +1,14 @@
+"""What a step costs at full width: measured, minutes on one core."""
+
+import pytest
+
+from step_cost import compare
+
+
+@pytest.mark.slow
+def test_what_is_frozen_is_neither_differentiated_nor_kept():
+    found = compare()
+    assert found["time ratio"] <= 0.6, found
+    assert found["memory ratio"] <= 0.6, found
+    assert found["injectors' share"] < 0.005, found
+    assert found["pipeline ratio"] >= 3, found
