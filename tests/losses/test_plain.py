@@ -1,9 +1,12 @@
 """Losses on images, depths and colours against closed forms."""
 
+import math
+
 import pytest
 import torch
 
 from anystyle.losses.depth_consistency import DepthConsistency
+from anystyle.losses.edge_aware_smoothness import EdgeAwareSmoothness
 from anystyle.losses.histogram import Histogram
 from anystyle.losses.luminance import Luminance
 from anystyle.losses.total_variation import TotalVariation
@@ -19,6 +22,18 @@ def test_total_variation_of_a_ramp_and_of_a_constant() -> None:
     assert TotalVariation()(stylization(ramp, ramp)).item() == pytest.approx(0.01**2 + 0.02**2, rel=1e-4)
     flat = torch.full_like(ramp, 0.4)
     assert TotalVariation()(stylization(flat, flat)) == 0
+
+
+def test_edge_aware_smoothness_of_a_ramp_is_damped_by_the_photographs_own_slope() -> None:
+    ramp = (torch.arange(35.0) / 100 + torch.arange(28.0)[:, None] / 50).expand(2, 2, 3, 28, 35)
+    flat = torch.full_like(ramp, 0.4)
+    loss = EdgeAwareSmoothness(sharpness=20.0)
+    assert loss(stylization(ramp, flat)).item() == pytest.approx(0.01 + 0.02, rel=1e-4)
+    damped = 0.01 * math.exp(-20 * 0.01) + 0.02 * math.exp(-20 * 0.02)
+    assert loss(stylization(ramp, ramp)).item() == pytest.approx(damped, rel=1e-4)
+    assert loss(stylization(flat, ramp)) == 0
+    with pytest.raises(ValueError, match="give 0 or more"):
+        EdgeAwareSmoothness(sharpness=-1.0)
 
 
 def test_depth_consistency_is_the_mean_square_against_the_predicted_depth() -> None:

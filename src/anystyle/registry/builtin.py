@@ -66,6 +66,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "clip_patch": "anystyle.losses.clip_patch:ClipPatch",
         "content": "anystyle.losses.content:Content",
         "depth_consistency": "anystyle.losses.depth_consistency:DepthConsistency",
+        "edge_aware_smoothness": "anystyle.losses.edge_aware_smoothness:EdgeAwareSmoothness",
         "gram": "anystyle.losses.gram:Gram",
         "histogram": "anystyle.losses.histogram:Histogram",
         "luminance": "anystyle.losses.luminance:Luminance",
