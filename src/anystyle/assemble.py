@@ -43,7 +43,7 @@ def make_branch(
     def make_injector(site: Site) -> Injector:
         node = OmegaConf.to_container(config.injector, resolve=True, enum_to_str=True)
         assert isinstance(node, dict)
-        own = (options or {}).get(site.name, {})
+        own = dict((options or {}).get(site.name, {}))
         return build(
             Injector, {str(key): value for key, value in node.items()} | own, dim=site.dim, style_dim=style_dim
         )

@@ -59,12 +59,12 @@ def _check_heads(path: Path, state: State) -> None:
         raise ValueError(f"{path} has {len(state)} tensors; LPIPS' linear heads are 5 (lin0 to lin4)")
 
 
-def _check_clip(_: Path, state: State) -> None:
+def _check_clip(path: Path, state: State) -> None:
     from anystyle.perception.clip import Clip, load_clip
 
     bare = _bare(state)
     vocabulary, width = bare["token_embedding.weight"].shape
-    image_width, _, patch_size, _ = bare["visual.conv1.weight"].shape
+    image_width, _, patch_size = bare["visual.conv1.weight"].shape[:3]
     count = {tower: sum(key.startswith(tower) and key.endswith(".ln_1.weight") for key in bare) for tower in _TOWERS}
     with torch.device("meta"):
         network = Clip(
@@ -78,7 +78,10 @@ def _check_clip(_: Path, state: State) -> None:
             resolution=round((len(bare["visual.positional_embedding"]) - 1) ** 0.5) * patch_size,
             dim=bare["text_projection"].shape[1],
         )
-    load_clip(network, bare)
+    try:
+        load_clip(network, bare)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
 
 
 _TOWERS = ("transformer.", "visual.transformer.")

@@ -267,7 +267,7 @@ def download(name: str) -> Path:
         from huggingface_hub import hf_hub_download  # pyright: ignore[reportMissingImports]
         from huggingface_hub.errors import HfHubHTTPError  # pyright: ignore[reportMissingImports]
     except ImportError:
-        raise ImportError('downloading needs huggingface_hub: pip install "anystyle[hub]"') from None
+        raise ImportError(f'downloading {name} needs huggingface_hub: pip install "anystyle[hub]"') from None
     owner, repository, path = entry.hub.split("/", 2)
     try:
         return Path(hf_hub_download(f"{owner}/{repository}", path))
