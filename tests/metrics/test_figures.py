@@ -1,0 +1,222 @@
+"""Metrics against other libraries, closed forms, and input that is too little or wrong."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from skimage.metrics import peak_signal_noise_ratio, structural_similarity
+from torchmetrics.image.kid import poly_mmd
+
+from anystyle.contracts import Metric
+from anystyle.metrics.art_fid import ArtFID
+from anystyle.metrics.cfsd import CFSD
+from anystyle.metrics.clip_direction import ClipDirection
+from anystyle.metrics.clip_style import ClipStyle
+from anystyle.metrics.color_match import ColorMatch
+from anystyle.metrics.depth_agreement import DepthAgreement
+from anystyle.metrics.frechet import frechet_distance, frechet_infinity
+from anystyle.metrics.kid import KID, discrepancy
+from anystyle.metrics.lpips import LPIPS
+from anystyle.metrics.psnr import PSNR
+from anystyle.metrics.ssim import SSIM
+from anystyle.metrics.timing import Timing
+from anystyle.perception import memo
+from anystyle.testing.toy.style_encoder import ToyStyleEncoder
+from anystyle.types import Cameras, Comparison, Style
+from oracle import hashed, smooth_image
+
+
+def pictures(styles: int = 2, frames: int = 3, side: int = 70) -> Comparison:
+    content = smooth_image(11, [frames, 3, side, side])
+    noise = smooth_image(13, [styles, frames, 3, side, side])
+    stylized = 0.6 * content + 0.4 * noise
+    image = smooth_image(15, [styles, 3, 77, 77])
+    return Comparison(content.expand(styles, -1, -1, -1, -1), stylized, Style(image))
+
+
+def figure(metric: Metric, *comparisons: Comparison) -> float:
+    for comparison in comparisons:
+        metric.update(comparison)
+    (value,) = metric.compute().values()
+    return float(value)
+
+
+def test_psnr_and_ssim_agree_with_scikit_image():
+    given = pictures()
+    pairs = [
+        (a.permute(1, 2, 0).numpy(), b.permute(1, 2, 0).numpy())
+        for a, b in zip(given.content.flatten(0, 1), given.stylized.flatten(0, 1), strict=True)
+    ]
+    noise = np.mean([peak_signal_noise_ratio(a, b, data_range=1) for a, b in pairs])
+    np.testing.assert_allclose(figure(PSNR(), given), noise, rtol=1e-5)
+    options = {"channel_axis": 2, "data_range": 1, "gaussian_weights": True, "sigma": 1.5}
+    both = [
+        structural_similarity(a, b, use_sample_covariance=False, win_size=11, full=True, **options)[1] for a, b in pairs
+    ]
+    np.testing.assert_allclose(figure(SSIM(), given), np.mean([x[5:-5, 5:-5] for x in both]), rtol=1e-4)
+
+
+def test_equal_images_are_as_good_as_it_gets():
+    same = replace(pictures(), stylized=pictures().content.contiguous())
+    assert figure(PSNR(), same) == 100
+    assert figure(SSIM(), same) == pytest.approx(1)
+    assert figure(LPIPS(weights="stand_in", size=None), same) == 0
+    assert figure(CFSD(weights="stand_in"), same) == 0
+    palette = replace(same, style=Style(same.content[:, 0]), stylized=same.content[:, :1], content=same.content[:, :1])
+    assert figure(ColorMatch(), palette) == pytest.approx(0, abs=1e-6)
+
+
+def test_kid_agrees_with_torchmetrics():
+    first, second = hashed(3, (40, 24)), hashed(4, (40, 24)).square()
+    np.testing.assert_allclose(float(discrepancy(first, second)), float(poly_mmd(first, second)), rtol=1e-4)
+    # Unbiased: of two halves of one set it may be below 0, and is close to it.
+    halves = [float(discrepancy(hashed(9 + k, (40, 24)), hashed(99 + k, (40, 24)))) for k in range(8)]
+    assert min(halves) < 0 < max(halves) and abs(np.mean(halves)) < 0.01
+
+
+def test_frechet_extrapolated_to_endless_samples():
+    first, second = (torch.randn(n, 8, generator=torch.Generator().manual_seed(n)) for n in (3000, 4000))
+    plain, endless = frechet_distance(first[:200], second), frechet_infinity(first[:200], second, smallest=60)
+    assert plain > 0 and abs(endless) < plain / 3  # Both are of one distribution: the truth is 0.
+    assert frechet_infinity(first[:200], second, smallest=5000) == plain
+
+
+def test_directions_and_similarities_are_cosines():
+    encoder = ToyStyleEncoder().requires_grad_(False).eval()
+    given = pictures(styles=1, frames=2)
+    toward = replace(given, style=Style(given.stylized[:, 0]), stylized=given.stylized[:, :1].expand(-1, 2, -1, -1, -1))
+    assert figure(ClipStyle(style_encoder=encoder, size=None), toward) == pytest.approx(1, abs=1e-5)
+    before, after = (encoder.embed_images(images[0]) for images in (given.content, given.stylized))
+    wanted = encoder.embed_images(given.style.image) - encoder.embed_texts([encoder.neutral])
+    expected = torch.nn.functional.cosine_similarity(after - before, wanted).mean()
+    assert figure(ClipDirection(style_encoder=encoder, size=None), given) == pytest.approx(float(expected), abs=1e-5)
+
+
+def test_a_wall_agrees_with_itself_and_one_that_moved_does_not():
+    eye = torch.eye(4).repeat(1, 2, 1, 1)
+    eye[:, 1, 0, 3] = 0.1
+    intrinsics = torch.tensor([[60.0, 0, 20], [0, 60.0, 20], [0, 0, 1]]).expand(1, 2, 3, 3)
+    images = torch.rand(1, 2, 3, 40, 40, generator=torch.Generator().manual_seed(0))
+    for second, expected in ((4.0, 1.0), (4.1, 1.0), (5.0, 0.0)):
+        depth = torch.full((1, 2, 40, 40), 4.0)
+        depth[:, 1] = second
+        given = Comparison(images, images, cameras=Cameras(eye, intrinsics, (40, 40)), depth=depth)
+        assert figure(DepthAgreement(tolerance=0.05), given) == expected
+    with pytest.warns(UserWarning, match="nothing that can be judged"):
+        assert np.isnan(figure(DepthAgreement(), Comparison(images, images)))
+
+
+def test_seconds_are_averaged_over_rows():
+    given = replace(pictures(styles=2, frames=3), seconds=torch.tensor([1.0, 2.0]))
+    assert figure(Timing(), given) == 1.5
+    assert figure(Timing(per_view=True), given) == 0.5
+
+
+def test_rows_one_by_one_are_rows_together():
+    given = pictures(styles=3, frames=1, side=64)
+    for make in (lambda: ArtFID(weights="stand_in"), lambda: KID(weights="stand_in"), ColorMatch):
+        together, apart = make(), make()
+        together.update(given)
+        for row in range(3):
+            one = given.map(lambda tensor, i=row: tensor[i : i + 1])
+            memo.MEMO.clear()
+            apart.update(one)
+        for name, value in together.compute().items():
+            torch.testing.assert_close(value, apart.compute()[name], rtol=1e-4, atol=1e-6)
+
+
+def test_stand_ins_are_named_by_figure():
+    metric = ArtFID(weights="stand_in")
+    assert metric.stand_ins == {
+        "art_fid": "texture_moments, texture_distance",
+        "fid": "texture_moments",
+        "fid_infinity": "texture_moments",
+        "lpips": "texture_distance",
+    }
+    assert [len(digest) for digest in metric.weights.values()] == [64]
+    with pytest.raises(FileNotFoundError, match="weights 'art_inception' are missing"):
+        ArtFID(weights="published")
+
+
+def test_one_style_only_has_a_value_and_a_warning():
+    metric = ArtFID(weights="stand_in")
+    metric.update(pictures(styles=1))
+    with pytest.warns(UserWarning, match="one style image only"):
+        assert metric.compute()["fid"] > 0
+    with pytest.warns(UserWarning, match="3 stylized and 1 distinct style images"):
+        assert np.isnan(figure(KID(weights="stand_in"), pictures(styles=1)))
+
+
+def test_one_image_has_no_covariance():
+    metric = ArtFID(weights="stand_in")
+    metric.update(pictures(styles=1, frames=1))
+    with pytest.warns(UserWarning, match="one image alone"):
+        found = metric.compute()
+    assert found["fid"].isnan() and found["art_fid"].isnan() and found["lpips"] > 0
+
+
+def test_few_images_are_warned_of():
+    metric = ArtFID(weights="stand_in", variant="corrected")
+    metric.update(pictures())
+    with pytest.warns(UserWarning, match="6 images are fewer than the 640 features"):
+        metric.compute()
+
+
+@pytest.mark.parametrize("make", [PSNR, SSIM, ColorMatch, lambda: ArtFID(weights="stand_in")])
+def test_images_that_are_no_numbers_are_refused(make):
+    given = pictures()
+    broken = given.stylized.clone()
+    broken[0, 0, 0, 0, 0] = float("nan")
+    with pytest.raises(ValueError, match="the stylized images hold 1 values that are NaN or infinite"):
+        make().update(replace(given, stylized=broken))
+
+
+def test_what_is_missing_is_said():
+    bare = replace(pictures(), style=None)
+    for metric in (ArtFID(weights="stand_in"), KID(weights="stand_in"), ColorMatch()):
+        with pytest.raises(ValueError, match="no style image"):
+            metric.update(bare)
+
+
+def test_an_image_is_looked_at_once(monkeypatch):
+    memo.MEMO.clear()
+    metric = ArtFID(weights="stand_in")
+    seen = {"inception": 0, "lpips": 0}
+
+    def counted(name, function):
+        def look(images):
+            seen[name] += images.shape[0]
+            return function(images)
+
+        return look
+
+    monkeypatch.setattr(metric.inception, "forward", counted("inception", metric.inception.forward))
+    monkeypatch.setattr(metric.network, "describe", counted("lpips", metric.network.describe))
+    given = pictures(styles=4, frames=3)
+    metric.update(given)
+    # 12 stylized images and 4 styles; 12 stylized images and 3 photographs, not 12.
+    assert seen == {"inception": 16, "lpips": 15}
+    metric.update(replace(given, content=given.content.clone()))
+    assert seen == {"inception": 16, "lpips": 15}
+
+
+def test_a_changed_image_is_another_image():
+    memory = memo.Memo(limit=100)
+    images = torch.zeros(2, 3, 2, 2)
+    images[1] = 1
+    calls = []
+
+    def look(some):
+        calls.append(some.shape[0])
+        return [some.mean((1, 2, 3))]
+
+    assert memory.rows(images, memo.fingerprints(images), ("mean",), look)[0].tolist() == [0, 1]
+    images[0] = 0.5
+    assert memory.rows(images, memo.fingerprints(images), ("mean",), look)[0].tolist() == [0.5, 1]
+    assert calls == [2, 1]
+    with warnings.catch_warnings():
+        many = torch.linspace(0, 1, 60).view(60, 1, 1, 1).expand(-1, 3, 2, 2).contiguous()
+        memory.rows(many, memo.fingerprints(many), ("mean",), look)
+    assert memory._bytes <= 100 and len(memory._kept) == 25
