@@ -117,6 +117,7 @@ def test_the_largest_at_a_fifth_of_its_depth() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1800)
 def test_the_largest() -> None:
     run(published("giant"), GOLDEN["da3-giant"]["v3_56x84"])
 

@@ -5,13 +5,17 @@ from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import save_file
 from torch import Tensor, nn
 
 import depth_anything_reference as reference
 from anystyle.contracts import Backbone
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
+from anystyle.types import Views
+from anystyle.weights import load_reference
 from anystyle_depth_anything import DepthAnything, keys
+from oracle import smooth_image
 
 # Keys and parameters of the published modules: trunk, dual decoder, camera encoder and decoder, Gaussian head.
 PARTS = ("backbone", "head", "cam_enc", "cam_dec", "gs_head")
@@ -173,6 +177,21 @@ def test_options_need_whole_files() -> None:
     state = reference.tiny_weights() | {"backbone.pretrained.patch_embed.proj.weight": torch.zeros(4)}
     with pytest.raises(ValueError, match=r"proj\.weight is \[4\]"):
         keys.options(state)
+
+
+@pytest.mark.parametrize("head", [True, False])
+def test_a_checkpoint_becomes_a_stylizer_by_one_call(tmp_path: Path, head: bool) -> None:
+    state = reference.tiny_weights() if head else without_gaussians()
+    file = tmp_path / "model.safetensors"
+    save_file({f"model.{name}": tensor for name, tensor in state.items()}, file)
+    # What shapes do not tell of a size that is not published.
+    own = ["backbone=depth_anything", "backbone.taps=[3,5,7,9]", "backbone.camera_encoder_heads=4"]
+    stylizer = load_reference(file, overrides=[*own, "injector.hidden=8"])
+    assert torch.equal(stylizer.backbone.embedder.cls_token, state["backbone.pretrained.cls_token"])  # type: ignore[arg-type]
+    assert not any(tensor.is_meta for tensor in stylizer.backbone.state_dict().values())
+    with torch.no_grad():
+        scene = stylizer.encode(Views(smooth_image(1, (1, 2, 3, 28, 42))))
+    assert bool(stylizer.unstyled(scene).means.isfinite().all())
 
 
 def test_there_is_no_published_style_branch() -> None:
