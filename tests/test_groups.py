@@ -1,0 +1,133 @@
+"""Long captures in groups."""
+
+import itertools
+from dataclasses import replace
+
+import pytest
+import torch
+
+from anystyle.geometry import harmonics
+from anystyle.geometry.alignment import Similarity
+from anystyle.geometry.rotations import matrix_from_wxyz
+from anystyle.groups import composed, encode_groups, inverse, moved, split, with_cameras
+from anystyle.testing.toy.backbone import ToyBackbone
+from anystyle.types import Gaussians, Geometry, Scene, Views
+
+
+def views(count):
+    generator = torch.Generator().manual_seed(0)
+    return Views(torch.rand(1, count, 3, 16, 16, generator=generator))
+
+
+def change(scale=1.7):
+    turn = matrix_from_wxyz(torch.nn.functional.normalize(torch.tensor([0.9, 0.1, -0.3, 0.2]), dim=0))
+    return Similarity(torch.tensor(scale), turn, torch.tensor([0.3, -0.2, 0.5]))
+
+
+@pytest.mark.parametrize(
+    ("count", "size", "overlap"), [(3, 4, 1), (4, 4, 2), (9, 4, 1), (10, 4, 2), (11, 5, 4), (7, 2, 1)]
+)
+def test_groups_cover_every_view_and_share_some(count, size, overlap):
+    groups = split(count, size, overlap)
+    assert sorted({view for group in groups for view in group}) == list(range(count))
+    assert all(len(group) == min(size, count) for group in groups)
+    assert all(len(set(a) & set(b)) >= overlap for a, b in itertools.pairwise(groups))
+
+
+@pytest.mark.parametrize(("size", "overlap"), [(1, 1), (4, 4), (4, 0)])
+def test_groups_that_cannot_be(size, overlap):
+    with pytest.raises(ValueError, match="groups of"):
+        split(9, size, overlap)
+
+
+def test_a_change_of_frame_and_its_inverse_cancel():
+    both = composed(inverse(change()), change())
+    torch.testing.assert_close(both.scale, torch.tensor(1.0))
+    torch.testing.assert_close(both.rotation, torch.eye(3), atol=1e-5, rtol=0)
+    torch.testing.assert_close(both.translation, torch.zeros(3), atol=1e-5, rtol=0)
+
+
+def test_moved_gaussians_look_the_same_from_moved_directions():
+    generator = torch.Generator().manual_seed(1)
+    scene = Gaussians(
+        means=torch.randn(1, 6, 3, generator=generator),
+        rotations=torch.nn.functional.normalize(torch.randn(1, 6, 4, generator=generator), dim=-1),
+        scales=torch.rand(1, 6, 3, generator=generator),
+        opacities=torch.rand(1, 6, generator=generator),
+        harmonics=torch.randn(1, 6, 9, 3, generator=generator),
+    )
+    where = change()
+    after = moved(scene, where)
+    torch.testing.assert_close(after.means, where.scale * scene.means @ where.rotation.mT + where.translation)
+    expected = where.rotation @ matrix_from_wxyz(scene.rotations)
+    torch.testing.assert_close(matrix_from_wxyz(after.rotations), expected, atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(after.scales, where.scale * scene.scales)
+    direction = torch.nn.functional.normalize(torch.randn(1, 6, 3, generator=generator), dim=-1)
+    seen = harmonics.colors(scene.harmonics, direction)
+    torch.testing.assert_close(
+        harmonics.colors(after.harmonics, direction @ where.rotation.mT), seen, atol=1e-4, rtol=1e-4
+    )
+
+
+def test_one_group_is_the_single_pass_bit_for_bit():
+    backbone = ToyBackbone().eval()
+    with torch.no_grad():
+        capture = encode_groups(backbone.encode, views(3), size=4)
+        scene = backbone.encode(views(3))
+        whole = capture.gaussians(lambda one: backbone.adapter(one.attributes, one.geometry, one.clusters))
+        alone = backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
+    assert torch.equal(whole.means, alone.means) and torch.equal(whole.harmonics, alone.harmonics)
+
+
+def test_a_group_in_another_frame_and_unit_is_brought_back():
+    """Two groups of one scene, the second as if it had been predicted in a frame and unit of its own."""
+    backbone = ToyBackbone().eval()
+    other = change()
+    with torch.no_grad():
+        whole = backbone.encode(views(6))
+    starts = iter([0, 2])
+
+    def encode(some):
+        first = next(starts)
+        own = slice(first, first + 4)
+        geometry = Geometry(
+            whole.geometry.cameras.select(own), whole.geometry.depth[:, own], whole.geometry.confidence[:, own]
+        )
+        if first:
+            pose = other.moved(geometry.cameras.world_from_camera[0])[None]
+            cameras = replace(geometry.cameras, world_from_camera=pose)
+            geometry = replace(geometry, cameras=cameras, depth=geometry.depth * other.scale)
+        attributes = whole.attributes.map(lambda tensor: tensor[:, own])
+        return Scene(some, whole.stem, whole.features, geometry, attributes, None)
+
+    capture = encode_groups(encode, views(6), size=4, overlap=2)
+    assert [group.own for group in capture.groups] == [4, 2]
+    found, wanted = capture.groups[1].change, inverse(other)
+    assert found is not None
+    torch.testing.assert_close(found.rotation, wanted.rotation, atol=1e-5, rtol=0)
+    torch.testing.assert_close(found.scale, wanted.scale)
+    torch.testing.assert_close(capture.cameras.world_from_camera, whole.cameras.world_from_camera, atol=1e-4, rtol=1e-4)
+    with torch.no_grad():
+        made = capture.gaussians(lambda one: backbone.adapter(one.attributes, one.geometry, None))
+    assert made.means.shape[1] == 6 * 16 * 16
+
+
+def test_known_cameras_come_back_in_their_own_frame():
+    backbone = ToyBackbone().eval()
+    with torch.no_grad():
+        capture = encode_groups(backbone.encode, views(4), size=None)
+        predicted = capture.cameras
+        spread = predicted.world_from_camera.clone()
+        spread[0, :, :3, 3] += torch.arange(4.0)[:, None] * torch.tensor([0.1, 0.02, 0.0])
+        scene = capture.groups[0].scene
+        moved_apart = type(predicted)(spread, predicted.intrinsics, predicted.size)
+        geometry = type(scene.geometry)(moved_apart, scene.geometry.depth, scene.geometry.confidence)
+        scene = type(scene)(scene.views, scene.stem, scene.features, geometry, scene.attributes, scene.clusters)
+        capture = type(capture)((type(capture.groups[0])(scene, (0, 1, 2, 3), None, 4),))
+        known = type(predicted)(change().moved(spread[0])[None], predicted.intrinsics, predicted.size)
+        placed, way = with_cameras(capture, known, backbone)
+    torch.testing.assert_close(placed.cameras.world_from_camera, spread, atol=1e-4, rtol=1e-3)
+    torch.testing.assert_close(way.scale, 1 / change().scale, atol=1e-4, rtol=1e-4)
+    flipped = type(predicted)(known.world_from_camera[:, [3, 2, 1, 0]], known.intrinsics, known.size)
+    with pytest.raises(ValueError, match="do not match the images"):
+        with_cameras(capture, flipped, backbone)

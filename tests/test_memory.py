@@ -1,0 +1,41 @@
+"""What a pass takes, said before it is run."""
+
+import pytest
+import torch
+
+from anystyle import memory
+from anystyle.testing.toy.backbone import ToyBackbone
+
+
+def test_the_peak_counts_what_lives_at_one_time():
+    def function():
+        first = torch.empty(1000)  # 4000 bytes
+        second = first + 1
+        del first
+        return second * 2
+
+    assert memory.peak(function) == 8000
+    assert memory.peak(lambda: torch.empty(1000).view(10, 100)) == 4000
+
+
+def test_encoding_grows_linearly_and_says_what_fits():
+    estimate = memory.encoding(ToyBackbone(), (32, 32))
+    assert estimate is not None and estimate.slope > 32 * 32 * 3 * 4
+    assert estimate(20) > estimate(10)
+    fits = estimate.fits(estimate(50) + 1)
+    assert fits in (49, 50) and estimate.fits(0) == 0
+
+
+def test_too_many_views_are_refused_before_anything_runs(monkeypatch):
+    backbone = ToyBackbone()
+    estimate = memory.encoding(backbone, (32, 32))
+    assert estimate is not None
+    monkeypatch.setattr(memory, "available", lambda device: int(estimate(10) / memory.SHARE) + 1)
+    memory.check(backbone, 9, (32, 32), torch.device("cpu"))
+    with pytest.raises(ValueError, match=r"12 views of 32x32 need .* set views.max_views=(9|10) "):
+        memory.check(backbone, 12, (32, 32), torch.device("cpu"))
+
+
+def test_free_memory_is_known_here():
+    free = memory.available(torch.device("cpu"))
+    assert free is None or free > 0
