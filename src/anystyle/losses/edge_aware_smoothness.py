@@ -29,10 +29,8 @@ class EdgeAwareSmoothness(Loss):
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""
         color, photograph = result.renders.color, result.views.images
-        terms = [
-            (
-                color.diff(dim=axis).abs() * (-self.sharpness * photograph.diff(dim=axis).abs().mean(2, True)).exp()
-            ).mean()
-            for axis in (-1, -2)
-        ]
+        terms = []
+        for axis in (-1, -2):
+            edges = photograph.diff(dim=axis).abs().mean(2, keepdim=True)
+            terms.append((color.diff(dim=axis).abs() * (-self.sharpness * edges).exp()).mean())
         return terms[0] + terms[1]
