@@ -3,6 +3,7 @@
 import argparse
 import ast
 import importlib
+import importlib.util
 import re
 import shlex
 import sys
@@ -152,10 +153,8 @@ def test_command_is_understood(page, line):
     module = importlib.import_module(f"anystyle.commands.{command}")
     if command in COMPOSED:
         _compose(command, module, rest)
-    elif command in ("plugins", "study"):
-        _sub_command(command, module, rest)
     else:
-        parse(module.parser(), rest)
+        _plain(command, module, rest)
 
 
 def _compose(command, module, words):
@@ -183,17 +182,18 @@ def _compose(command, module, words):
             compose(command, [*(word for word in chosen if not word.startswith("name=")), *named])
 
 
-def _sub_command(command, module, words):
-    if words and words[0] in ("new", "check", "design", "form", "analyze", "power"):
-        below = importlib.import_module(f"anystyle.commands.{command}_{words[0]}")
-        if command == "study":
-            # A study's words are flags and overrides.
-            split(below.parser(), words[1:])
-        else:
-            given = parse(below.parser(), words[1:])
-            assert given.kind in KINDS
-    elif command == "plugins":
-        assert all(word in KINDS for word in words[:1])
+def _plain(command, module, words):
+    """Words of a command, or of one of its sub-commands, which has a module or a parser of its own."""
+    homes = [f"anystyle.commands.{form.format(command, *words)}" for form in ("{}_{}", "_{}_{}")] if words else []
+    below = next((home for home in homes if importlib.util.find_spec(home)), None)
+    if below:
+        # What a study's flags leave are overrides of its configuration.
+        split(importlib.import_module(below).parser(), words[1:])
+    elif words and hasattr(module, f"{words[0]}_parser"):
+        parse(getattr(module, f"{words[0]}_parser")(), words[1:])
+    else:
+        given = parse(module.parser(), words[1:] if words[:1] == ["list"] else words)
+        assert command != "plugins" or not words or words[0] in KINDS, given
 
 
 def test_what_is_wrong_is_found(tmp_path):
