@@ -9,6 +9,7 @@ from omegaconf import DictConfig
 
 from anystyle.commands._compose import main
 from anystyle.paths import shown
+from anystyle.training.chain import forwarded, links, train_chain
 from anystyle.training.run import train
 
 
@@ -19,6 +20,9 @@ def run(config: DictConfig) -> dict[str, float]:
         ValueError: Several devices are asked for inside a multirun.
     """
     check_devices(config)
+    if config.chain is not None:
+        run_chain(config)
+        return {}
     # Lightning tells what it does; the run's own lines say what matters.
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
@@ -30,6 +34,13 @@ def run(config: DictConfig) -> dict[str, float]:
     elif outcome.leading:
         print(f"stopped after step {outcome.steps}; the same command continues from {where}")
     return dict(outcome.metrics)
+
+
+def run_chain(config: DictConfig) -> None:
+    """Run several trainings, each on top of what those before it made."""
+    chain = links({str(name): dict(made) for name, made in config.chain.items()})
+    made = train_chain(chain, forwarded(HydraConfig.get().overrides.task), Path(config.out))
+    print(f"{len(made)} trainings done; {', '.join(path.name for path in made)} in {shown(made[0].parent)}")
 
 
 def check_devices(config: DictConfig) -> None:

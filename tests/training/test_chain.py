@@ -1,0 +1,59 @@
+"""Chained trainings: each finds what those before it made, and a stopped chain goes on."""
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import pytest
+
+from anystyle.registry.compose import compose
+from anystyle.training.chain import WEIGHTS, Link, forwarded, links, train_chain
+
+CHAIN = (Link("first", "backbone", "tiny_backbone"), Link("second", "branch", "tiny_head"))
+
+
+def test_each_training_finds_the_weights_made_before_it(tmp_path: Path) -> None:
+    seen: list[tuple[list[str], list[str]]] = []
+
+    def launch(words: Sequence[str], environment: Mapping[str, str]) -> int:
+        folder = Path(environment["ANYSTYLE_WEIGHTS"].split(os.pathsep)[0])
+        seen.append(([*words], sorted(path.name for path in folder.iterdir())))
+        experiment = words[0].removeprefix("experiment=")
+        run = tmp_path / experiment
+        run.mkdir(exist_ok=True)
+        part = {"first": "backbone", "second": "branch"}[experiment]
+        (run / f"{part}.safetensors").write_bytes(experiment.encode())
+        return 0
+
+    made = train_chain(CHAIN, ["seed=3"], tmp_path, launch=launch)
+    assert [path.name for path in made] == ["tiny_backbone.safetensors", "tiny_head.safetensors"]
+    assert made[1].read_bytes() == b"second" and made[0].parent == tmp_path / WEIGHTS
+    assert [words[0] for words, _ in seen] == ["experiment=first", "experiment=second"]
+    assert all(words[-1] == "seed=3" for words, _ in seen)
+    assert [known for _, known in seen] == [[], ["tiny_backbone.safetensors"]]
+
+
+def test_a_training_that_fails_or_leaves_nothing_stops_the_chain(tmp_path: Path) -> None:
+    for status in (2, 0):
+        with pytest.raises(ValueError, match="experiment=first; the same command goes on from there"):
+            train_chain(CHAIN, [], tmp_path, launch=lambda words, environment, status=status: status)
+    assert not list((tmp_path / WEIGHTS).iterdir())
+
+
+def test_words_of_the_chain_itself_are_not_passed_on() -> None:
+    words = ["experiment=tiny_all", "+name=x", "out=there", "debug=smoke", "trainer.max_steps=2"]
+    assert forwarded(words) == ["debug=smoke", "trainer.max_steps=2"]
+
+
+def test_the_recipe_names_experiments_and_weights_that_there_are() -> None:
+    chain = links(compose("train", ["experiment=tiny_all", "name=x", "out=y"]).chain)
+    assert [link.experiment for link in chain] == [
+        "tiny_perceptual",
+        "tiny_embedding",
+        "tiny_reconstruction",
+        "tiny_style",
+    ]
+    for link in chain:
+        compose("train", [f"experiment={link.experiment}", "name=x", "out=y"])
+    with pytest.raises(ValueError, match="give one part and the name of its weights"):
+        links({"tiny_style": {"branch": "nothing"}})
