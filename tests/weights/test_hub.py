@@ -24,7 +24,7 @@ def test_files_in_the_cache_are_found(cache: Path) -> None:
     snapshot.mkdir(parents=True)
     (repository / "refs").mkdir()
     (repository / "refs" / "main").write_text("0" * 40)
-    with pytest.raises(FileNotFoundError, match="looked for .*, the Hugging Face cache"):
+    with pytest.raises(FileNotFoundError, match=r"looked for .*, the Hugging Face cache"):
         weights.find("longclip_b32")
     (snapshot / "longclip-B-32.pt").write_bytes(b"weights")
     assert weights.find("longclip_b32").read_bytes() == b"weights"
