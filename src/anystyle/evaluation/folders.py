@@ -127,7 +127,7 @@ class Reader:
 
     def __init__(self) -> None:
         self._content = Latest(_read_stack, 1)
-        self._reference = Latest(lambda path: read(path)[None], 256)
+        self._reference = Latest(read, 256)
         self._depth = Latest(_read_depths, 1)
 
     def __call__(self, cell: Cell) -> Comparison:
@@ -141,7 +141,7 @@ class Reader:
         return Comparison(
             content=content,
             stylized=stylized,
-            style=Style(image=self._reference(cell.reference), names=(cell.style,)),
+            style=Style(image=self._reference(cell.reference)[None], names=(cell.style,)),
             depth=self._depth(cell.depth) if cell.depth else None,
             cameras=_read_cameras(cell, (stylized.shape[-2], stylized.shape[-1])),
             scenes=(cell.scene,),

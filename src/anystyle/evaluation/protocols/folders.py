@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from PIL import Image
+from PIL import Image, ImageEnhance
 
 from anystyle.contracts import Metric
 from anystyle.evaluation.contract import Evaluation, Progress, Protocol
@@ -43,7 +43,7 @@ class Folders(Protocol):
                 files = [("content", f"{frame}"), ("stylized", f"a_{frame}"), ("stylized", f"b_{frame}")]
                 for shade, (kind, name) in enumerate(files):
                     (folder / kind / scene).mkdir(parents=True, exist_ok=True)
-                    picture = grey.rotate(turn).point(lambda value, shift=20 * shade: min(255, value + shift))
+                    picture = ImageEnhance.Brightness(grey.rotate(turn)).enhance(1 - 0.2 * shade)
                     picture.save(folder / kind / scene / f"{name}.png")
         (folder / "style").mkdir()
         for name in ("a", "b"):
