@@ -54,7 +54,7 @@ class DIS(Correspondence):
 
         # A new search for each pair: one that is reused starts from the pair before.
         found = [
-            cv2.DISOpticalFlow_create(self._preset).calc(one, other, None)
+            cv2.DISOpticalFlow.create(self._preset).calc(one, other, None)
             for one, other in zip(first, second, strict=True)
         ]
         return torch.from_numpy(np.stack(found)).permute(0, 3, 1, 2).contiguous()

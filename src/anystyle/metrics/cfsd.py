@@ -67,7 +67,7 @@ class CFSD(RowMean):
         return found if self.reference else found / content[0, 0].numel()
 
     def _features(self, images: Tensor) -> Tensor:
-        images = pictures.eight_bit(images) if self.reference else shrunk(images, None)
+        images = pictures.eight_bit(images) if self.reference else images
         return self.network(shrunk(images, self.longest), (self.layer,))[0]
 
 

@@ -42,7 +42,6 @@ class KID(Metric):
         self.size = size
         self.inception = vectors.load_art_inception(weights)
         self.stand_ins = stand_ins(self.better, self.inception.source)
-        # Not `weights`: that is what the contract calls the checksums.
         self.weights = checksums(self.inception.source)
         self.add_state("stylized", [], dist_reduce_fx="cat")
         self.add_state("style", [], dist_reduce_fx="cat")
@@ -63,8 +62,7 @@ class KID(Metric):
 
     def compute(self) -> dict[str, Tensor]:
         """See :meth:`anystyle.contracts.Metric.compute`; ``nan`` with fewer than two images or styles."""
-        parts = [[part] if torch.is_tensor(part) else part for part in (self.stylized, self.style)]
-        stylized, style = (torch.cat(part) if part else torch.zeros(0, 1) for part in parts)
+        stylized, style = _stacked(self.stylized), _stacked(self.style)
         style = style.unique(dim=0)
         if min(stylized.shape[0], style.shape[0]) < 2:
             warnings.warn(
@@ -95,3 +93,10 @@ def discrepancy(first: Float[Tensor, "N D"], second: Float[Tensor, "M D"]) -> Fl
         return (table.sum() - table.diagonal().sum()) / (rows.shape[0] * (rows.shape[0] - 1))
 
     return within(first) + within(second) - 2 * kernel(first, second).mean()
+
+
+def _stacked(parts: list[Tensor] | Tensor) -> Float[Tensor, "N D"]:
+    # After a reduction over processes the list has become one tensor.
+    if torch.is_tensor(parts):
+        return parts
+    return torch.cat(parts) if parts else torch.zeros(0, 1)

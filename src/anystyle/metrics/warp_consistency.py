@@ -1,6 +1,5 @@
 """Warp consistency: whether a stylized frame, moved along the optical flow, looks like a later stylized frame."""
 
-import logging
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -17,8 +16,6 @@ from anystyle.perception import lpips, pictures
 from anystyle.perception.memo import batch_of
 from anystyle.perception.sources import Weights, checksums, stand_ins
 from anystyle.types import Comparison, Frames
-
-log = logging.getLogger(__name__)
 
 RANGES = {"short": 1, "long": 7}
 """How many frames lie between the frames of a pair."""
