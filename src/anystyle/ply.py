@@ -75,11 +75,11 @@ def read(path: Path) -> Gaussians:
     """Read a file as a batch of one scene.
 
     Raises:
-        ValueError: It is no PLY file, or not one of Gaussians.
+        ValueError: It is no PLY file, a damaged one, or not one of Gaussians.
     """
     try:
         vertices = PlyData.read(path)["vertex"].data
-    except (PlyParseError, KeyError, UnicodeDecodeError) as error:
+    except (PlyParseError, KeyError, ValueError) as error:
         raise ValueError(f"{path} is no PLY file of Gaussians ({error})") from None
     present = vertices.dtype.names or ()
     rest = sum(name.startswith("f_rest_") for name in present)
@@ -91,6 +91,8 @@ def read(path: Path) -> Gaussians:
     if missing:
         raise ValueError(f"{path} is a PLY file without the properties {', '.join(missing[:5])} of Gaussians")
     columns = torch.from_numpy(np.stack([vertices[name].astype(np.float32) for name in names], axis=1))
+    if not bool(columns.isfinite().all()):
+        raise ValueError(f"{path} has properties that are infinite or no numbers; export it again")
     means, constant, higher, opacity, scales, rotations = columns.split([3, 3, rest, 1, 3, 4], dim=1)
     harmonics = torch.cat([constant[:, None], higher.unflatten(1, (3, rest // 3)).mT], dim=1)
     return Gaussians(
