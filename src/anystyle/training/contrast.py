@@ -1,4 +1,4 @@
-"""Training any style encoder by contrast: pictures of styles, also on scenes, find their captions and the reverse."""
+"""Training the judge of styles by contrast: pictures of styles, also on scenes, find their captions and the reverse."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +9,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.contracts import SceneSource, StyleEncoder, StyleSource
+from anystyle.contracts import SceneSource, StyleSource
+from anystyle.style_encoders.judge import Judge
 from anystyle.training.contract import Training
 from anystyle.training.optim import decayed_groups, scheduled
 from anystyle.training.styles import StyleBatch, StyleBatches, TraitHeads
@@ -22,7 +23,7 @@ class ContrastTraining(Training):
     shade of a photograph, as a stylization of it would have.
 
     Args:
-        style_encoder: What learns; any encoder.
+        style_encoder: What learns.
         batch_size: Styles a step.
         photos: Photographs a step, whose light falls on styles.
         pool: Styles to draw from, kept in memory; none means all there are.
@@ -36,7 +37,7 @@ class ContrastTraining(Training):
     def __init__(
         self,
         *,
-        style_encoder: StyleEncoder,
+        style_encoder: Judge,
         batch_size: int = 128,
         photos: int = 16,
         pool: int | None = 12000,
