@@ -86,3 +86,28 @@ def test_other_files_are_refused(tmp_path):
     (tmp_path / "other.ply").write_bytes(data)
     with pytest.raises(ValueError, match="without the properties opacity"):
         read(tmp_path / "other.ply")
+
+
+def test_what_is_read_is_written_back_the_same(tmp_path):
+    write(random_gaussians(coefficients=9), tmp_path / "first.ply")
+    write(read(tmp_path / "first.ply"), tmp_path / "second.ply")
+    first, second = (PlyData.read(tmp_path / f"{name}.ply")["vertex"].data for name in ("first", "second"))
+    for name in first.dtype.names:
+        np.testing.assert_allclose(second[name], first[name], rtol=1e-4, atol=1e-4, err_msg=name)
+
+
+def test_a_truncated_file_is_refused(tmp_path):
+    write(random_gaussians(), tmp_path / "scene.ply")
+    data = (tmp_path / "scene.ply").read_bytes()
+    (tmp_path / "half.ply").write_bytes(data[: len(data) // 2])
+    with pytest.raises(ValueError, match="is no PLY file of Gaussians"):
+        read(tmp_path / "half.ply")
+
+
+@pytest.mark.parametrize("broken", [float("nan"), float("inf")])
+def test_values_that_are_no_numbers_are_refused(tmp_path, broken):
+    gaussians = random_gaussians()
+    gaussians.means[0, 3, 1] = broken
+    write(gaussians, tmp_path / "scene.ply")
+    with pytest.raises(ValueError, match="infinite or no numbers"):
+        read(tmp_path / "scene.ply")
