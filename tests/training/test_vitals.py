@@ -241,16 +241,6 @@ def test_features_need_a_pool_and_a_frozen_backbone(tmp_path):
         make_training(configuration(("cache=features", "training=reconstruction", "loss=[]"), tmp_path))
 
 
-def test_bf16_trains_with_its_losses_in_full_precision(tmp_path):
-    outcome = train(
-        configuration((*STYLIZATION, "trainer.precision=bf16-mixed", "export.half=false"), tmp_path), tmp_path
-    )
-    exact = train(configuration((*STYLIZATION, "export.half=false"), tmp_path / "exact"), tmp_path / "exact")
-    assert outcome.finished
-    assert outcome.metrics["train/loss"] == pytest.approx(exact.metrics["train/loss"], rel=0.05)
-    assert outcome.metrics["train/loss"] != exact.metrics["train/loss"]
-
-
 def test_only_what_learns_recomputes_its_blocks(tmp_path, monkeypatch):
     words = ("placement=full", "training.cache_scenes=0")
     plain = make_training(configuration((*STYLIZATION, *words), tmp_path))
