@@ -1,7 +1,7 @@
 # Each target sets up what it needs: `make demo` and `make test` work on a fresh clone.
 PYTHON ?= python3
 BIN := .venv/bin
-EXTRAS := report,stats,flow,sweeps,tracking
+EXTRAS := report,stats,flow,sweeps,tracking,hub
 export OMP_NUM_THREADS ?= 1
 
 .PHONY: setup demo test test-slow lint format
@@ -12,6 +12,8 @@ setup: .venv/.ready
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --upgrade "pip>=25.1"
 	$(BIN)/pip install --quiet --constraint constraints.txt --editable ".[$(EXTRAS)]" --group dev
+	# For CLIP's vocabulary alone; what the package asks for, torchvision first, is not needed.
+	$(BIN)/pip install --quiet --no-deps open_clip_torch==3.3.0
 	touch $@
 
 # Prompts and pictures were chosen, by looking, among those the bundled model does well. The scene is one it never saw.
