@@ -145,7 +145,12 @@ def check(backbone: Backbone, views: int, size: tuple[int, int], device: torch.d
 
 def _without_memory(backbone: Backbone) -> list[nn.Module]:
     """Copies of the four networks, of which no weight is read."""
-    parts = (backbone.embedder, backbone.aggregator, backbone.geometry_head, backbone.gaussian_head)
+    parts: tuple[nn.Module, ...] = (
+        backbone.embedder,
+        backbone.aggregator,
+        backbone.geometry_head,
+        backbone.gaussian_head,
+    )
     memo: dict[int, object] = {}
     for part in parts:
         for parameter in part.parameters():

@@ -1,6 +1,6 @@
 """DIS: fast optical flow by dense inverse search, from OpenCV."""
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -53,10 +53,9 @@ class DIS(Correspondence):
         import cv2
 
         # A new search for each pair: one that is reused starts from the pair before.
-        found = [
-            cv2.DISOpticalFlow.create(self._preset).calc(one, other, None)
-            for one, other in zip(first, second, strict=True)
-        ]
+        # OpenCV's own types ask for a flow to start from; none is right.
+        searches: list[Any] = [cv2.DISOpticalFlow.create(self._preset) for _ in first]
+        found = [search.calc(one, other, None) for search, one, other in zip(searches, first, second, strict=True)]
         return torch.from_numpy(np.stack(found)).permute(0, 3, 1, 2).contiguous()
 
 

@@ -105,7 +105,7 @@ def fingerprints(images: Float[Tensor, "M C H W"]) -> list[str]:
         return fingerprints(images[:1]) * images.shape[0]
     rows = images.detach().cpu().contiguous()
     shape = str(tuple(rows.shape[1:])).encode()
-    return [hashlib.blake2b(memoryview(row.numpy()), digest_size=16, key=shape[:64]).hexdigest() for row in rows]
+    return [hashlib.blake2b(row.numpy().data, digest_size=16, key=shape[:64]).hexdigest() for row in rows]
 
 
 def batch_of(images: Float[Tensor, "M C H W"]) -> int:

@@ -31,7 +31,8 @@ class Sharded(ModelParallelStrategy):
         module = self.lightning_module
         assert module is not None
         own = optimizer._optimizer if isinstance(optimizer, LightningOptimizer) else optimizer
-        state = get_optimizer_state_dict(module, own, options=StateDictOptions(full_state_dict=True, cpu_offload=True))
+        whole = StateDictOptions(full_state_dict=True, cpu_offload=True)
+        state: Any = get_optimizer_state_dict(module, own, options=whole)
         if not state:
             return {}
         places = {name: place for place, name in enumerate(_order(module, own))}

@@ -126,7 +126,9 @@ class Pixels(Protocol):
             return perception.load(name)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(self.seed)
-            return freeze(perception.Texture().train(False))
+            network = perception.Texture()
+        network.train(False)
+        return freeze(network)
 
     def _pairs(self) -> _Pairs:
         scenes = ProceduralScenes(size=self.size, num_scenes=len(self.patterns), seed=self.seed, split="heldout")
