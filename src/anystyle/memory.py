@@ -158,7 +158,7 @@ def _without_memory(backbone: Backbone) -> list[nn.Module]:
             memo[id(parameter)] = nn.Parameter(empty, requires_grad=False)
         for buffer in part.buffers():
             memo[id(buffer)] = torch.empty(buffer.shape, dtype=buffer.dtype)
-    copies = [copy.deepcopy(part, memo).eval() for part in parts]
+    copies: list[nn.Module] = [copy.deepcopy(part, memo).eval() for part in parts]
     for copied in copies:
         for module in copied.modules():
             module._forward_hooks.clear()
