@@ -69,4 +69,4 @@ def test_wrong_words_end_in_one_line():
 
 def test_the_table_states_units():
     text = table([{"name": "encode", "seconds": 1.0, "cpu_seconds": 2.0, "instead": "x"}], {2: 2**20, 3: 3 * 2**20})
-    assert "| encode | 1.000 | 2.000 | x |" in text and "1.0 MiB a view" in text
+    assert "| encode | 1.000 | 2.000 | x |" in text and "2.0 MiB a view" in text
