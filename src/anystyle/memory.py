@@ -187,5 +187,5 @@ def _of_group() -> int | None:
         return None
 
 
-def _gib(count: float) -> str:
+def _gib(count: int | float) -> str:
     return f"{count / 2**30:.1f} GiB"
