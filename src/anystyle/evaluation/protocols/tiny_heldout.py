@@ -62,12 +62,12 @@ class TinyHeldout(Protocol):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Two scenes and two styles, judged by a network that has learnt nothing."""
+        """Two scenes of 32 pixels and two styles, judged by a network that has learnt nothing."""
         options = {"dim": 8, "widths": (8, 8), "colors": 8, "text_width": 8, "buckets": 64}
         node = {"_target_": catalog().find("style_encoder", "judge").path, **options}
         file = folder / "judge.safetensors"
         save_part(file, build(StyleEncoder, node), Header(part="style_encoder", config={"style_encoder": node}))
-        return {"judge": str(file), "num_scenes": 2, "num_styles": 2, "num_captions": 4, "strips": 1, "steps": 2}
+        return {"judge": str(file), "num_scenes": 2, "num_styles": 2, "num_captions": 4, "strips": 1, "steps": 2, "size": 32}
 
     def __init__(
         self,
