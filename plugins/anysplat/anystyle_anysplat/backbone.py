@@ -51,6 +51,7 @@ class AnySplat(contracts.Backbone):
         gaussian_features: Channels of the Gaussian head's decoder.
         gaussian_channels: Channels of its four levels.
         gaussian_hidden: Channels of its last hidden layer.
+        styled_levels: Levels of the Gaussian head that are sites, of the four (published: all).
         sh_degree: Of its harmonics.
         sh_mode: ``reference`` reproduces a side effect of the published code on styled colours; see
             :class:`anystyle_anysplat.adapter.Adapter`.
@@ -123,6 +124,7 @@ class AnySplat(contracts.Backbone):
         gaussian_features: int = 256,
         gaussian_channels: Sequence[int] = (256, 512, 1024, 1024),
         gaussian_hidden: int = 128,
+        styled_levels: Sequence[int] = (0, 1, 2, 3),
         sh_degree: int = 4,
         sh_mode: Literal["reference", "dc_only"] = "reference",
         pixel_center: float = 0.0,
@@ -184,6 +186,7 @@ class AnySplat(contracts.Backbone):
             hidden=gaussian_hidden,
             sh_degree=sh_degree,
             taps=taps,
+            styled_levels=styled_levels,
             chunk=chunk,
         )
         self.adapter = Adapter(

@@ -26,6 +26,9 @@ class GaussianHead(contracts.GaussianHead):
         hidden: Channels of the last hidden layer.
         sh_degree: Of the harmonics.
         taps: The layers it reads, four, in rising order.
+        styled_levels: Of the taps, by their order, those that are sites. A shift of all tokens of levels 0 and 1
+            comes out of their transposed convolutions as a grid with the period of a patch, which is plain to see
+            where patches are few (published: all).
         chunk: Views decoded at a time, and so passed to ``inject`` at a time; a matter of memory alone.
     """
 
@@ -38,20 +41,22 @@ class GaussianHead(contracts.GaussianHead):
         hidden: int,
         sh_degree: int,
         taps: Sequence[int],
+        styled_levels: Sequence[int],
         chunk: int,
     ) -> None:
         super().__init__()
         self.dim, self.direct_dim = dim, features // 2
         self.coefficients = (sh_degree + 1) ** 2
         self.taps = tuple(taps)
+        self.styled_levels = tuple(styled_levels)
         self.chunk = chunk
         self.dpt = Dpt(dim=dim, features=features, channels=channels, hidden=hidden, outputs=9 + 3 * self.coefficients)
         self.direct = nn.Conv2d(3, self.direct_dim, 7, padding=3)
 
     @property
     def sites(self) -> tuple[Site, ...]:
-        """``head/tokens/0..3``, normalised patch tokens; ``head/direct``, features of every pixel."""
-        tokens = tuple(Site(_site(level), self.dim) for level in range(len(self.taps)))
+        """``head/tokens/0..3``, normalised patch tokens, of the styled levels; ``head/direct``, every pixel's features."""
+        tokens = tuple(Site(_site(level), self.dim) for level in self.styled_levels)
         return (*tokens, Site("head/direct", self.direct_dim))
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
@@ -75,8 +80,9 @@ class GaussianHead(contracts.GaussianHead):
         for level, layer in enumerate(self.taps):
             tokens = features[layer]
             patches = self.dpt.norm(tokens.patches[:, views].to(self.dpt.norm.weight.dtype))
-            styled = inject(_site(level), replace(tokens, data=patches, special=0))
-            levels.append(styled.data.flatten(0, 1))
+            if level in self.styled_levels:
+                patches = inject(_site(level), replace(tokens, data=patches, special=0)).data
+            levels.append(patches.flatten(0, 1))
         decoded = self.dpt.decode(levels, features[self.taps[0]].grid, (height, width))
         # Channels lie side by side, so that pixels as tokens are a view: nothing is copied, with or without style.
         pixels = images.flatten(0, 1).contiguous(memory_format=torch.channels_last)

@@ -16,19 +16,27 @@ class FiLM(Injector):
     Args:
         dim: Channels at the site.
         style_dim: Dimensions of the style embedding.
-        hidden: Width of the projection's hidden layer, at most twice ``dim``.
+        hidden: Width of the projection's hidden layer, at most ``expansion`` times ``dim``.
+        expansion: See ``hidden``.
         gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
             at first; the root of ``style_dim`` makes up for it where training is short.
         special_tokens: Whether camera and register tokens are styled too.
     """
 
     def __init__(
-        self, *, dim: int, style_dim: int, hidden: int = 1024, gain: float = 1.0, special_tokens: bool = False
+        self,
+        *,
+        dim: int,
+        style_dim: int,
+        hidden: int = 1024,
+        expansion: int = 2,
+        gain: float = 1.0,
+        special_tokens: bool = False,
     ) -> None:
         super().__init__()
         self.gain = gain
         self.special_tokens = special_tokens
-        width = min(hidden, 2 * dim)
+        width = min(hidden, expansion * dim)
         self.fc = nn.Sequential(nn.Linear(style_dim, width), nn.ReLU(), nn.Linear(width, dim), nn.ReLU())
         self.modulation = nn.Linear(dim, 2 * dim)
         nn.init.zeros_(self.modulation.weight)
