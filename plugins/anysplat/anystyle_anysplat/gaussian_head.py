@@ -55,7 +55,7 @@ class GaussianHead(contracts.GaussianHead):
 
     @property
     def sites(self) -> tuple[Site, ...]:
-        """``head/tokens/0..3``, normalised patch tokens, of the styled levels; ``head/direct``, every pixel's features."""
+        """``head/tokens/0..3``, patch tokens of the styled levels, normalised; ``head/direct``, features of pixels."""
         tokens = tuple(Site(_site(level), self.dim) for level in self.styled_levels)
         return (*tokens, Site("head/direct", self.direct_dim))
 

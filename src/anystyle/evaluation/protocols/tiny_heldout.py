@@ -67,7 +67,8 @@ class TinyHeldout(Protocol):
         node = {"_target_": catalog().find("style_encoder", "judge").path, **options}
         file = folder / "judge.safetensors"
         save_part(file, build(StyleEncoder, node), Header(part="style_encoder", config={"style_encoder": node}))
-        return {"judge": str(file), "num_scenes": 2, "num_styles": 2, "num_captions": 4, "strips": 1, "steps": 2, "size": 32}
+        counts = {"num_scenes": 2, "num_styles": 2, "num_captions": 4, "strips": 1, "steps": 2}
+        return {"judge": str(file), "size": 32, **counts}
 
     def __init__(
         self,
