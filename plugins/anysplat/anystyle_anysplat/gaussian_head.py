@@ -41,7 +41,7 @@ class GaussianHead(contracts.GaussianHead):
         hidden: int,
         sh_degree: int,
         taps: Sequence[int],
-        styled_levels: Sequence[int],
+        styled_levels: Sequence[int] = (0, 1, 2, 3),
         chunk: int,
     ) -> None:
         super().__init__()
