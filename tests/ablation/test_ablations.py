@@ -26,9 +26,9 @@ TERMS = {
         "no_style_loss": {"content", "clip_directional", "clip_patch", "depth_consistency"},
     },
     "tiny_style": {
-        "base": {"sliced_wasserstein", "luminance", "clip_directional", "total_variation"},
-        "no_clip_loss": {"sliced_wasserstein", "luminance", "total_variation"},
-        "no_style_loss": {"luminance", "clip_directional", "total_variation"},
+        "base": {"sliced_wasserstein", "luminance", "clip_directional", "edge_aware_smoothness"},
+        "no_clip_loss": {"sliced_wasserstein", "luminance", "edge_aware_smoothness"},
+        "no_style_loss": {"luminance", "clip_directional", "edge_aware_smoothness"},
     },
 }
 TABLE = f"ablation={','.join(ROWS)}"
