@@ -5,8 +5,9 @@ import torch
 
 import anysplat_reference as reference
 from anystyle.injectors.zero_conv import ZeroConv
+from anystyle.nn import dpt, rope
 from anystyle.types import Attributes, Cameras, Geometry, Inject, Tokens
-from anystyle_anysplat import dpt, keys, pose, rope
+from anystyle_anysplat import keys, pose
 from anystyle_anysplat.aggregator import Aggregator
 from anystyle_anysplat.camera_head import CameraHead
 from anystyle_anysplat.embedder import Dino, Embedder
@@ -58,11 +59,11 @@ class TestPose:
 
 class TestRope:
     def test_rotation_is_the_published_one(self) -> None:
-        angles = rope.grid_rotary((2, 3), 5, 64, base=100.0, dtype=torch.float32, device=torch.device("cpu"))
+        angles = rope.rotary(rope.grid_positions((2, 3), 5), 64, base=100.0, like=torch.zeros(1))
         assert_matches(rope.rotate(hashed(1001, (1, 2, 11, 64), -1, 1), angles), GOLDEN["rope"]["out"])
 
     def test_products_depend_on_differences_of_positions_alone(self) -> None:
-        angles = rope.grid_rotary((3, 4), 0, 16, base=100.0, dtype=torch.float64, device=torch.device("cpu"))
+        angles = rope.rotary(rope.grid_positions((3, 4), 0), 16, base=100.0, like=torch.zeros(1).double())
         q, k = hashed(1, (1, 16)).double(), hashed(2, (1, 16)).double()
         products = rope.rotate(q.expand(12, -1), angles) @ rope.rotate(k.expand(12, -1), angles).T
         grid = products.unflatten(0, (3, 4)).unflatten(2, (3, 4))

@@ -9,12 +9,14 @@ from torch import nn
 
 from anystyle.geometry import harmonics as world_harmonics
 from anystyle.geometry.rotations import matrix_from_wxyz, wxyz_from_xyzw
+from anystyle.nn import rope
+from anystyle.nn.attention import SwiGlu
+from anystyle.nn.dpt import ResidualConv, add_positions_
 from anystyle.types import Attributes, Cameras, Geometry
-from anystyle_depth_anything import pose, reference_view, rope
+from anystyle_depth_anything import pose, reference_view
 from anystyle_depth_anything.adapter import Adapter, harmonics
-from anystyle_depth_anything.attention import SwiGlu
+from anystyle_depth_anything.aggregator import flat_positions
 from anystyle_depth_anything.cameras import CameraDecoder
-from anystyle_depth_anything.dpt import ResidualConv, add_positions
 from anystyle_depth_anything.embedder import Embedder
 from oracle import hashed
 
@@ -54,7 +56,7 @@ class TestPose:
 
 class TestRope:
     def test_across_views_no_patch_has_a_place(self) -> None:
-        positions = rope.flat_positions((2, 3))
+        positions = flat_positions((2, 3))
         assert positions[0].tolist() == [0, 0] and (positions[1:] == 1).all() and len(positions) == 7
 
     def test_within_a_view_patches_stand_behind_the_leading_token(self) -> None:
@@ -159,14 +161,14 @@ class TestEmbedder:
 
 class TestDecoder:
     def test_the_input_passes_around_convolutions_as_it_is(self) -> None:
-        block = ResidualConv(4)
+        block = ResidualConv(4, rectified=False)
         for parameter in block.parameters():
             nn.init.zeros_(parameter)
         x = hashed(1, (1, 4, 3, 3), -1, 1)
         assert torch.equal(block(x), x)
 
     def test_positions_are_those_of_the_corners_in_units_of_the_diagonal(self) -> None:
-        added = add_positions(torch.zeros(1, 8, 6, 8))[0]
+        added = add_positions_(torch.zeros(1, 8, 6, 8), 8 / 6)[0]
         column = 0.8 * 7 / 8
         torch.testing.assert_close(added[0, :, -1], torch.full((6,), 0.1 * math.sin(column)))
         torch.testing.assert_close(added[3, :, 0], torch.full((6,), 0.1 * math.cos(column / 10)))

@@ -8,9 +8,9 @@ from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
 from anystyle import contracts
+from anystyle.nn.attention import Block
+from anystyle.nn.rope import Rotary, grid_positions, rotary
 from anystyle.types import Features, Inject, Site, Tokens, untouched
-from anystyle_anysplat.attention import Block
-from anystyle_anysplat.rope import Rotary, grid_rotary
 
 
 class Aggregator(contracts.Aggregator):
@@ -67,14 +67,8 @@ class Aggregator(contracts.Aggregator):
     def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
         """Turn the stem into tapped features; no other layer's output is kept."""
         views = stem.data.shape[1]
-        within = grid_rotary(
-            stem.grid,
-            stem.special,
-            self.head_dim,
-            base=self.rope_base,
-            dtype=stem.data.dtype,
-            device=stem.data.device,
-        )
+        positions = grid_positions(stem.grid, stem.special)
+        within = rotary(positions, self.head_dim, base=self.rope_base, like=stem.data)
         across = within.repeat(views)
         features: dict[int, Tokens] = {}
         tokens = stem
@@ -90,10 +84,10 @@ class Aggregator(contracts.Aggregator):
                 )
         return features
 
-    def _run(self, block: nn.Module, x: Float[Tensor, "M L C"], rotary: Rotary) -> Float[Tensor, "M L C"]:
+    def _run(self, block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary) -> Float[Tensor, "M L C"]:
         if self.checkpointing and self.training and torch.is_grad_enabled():
-            return checkpoint(block, x, rotary, use_reentrant=False)
-        return block(x, rotary)
+            return checkpoint(block, x, angles, use_reentrant=False)
+        return block(x, angles)
 
 
 def _site(layer: int) -> str:

@@ -7,12 +7,12 @@ from typing import ClassVar, Literal
 from torch import Tensor
 
 from anystyle import contracts
+from anystyle.nn.aligner import Aligner
+from anystyle.nn.dpt import Dpt
 from anystyle_anysplat import keys
 from anystyle_anysplat.adapter import Adapter
 from anystyle_anysplat.aggregator import Aggregator
-from anystyle_anysplat.aligner import Aligner
 from anystyle_anysplat.camera_head import CameraHead
-from anystyle_anysplat.dpt import Dpt
 from anystyle_anysplat.embedder import Embedder
 from anystyle_anysplat.gaussian_head import GaussianHead
 from anystyle_anysplat.geometry_head import GeometryHead
@@ -43,7 +43,7 @@ class AnySplat(contracts.Backbone):
         camera_heads: Its attention heads.
         camera_iterations: Its passes.
         poses: ``regressed`` from camera tokens, as published, or ``aligned`` by matching patches with the first view's,
-            which a network of a few million parameters can learn (see :class:`anystyle_anysplat.aligner.Aligner`).
+            which a network of a few million parameters can learn (see :class:`anystyle.nn.aligner.Aligner`).
         focal_epsilon: Added to the tangent of half a field of view where focal lengths are decoded.
         depth_features: Channels of the depth head's decoder.
         depth_channels: Channels of its four levels.
@@ -138,8 +138,6 @@ class AnySplat(contracts.Backbone):
     ) -> None:
         super().__init__()
         _check(dim=dim, heads=heads, depth=depth, camera_heads=camera_heads, taps=taps)
-        for features, channels in ((depth_features, depth_channels), (gaussian_features, gaussian_channels)):
-            _check_decoder(features, channels)
         if chunk < 1:
             raise ValueError(f"chunk is {chunk}; at least 1 view is decoded at a time")
         self.patch_size = patch_size
@@ -225,12 +223,4 @@ def _check(*, dim: int, heads: int, depth: int, camera_heads: int, taps: Sequenc
     if len(taps) != 4 or list(taps) != sorted(set(taps)) or taps[0] < 0 or taps[-1] != depth - 1:
         raise ValueError(
             f"taps are {list(taps)}; give four layers in rising order, of which the last is depth - 1 = {depth - 1}"
-        )
-
-
-def _check_decoder(features: int, channels: Sequence[int]) -> None:
-    if features % 8 or len(channels) != 4 or any(width % 4 for width in channels):
-        raise ValueError(
-            f"a decoder of {features} features and levels of {list(channels)} channels; features must be a multiple "
-            "of 8, and the four levels multiples of 4"
         )

@@ -5,7 +5,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle_anysplat.attention import Block, Mlp
+from anystyle.nn.attention import Block, Mlp
 
 
 class CameraHead(nn.Module):
@@ -36,7 +36,7 @@ class CameraHead(nn.Module):
         self.pose_branch = Mlp(dim, dim // 2, 9)
 
     def forward(self, camera_tokens: Float[Tensor, "B V C"]) -> Float[Tensor, "I B V 9"]:
-        """The encodings after each pass; the last is the result (layout: :mod:`anystyle_anysplat.pose`)."""
+        """The encodings after each pass; the last is the result (layout: :mod:`anystyle.nn.pose`)."""
         tokens = self.token_norm(camera_tokens)
         plain = F.layer_norm(tokens, tokens.shape[-1:], eps=1e-6)
         encoding = torch.zeros_like(tokens[..., :9])

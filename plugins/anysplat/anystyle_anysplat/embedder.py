@@ -1,6 +1,5 @@
 """From photographs to tokens: DINOv2 with registers, then one camera token and register tokens a view."""
 
-import math
 from typing import Literal
 
 import torch
@@ -9,11 +8,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
+from anystyle.nn.attention import Block, start_as_dino
+from anystyle.nn.pixels import grid_of, normalised
 from anystyle.types import Tokens
-from anystyle_anysplat.attention import Block
-
-IMAGENET_MEAN = (0.485, 0.456, 0.406)
-IMAGENET_STD = (0.229, 0.224, 0.225)
 
 
 class Dino(nn.Module):
@@ -45,10 +42,7 @@ class Dino(nn.Module):
         nn.init.normal_(self.cls_token, std=1e-6)
         nn.init.normal_(self.register_tokens, std=1e-6)
         nn.init.trunc_normal_(self.pos_embed, std=0.02)
-        for module in self.modules():
-            if isinstance(module, nn.Linear):
-                nn.init.trunc_normal_(module.weight, std=0.02)
-                nn.init.zeros_(module.bias)
+        start_as_dino(self)
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M p C"]:
         """Embed normalised images; only the patches' tokens are returned, in row-major order."""
@@ -128,16 +122,10 @@ class Embedder(contracts.Embedder):
         Raises:
             ValueError: A side is no multiple of the patch size.
         """
-        batch, views, _, height, width = images.shape
-        grid = (height // self.patch_size, width // self.patch_size)
-        if (height, width) != (grid[0] * self.patch_size, grid[1] * self.patch_size) or math.prod(grid) == 0:
-            raise ValueError(
-                f"images are {height}x{width} pixels; both sides must be multiples of {self.patch_size}: resize them"
-            )
-        images = images.to(self.camera_token.dtype)
-        mean, std = images.new_tensor(IMAGENET_MEAN), images.new_tensor(IMAGENET_STD)
-        normalised = (images - mean[:, None, None]) / std[:, None, None]
-        patches = self.patches(normalised.flatten(0, 1)).unflatten(0, (batch, views))
+        batch, views = images.shape[:2]
+        grid = grid_of(images, self.patch_size)
+        pixels = normalised(images.to(self.camera_token.dtype))
+        patches = self.patches(pixels.flatten(0, 1)).unflatten(0, (batch, views))
         special = torch.cat([self.camera_token, self.register_token], dim=2)  # 1 2 special C
         special = torch.cat([special[:, :1], special[:, 1:].expand(-1, views - 1, -1, -1)], dim=1)
         tokens = torch.cat([special.expand(batch, -1, -1, -1).to(patches.dtype), patches], dim=2)

@@ -9,8 +9,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
+from anystyle.nn.dpt import Dpt, by_views
 from anystyle.types import Attributes, Features, Inject, Site, Tokens, untouched
-from anystyle_anysplat.dpt import Dpt, by_views
 
 
 class GaussianHead(contracts.GaussianHead):
@@ -79,7 +79,7 @@ class GaussianHead(contracts.GaussianHead):
         levels = []
         for level, layer in enumerate(self.taps):
             tokens = features[layer]
-            patches = self.dpt.norm(tokens.patches[:, views].to(self.dpt.norm.weight.dtype))
+            patches = self.dpt.norm(tokens.patches[:, views].to(self.dpt.dtype))
             if level in self.styled_levels:
                 patches = inject(_site(level), replace(tokens, data=patches, special=0)).data
             levels.append(patches.flatten(0, 1))

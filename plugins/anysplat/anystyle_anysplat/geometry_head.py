@@ -1,17 +1,16 @@
 """Cameras and depth."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle import contracts
+from anystyle.nn.aligner import Aligner
+from anystyle.nn.dpt import Dpt, by_views
 from anystyle.types import Features, Geometry
-from anystyle_anysplat.aligner import Aligner
 from anystyle_anysplat.camera_head import CameraHead
-from anystyle_anysplat.dpt import Dpt, by_views
 from anystyle_anysplat.pose import decode_pose
 
 
@@ -56,24 +55,15 @@ class GeometryHead(contracts.GeometryHead):
             logs = self.log_depth(features, size)
         depth, confidence = logs.float().exp().unbind(2)
         geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
-        return geometry if self.aligner is None else self.aligned(geometry, images, self.aligner)
-
-    def aligned(self, geometry: Geometry, images: Float[Tensor, "B V 3 H W"], aligner: Aligner) -> Geometry:
-        """The geometry with the poses that matches between the images tell."""
-        correlation = aligner.correlation(images)
-        with torch.autocast(images.device.type, enabled=False):
-            pose = aligner(correlation, geometry.cameras, geometry.depth)
-        cameras = replace(geometry.cameras, world_from_camera=pose)
-        return replace(geometry, cameras=cameras, correlation=correlation if self.training else None)
+        return geometry if self.aligner is None else self.aligner.aligned(geometry, images)
 
     def log_depth(self, features: Features, size: tuple[int, int]) -> Float[Tensor, "B V 2 H W"]:
         """The depth head's two maps, before the exponential."""
         tokens = [features[layer] for layer in self.taps]
         batch, views = tokens[0].data.shape[:2]
-        dtype = self.depth.norm.weight.dtype
 
         def some(chosen: slice) -> Tensor:
-            levels = [self.depth.norm(level.patches[:, chosen].to(dtype)).flatten(0, 1) for level in tokens]
+            levels = [self.depth.norm(level.patches[:, chosen].to(self.depth.dtype)).flatten(0, 1) for level in tokens]
             return self.depth.predict_(self.depth.decode(levels, tokens[0].grid, size)).unflatten(0, (batch, -1))
 
         return by_views(some, views, max(1, self.chunk // batch)).movedim(-1, 2)

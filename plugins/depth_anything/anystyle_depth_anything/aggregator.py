@@ -9,10 +9,10 @@ from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
 from anystyle import contracts
+from anystyle.nn.attention import Block, start_as_dino
+from anystyle.nn.rope import Rotary, grid_positions, rotary
 from anystyle.types import Features, Inject, Site, Tokens, untouched
-from anystyle_depth_anything.attention import Block, start_as_dino
 from anystyle_depth_anything.reference_view import in_order
-from anystyle_depth_anything.rope import Rotary, flat_positions, grid_positions, rotary
 
 
 class Aggregator(contracts.Aggregator):
@@ -81,7 +81,7 @@ class Aggregator(contracts.Aggregator):
             rotary(positions(stem.grid), self.head_dim, base=self.rope_base, like=stem.data)
             for positions in (grid_positions, flat_positions)
         )
-        across = Rotary(across.cos.repeat(views, 1), across.sin.repeat(views, 1))
+        across = across.repeat(views)
         tokens, local = stem, stem.data
         features: dict[int, Tokens] = {}
         for layer in range(self.start, self.depth):
@@ -112,3 +112,8 @@ class Aggregator(contracts.Aggregator):
 
 def _site(layer: int) -> str:
     return f"aggregator/{layer}"
+
+
+def flat_positions(grid: tuple[int, int]) -> Float[Tensor, "L 2"]:
+    """What the published network uses across views: the leading token at (0, 0), every patch at (1, 1)."""
+    return grid_positions(grid).clamp_max(1)

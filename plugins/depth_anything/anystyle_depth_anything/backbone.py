@@ -7,6 +7,7 @@ from typing import ClassVar, Literal
 from torch import Tensor
 
 from anystyle import contracts
+from anystyle.nn.aligner import Aligner
 from anystyle_depth_anything import keys
 from anystyle_depth_anything.adapter import Adapter
 from anystyle_depth_anything.aggregator import Aggregator
@@ -42,10 +43,13 @@ class DepthAnything(contracts.Backbone):
         camera_encoder_depth: Blocks of the encoder of known cameras; at 0 there is none.
         camera_encoder_heads: Its attention heads.
         rays: Whether the geometry head has the chain that tells rays.
+        poses: ``regressed`` from camera tokens, as published, or ``aligned`` by matching points with the first view's,
+            which a network of a few million parameters can learn (see :class:`anystyle.nn.aligner.Aligner`).
         depth_features: Channels of the depth head's decoder.
         depth_channels: Channels of its four levels.
         gaussian_features: Channels of the Gaussian head's decoder.
         gaussian_channels: Channels of its four levels.
+        styled_levels: Levels of the Gaussian head that are sites, of the four (published: all).
         sh_degree: Of its harmonics.
         depth_along: How the adapter reads depth; see :class:`anystyle_depth_anything.adapter.Adapter`.
         rotations: How it reads quaternions.
@@ -105,10 +109,12 @@ class DepthAnything(contracts.Backbone):
         camera_encoder_depth: int = 4,
         camera_encoder_heads: int = 16,
         rays: bool = True,
+        poses: Literal["regressed", "aligned"] = "regressed",
         depth_features: int = 256,
         depth_channels: Sequence[int] = (256, 512, 1024, 1024),
         gaussian_features: int = 256,
         gaussian_channels: Sequence[int] = (256, 512, 1024, 1024),
+        styled_levels: Sequence[int] = (0, 1, 2, 3),
         sh_degree: int = 2,
         depth_along: Literal["ray", "z"] = "ray",
         rotations: Literal["published", "camera"] = "published",
@@ -122,8 +128,6 @@ class DepthAnything(contracts.Backbone):
         _check(dim=dim, heads=heads, depth=depth, alternate_from=alternate_from, taps=taps)
         if init == "scratch" and gaussian_features < 24:
             raise ValueError(f"gaussian_features is {gaussian_features}; init=scratch needs 24, for three colours")
-        for features, channels in ((depth_features, depth_channels), (gaussian_features, gaussian_channels)):
-            _check_decoder(features, channels)
         if camera_encoder_depth and dim % camera_encoder_heads:
             raise ValueError(f"camera_encoder_heads is {camera_encoder_heads}, which does not divide {dim} channels")
         if chunk < 1:
@@ -163,6 +167,7 @@ class DepthAnything(contracts.Backbone):
             rays=rays,
             taps=taps,
             chunk=2 * chunk,
+            aligner=Aligner() if poses == "aligned" else None,
         )
         self.gaussian_head = GaussianHead(
             dim=2 * dim,
@@ -170,6 +175,7 @@ class DepthAnything(contracts.Backbone):
             channels=gaussian_channels,
             sh_degree=sh_degree,
             taps=taps,
+            styled_levels=styled_levels,
             chunk=chunk,
         )
         self.adapter = Adapter(depth_along=depth_along, rotations=rotations, scale_min=scale_min, scale_max=scale_max)
@@ -197,12 +203,4 @@ def _check(*, dim: int, heads: int, depth: int, alternate_from: int, taps: Seque
         raise ValueError(
             f"taps are {list(taps)}; give four layers in rising order, from alternate_from = {alternate_from} on, of "
             f"which the last is depth - 1 = {depth - 1}"
-        )
-
-
-def _check_decoder(features: int, channels: Sequence[int]) -> None:
-    if features % 8 or len(channels) != 4 or any(width % 4 for width in channels):
-        raise ValueError(
-            f"a decoder of {features} features and levels of {list(channels)} channels; features must be a multiple "
-            "of 8, and the four levels multiples of 4"
         )

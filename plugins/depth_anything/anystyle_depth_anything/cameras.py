@@ -5,8 +5,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle.nn.attention import Block, Mlp
 from anystyle.types import Cameras
-from anystyle_depth_anything.attention import Block, Mlp
 from anystyle_depth_anything.pose import encode_pose
 
 
@@ -25,7 +25,7 @@ class CameraDecoder(nn.Module):
         self.field_of_view = nn.Linear(dim, 2)
 
     def forward(self, tokens: Float[Tensor, "B V C"]) -> Float[Tensor, "B V 9"]:
-        """Pose encodings (layout: :mod:`anystyle_depth_anything.pose`)."""
+        """Pose encodings (layout: :mod:`anystyle.nn.pose`)."""
         x = self.trunk(tokens)
         return torch.cat([self.translation(x), self.quaternion(x), F.relu(self.field_of_view(x))], dim=-1)
 

@@ -1,6 +1,5 @@
 """From photographs to the tokens that enter the first alternating block."""
 
-import math
 from dataclasses import replace
 from typing import Literal
 
@@ -10,21 +9,14 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
+from anystyle.nn.attention import Block, start_as_dino
+from anystyle.nn.pixels import grid_of, normalised
 from anystyle.types import Cameras, Tokens
-from anystyle_depth_anything.attention import Block, start_as_dino
 from anystyle_depth_anything.cameras import CameraEncoder
 from anystyle_depth_anything.reference_view import LEAST_VIEWS, Strategy, in_order, order_of, reference_view
 
-IMAGENET_MEAN = (0.485, 0.456, 0.406)
-IMAGENET_STD = (0.229, 0.224, 0.225)
 OFFSET = 0.1
 """Added to the sides of a grid of patches where position embeddings are resampled, as DINOv2 was trained."""
-
-
-def normalised(images: Float[Tensor, "*batch 3 H W"]) -> Float[Tensor, "*batch 3 H W"]:
-    """Images in [0, 1] with the mean and deviation of ImageNet's taken off."""
-    mean, std = images.new_tensor(IMAGENET_MEAN), images.new_tensor(IMAGENET_STD)
-    return (images - mean[:, None, None]) / std[:, None, None]
 
 
 class Embedder(contracts.Embedder):
@@ -103,12 +95,8 @@ class Embedder(contracts.Embedder):
         Raises:
             ValueError: A side is no multiple of the patch size.
         """
-        batch, views, _, height, width = images.shape
-        grid = (height // self.patch_size, width // self.patch_size)
-        if (height, width) != (grid[0] * self.patch_size, grid[1] * self.patch_size) or math.prod(grid) == 0:
-            raise ValueError(
-                f"images are {height}x{width} pixels; both sides must be multiples of {self.patch_size}: resize them"
-            )
+        batch, views = images.shape[:2]
+        grid = grid_of(images, self.patch_size)
         patches = self.proj(normalised(images.to(self.proj.weight.dtype)).flatten(0, 1)).flatten(2).mT
         cls = self.cls_token.to(patches.dtype).expand(batch * views, -1, -1)
         tokens = torch.cat([cls, patches], dim=1) + self.positions(grid).to(patches.dtype)

@@ -9,9 +9,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
+from anystyle.nn.dpt import Dpt, by_views
+from anystyle.nn.pixels import normalised
 from anystyle.types import Attributes, Features, Inject, Site, Tokens, untouched
-from anystyle_depth_anything.dpt import Dpt, by_views
-from anystyle_depth_anything.embedder import normalised
+from anystyle_depth_anything.rays import HIDDEN
 
 
 class GaussianHead(contracts.GaussianHead):
@@ -26,33 +27,52 @@ class GaussianHead(contracts.GaussianHead):
         channels: Channels of the levels.
         sh_degree: Of the harmonics.
         taps: The layers it reads, four, in rising order.
+        styled_levels: Of the taps, by their order, those that are sites. A shift of all tokens of levels 0 and 1
+            comes out of their transposed convolutions as a grid with the period of a patch, which is plain to see
+            where patches are few (published: all).
         chunk: Views decoded at a time, and so passed to ``inject`` at a time; a matter of memory alone.
     """
 
     def __init__(
-        self, *, dim: int, features: int, channels: Sequence[int], sh_degree: int, taps: Sequence[int], chunk: int
+        self,
+        *,
+        dim: int,
+        features: int,
+        channels: Sequence[int],
+        sh_degree: int,
+        taps: Sequence[int],
+        styled_levels: Sequence[int] = (0, 1, 2, 3),
+        chunk: int,
     ) -> None:
         super().__init__()
         self.dim, self.direct_dim = dim, features // 2
         self.coefficients = (sh_degree + 1) ** 2
         self.taps = tuple(taps)
+        self.styled_levels = tuple(styled_levels)
         self.chunk = chunk
-        self.dpt = Dpt(dim=dim, features=features, channels=channels, outputs=11 + 3 * self.coefficients)
+        self.dpt = Dpt(
+            dim=dim,
+            features=features,
+            channels=channels,
+            hidden=HIDDEN,
+            outputs=11 + 3 * self.coefficients,
+            normed=False,
+            rectified=False,
+        )
         widths = (3, features // 8, features // 4, features // 2)
         layers = [(nn.Conv2d(a, b, 3, padding=1), nn.GELU()) for a, b in pairwise(widths)]
         self.direct = nn.Sequential(*(module for pair in layers for module in pair))
 
     @property
     def sites(self) -> tuple[Site, ...]:
-        """``head/tokens/0..3``, patch tokens; ``head/direct``, features of every pixel."""
-        tokens = tuple(Site(_site(level), self.dim) for level in range(len(self.taps)))
+        """``head/tokens/0..3``, patch tokens of the styled levels; ``head/direct``, features of every pixel."""
+        tokens = tuple(Site(_site(level), self.dim) for level in self.styled_levels)
         return (*tokens, Site("head/direct", self.direct_dim))
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
         """Predict raw attributes."""
         batch, views = images.shape[:2]
         raw = by_views(lambda some: self._raw(features, images, inject, some), views, max(1, self.chunk // batch))
-        raw = raw.movedim(2, -1)  # B V H W F
         return Attributes(
             opacity=raw[..., -1],
             scale=raw[..., 2:5],
@@ -63,21 +83,21 @@ class GaussianHead(contracts.GaussianHead):
 
     def _raw(
         self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject, views: slice
-    ) -> Float[Tensor, "B v F H W"]:
-        dtype = self.dpt.neck.weight.dtype
-        images = normalised(images[:, views].to(dtype))
+    ) -> Float[Tensor, "B v H W F"]:
+        images = normalised(images[:, views].to(self.dpt.dtype))
         batch, count, _, height, width = images.shape
         levels = []
         for level, layer in enumerate(self.taps):
             tokens = features[layer]
-            plain = replace(tokens, data=tokens.patches[:, views].to(dtype), special=0)
-            levels.append(inject(_site(level), plain).data.flatten(0, 1))
-        grid = features[self.taps[0]].grid
-        decoded = self.dpt.decode(self.dpt.levels(levels, grid), (height, width))
+            patches = tokens.patches[:, views].to(self.dpt.dtype)
+            if level in self.styled_levels:
+                patches = inject(_site(level), replace(tokens, data=patches, special=0)).data
+            levels.append(patches.flatten(0, 1))
+        decoded = self.dpt.decode(levels, features[self.taps[0]].grid, (height, width))
         direct = self.direct(images.flatten(0, 1)).flatten(2).mT.unflatten(0, (batch, count))
         direct = inject("head/direct", Tokens(direct, grid=(height, width))).data
         direct = direct.flatten(0, 1).mT.unflatten(2, (height, width))
-        return self.dpt.predict(decoded + direct).unflatten(0, (batch, count))
+        return self.dpt.predict_(decoded + direct).unflatten(0, (batch, count))
 
 
 def _site(level: int) -> str:

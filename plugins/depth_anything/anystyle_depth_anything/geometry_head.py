@@ -4,13 +4,15 @@ from collections.abc import Callable, Sequence
 
 import torch
 from jaxtyping import Float
-from torch import Tensor, nn
+from torch import Tensor
 
 from anystyle import contracts
+from anystyle.nn.aligner import Aligner
+from anystyle.nn.dpt import Dpt, by_views
 from anystyle.types import Features, Geometry
 from anystyle_depth_anything.cameras import CameraDecoder
-from anystyle_depth_anything.dpt import Dpt, RayChain, by_views
 from anystyle_depth_anything.pose import decode_pose
+from anystyle_depth_anything.rays import HIDDEN, RayChain
 
 
 class GeometryHead(contracts.GeometryHead):
@@ -23,30 +25,42 @@ class GeometryHead(contracts.GeometryHead):
         rays: Whether it has the chain that tells rays, which :meth:`rays` alone computes.
         taps: The layers that the decoder reads, four, in rising order.
         chunk: Views decoded at a time; a matter of memory alone.
+        aligner: Computes poses from matches instead of those of the camera decoder, whose focal lengths are kept.
     """
 
     def __init__(
-        self, *, dim: int, features: int, channels: Sequence[int], rays: bool, taps: Sequence[int], chunk: int
+        self,
+        *,
+        dim: int,
+        features: int,
+        channels: Sequence[int],
+        rays: bool,
+        taps: Sequence[int],
+        chunk: int,
+        aligner: Aligner | None = None,
     ) -> None:
         super().__init__()
         self.camera = CameraDecoder(dim)
-        self.norm = nn.LayerNorm(dim)
-        self.depth = Dpt(dim=dim, features=features, channels=channels, outputs=2)
+        self.depth = Dpt(dim=dim, features=features, channels=channels, hidden=HIDDEN, outputs=2, rectified=False)
         self.ray = RayChain(features) if rays else None
         self.taps = tuple(taps)
         self.chunk = chunk
+        self.aligner = aligner
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
         """Predict geometry; depth is the distance along z."""
         size = (images.shape[-2], images.shape[-1])
-        last = features[self.taps[-1]].data
+        grid, last = features[self.taps[-1]].grid, features[self.taps[-1]].data
         with torch.autocast(last.device.type, enabled=False):
-            encodings = self.camera(last[:, :, 0].to(self.norm.weight.dtype))
+            encodings = self.camera(last[:, :, 0].to(self.depth.dtype))
             # Here too: under autocast a product of matrices would leave poses with three digits.
             cameras = decode_pose(encodings.float(), size)
-            logs = self._by_views(features, lambda maps: self.depth.predict(self.depth.decode(maps, size)))  # B V 2 H W
-        depth, confidence = logs.float().exp().unbind(2)
-        return Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
+            logs = self._by_views(
+                features, lambda levels: self.depth.predict_(self.depth.decode(levels, grid, size))
+            )  # B V H W 2
+        depth, confidence = logs.float().exp().unbind(-1)
+        geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
+        return geometry if self.aligner is None else self.aligner.aligned(geometry, images)
 
     def rays(self, features: Features) -> tuple[Float[Tensor, "B V h w 6"], Float[Tensor, "B V h w"]]:
         """Direction and origin of the ray of every place, eight to a patch's side, and their confidence.
@@ -54,19 +68,23 @@ class GeometryHead(contracts.GeometryHead):
         Raises:
             ValueError: The network has no chain for rays.
         """
-        if self.ray is None:
+        chain = self.ray
+        if chain is None:
             raise ValueError("this network tells no rays; set rays=true")
+        grid = features[self.taps[-1]].grid
         with torch.autocast(features[self.taps[-1]].data.device.type, enabled=False):
-            raw = self._by_views(features, self.ray).movedim(2, -1).float()
+            raw = self._by_views(
+                features, lambda levels: chain(self.depth.levels(levels, grid, grid[1] / grid[0]))
+            )  # B V 7 h w
+        raw = raw.movedim(2, -1).float()
         return raw[..., :6], 1 + raw[..., 6].exp()
 
     def _by_views(self, features: Features, decode: Callable[[list[Tensor]], Tensor]) -> Float[Tensor, "B V *rest"]:
         tokens = [features[layer] for layer in self.taps]
         batch, views = tokens[0].data.shape[:2]
-        dtype = self.norm.weight.dtype
 
         def some(chosen: slice) -> Tensor:
-            levels = [self.norm(level.patches[:, chosen].to(dtype)).flatten(0, 1) for level in tokens]
-            return decode(self.depth.levels(levels, tokens[0].grid)).unflatten(0, (batch, -1))
+            patches = (level.patches[:, chosen].to(self.depth.dtype) for level in tokens)
+            return decode([self.depth.norm(level).flatten(0, 1) for level in patches]).unflatten(0, (batch, -1))
 
         return by_views(some, views, max(1, self.chunk // batch))

@@ -6,7 +6,8 @@ import torch
 from torch import nn
 
 from anystyle.geometry.harmonics import CONSTANT
-from anystyle_depth_anything.embedder import IMAGENET_MEAN, IMAGENET_STD, Embedder
+from anystyle.nn.pixels import IMAGENET_MEAN, IMAGENET_STD
+from anystyle_depth_anything.embedder import Embedder
 from anystyle_depth_anything.gaussian_head import GaussianHead
 from anystyle_depth_anything.geometry_head import GeometryHead
 

@@ -1,4 +1,4 @@
-"""The dense prediction transformer's decoder, as VGGT and AnySplat use it."""
+"""The dense prediction transformer's decoder (Ranftl et al., arXiv 2103.13413), as networks of geometry use it."""
 
 from collections.abc import Callable, Sequence
 
@@ -71,26 +71,32 @@ def add_positions_(x: Float[Tensor, "M C h w"], aspect: float) -> Float[Tensor, 
 
 
 class ResidualConv(nn.Module):
-    """Two convolutions around which passes the *rectified* input: the published weights were trained that way."""
+    """Two convolutions around which passes the input.
 
-    def __init__(self, dim: int) -> None:
+    Args:
+        dim: Channels.
+        rectified: Whether what passes is the *rectified* input, as some published weights were trained.
+    """
+
+    def __init__(self, dim: int, *, rectified: bool) -> None:
         super().__init__()
+        self.rectified = rectified
         self.conv1 = nn.Conv2d(dim, dim, 3, padding=1)
         self.conv2 = nn.Conv2d(dim, dim, 3, padding=1)
 
     def forward(self, x: Float[Tensor, "M C h w"]) -> Float[Tensor, "M C h w"]:
         """Refine a map."""
-        x = F.relu(x)
-        return self.conv2(F.relu_(self.conv1(x))) + x
+        positive = F.relu(x)
+        return self.conv2(F.relu_(self.conv1(positive))) + (positive if self.rectified else x)
 
 
 class Fusion(nn.Module):
     """Takes a finer level into the decoded map and enlarges it."""
 
-    def __init__(self, dim: int, *, takes_level: bool) -> None:
+    def __init__(self, dim: int, *, takes_level: bool, rectified: bool) -> None:
         super().__init__()
-        self.level = ResidualConv(dim) if takes_level else nn.Identity()
-        self.refine = ResidualConv(dim)
+        self.level = ResidualConv(dim, rectified=rectified) if takes_level else nn.Identity()
+        self.refine = ResidualConv(dim, rectified=rectified)
         self.project = nn.Conv2d(dim, dim, 1)
 
     def forward(
@@ -99,7 +105,27 @@ class Fusion(nn.Module):
         """Decode a level to ``size``."""
         x = x if level is None else x + self.level(level)
         # Published the other way round; bilinear weights sum to 1, so the order does not matter, but the cost does.
-        return _resize(self.project(self.refine(x)), size)
+        return _resized(self.project(self.refine(x)), size)
+
+
+class Chain(nn.ModuleList):
+    """Fusions from the coarsest level to the finest.
+
+    Args:
+        dim: Channels.
+        rectified: See :class:`ResidualConv`.
+    """
+
+    def __init__(self, dim: int, *, rectified: bool) -> None:
+        super().__init__(Fusion(dim, takes_level=level < 3, rectified=rectified) for level in range(4))
+
+    def forward(self, maps: Sequence[Float[Tensor, "M C _ _"]]) -> Float[Tensor, "M C h w"]:
+        """The decoded map at eight times the grid of patches, from maps of the levels, the finest first."""
+        height, width = _size(maps[0])
+        x = self[3](maps[3], None, _size(maps[2]))
+        x = self[2](x, maps[2], _size(maps[1]))
+        x = self[1](x, maps[1], (height, width))
+        return self[0](x, maps[0], (2 * height, 2 * width))
 
 
 class Dpt(nn.Module):
@@ -108,15 +134,35 @@ class Dpt(nn.Module):
     Args:
         dim: Channels of the tokens.
         features: Channels of the decoder, a multiple of 8; at full size they are half.
-        channels: Channels of the levels, multiples of 4.
+        channels: Channels of the four levels, multiples of 4.
         hidden: Channels of the last hidden layer.
         outputs: Channels of the result.
+        normed: Whether tokens are normalised ahead of it, by :attr:`norm`.
+        rectified: See :class:`ResidualConv`.
+
+    Raises:
+        ValueError: Widths are no such multiples.
     """
 
-    def __init__(self, *, dim: int, features: int, channels: Sequence[int], hidden: int, outputs: int) -> None:
+    def __init__(
+        self,
+        *,
+        dim: int,
+        features: int,
+        channels: Sequence[int],
+        hidden: int,
+        outputs: int,
+        normed: bool = True,
+        rectified: bool = True,
+    ) -> None:
         super().__init__()
+        if features % 8 or len(channels) != 4 or any(width % 4 for width in channels):
+            raise ValueError(
+                f"a decoder of {features} features and levels of {list(channels)} channels; features must be a "
+                "multiple of 8, and the four levels multiples of 4"
+            )
         fine, medium, _, coarse = channels
-        self.norm = nn.LayerNorm(dim)
+        self.norm = nn.LayerNorm(dim) if normed else nn.Identity()
         # A 1x1 convolution, on tokens instead of a map: no transposed copy of many channels is needed.
         self.projects = nn.ModuleList(nn.Linear(dim, width) for width in channels)
         self.resize = nn.ModuleList(
@@ -128,11 +174,33 @@ class Dpt(nn.Module):
             ]
         )
         self.reduce = nn.ModuleList(nn.Conv2d(width, features, 3, padding=1, bias=False) for width in channels)
-        self.fusions = nn.ModuleList(Fusion(features, takes_level=level < 3) for level in range(4))
+        self.fusions = Chain(features, rectified=rectified)
         self.neck = nn.Conv2d(features, features // 2, 3, padding=1)
         self.output = nn.Sequential(
             nn.Conv2d(features // 2, hidden, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(hidden, outputs, 1)
         )
+
+    @property
+    def dtype(self) -> torch.dtype:
+        """Of the weights."""
+        return self.neck.weight.dtype
+
+    def levels(
+        self, tokens: Sequence[Float[Tensor, "M p C"]], grid: tuple[int, int], aspect: float
+    ) -> list[Float[Tensor, "M D _ _"]]:
+        """Maps of the four levels, the finest first.
+
+        Args:
+            tokens: Patch tokens after :attr:`norm`, from the earliest tap to the last.
+            grid: Their rows and columns.
+            aspect: Width over height of the image.
+        """
+        maps: list[Tensor] = []
+        for level, project, resize, reduce in zip(tokens, self.projects, self.resize, self.reduce, strict=True):
+            # Tokens are a map whose channels lie side by side: convolutions keep that order, and are faster for it.
+            small = project(level).unflatten(1, grid).movedim(-1, 1)
+            maps.append(reduce(resize(add_positions_(small, aspect))))
+        return maps
 
     def decode(
         self, levels: Sequence[Float[Tensor, "M p C"]], grid: tuple[int, int], size: tuple[int, int]
@@ -144,18 +212,7 @@ class Dpt(nn.Module):
             grid: Their rows and columns.
             size: Height and width of the image.
         """
-        aspect = size[1] / size[0]
-        maps = []
-        for tokens, project, resize, reduce in zip(levels, self.projects, self.resize, self.reduce, strict=True):
-            # Tokens are a map whose channels lie side by side: convolutions keep that order, and are faster for it.
-            small = project(tokens).unflatten(1, grid).movedim(-1, 1)
-            maps.append(reduce(resize(add_positions_(small, aspect))))
-        x = self.fusions[3](maps[3], None, _size(maps[2]))
-        x = self.fusions[2](x, maps[2], _size(maps[1]))
-        x = self.fusions[1](x, maps[1], _size(maps[0]))
-        height, width = _size(maps[0])
-        x = self.fusions[0](x, maps[0], (2 * height, 2 * width))
-        return _resize(self.neck(x), size)
+        return _resized(self.neck(self.fusions(self.levels(levels, grid, size[1] / size[0]))), size)
 
     def predict_(self, x: Float[Tensor, "M E H W"]) -> Float[Tensor, "M H W F"]:
         """The result from a decoded map, which is overwritten."""
@@ -166,5 +223,5 @@ def _size(x: Float[Tensor, "M C h w"]) -> tuple[int, int]:
     return x.shape[-2], x.shape[-1]
 
 
-def _resize(x: Float[Tensor, "M C h w"], size: tuple[int, int]) -> Float[Tensor, "M C h2 w2"]:
+def _resized(x: Float[Tensor, "M C h w"], size: tuple[int, int]) -> Float[Tensor, "M C h2 w2"]:
     return F.interpolate(x, size=size, mode="bilinear", align_corners=True)

@@ -1,6 +1,7 @@
 """Cameras from matches: an alternative to regressing them that a small network can learn."""
 
 import math
+from dataclasses import replace
 
 import torch
 import torch.nn.functional as F
@@ -8,8 +9,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.geometry.alignment import MatchedPoints, align
-from anystyle.types import Cameras
-from anystyle_anysplat.matcher import Matcher
+from anystyle.nn.matcher import Matcher
+from anystyle.types import Cameras, Geometry
 
 DOUBTFUL = 1.5 / 112
 """Error of a match, as a share of the image's width, from which on it counts as doubtful."""
@@ -20,8 +21,8 @@ REACH = 2
 class Aligner(nn.Module):
     """Move every camera to where what it sees agrees with what the first view sees.
 
-    Not in the published network, which regresses poses from camera tokens; a network of a few million parameters does
-    not learn that in hours. Points of the views are compared by descriptors, and the rigid motion that explains the
+    Not in published networks, which regress poses from camera tokens; a network of a few million parameters does not
+    learn that in hours. Points of the views are compared by descriptors, and the rigid motion that explains the
     matches is computed from them and the depth in closed form. It is one pass: nothing is learnt at test time.
 
     Args:
@@ -39,6 +40,21 @@ class Aligner(nn.Module):
         unit = F.normalize(descriptors, dim=2)
         alike = torch.einsum("bvdij,bdkl->bvijkl", unit[:, 1:], unit[:, 0])
         return alike * self.log_sharpness.exp()
+
+    def aligned(self, geometry: Geometry, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
+        """The geometry with the poses that matches between the images tell; focal lengths and depth are kept.
+
+        While training, the matches come along, for a loss to teach them.
+
+        Args:
+            geometry: As a network predicts it.
+            images: sRGB in [0, 1].
+        """
+        correlation = self.correlation(images)
+        with torch.autocast(images.device.type, enabled=False):
+            pose = self(correlation, geometry.cameras, geometry.depth)
+        cameras = replace(geometry.cameras, world_from_camera=pose)
+        return replace(geometry, cameras=cameras, correlation=correlation if self.training else None)
 
     @torch.no_grad()
     def forward(

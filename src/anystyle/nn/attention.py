@@ -1,4 +1,4 @@
-"""The transformer block of DINOv2, with the two kinds of feed-forward layer that its sizes use."""
+"""The transformer block of ViT and DINOv2, with the two kinds of feed-forward layer that its sizes use."""
 
 from typing import Literal
 
@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle_depth_anything.rope import Rotary, rotate
+from anystyle.nn.rope import Rotary, rotate
 
 
 class Attention(nn.Module):

@@ -1,4 +1,4 @@
-"""Rotary position embedding of image grids, and the degenerate one of attention across views."""
+"""Rotary position embedding of image grids (RoPE in two dimensions)."""
 
 from typing import NamedTuple
 
@@ -18,17 +18,21 @@ class Rotary(NamedTuple):
     cos: Float[Tensor, "L E"]
     sin: Float[Tensor, "L E"]
 
+    def repeat(self, times: int) -> "Rotary":
+        """The angles of a sequence of ``times`` grids, one after the other."""
+        return Rotary(self.cos.repeat(times, 1), self.sin.repeat(times, 1))
 
-def grid_positions(grid: tuple[int, int]) -> Float[Tensor, "L 2"]:
-    """Row and column of a view's tokens: the leading token at (0, 0), patches from (1, 1) on."""
+
+def grid_positions(grid: tuple[int, int], special: int = 1) -> Float[Tensor, "L 2"]:
+    """Row and column of a view's tokens: special tokens stand at (0, 0), patches from (1, 1) on.
+
+    Args:
+        grid: Rows and columns of patches.
+        special: Tokens ahead of the patches.
+    """
     rows, columns = grid
     y, x = torch.meshgrid(torch.arange(rows) + 1.0, torch.arange(columns) + 1.0, indexing="ij")
-    return torch.cat([torch.zeros(1, 2), torch.stack([y, x], dim=-1).flatten(0, 1)])
-
-
-def flat_positions(grid: tuple[int, int]) -> Float[Tensor, "L 2"]:
-    """What the published network uses across views: the leading token at (0, 0), every patch at (1, 1)."""
-    return torch.cat([torch.zeros(1, 2), torch.ones(grid[0] * grid[1], 2)])
+    return torch.cat([torch.zeros(special, 2), torch.stack([y, x], dim=-1).flatten(0, 1)])
 
 
 def rotary(positions: Float[Tensor, "L 2"], dim: int, *, base: float, like: Float[Tensor, "..."]) -> Rotary:
@@ -44,8 +48,8 @@ def rotary(positions: Float[Tensor, "L 2"], dim: int, *, base: float, like: Floa
         like: A tensor whose device and dtype the result has.
     """
     quarter = dim // 4
-    frequencies = base ** (-torch.arange(quarter, dtype=torch.float32) / quarter)
-    angles = positions[:, :, None] * frequencies  # L 2 quarter
+    frequencies = base ** (-torch.arange(quarter, device=like.device, dtype=torch.float32) / quarter)
+    angles = positions.to(like.device)[:, :, None] * frequencies  # L 2 quarter
     sin, cos = angles.sin(), angles.cos()
     return Rotary(
         cos=torch.stack([cos, cos], dim=2).flatten(1).to(like),

@@ -6,9 +6,9 @@ import pytest
 import torch
 import torch.nn.functional as F
 
+from anystyle.nn.aligner import Aligner
+from anystyle.nn.matcher import STRIDE, Matcher
 from anystyle.types import Cameras
-from anystyle_anysplat.aligner import Aligner
-from anystyle_anysplat.matcher import STRIDE, Matcher
 
 SIZE = (64, 64)
 CELLS = SIZE[0] // STRIDE

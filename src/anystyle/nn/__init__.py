@@ -1,0 +1,1 @@
+"""Layers of visual geometry transformers that more than one backbone is made of."""
