@@ -10,9 +10,9 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
+import torch
 from torch import Tensor, nn
 
-from anystyle.paging import fill
 from anystyle.types import Site
 from anystyle_anysplat import shapes
 
@@ -173,7 +173,8 @@ def load_backbone(backbone: nn.Module, state: Mapping[str, Tensor]) -> None:
     if _of_vggt(given):
         what = "backbone's part that VGGT initialises"
         names = {key: name for key, name in names.items() if not name.startswith("gaussian_param_head.")}
-    fill(backbone, _matched(chosen, own, names, what))
+    matched = _matched(chosen, own, names, what)
+    _load(backbone, {key: tensor for key, tensor in own.items() if key not in matched} | matched)
 
 
 def load_branch(branch: nn.Module, state: Mapping[str, Tensor]) -> None:
@@ -187,7 +188,7 @@ def load_branch(branch: nn.Module, state: Mapping[str, Tensor]) -> None:
     trained = placement(state)
     what = "style branch" if trained else "style branch, and holds none of its own"
     hint = f"; it was trained with placement={trained}" if trained else ""
-    fill(branch, _matched(chosen, own, branch_names(own), what, hint))
+    _load(branch, _matched(chosen, own, branch_names(own), what, hint))
 
 
 def _matched(
@@ -211,12 +212,18 @@ def _matched(
             f"the checkpoint does not fit this {what}: {'; '.join(differences)}{hint} "
             f"(expected: {len(names)} tensors in the layout of AnySplat and AnyStyle)"
         )
-    return {key: state[name].reshape(own[key].shape) for key, name in names.items()}
+    return {key: state[name].reshape(own[key].shape).to(own[key].dtype) for key, name in names.items()}
 
 
 def _squeezed(tensor: Tensor) -> Tensor:
     """A weight without the unit axes of a 1x1 convolution, which is a linear map here."""
     return tensor.flatten(1) if tensor.dim() > 2 and set(tensor.shape[2:]) == {1} else tensor
+
+
+@torch.no_grad()
+def _load(module: nn.Module, state: dict[str, Tensor]) -> None:
+    # A module on the meta device has no memory to copy into: it takes the tensors themselves.
+    module.load_state_dict(state, assign=any(tensor.is_meta for tensor in module.state_dict().values()))
 
 
 def _some(names: list[str]) -> str:
