@@ -57,6 +57,19 @@ def test_sliced_quantiles_do_not_depend_on_the_number_of_places() -> None:
     )
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
+def test_sliced_quantiles_and_their_gradient_are_those_of_sorting(dtype: torch.dtype) -> None:
+    features = hashed(9, [2, 3, 5, 7]).to(dtype).requires_grad_()
+    directions = unit_directions(4, 3, torch.Generator().manual_seed(0)).to(dtype)
+    share = hashed(10, [2, 4, 35]).to(dtype)
+    found = sliced_quantiles(features, directions, 35)
+    expected = (directions @ features.flatten(2)).sort(dim=-1).values
+    assert found.equal(expected)
+    assert sliced_quantiles(features.detach(), directions, 35).equal(expected)
+    (gradient,), (wanted,) = (torch.autograd.grad((value * share).sum(), features) for value in (found, expected))
+    torch.testing.assert_close(gradient, wanted)
+
+
 @pytest.fixture
 def pair() -> tuple[Tensor, Tensor]:
     return hashed(1080, [1, 3, 16, 16]), hashed(1081, [1, 3, 16, 16]) ** 2

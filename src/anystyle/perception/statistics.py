@@ -3,6 +3,7 @@
 Each is a function of features ``M C *S`` alone; two images with the same summary look alike to it.
 """
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
@@ -43,9 +44,20 @@ def sliced_quantiles(
         directions: Unit vectors in the space of channels.
         levels: How many quantiles, at the centres of as many equal shares of the places.
     """
-    values = (directions @ features.flatten(2)).sort(dim=-1).values
+    values = _ascending(directions @ features.flatten(2))
     # Linear interpolation between order statistics; equals sorting itself where there are `levels` places.
     return F.interpolate(values, size=levels, mode="linear", align_corners=False)
+
+
+def _ascending(values: Float[Tensor, "M P S"]) -> Float[Tensor, "M P S"]:
+    """Values in order along the last axis; where equal ones lie is left open."""
+    if values.device.type != "cpu" or values.dtype not in (torch.float32, torch.float64):
+        return values.sort(dim=-1).values
+    # There numpy sorts two to four times faster than torch, and a palette loss does little else.
+    plain = values.detach().numpy()
+    if not values.requires_grad:
+        return torch.from_numpy(np.sort(plain, axis=-1))
+    return values.gather(-1, torch.from_numpy(np.argsort(plain, axis=-1)))
 
 
 def unit_directions(count: int, channels: int, generator: torch.Generator) -> Float[Tensor, "count channels"]:
