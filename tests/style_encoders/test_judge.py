@@ -7,7 +7,7 @@ from anystyle.checkpoint import read_header
 from anystyle.contracts import StyleEncoder
 from anystyle.data.procedural.scenes import ProceduralScenes
 from anystyle.data.procedural.styles import ProceduralStyles
-from anystyle.evaluation.protocols.tiny_heldout import load_judge
+from anystyle.evaluation.heldout_styles import load_judge
 from anystyle.perception import weights
 from anystyle.training.contrast import lit_by
 

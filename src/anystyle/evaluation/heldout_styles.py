@@ -9,8 +9,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.assemble import weights_file
+from anystyle.checkpoint import load_part, read_header
 from anystyle.contracts import StyleEncoder
 from anystyle.perception.histogram import hellinger, rgb_uv_histogram
+from anystyle.registry.build import build
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, Scene, StyleEmbedding
 
@@ -39,6 +42,22 @@ class Wanted:
     by_text: StyleEmbedding
     histograms: Float[Tensor, "S 3 b b"]
     palettes: tuple[Float[Tensor, "_ 3"], ...]
+
+
+def load_judge(name: str) -> StyleEncoder:
+    """A style encoder as its file of weights describes it, frozen.
+
+    Args:
+        name: What ``anystyle weights`` lists, or a file.
+
+    Raises:
+        ValueError: The file holds something else.
+        FileNotFoundError: It is missing.
+    """
+    file = weights_file(name)
+    judge = build(StyleEncoder, read_header(file).config.get("style_encoder", {}))
+    load_part(file, judge, "style_encoder")
+    return judge.requires_grad_(False).eval()
 
 
 def histograms(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 b b"]:

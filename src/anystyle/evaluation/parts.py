@@ -37,7 +37,7 @@ def judge_pairing(
     found: dict[str, dict[str, SceneFigures]] = {}
     for scene, cells in pairing.scenes().items():
         seal = _seal(cells)
-        kept = {name: _read(_place(out, name, scene), seal) for name in metrics}
+        kept = {name: read(place_of(out, name, scene), seal) for name in metrics}
         missing = {name: metric for name, metric in metrics.items() if kept[name] is None}
         fresh: dict[str, SceneFigures] = {}
         if missing:
@@ -48,7 +48,7 @@ def judge_pairing(
                 missing, (reader(cell) for cell in cells), lambda place=place: progress(stage, next(place), total)
             )
             for name, figures in fresh.items():
-                _write(_place(out, name, scene), seal, figures)
+                write(place_of(out, name, scene), seal, figures)
         done += len(cells)
         found[scene] = {name: fresh.get(name) or kept[name] for name in metrics}  # pyright: ignore[reportArgumentType]
     progress(stage, total, total)
@@ -70,7 +70,8 @@ def forget(out: Path, metrics: Iterable[str]) -> None:
             path.unlink()
 
 
-def _place(out: Path, metric: str, scene: str) -> Path:
+def place_of(out: Path, metric: str, scene: str) -> Path:
+    """Where what a metric said of a scene is kept."""
     # Two scenes may differ in what a file name cannot hold.
     mark = hashlib.sha256(scene.encode()).hexdigest()[:8]
     plain = "".join(letter if letter.isalnum() else "-" for letter in scene)[:40]
@@ -88,12 +89,14 @@ def _seal(cells: Iterable[Cell]) -> str:
     return digest.hexdigest()
 
 
-def _write(path: Path, seal: str, figures: SceneFigures) -> None:
+def write(path: Path, seal: str, figures: SceneFigures) -> None:
+    """Keep what a metric said of a scene, sealed by what it depends on."""
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps({"seal": seal, **asdict(figures)}, indent=1) + "\n", encoding="utf-8")
 
 
-def _read(path: Path, seal: str) -> SceneFigures | None:
+def read(path: Path, seal: str) -> SceneFigures | None:
+    """What was kept under a seal; ``None`` where there is nothing, or of another seal."""
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
         if stored.pop("seal") != seal:

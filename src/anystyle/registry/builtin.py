@@ -124,6 +124,7 @@ BUILTIN: dict[str, dict[str, str]] = {
     },
     "protocol": {
         "folders": "anystyle.evaluation.protocols.folders:Folders",
+        "guides": "anystyle.evaluation.protocols.guides:Guides",
         "paper": "anystyle.evaluation.protocols.paper:Paper",
         "pixels": "anystyle.evaluation.protocols.pixels:Pixels",
         "tiny_heldout": "anystyle.evaluation.protocols.tiny_heldout:TinyHeldout",

@@ -8,8 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.assemble import weights_file
-from anystyle.checkpoint import Header, load_part, read_header, save_part
+from anystyle.checkpoint import Header, save_part
 from anystyle.contracts import StyleEncoder
 from anystyle.data.procedural.scenes import ProceduralScenes
 from anystyle.data.procedural.styles import ProceduralStyles
@@ -25,7 +24,7 @@ from anystyle.evaluation.heldout_records import (
     seal,
     style_figures,
 )
-from anystyle.evaluation.heldout_styles import Wanted, histograms, strip_record, style_record
+from anystyle.evaluation.heldout_styles import Wanted, histograms, load_judge, strip_record, style_record
 from anystyle.refine import refine
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
@@ -244,22 +243,6 @@ class _OneScene:
         return {
             "strip": strip_record(self.protocol.stylizer, self.encoded, self.protocol.wanted, pair, self.protocol.steps)
         }
-
-
-def load_judge(name: str) -> StyleEncoder:
-    """A style encoder as its file of weights describes it, frozen.
-
-    Args:
-        name: What ``anystyle weights`` lists, or a file.
-
-    Raises:
-        ValueError: The file holds something else.
-        FileNotFoundError: It is missing.
-    """
-    file = weights_file(name)
-    judge = build(StyleEncoder, read_header(file).config.get("style_encoder", {}))
-    load_part(file, judge, "style_encoder")
-    return judge.requires_grad_(False).eval()
 
 
 def _found(texts: Float[Tensor, "S D"], images: Float[Tensor, "S D"]) -> tuple[float, float]:
