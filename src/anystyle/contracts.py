@@ -295,6 +295,14 @@ class Correspondence(Socket, ABC):
             ValueError: The frames lack what this correspondence needs, or are too small for it.
         """
 
+    def displacement(self, source: Frames, target: Frames) -> Float[Tensor, "M 2 H W"]:
+        """The flow alone, for those who do not ask what is visible; override it where that is cheaper.
+
+        Raises:
+            ValueError: As :meth:`__call__`.
+        """
+        return self(source, target).displacement
+
 
 class SceneSource(Socket, ABC):
     """Scenes to learn from or to be judged on, read at random; all views of one scene have one size."""

@@ -35,19 +35,20 @@ class DIS(Correspondence):
             "medium": cv2.DISOPTICAL_FLOW_PRESET_MEDIUM,
         }[preset]
 
-    @torch.no_grad()
     def __call__(self, source: Frames, target: Frames) -> Flow:
         """See :meth:`anystyle.contracts.Correspondence.__call__`."""
+        forward = self.displacement(source, target)
+        return Flow(forward, cycle_visible(forward, self.displacement(target, source)))
+
+    def displacement(self, source: Frames, target: Frames) -> Float[Tensor, "M 2 H W"]:
+        """See :meth:`anystyle.contracts.Correspondence.displacement`; half the cost of a flow with its cycle."""
         height, width = source.images.shape[-2:]
         if source.images.shape != target.images.shape or min(height, width) < SMALLEST:
             raise ValueError(
                 f"dis got frames of {list(source.images.shape)} and {list(target.images.shape)}; it needs pairs of one "
                 f"size, at least {SMALLEST} pixels a side"
             )
-        first, second = _luma(source.images), _luma(target.images)
-        forward = self._flows(first, second).to(source.images)
-        backward = self._flows(second, first).to(source.images)
-        return Flow(forward, cycle_visible(forward, backward))
+        return self._flows(_luma(source.images), _luma(target.images)).to(source.images)
 
     def _flows(self, first: UInt8[np.ndarray, "M H W"], second: UInt8[np.ndarray, "M H W"]) -> Float[Tensor, "M 2 H W"]:
         import cv2

@@ -62,6 +62,14 @@ class Raft(Correspondence):
     @torch.no_grad()
     def __call__(self, source: Frames, target: Frames) -> Flow:
         """See :meth:`anystyle.contracts.Correspondence.__call__`."""
+        forward = self.displacement(source, target)
+        # What both directions describe of a frame is computed once.
+        visible = cycle_visible(forward, self.displacement(target, source)) if self.cycle else _stays(forward)
+        return Flow(forward, visible)
+
+    @torch.no_grad()
+    def displacement(self, source: Frames, target: Frames) -> Float[Tensor, "M 2 H W"]:
+        """See :meth:`anystyle.contracts.Correspondence.displacement`; half the cost of a flow with its cycle."""
         if source.images.shape != target.images.shape:
             raise ValueError(
                 f"frames are {list(source.images.shape)} and {list(target.images.shape)}; flow needs pairs of one size"
@@ -69,19 +77,12 @@ class Raft(Correspondence):
         height, width = source.images.shape[-2:]
         first, second = padded(source.images), padded(target.images)
         marks = fingerprints(first), fingerprints(second)
-        parts = []
         count = max(1, VOLUME // (first.shape[-1] * first.shape[-2] // 64) ** 2 // 6)
+        parts = []
         for start in range(0, first.shape[0], count):
             part = slice(start, start + count)
-            some = (first[part], second[part], marks[0][part], marks[1][part])
-            forward = self._flow(*some)[..., :height, :width]
-            if self.cycle:
-                backward = self._flow(second[part], first[part], marks[1][part], marks[0][part])[..., :height, :width]
-                visible = cycle_visible(forward, backward)
-            else:
-                visible = _stays(forward)
-            parts.append((forward, visible))
-        return Flow(torch.cat([flow for flow, _ in parts]), torch.cat([visible for _, visible in parts]))
+            parts.append(self._flow(first[part], second[part], marks[0][part], marks[1][part]))
+        return torch.cat(parts)[..., :height, :width]
 
     def _flow(self, first: Tensor, second: Tensor, marks: list[str], others: list[str]) -> Tensor:
         network = self.network

@@ -19,7 +19,13 @@ from anystyle.perception.sources import Weights, bundled, checksums, locate, pub
 from anystyle.types import Comparison
 
 CHUNK = 1 << 25
-"""Similarities that are held at once: 128 MiB in single precision."""
+"""Similarities that are held at once, row by row: 128 MiB in single precision."""
+
+SIDE = 512
+"""Of a block of similarities; what is done to one stays in the cache."""
+
+STEEP = 40.0
+"""Similarities up to here have exponentials that single precision adds up without loss."""
 
 
 class CFSD(RowMean):
@@ -76,10 +82,43 @@ def structural_distance(stylized: Float[Tensor, "C h w"], content: Float[Tensor,
 
     The published ``PatchSimi``: ``sum p_content (log p_content - log p_stylized)`` with ``p`` the rows of
     ``softmax(F Fᵀ)``, features ``F`` divided by the channels.
+
+    Similarities are symmetric, so each block of them is computed once and counts for its rows and for its columns.
     """
-    first, second = (features.flatten(1) for features in (stylized, content))  # C S
-    channels, places = first.shape
-    first, second = first / channels, second / channels
+    first, second = (features.flatten(1) / features.shape[0] for features in (stylized, content))  # C S
+    places = first.shape[1]
+    # By Cauchy and Schwarz, no similarity is larger than this.
+    if float(max(rows.square().sum(0).max() for rows in (first, second))) > STEEP:
+        return _row_by_row(first, second)
+    weight, change, gap = first.new_zeros(3, places, dtype=torch.float64)
+    for start in range(0, places, SIDE):
+        rows = slice(start, start + SIDE)
+        for begin in range(start, places, SIDE):
+            columns = slice(begin, begin + SIDE)
+            blocks = _block(first, second, rows, columns)
+            for total, block in zip((weight, change, gap), blocks, strict=True):
+                total[rows] += block.sum(1)
+                if begin > start:
+                    total[columns] += block.sum(0)
+    # With weights w = exp(content) and d = content - stylized, a row's entropy is
+    # sum(w d) / sum(w) + log(sum(w exp(-d)) / sum(w)); both are of first order in d, what is left of them of second.
+    ratio = change / weight
+    return (gap / weight + (ratio.log1p() - ratio)).sum()
+
+
+def _block(first: Tensor, second: Tensor, rows: slice, columns: slice) -> tuple[Tensor, Tensor, Tensor]:
+    """Of some similarities the weights w, ``w (exp(-d) - 1)`` and ``w (d + exp(-d) - 1)``."""
+    weight = second[:, rows].mT @ second[:, columns]
+    d = weight - first[:, rows].mT @ first[:, columns]
+    weight.exp_()
+    change = (-d).expm1_()
+    gap = d.add_(change).mul_(weight)
+    return weight, change.mul_(weight), gap
+
+
+def _row_by_row(first: Float[Tensor, "C S"], second: Float[Tensor, "C S"]) -> Float[Tensor, ""]:
+    """The same where similarities differ by so much that each row needs a shift of its own."""
+    places = first.shape[1]
     rows = max(1, CHUNK // places)
     total = first.new_zeros((), dtype=torch.float64)
     for start in range(0, places, rows):

@@ -104,7 +104,7 @@ class WarpConsistency(Metric):
         checked(comparison)
         shared = self.flow_from == "content" and comparison.content.stride(0) == 0
         for place, gap in enumerate(RANGES.values()):
-            flows: list[tuple[Tensor, Tensor]] | None = None
+            flows: list[tuple[Tensor, Tensor | None]] | None = None
             for row in range(comparison.content.shape[0]):
                 flows = flows if shared and flows is not None else self._flows(comparison, row, gap)
                 found = self._row(comparison.stylized[row], gap, flows)
@@ -129,8 +129,8 @@ class WarpConsistency(Metric):
                 figures[f"warp_{kind}_{name}"] = value
         return {name: figures[name] for name in self.better}
 
-    def _flows(self, comparison: Comparison, row: int, gap: int) -> list[tuple[Tensor, Tensor]]:
-        """Displacement and visibility of the pairs of one row, in parts."""
+    def _flows(self, comparison: Comparison, row: int, gap: int) -> list[tuple[Tensor, Tensor | None]]:
+        """Displacement and visibility, where that is asked for, of the pairs of one row, in parts."""
         images = (comparison.stylized if self.flow_from == "stylized" else comparison.content)[row]
         if self.reference:
             images = pictures.eight_bit(images)
@@ -139,17 +139,22 @@ class WarpConsistency(Metric):
         for part in _parts(images, gap):
             source: Frames = frames.map(lambda tensor, p=part: tensor[p])
             target: Frames = frames.map(lambda tensor, p=part: tensor[p.start + gap : p.stop + gap])
-            flow = self.correspondence(source, target)
-            found.append((flow.displacement, flow.visible))
+            if self.reference:
+                found.append((self.correspondence.displacement(source, target), None))
+            else:
+                flow = self.correspondence(source, target)
+                found.append((flow.displacement, flow.visible))
         return found
 
-    def _row(self, images: Float[Tensor, "V 3 H W"], gap: int, flows: list[tuple[Tensor, Tensor]]) -> Tensor | None:
+    def _row(
+        self, images: Float[Tensor, "V 3 H W"], gap: int, flows: list[tuple[Tensor, Tensor | None]]
+    ) -> Tensor | None:
         """RMSE, LPIPS and coverage, averaged over the pairs of one row; nothing where no pair sees anything."""
         values: list[Tensor] = []
         images = pictures.eight_bit(images) if self.reference else images
         for part, (displacement, visible) in zip(_parts(images, gap), flows, strict=True):
             source, target = images[part], images[part.start + gap : part.stop + gap]
-            if self.reference:
+            if visible is None:
                 values.append(self._published(reference_warp(source, target, displacement)))
             else:
                 values.append(self._meant(corrected_warp(source, target, displacement, visible)))

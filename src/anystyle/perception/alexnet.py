@@ -17,8 +17,8 @@ class AlexNet(Normalised):
 
 
 def _stages() -> Iterator[nn.Module]:
-    yield from (nn.Conv2d(3, 64, 11, stride=4, padding=2), nn.ReLU(), nn.MaxPool2d(3, stride=2))
-    yield from (nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(), nn.MaxPool2d(3, stride=2))
-    yield from (nn.Conv2d(192, 384, 3, padding=1), nn.ReLU())
-    yield from (nn.Conv2d(384, 256, 3, padding=1), nn.ReLU())
-    yield from (nn.Conv2d(256, 256, 3, padding=1), nn.ReLU())
+    yield from (nn.Conv2d(3, 64, 11, stride=4, padding=2), nn.ReLU(inplace=True), nn.MaxPool2d(3, stride=2))
+    yield from (nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(inplace=True), nn.MaxPool2d(3, stride=2))
+    yield from (nn.Conv2d(192, 384, 3, padding=1), nn.ReLU(inplace=True))
+    yield from (nn.Conv2d(384, 256, 3, padding=1), nn.ReLU(inplace=True))
+    yield from (nn.Conv2d(256, 256, 3, padding=1), nn.ReLU(inplace=True))

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.perception import weights
-from anystyle.perception.features import Frozen, load_strictly
+from anystyle.perception.features import Frozen, fold, load_strictly
 from anystyle.perception.vgg import MEAN, STD
 
 STAGES = ((64, 3, 1), (128, 4, 2), (256, 6, 2), (512, 3, 2))
@@ -25,7 +25,7 @@ class ArtScoreNet(Frozen):
     def __init__(self) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, 64, 7, stride=2, padding=3, bias=False)
-        self.bn1 = nn.BatchNorm2d(64)
+        self.bn1: nn.Module = nn.BatchNorm2d(64)
         channels = 64
         stages: list[nn.Sequential] = []
         for width, count, stride in STAGES:
@@ -36,6 +36,13 @@ class ArtScoreNet(Frozen):
         self.fc = nn.Sequential(nn.Linear(channels, 1000), nn.ReLU(), nn.Identity(), nn.Linear(1000, 1))
         self.register_buffer("mean", torch.tensor(MEAN).view(3, 1, 1), persistent=False)
         self.register_buffer("std", torch.tensor(STD).view(3, 1, 1), persistent=False)
+
+    def settle(self) -> None:
+        """See :meth:`anystyle.perception.features.Frozen.settle`: normalisations become part of convolutions."""
+        self.bn1 = fold(self.conv1, self.bn1)
+        for module in self.modules():
+            if isinstance(module, Bottleneck):
+                module.fold()
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M"]:
         """Unbounded scores of sRGB images in [0, 1]; higher is more like art."""
@@ -63,22 +70,31 @@ class Bottleneck(nn.Module):
         super().__init__()
         out = 4 * width
         self.conv1 = nn.Conv2d(channels, width, 1, bias=False)
-        self.bn1 = nn.BatchNorm2d(width)
+        self.bn1: nn.Module = nn.BatchNorm2d(width)
         self.conv2 = nn.Conv2d(width, width, 3, stride=stride, padding=1, bias=False)
-        self.bn2 = nn.BatchNorm2d(width)
+        self.bn2: nn.Module = nn.BatchNorm2d(width)
         self.conv3 = nn.Conv2d(width, out, 1, bias=False)
-        self.bn3 = nn.BatchNorm2d(out)
-        self.downsample = (
-            nn.Sequential(nn.Conv2d(channels, out, 1, stride=stride, bias=False), nn.BatchNorm2d(out))
-            if channels != out
-            else nn.Identity()
+        self.bn3: nn.Module = nn.BatchNorm2d(out)
+        self.downsample = nn.Sequential()
+        if channels != out:
+            self.downsample.append(nn.Conv2d(channels, out, 1, stride=stride, bias=False)).append(nn.BatchNorm2d(out))
+
+    def fold(self) -> None:
+        """Make normalisations part of the convolutions before them."""
+        self.bn1, self.bn2, self.bn3 = (
+            fold(self.conv1, self.bn1),
+            fold(self.conv2, self.bn2),
+            fold(self.conv3, self.bn3),
         )
+        if len(self.downsample):
+            conv, norm = self.downsample
+            self.downsample[1] = fold(conv, norm)  # pyright: ignore[reportArgumentType]
 
     def forward(self, x: Tensor) -> Tensor:
         """The sum of both ways, rectified."""
-        y = F.relu(self.bn1(self.conv1(x)))
-        y = self.bn3(self.conv3(F.relu(self.bn2(self.conv2(y)))))
-        return F.relu(y + self.downsample(x))
+        y = F.relu(self.bn1(self.conv1(x)), inplace=True)
+        y = self.bn3(self.conv3(F.relu(self.bn2(self.conv2(y)), inplace=True)))
+        return F.relu(y + self.downsample(x), inplace=True)
 
 
 def _stage(channels: int, width: int, count: int, stride: int) -> Iterator[nn.Module]:

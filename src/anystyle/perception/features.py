@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, final
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
@@ -20,6 +21,28 @@ class Frozen(nn.Module):
     def train(self, mode: bool = True) -> "Frozen":
         """Stay in ``eval``, whatever is asked for: whoever owns this network may be training, it is not."""
         return super().train(False)
+
+    def settle(self) -> None:
+        """Compute what does not depend on images; called once, when the weights are in."""
+
+
+def fold(conv: nn.Conv2d, norm: nn.Module) -> nn.Identity:
+    """Put a normalisation with fixed statistics into the convolution before it; what takes its place does nothing.
+
+    Args:
+        conv: Changed.
+        norm: Scales and shifts every channel; in float64, so that nothing but the last rounding is lost.
+    """
+    zero = torch.zeros(1, conv.out_channels, 1, 1, dtype=torch.float64)
+    with torch.no_grad():
+        norm = norm.double()
+        shift = norm(zero).flatten()
+        scale = norm(zero + 1).flatten() - shift
+        if conv.bias is not None:
+            shift = shift + conv.bias.double() * scale
+        conv.weight = nn.Parameter((conv.weight.double() * scale.view(-1, 1, 1, 1)).to(conv.weight))
+        conv.bias = nn.Parameter(shift.to(conv.weight))
+    return nn.Identity()
 
 
 class FeatureNetwork(Frozen, ABC):
@@ -115,6 +138,7 @@ def load_strictly(network: AnyFrozen, state: Mapping[str, Tensor], *, name: str,
         raise ValueError(f"{file} does not hold the weights of {name}: {len(wrong)} keys differ ({shown})")
     network.load_state_dict(state)
     network.train(False)
+    network.settle()
     return freeze(network)
 
 

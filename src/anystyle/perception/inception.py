@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.perception import weights
-from anystyle.perception.features import Frozen, load_strictly
+from anystyle.perception.features import Frozen, fold, load_strictly
 
 CLASSIFIERS = ("AuxLogits1.", "AuxLogits2.", "fc1.", "fc2.")
 """What the published file holds beside the network of features: its two classifiers."""
@@ -38,6 +38,12 @@ class ArtInception(Frozen):
         self.Mixed_7a = BlockD(768)
         self.Mixed_7b = BlockE(1280)
         self.Mixed_7c = BlockE(2048)
+
+    def settle(self) -> None:
+        """See :meth:`anystyle.perception.features.Frozen.settle`: normalisations become part of convolutions."""
+        for module in self.modules():
+            if isinstance(module, Unit):
+                module.bn = fold(module.conv, module.bn)
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 2048"]:
         """The mean over all places of the last block, of sRGB images in [0, 1] as they are, as published.
@@ -85,11 +91,11 @@ class Unit(nn.Module):
     ) -> None:
         super().__init__()
         self.conv = nn.Conv2d(channels, width, kernel, stride=stride, padding=padding, bias=False)
-        self.bn = nn.BatchNorm2d(width, eps=0.001)
+        self.bn: nn.Module = nn.BatchNorm2d(width, eps=0.001)
 
     def forward(self, x: Tensor) -> Tensor:
         """The same at a size that kernel, stride and padding decide."""
-        return F.relu(self.bn(self.conv(x)))
+        return F.relu(self.bn(self.conv(x)), inplace=True)
 
 
 def _wide(channels: int, width: int, length: int = 7) -> Unit:

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.perception import weights
-from anystyle.perception.features import Frozen, load_strictly
+from anystyle.perception.features import Frozen, fold, load_strictly
 
 LEVELS, RADIUS = 4, 4
 SMALLEST = 128
@@ -42,6 +42,10 @@ class Raft(Frozen):
         self.fnet = Encoder(_instance_norm)
         self.cnet = Encoder(nn.BatchNorm2d)
         self.update_block = Update()
+
+    def settle(self) -> None:
+        """See :meth:`anystyle.perception.features.Frozen.settle`: normalisations become part of convolutions."""
+        self.cnet.fold()
 
     def describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 256 h w"]:
         """What frames are matched by, at an eighth of the size.
@@ -222,9 +226,16 @@ class Encoder(nn.Module):
         self.layer3 = nn.Sequential(Residual(96, 128, 2, norm), Residual(128, 128, 1, norm))
         self.conv2 = nn.Conv2d(128, 256, 1)
 
+    def fold(self) -> None:
+        """Make normalisations part of the convolutions before them."""
+        self.norm1 = fold(self.conv1, self.norm1)
+        for module in self.modules():
+            if isinstance(module, Residual):
+                module.fold()
+
     def forward(self, x: Tensor) -> Tensor:
         """256 channels."""
-        x = F.relu(self.norm1(self.conv1(x)))
+        x = F.relu(self.norm1(self.conv1(x)), inplace=True)
         return self.conv2(self.layer3(self.layer2(self.layer1(x))))
 
 
@@ -237,15 +248,22 @@ class Residual(nn.Module):
         self.norm1 = norm(width)
         self.conv2 = nn.Conv2d(width, width, 3, padding=1)
         self.norm2 = norm(width)
-        self.downsample = (
-            nn.Sequential(nn.Conv2d(channels, width, 1, stride=stride), norm(width)) if stride > 1 else nn.Identity()
-        )
+        self.downsample = nn.Sequential()
+        if stride > 1:
+            self.downsample.append(nn.Conv2d(channels, width, 1, stride=stride)).append(norm(width))
+
+    def fold(self) -> None:
+        """Make normalisations part of the convolutions before them."""
+        self.norm1, self.norm2 = fold(self.conv1, self.norm1), fold(self.conv2, self.norm2)
+        if len(self.downsample):
+            conv, norm = self.downsample
+            self.downsample[1] = fold(conv, norm)  # pyright: ignore[reportArgumentType]
 
     def forward(self, x: Tensor) -> Tensor:
         """The sum of both ways, rectified."""
-        y = F.relu(self.norm1(self.conv1(x)))
-        y = F.relu(self.norm2(self.conv2(y)))
-        return F.relu(self.downsample(x) + y)
+        y = F.relu(self.norm1(self.conv1(x)), inplace=True)
+        y = F.relu(self.norm2(self.conv2(y)), inplace=True)
+        return F.relu(self.downsample(x) + y, inplace=True)
 
 
 class Update(nn.Module):

@@ -63,7 +63,7 @@ def _stages(blocks: Sequence[tuple[int, int]]) -> Iterator[nn.Module]:
     for width, count in blocks:
         for _ in range(count):
             yield nn.Conv2d(channels, width, 3, padding=1)
-            yield nn.ReLU()
+            yield nn.ReLU(inplace=True)
             channels = width
         yield nn.MaxPool2d(2)
 

@@ -135,11 +135,24 @@ def _wall(number: int, size: tuple[int, int], *, shift: int = 0, drop: int = 0) 
     return Frames(images.contiguous(), depth, pose, intrinsics.repeat(number, 1, 1))
 
 
+def displacement_alone_is_the_flows(plugin: Plugin) -> None:
+    """Asked for the displacement alone, it gives that of the whole flow."""
+    source, target = _wall(2, SIZE), _wall(2, SIZE, shift=4)
+    expect_close(
+        plugin.instance.displacement(source, target),
+        plugin.instance(source, target).displacement,
+        what="the displacement alone against that of the flow",
+        expected="equal numbers, but for rounding",
+        change="leave `displacement` as it is inherited, or compute the same in it",
+    )
+
+
 CHECKS: tuple[Check, ...] = (
     Check(flow_has_the_frames_shape, needed=True),
     Check(nothing_moved_is_no_flow),
     Check(moved_cameras_are_followed),
     Check(what_left_the_frame_is_not_visible),
     Check(pairs_are_independent),
+    Check(displacement_alone_is_the_flows),
     Check(missing_knowledge_is_said),
 )

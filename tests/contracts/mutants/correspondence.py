@@ -57,6 +57,11 @@ class Overwriting(ToyCorrespondence):
         return flow
 
 
+class Halved(ToyCorrespondence):
+    def displacement(self, source, target):
+        return 0.5 * super().displacement(source, target)
+
+
 CHANGED = {
     "as it is": (ToyCorrespondence, set()),
     "channels last": (Channels, {"flow has the frames shape"}),
@@ -65,6 +70,7 @@ CHANGED = {
     "y before x": (RowsFirst, {"moved cameras are followed"}),
     "beyond the frame": (Boundless, {"what left the frame is not visible"}),
     "pairs mixed": (FirstPair, {"pairs are independent"}),
+    "another flow when asked for that alone": (Halved, {"displacement alone is the flows"}),
     "frames overwritten": (Overwriting, {"pairs are independent"}),
     "an error of its own": (Rough, {"missing knowledge is said"}),
 }
