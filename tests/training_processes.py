@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import resource
 import socket
 from collections.abc import Mapping, Sequence
 from multiprocessing.process import BaseProcess
@@ -10,11 +11,13 @@ from pathlib import Path
 PRELOADED = ("anystyle.training.run", "anystyle.training.stylization", "anystyle.renderers.cpu", "training_cases")
 
 
-def start(words: Sequence[str], out: Path, environment: Mapping[str, str] | None = None) -> BaseProcess:
-    """A training at work, or about to be."""
+def start(
+    words: Sequence[str], out: Path, environment: Mapping[str, str] | None = None, largest: int | None = None
+) -> BaseProcess:
+    """A training at work, or about to be; no file that it writes may have more than ``largest`` bytes."""
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(list(PRELOADED))
-    process = context.Process(target=_train, args=(tuple(words), out, dict(environment or {})), daemon=True)
+    process = context.Process(target=_train, args=(tuple(words), out, dict(environment or {}), largest), daemon=True)
     process.start()
     return process
 
@@ -29,8 +32,15 @@ def together(count: int, words: Sequence[str], out: Path) -> list[BaseProcess]:
     return [start(words, out, places | {"LOCAL_RANK": str(rank), "RANK": str(rank)}) for rank in range(count)]
 
 
-def _train(words: Sequence[str], out: Path, environment: Mapping[str, str]) -> None:
+def said(out: Path) -> str:
+    """What the trainings in a folder have written on their terminals."""
+    return "".join(path.read_text() for path in sorted(out.glob("process_*.txt")))
+
+
+def _train(words: Sequence[str], out: Path, environment: Mapping[str, str], largest: int | None) -> None:
     import torch
+
+    from anystyle.commands._run import run
 
     from anystyle.training.run import train
     from training_cases import configuration
@@ -41,4 +51,6 @@ def _train(words: Sequence[str], out: Path, environment: Mapping[str, str]) -> N
     log = os.open(out / f"process_{os.getpid()}.txt", os.O_CREAT | os.O_WRONLY)
     os.dup2(log, 1)
     os.dup2(log, 2)
-    train(configuration(words, out), out)
+    if largest is not None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (largest, largest))
+    run(lambda: train(configuration(words, out), out))

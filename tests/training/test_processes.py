@@ -2,6 +2,7 @@
 
 import random
 import time
+from pathlib import Path
 
 import pytest
 import torch
@@ -9,7 +10,7 @@ from safetensors.torch import load_file
 
 from anystyle.training.run import train
 from training_cases import STYLIZATION, configuration
-from training_processes import start, together
+from training_processes import said, start, together
 
 TOY = (*(word for word in STYLIZATION if not word.startswith("trainer.max_steps=")), "export.half=false")
 
@@ -20,53 +21,91 @@ def finish(*processes) -> None:
         assert process.exitcode == 0
 
 
-@pytest.mark.parametrize("strategy", ["ddp", "fsdp2"])
-def test_two_processes_end_where_one_does(tmp_path, strategy):
+def branch(out: Path) -> dict[str, torch.Tensor]:
+    return load_file(out / "branch.safetensors")
+
+
+def steps(out: Path) -> int:
+    """Those of the last checkpoint."""
+    return torch.load(out / "last.ckpt", weights_only=True)["global_step"] if (out / "last.ckpt").is_file() else 0
+
+
+def wait_for(out: Path, step: int, process) -> None:
+    while steps(out) < step and process.is_alive():
+        time.sleep(0.05)
+
+
+def same(one, other, tolerance: float) -> None:
+    assert one.keys() == other.keys()
+    for key, tensor in one.items():
+        torch.testing.assert_close(other[key], tensor, atol=tolerance, rtol=0)
+
+
+def test_two_processes_end_where_one_does(tmp_path):
     words = (*TOY, "styles.num_styles=6", "trainer.max_steps=20")
-    finish(*together(2, (*words, f"trainer.strategy={strategy}"), tmp_path / "two"))
+    finish(*together(2, (*words, "trainer.strategy=ddp"), tmp_path / "two"))
     train(configuration(words, tmp_path / "one"), tmp_path / "one")
-    one, two = (load_file(tmp_path / name / "branch.safetensors") for name in ("one", "two"))
-    assert one.keys() == two.keys()
-    for key, tensor in one.items():
-        torch.testing.assert_close(two[key], tensor, atol=1e-5, rtol=0)
+    same(branch(tmp_path / "one"), branch(tmp_path / "two"), 1e-5)
 
 
-@pytest.mark.slow
-def test_a_sharded_run_continues_and_its_checkpoint_is_every_others(tmp_path):
-    words = (*TOY, "placement=full", "styles.num_styles=6", "training.decay_steps=6")
-    half, end = (*words, "trainer.max_steps=3"), (*words, "trainer.max_steps=6", "resume=changed")
-    finish(*together(2, (*half, "trainer.strategy=fsdp2"), tmp_path / "two"))
-    finish(*together(2, (*end, "trainer.strategy=fsdp2"), tmp_path / "two"))
-    train(configuration(half, tmp_path / "one"), tmp_path / "one")
-    ours, theirs = (torch.load(tmp_path / name / "last.ckpt", weights_only=True) for name in ("one", "two"))
-    assert ours["state_dict"].keys() == theirs["state_dict"].keys()
-    assert ours["optimizer_states"][0]["state"].keys() == theirs["optimizer_states"][0]["state"].keys()
-    train(configuration(end, tmp_path / "one"), tmp_path / "one")
-    one, two = (load_file(tmp_path / name / "branch.safetensors") for name in ("one", "two"))
-    for key, tensor in one.items():
-        torch.testing.assert_close(two[key], tensor, atol=2e-5, rtol=0)
-
-
-@pytest.mark.slow
-def test_killed_at_ten_random_moments_a_run_ends_with_the_same_weights(tmp_path):
-    words = (*TOY, "trainer.max_steps=60", "checkpoint.every_steps=1", "average=0.9", "styles.num_styles=6")
-    began = time.monotonic()
-    finish(start(words, tmp_path / "whole"))
-    whole = time.monotonic() - began
-    chance = random.Random(0)
-    kills = 0
-    while kills < 10:
-        process = start(words, tmp_path / "killed")
-        # A tenth of a run at most, for the later half of the kills must still find it at work.
-        time.sleep(chance.uniform(0.2, 1.0) * whole / 4)
+def test_two_that_share_the_weights_out_are_killed_go_on_and_end_where_one_does(tmp_path):
+    words = (*TOY, "placement=full", "styles.num_styles=6", "trainer.max_steps=20", "checkpoint.every_steps=4")
+    out, sharded = tmp_path / "two", (*words, "trainer.strategy=fsdp2")
+    processes = together(2, sharded, out)
+    wait_for(out, 4, processes[0])
+    for process in processes:
         process.kill()
         process.join()
-        kills += process.exitcode != 0
-        if process.exitcode == 0:
-            break
-    steps = torch.load(tmp_path / "killed" / "last.ckpt", weights_only=True)["global_step"]
-    assert kills == 10, f"the run was over after {kills} kills, at step {steps}"
-    finish(start(words, tmp_path / "killed"))
-    one, two = (load_file(tmp_path / name / "branch.safetensors") for name in ("whole", "killed"))
+    assert 4 <= steps(out) < 20
+    finish(*together(2, sharded, out))
+    train(configuration(words, tmp_path / "one"), tmp_path / "one")
+    same(branch(tmp_path / "one"), branch(out), 1e-5)
+    # Its checkpoint is the one that every other strategy writes.
+    one, two = (torch.load(folder / "last.ckpt", weights_only=True) for folder in (tmp_path / "one", out))
+    same(one["state_dict"], two["state_dict"], 1e-5)
+    states = [checkpoint["optimizer_states"][0]["state"] for checkpoint in (one, two)]
+    assert states[0].keys() == states[1].keys()
+    assert all(states[0][key].keys() == states[1][key].keys() for key in states[0])
+
+
+@pytest.mark.parametrize(("kills", "total"), [(3, 16), pytest.param(10, 60, marks=pytest.mark.slow)])
+def test_killed_at_random_moments_a_run_ends_with_the_same_weights(tmp_path, kills, total):
+    words = (*TOY, f"trainer.max_steps={total}", "checkpoint.every_steps=1", "average=0.9", "styles.num_styles=6")
+    whole, out = tmp_path / "whole", tmp_path / "killed"
+    began = time.monotonic()
+    finish(start(words, whole))
+    second = (time.monotonic() - began) / total
+    chance = random.Random(0)
+    for kill in range(kills):
+        process = start(words, out)
+        # Once while it starts; then within a few steps of a checkpoint of its own, each of which writes one.
+        if kill:
+            wait_for(out, steps(out) + chance.randint(1, 3), process)
+        time.sleep(chance.uniform(0, 2) * second)
+        process.kill()
+        process.join()
+        assert process.exitcode != 0, f"the run was over before kill {kill + 1}"
+    assert steps(out) > 0
+    finish(start(words, out))
+    one, two = branch(whole), branch(out)
     assert all(torch.equal(one[key], two[key]) for key in one)
-    assert not list((tmp_path / "killed").glob(".last-*"))
+    assert not list(out.glob(".last-*"))
+
+
+def test_a_full_disk_keeps_the_last_good_checkpoint_and_says_so_in_one_line(tmp_path):
+    """A limit on the size of files stands for the disk: the operating system refuses to write what is beyond it."""
+    words = (*TOY, "trainer.max_steps=4", "checkpoint.every_steps=2")
+    finish(start((*words, "trainer.max_steps=2", "training.decay_steps=4"), tmp_path))
+    good = (tmp_path / "last.ckpt").read_bytes()
+    more = (*words, "training.decay_steps=4", "resume=changed")
+    full = start(more, tmp_path, largest=len(good) // 2)
+    full.join(120)
+    assert full.exitcode == 2
+    assert (tmp_path / "last.ckpt").read_bytes() == good and not list(tmp_path.glob(".last-*"))
+    told = [line for line in said(tmp_path).splitlines() if line.startswith("anystyle: error:")]
+    assert len(told) == 1 and "Traceback" not in said(tmp_path)
+    assert "the checkpoint of step 4 cannot be written" in told[0] and "the last one stays" in told[0], told
+    finish(start(more, tmp_path))
+    finish(start((*words, "training.decay_steps=4"), tmp_path / "whole"))
+    one, two = branch(tmp_path), branch(tmp_path / "whole")
+    assert all(torch.equal(one[key], two[key]) for key in one)

@@ -226,7 +226,7 @@ def test_features_stay_within_their_stated_size(tmp_path, caplog):
         again = encoded(Views(images=batch.inputs.images[:1]), [key])
         assert torch.equal(again.attributes.color, scene.attributes.color)
     assert len(list(small.folder.glob("*.safetensors"))) == 1 and small.used <= small.limit
-    assert caplog.text.count("further ones are encoded anew") == 1
+    assert caplog.text.count("further scenes are encoded anew") == 1
     path = next(small.folder.glob("*.safetensors"))
     path.write_bytes(path.read_bytes()[:100])
     assert torch.equal(encoded(Views(images=batch.inputs.images[:1]), [0]).geometry.depth, scene.geometry.depth)

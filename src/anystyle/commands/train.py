@@ -18,6 +18,7 @@ def run(config: DictConfig) -> dict[str, float]:
 
     Raises:
         ValueError: Several devices are asked for inside a multirun.
+        KeyboardInterrupt: A signal ended a job of a multirun; those that follow are left for the next start.
     """
     check_devices(config)
     if config.chain is not None:
@@ -33,6 +34,8 @@ def run(config: DictConfig) -> dict[str, float]:
         print(f"{outcome.steps} steps done; {names} in {where}")
     elif outcome.leading:
         print(f"stopped after step {outcome.steps}; the same command continues from {where}")
+    if outcome.stopped_by is not None and HydraConfig.get().mode is RunMode.MULTIRUN:
+        raise KeyboardInterrupt
     return dict(outcome.metrics)
 
 

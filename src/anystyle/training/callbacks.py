@@ -14,6 +14,7 @@ import lightning.pytorch as pl
 import torch
 from torch import Tensor, nn
 
+from anystyle.errors import one_line
 from anystyle.files import atomic_path
 
 log = logging.getLogger(__name__)
@@ -101,9 +102,20 @@ class LastCheckpoint(pl.Callback):
         self._restore()
 
     def save(self, trainer: pl.Trainer) -> None:
-        """Write the checkpoint; all processes take part, the first one writes."""
-        with _atomic_on_first(trainer, self.path) as temporary:
-            trainer.save_checkpoint(temporary)
+        """Write the checkpoint; all processes take part, the first one writes.
+
+        Raises:
+            OSError: It cannot be written, as on a full disk; the one before it stays.
+        """
+        try:
+            with _atomic_on_first(trainer, self.path) as temporary:
+                trainer.save_checkpoint(temporary)
+        except OSError as error:
+            kept = "the last one stays and " if self.path.is_file() else ""
+            raise OSError(
+                f"the checkpoint of step {trainer.global_step} cannot be written to {self.path.parent} "
+                f"({error.strerror or one_line(error)}); {kept}the same command continues once there is room"
+            ) from error
         self._written = time.monotonic()
 
     def _restore(self) -> None:

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import signal
 import subprocess
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -100,4 +101,13 @@ def train_chain(
 
 def _process(words: Sequence[str], environment: Mapping[str, str]) -> int:
     command = [sys.executable, "-m", "anystyle", "train", *words]
-    return subprocess.run(command, env={**os.environ, **environment}, check=False).returncode
+    with subprocess.Popen(command, env={**os.environ, **environment}) as process:
+        # A terminal sends Ctrl-C to both; whoever sends SIGTERM means the training too. It saves, and then it ends.
+        before = {name: signal.getsignal(name) for name in (signal.SIGINT, signal.SIGTERM)}
+        try:
+            signal.signal(signal.SIGINT, signal.SIG_IGN)
+            signal.signal(signal.SIGTERM, lambda number, frame: process.send_signal(number))
+            return process.wait()
+        finally:
+            for name, handler in before.items():
+                signal.signal(name, handler)

@@ -13,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from anystyle.errors import one_line
 from anystyle.files import atomic_path
 from anystyle.types import Attributes as RawAttributes
 from anystyle.types import Cameras, Clusters, Geometry, Scene, Tokens, Views
@@ -94,17 +95,26 @@ class FeatureStore:
         parts = {item.name: getattr(scene, item.name) for item in fields(Scene) if item.name != "views"}
         layout = _split(parts, "", tensors)
         size = sum(tensor.numel() * tensor.element_size() for tensor in tensors.values())
-        if self._full or self.used + size > self.limit:
-            if not self._full:
-                logger.warning(
-                    "%s holds %.1f of %.1f GB, and a scene takes %.3f; further ones are encoded anew each time: raise "
-                    "features.gigabytes or lower training.pool",
-                    self.folder, self.used / GIGABYTE, self.limit / GIGABYTE, size / GIGABYTE,
-                )  # fmt: skip
-            self._full = True
+        if self._full:
             return
-        with atomic_path(self.folder / f"{key}.safetensors") as temporary:
-            save_file(tensors, temporary, metadata={"scene": json.dumps(layout)})
+        if self.used + size > self.limit:
+            self._end(
+                f"a scene takes {size / GIGABYTE:.3f} of the {self.limit / GIGABYTE:.1f} GB; raise features.gigabytes "
+                f"or lower training.pool"
+            )
+            return
+        try:
+            with atomic_path(self.folder / f"{key}.safetensors") as temporary:
+                save_file(tensors, temporary, metadata={"scene": json.dumps(layout)})
+        except (OSError, SafetensorError) as error:
+            self._end(f"the disk does not take more ({one_line(error)})")
+
+    def _end(self, reason: str) -> None:
+        self._full = True
+        logger.warning(
+            "%s holds %.1f GB, and %s; further scenes are encoded anew each time",
+            self.folder, self.used / GIGABYTE, reason,
+        )  # fmt: skip
 
 
 def _split(value: Any, place: str, tensors: dict[str, Tensor]) -> Any:

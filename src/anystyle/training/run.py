@@ -13,11 +13,13 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
+from safetensors import SafetensorError
 from torch import nn
 
 from anystyle.assemble import assemble, branch_header, weights_file
 from anystyle.checkpoint import Header, load_part, save_part, sha256
 from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
+from anystyle.errors import one_line
 from anystyle.files import atomic_path
 from anystyle.paths import SHARED
 from anystyle.registry.build import build, build_all
@@ -46,6 +48,7 @@ class Outcome:
         metrics: The last values logged.
         weights: The files written.
         leading: Whether this process is the one that writes and speaks.
+        stopped_by: The signal that asked it to end, if one did.
     """
 
     steps: int
@@ -53,6 +56,7 @@ class Outcome:
     metrics: Mapping[str, float]
     weights: tuple[Path, ...]
     leading: bool = True
+    stopped_by: str | None = None
 
 
 def train(config: DictConfig, out: Path) -> Outcome:
@@ -105,7 +109,7 @@ def _train(config: DictConfig, out: Path) -> Outcome:
         weights = export(config, made, out, steps=trainer.global_step)
         with atomic_path(out / "metrics.json") as temporary:
             temporary.write_text(json.dumps(metrics, indent=2, sort_keys=True) + "\n")
-    return Outcome(trainer.global_step, finished, metrics, weights, trainer.is_global_zero)
+    return Outcome(trainer.global_step, finished, metrics, weights, trainer.is_global_zero, keeper.stopped_by)
 
 
 def make_training(config: DictConfig) -> Training:
@@ -197,7 +201,11 @@ def _scenes(config: DictConfig, key: str) -> SceneSource | None:
 
 
 def export(config: DictConfig, made: Mapping[str, nn.Module], out: Path, *, steps: int) -> tuple[Path, ...]:
-    """Write what a training made, as weights files that say how they were made."""
+    """Write what a training made, as weights files that say how they were made.
+
+    Raises:
+        OSError: They cannot be written; the checkpoint stays, and the same command writes them once there is room.
+    """
     provenance = provenance_of(config, steps)
     written = []
     for part, module in made.items():
@@ -207,7 +215,10 @@ def export(config: DictConfig, made: Mapping[str, nn.Module], out: Path, *, step
             node = OmegaConf.to_container(config[part], resolve=True, enum_to_str=True) if part in config else {}
             header = Header(part=part, config={part: node}, provenance=provenance)
         path = out / f"{part}.safetensors"
-        save_part(path, module, header, half=config.export.half)
+        try:
+            save_part(path, module, header, half=config.export.half)
+        except SafetensorError as error:
+            raise OSError(f"{path} cannot be written ({one_line(error)}); the same command does once it can") from None
         written.append(path)
     return tuple(written)
 

@@ -23,8 +23,14 @@ from torch.optim import Optimizer
 class Sharded(ModelParallelStrategy):
     """Lightning's FSDP2 with one checkpoint file, the same as that of every other strategy.
 
-    A checkpoint of one process continues on several and the other way round, for the file holds whole tensors.
+    A checkpoint of one process continues on several and the other way round, for the file holds whole tensors. All
+    processes of all nodes share in the data, each seeing its own part of a batch.
     """
+
+    def setup_environment(self) -> None:
+        """Only here the number of processes is known, however ``trainer.devices`` says it."""
+        self._data_parallel_size, self._tensor_parallel_size = self.num_processes * self.num_nodes, 1
+        super().setup_environment()
 
     def optimizer_state(self, optimizer: Optimizer) -> dict[str, Any]:
         """The whole state, with parameters by number as an optimiser has them; empty in all processes but the first."""
@@ -64,19 +70,6 @@ def _named(module: nn.Module, optimizer: Optimizer, state: dict[str, Any]) -> di
     order = _order(module, optimizer)
     groups = [{**group, "params": [order[place] for place in group["params"]]} for group in state["param_groups"]]
     return {"state": {order[place]: value for place, value in state["state"].items()}, "param_groups": groups}
-
-
-def sharded(devices: int | str, num_nodes: int) -> Sharded:
-    """The strategy for all processes of all nodes, each of which sees its own share of a batch.
-
-    Args:
-        devices: Of one node, as Lightning takes it.
-        num_nodes: How many nodes.
-    """
-    count = int(devices)
-    if count == -1:
-        count = max(1, torch.accelerator.device_count())
-    return Sharded(data_parallel_size=count * num_nodes, tensor_parallel_size=1, save_distributed_checkpoint=False)
 
 
 def shard(roots: Sequence[nn.Module], units: Sequence[nn.Module], mesh: DeviceMesh) -> None:

@@ -13,7 +13,7 @@ from anystyle.errors import one_line
 from anystyle.training.callbacks import Lines, StepSeed
 from anystyle.training.guards import FiniteLoss, SkipOutliers
 from anystyle.training.loggers import make_loggers
-from anystyle.training.sharding import sharded
+from anystyle.training.sharding import Sharded
 from anystyle.training.vitals import SkippedData, Vitals
 
 SHARDED = "fsdp2"
@@ -36,7 +36,7 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
     options: dict[str, Any] = {str(key): value for key, value in plain.items()}
     check(options, average=config.average is not None)
     if options.get("strategy") == SHARDED:
-        options["strategy"] = sharded(options["devices"], options["num_nodes"])
+        options["strategy"] = Sharded(save_distributed_checkpoint=False)
     terminal = sys.stderr.isatty()
     guards: list[pl.Callback] = [
         StepSeed(config.seed),
