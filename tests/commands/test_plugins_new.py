@@ -1,5 +1,7 @@
 """What `anystyle plugins new` writes works at once; what it refuses leaves nothing behind."""
 
+import ast
+import builtins
 import os
 import subprocess
 import sys
@@ -96,6 +98,29 @@ def test_a_name_that_would_hide_an_import_gets_another_class(tmp_path):
     folder = plugins_new.write("backbone", "embedder", tmp_path)
     assert "class MyEmbedder(Backbone)" in (folder / "anystyle_embedder.py").read_text()
     assert 'embedder = "anystyle_embedder:MyEmbedder"' in (folder / "pyproject.toml").read_text()
+
+
+@pytest.mark.parametrize("name", ["toy_x", "toy", "toy_metric", "true", "none", "gaussian", "head", "x", "m"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_class_is_the_one_that_is_declared_and_hides_nothing(kind, name, tmp_path):
+    if (kind, name) == ("placement", "head"):
+        return  # taken
+    folder = plugins_new.write(kind, name, tmp_path)
+    (line,) = [line for line in (folder / "pyproject.toml").read_text().splitlines() if line.startswith(f"{name} = ")]
+    cls = line.rpartition(":")[2].strip('"')
+    tree = ast.parse((folder / f"anystyle_{name}.py").read_text())
+    own = [item.name for item in tree.body if isinstance(item, ast.ClassDef | ast.FunctionDef)]
+    imported = [
+        each.asname or each.name
+        for item in tree.body
+        if isinstance(item, ast.ImportFrom | ast.Import)
+        for each in item.names
+    ]
+    assert cls in own
+    names = [*own, *imported]
+    assert len(set(names)) == len(names), names
+    assert not set(own) & set(dir(builtins))
+    assert f"import {cls}\n" in (folder / f"test_anystyle_{name}.py").read_text()
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import argparse
 import ast
+import builtins
 import importlib.util
 import keyword
 import os
@@ -177,8 +178,10 @@ def _refuse(kind: str, name: str, module: str) -> None:
 
 def _class_name(name: str, source: str) -> str:
     camel = "".join(word.capitalize() for word in name.split("_"))
-    # A class called as what the module imports, such as a backbone named "embedder", would hide that.
-    return f"My{camel}" if re.search(rf"\b{camel}\b", source) else camel
+    # A class called as what the module imports, such as a backbone named "embedder", would hide that; "true" is a word
+    # of the language's own.
+    taken = keyword.iskeyword(camel) or hasattr(builtins, camel) or re.search(rf"\b{camel}\b", source)
+    return f"My{camel}" if taken else camel
 
 
 def _renamed(source: str, kind: str, cls: str) -> str:
@@ -186,8 +189,8 @@ def _renamed(source: str, kind: str, cls: str) -> str:
     toy = "Toy" + "".join(word.capitalize() for word in kind.split("_"))
     words = kind.replace("_", " ")
     body = f'"""{cls}, {"an" if words[0] in "aeiou" else "a"} {words} for anystyle."""\n' + source.partition("\n")[2]
-    body = re.sub(rf"\b{toy}\b", cls, body)
-    body = re.sub(r"\bToy([A-Z]\w*)", rf"{cls}\1", body)
+    # In one pass: the plugin's own name may begin as the toys' do.
+    body = re.sub(r"\bToy[A-Z]\w*", lambda found: cls + ("" if found[0] == toy else found[0][3:]), body)
     return re.sub(r'( *)"""See :meth:`(anystyle[\w.]+)`([^"]*)\."""', _documented, body)
 
 
