@@ -1,7 +1,8 @@
 """Where the weights of frozen networks lie: names to files, where each comes from, where it is looked for.
 
 A network is never replaced by another in silence, and nothing is downloaded unless ``anystyle weights download`` is
-run. The table is :data:`FILES`; a plugin adds rows of its own in a ``weights.toml`` beside its module.
+run. The table is :data:`FILES`; a plugin adds rows of its own in a ``weights.toml`` beside its module, and files of
+theirs in a folder ``assets``.
 """
 
 import hashlib
@@ -21,6 +22,8 @@ from anystyle.registry.peek import folder
 
 FOLDERS = "ANYSTYLE_WEIGHTS"
 """The environment variable that names folders of weights, separated as in ``PATH``."""
+TABLE = "weights.toml"
+"""A plugin's rows, beside its module; files of theirs that are bundled lie in ``assets`` there."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,7 @@ class WeightsFile:
         license: Under which terms it may be used.
         source: Where it comes from, in words that can be looked up.
         sha256: Of its content, in hexadecimal; as many leading digits as its publisher states, ``None`` if none.
-        bundled: Whether it comes with this package.
+        bundled: Whether it comes with this package, or with the plugin that names it.
         size: Bytes that its tensors take, or of the whole file where a publisher states it; ``None`` if unknown.
         hub: Where the Hugging Face hub has it, as ``owner/repository/path``.
         package: An installed package that it travels with, as ``package/path``.
@@ -172,11 +175,15 @@ def files() -> dict[str, WeightsFile]:
         ValueError: A plugin's ``weights.toml`` cannot be read, or names what is there already.
     """
     known = dict(FILES)
-    for place in sorted({place for row in catalog() if (place := folder(row)) is not None}):
-        for name, entry in _rows(place / "weights.toml").items():
+    for place in _plugins():
+        for name, entry in _rows(place / TABLE).items():
             if known.setdefault(name, entry) != entry:
-                raise ValueError(f"{place / 'weights.toml'} names {name!r}, which another row is called; rename it")
+                raise ValueError(f"{place / TABLE} names {name!r}, which another row is called; rename it")
     return known
+
+
+def _plugins() -> list[Path]:
+    return sorted({place for row in catalog() if (place := folder(row)) is not None})
 
 
 @cache
@@ -208,10 +215,12 @@ def folders() -> tuple[Path, ...]:
 
 
 def places(name: str) -> Iterator[Path]:
-    """Where a file is looked for, in order: named folders, the package, another package, the hub's cache."""
+    """Where a file is looked for, in order: named folders, ours, the plugin's, another package, the hub's cache."""
     entry = row(name)
     for place in folders():
         yield place / entry.file
+    if entry.bundled:
+        yield from (place / "assets" / entry.file for place in _plugins() if name in _rows(place / TABLE))
     if entry.package is not None:
         package, _, inside = entry.package.partition("/")
         spec = importlib.util.find_spec(package)
@@ -305,6 +314,7 @@ def verified(name: str, path: str | Path) -> bool | None:
 __all__ = [
     "FILES",
     "FOLDERS",
+    "TABLE",
     "WeightsFile",
     "download",
     "files",
