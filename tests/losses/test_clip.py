@@ -1,4 +1,4 @@
-"""CLIP losses against literal transcriptions, with an encoder whose space can be computed by hand."""
+"""CLIP losses against the published ones, and against literal transcriptions in a space computed by hand."""
 
 from collections.abc import Sequence
 
@@ -13,7 +13,9 @@ from torch import Tensor, nn
 from anystyle.contracts import StyleEncoder
 from anystyle.losses.clip_directional import ClipDirectional
 from anystyle.losses.clip_patch import ClipPatch, random_corners, warp_to_corners
-from oracle import golden, hashed, smooth_image
+from anystyle.style_encoders.long_clip import LongClip
+from anystyle.types import Stylization
+from oracle import assert_matches, fill_named, golden, hashed, smooth_image
 from style_cases import stylization
 
 
@@ -37,6 +39,52 @@ class Projection(StyleEncoder):
 
 RENDERED, PHOTOGRAPHS = smooth_image(4611, [2, 2, 3, 98, 126]), smooth_image(4613, [2, 2, 3, 98, 126])
 DIRECTION = F.normalize(hashed(4615, [2, 16], -1, 1), dim=-1)
+
+
+RECORD = golden("golden_metrics")["clip"]
+
+
+@pytest.fixture(scope="module")
+def published() -> LongClip:
+    """ViT-B/32 as the goldens fill it; its text tower, which no loss reads, is of one thin layer."""
+    with torch.device("meta"):
+        encoder = LongClip(text_layers=1, text_width=64, vocabulary_size=600)
+        shapes = {f"visual.{name}": tensor for name, tensor in encoder.network.visual.state_dict().items()}
+    filled = fill_named(shapes, RECORD["clip_rules"])
+    state = {name.removeprefix("visual."): tensor for name, tensor in filled.items()}
+    encoder.network.visual.load_state_dict(state, assign=True)
+    return encoder.eval().requires_grad_(False)
+
+
+def at_the_goldens_inputs() -> tuple[Tensor, Stylization]:
+    rendered = RENDERED.clone().requires_grad_()
+    direction = F.normalize(hashed(4615, [2, 512], -1, 1), dim=-1)
+    return rendered, stylization(rendered, PHOTOGRAPHS, direction=direction)
+
+
+def test_directional_matches_the_reference(published: LongClip) -> None:
+    expected = RECORD["global_only"]
+    loss = ClipDirectional(style_encoder=published)
+    rendered, result = at_the_goldens_inputs()
+    value = loss.weight * loss(result)
+    assert value.item() == pytest.approx(expected["loss"], rel=1e-5)
+    value.backward()
+    assert_matches(rendered.grad, expected["grad_pred"], rtol=2e-3, atol=2e-8)
+
+
+def test_patches_match_the_reference(published: LongClip, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The goldens' loss is 2 * (global + 2 * patch), at one crop and one perspective for all copies."""
+    crop = RECORD["crop"]
+    places = iter([torch.tensor([crop["top"]]), torch.tensor([crop["left"]])])
+    monkeypatch.setattr("anystyle.losses.clip_patch.torch.randint", lambda *args, **named: next(places))
+    corners = torch.tensor(crop["perspective_endpoints"], dtype=torch.float32)
+    monkeypatch.setattr("anystyle.losses.clip_patch.random_corners", lambda *args: corners[None])
+    whole, patch = ClipDirectional(style_encoder=published), ClipPatch(style_encoder=published, shared_crop=True)
+    rendered, result = at_the_goldens_inputs()
+    value = whole.weight * whole(result) + patch.weight * patch(result)
+    assert value.item() == pytest.approx(RECORD["patch_perspective"]["loss"], rel=1e-4)
+    value.backward()
+    assert_matches(rendered.grad, RECORD["patch_perspective"]["grad_pred"], rtol=2e-2, atol=2e-6)
 
 
 def test_directional_is_its_equation() -> None:
@@ -122,6 +170,30 @@ def test_patch_without_warp_of_whole_views_is_its_equation() -> None:
     whole = ClipDirectional(style_encoder=encoder, size=None)
     # Border pixels of torchvision's transform fade; here they are fully covered.
     torch.testing.assert_close(patch(result), whole(result), rtol=1e-4, atol=1e-5)
+
+
+def test_patch_is_its_equation() -> None:
+    """CLIPstyler's equation 5 crop by crop: the crops themselves are drawn as the loss says it draws them."""
+    encoder, crops = Projection(), 3
+    torch.manual_seed(5)
+    found = ClipPatch(style_encoder=encoder, crops=crops)(stylization(RENDERED, PHOTOGRAPHS, direction=DIRECTION))
+    torch.manual_seed(5)
+    count = 2 * 2 * crops
+    top, left = torch.randint(98 - 64 + 1, (count,)), torch.randint(126 - 64 + 1, (count,))
+    corners = random_corners(count, 64, 0.5)
+    total, place = torch.zeros(()), 0
+    for scene in range(2):
+        for view in range(2):
+            photograph = PHOTOGRAPHS[scene, view][None]
+            before = encoder.embed_images(F.interpolate(photograph, size=(224, 224), mode="bicubic"))[0]
+            for _ in range(crops):
+                rows, columns = (slice(start[place], start[place] + 64) for start in (top, left))
+                seen = warp_to_corners(RENDERED[scene, view, :, rows, columns][None], corners[place][None])
+                after = encoder.embed_images(F.interpolate(seen, size=(224, 224), mode="bilinear"))[0]
+                change = (after - before) / (after - before).norm()
+                total = total + (1 - change @ DIRECTION[scene]) / count
+                place += 1
+    torch.testing.assert_close(found, total)
 
 
 def test_crops_are_independent_unless_shared() -> None:
