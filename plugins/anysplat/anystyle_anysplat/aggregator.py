@@ -5,10 +5,9 @@ from collections.abc import Sequence
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.utils.checkpoint import checkpoint
 
 from anystyle import contracts
-from anystyle.nn.attention import Block
+from anystyle.nn.attention import Block, run
 from anystyle.nn.rope import Rotary, grid_positions, rotary
 from anystyle.types import Features, Inject, Site, Tokens, untouched
 
@@ -85,9 +84,7 @@ class Aggregator(contracts.Aggregator):
         return features
 
     def _run(self, block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary) -> Float[Tensor, "M L C"]:
-        if self.checkpointing and self.training and torch.is_grad_enabled():
-            return checkpoint(block, x, angles, use_reentrant=False)
-        return block(x, angles)
+        return run(block, x, angles, recompute=self.checkpointing and self.training)
 
 
 def _site(layer: int) -> str:

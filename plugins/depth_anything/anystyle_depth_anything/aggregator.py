@@ -6,10 +6,9 @@ from typing import Literal
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.utils.checkpoint import checkpoint
 
 from anystyle import contracts
-from anystyle.nn.attention import Block, start_as_dino
+from anystyle.nn.attention import Block, run, start_as_dino
 from anystyle.nn.rope import Rotary, grid_positions, rotary
 from anystyle.types import Features, Inject, Site, Tokens, untouched
 from anystyle_depth_anything.reference_view import in_order
@@ -105,9 +104,7 @@ class Aggregator(contracts.Aggregator):
         return Tokens(data, grid=tokens.grid, special=1)
 
     def _run(self, block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary) -> Float[Tensor, "M L C"]:
-        if self.checkpointing and self.training and torch.is_grad_enabled():
-            return checkpoint(block, x, angles, use_reentrant=False)
-        return block(x, angles)
+        return run(block, x, angles, recompute=self.checkpointing and self.training)
 
 
 def _site(layer: int) -> str:

@@ -6,6 +6,7 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.utils.checkpoint import checkpoint
 
 from anystyle.nn.rope import Rotary, rotate
 
@@ -128,3 +129,10 @@ def start_as_dino(module: nn.Module) -> None:
         if isinstance(layer, nn.Linear):
             nn.init.trunc_normal_(layer.weight, std=0.02)
             nn.init.zeros_(layer.bias)
+
+
+def run(block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary, *, recompute: bool) -> Float[Tensor, "M L C"]:
+    """A block's tokens; with ``recompute`` it runs once more in the backward pass, and keeps no activations."""
+    if recompute and torch.is_grad_enabled():
+        return checkpoint(block, x, angles, use_reentrant=False)
+    return block(x, angles)
