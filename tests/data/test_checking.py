@@ -11,6 +11,7 @@ from PIL import Image
 from anystyle.commands.data import main
 from anystyle.data.checking import check, guess
 from anystyle.data.likeness import fingerprint, same_pictures
+from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.wikiart import DESCRIPTIONS, TEST_FILES, WikiArtStyles
 from anystyle.errors import UserError
 from oracle import hashed
@@ -59,6 +60,42 @@ def test_scenes_are_counted_and_what_is_wrong_is_named(dl3dv):
         assert words in found
     assert len(report.problems) == 4
     assert check(dl3dv, decode=False).scenes == 2
+
+
+def test_scannet_is_found_where_it_keeps_its_photographs_and_cameras(tmp_path):
+    for scene in ("0a5c013435", "1ada7a0617"):
+        dslr, frames = tmp_path / scene / "dslr", []
+        for number in range(3):
+            picture(dslr / "resized_undistorted_images" / f"DSC0{number}.JPG", seed=number)
+            pose = np.eye(4)
+            pose[0, 3] = number
+            frames.append({"file_path": f"DSC0{number}.JPG", "transform_matrix": pose.tolist()})
+        content = {"w": 60, "h": 40, "fl_x": 50, "fl_y": 50, "cx": 30, "cy": 20, "frames": frames}
+        (dslr / "nerfstudio").mkdir()
+        (dslr / "nerfstudio" / "transforms_undistorted.json").write_text(json.dumps(content))
+    report = check(tmp_path)
+    assert (report.layout, report.scenes, report.images, report.problems) == ("scenes", 2, 6, [])
+    options = dict(word.removeprefix("scenes.").split("=", 1) for word in report.use.split()[1:])
+    assert options == {
+        "root": str(tmp_path),
+        "images": "dslr/resized_undistorted_images",
+        "cameras": "dslr/nerfstudio/transforms_undistorted.json",
+    }
+    scenes = FolderScenes(**options, short_side=20, multiple=10)
+    views = scenes.read(1, [0, 2])
+    assert scenes.name(1) == "1ada7a0617" and views.cameras.world_from_camera[0, 1, 0, 3] == 2
+    torch.testing.assert_close(views.cameras.intrinsics[0, 0, 0, 0], torch.tensor(25.0))
+    # COLMAP's model, or nothing, at the place that is named.
+    for cameras in ("dslr/colmap", "dslr/nerfstudio", "gone.json"):
+        (tmp_path / "1ada7a0617/dslr/colmap").mkdir(exist_ok=True)
+        with pytest.raises(ValueError, match="is not there; cameras= names a file or a COLMAP model"):
+            FolderScenes(**options | {"cameras": cameras}).read(1, [0])
+
+
+def test_a_resolution_is_found_without_an_index(dl3dv):
+    (dl3dv / "train_index.json").unlink()
+    report = check(dl3dv / "1K")
+    assert (report.scenes, report.images) == (2, 7) and report.use.endswith("scenes.images=images_8")
 
 
 def test_clips_are_counted_by_their_chunks(tmp_path):

@@ -16,8 +16,13 @@ from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.wikiart import DESCRIPTIONS, TEST_FILES
 
 Layout = Literal["scenes", "re10k", "styles", "wikiart"]
-POSES = ("transforms.json", "poses_bounds.npy", "sparse", "cameras.txt", "cameras.bin")
-RESOLUTIONS = ("images", "images_8", "images_4")
+PLACES: dict[str, str | None] = {
+    "images": None,
+    "images_8": None,
+    "images_4": None,
+    "dslr/resized_undistorted_images": "dslr/nerfstudio/transforms_undistorted.json",
+}
+"""Where photographs lie in a scene's folder, and where its cameras do, if not beside them; the last is ScanNet++'s."""
 
 
 @dataclass
@@ -77,36 +82,47 @@ def guess(root: Path) -> Layout:
 
 def _scenes(root: Path, min_views: int, decode: bool) -> Report:
     index = "train_index.json" if (root / "train_index.json").is_file() else None
-    probe = FolderScenes(root=str(root), index=index)
-    images = next((name for name in RESOLUTIONS if (probe.folders[0] / name).is_dir()), "images")
+    found = (name for name in PLACES if (root / name).is_dir() or next(root.glob(f"*/{name}/"), None) is not None)
+    images = next(found, None if index is None else _indexed(root, root / index)) or "images"
+    cameras = PLACES[images]
+    probe = FolderScenes(root=str(root), index=index, images=images, cameras=cameras)
     words = [f"scenes=folder scenes.root={root}"]
     words += [] if images == "images" else [f"scenes.images={images}"]
+    words += [] if cameras is None else [f"scenes.cameras={cameras}"]
     words += [] if index is None else [f"scenes.index={index}"]
     report = Report("scenes", " ".join(words))
     if index is not None:
         names = json.loads((root / index).read_text())
         report.problems += [f"{name}: in {index}, and not there" for name in names if not (root / name).is_dir()]
     for folder in probe.folders:
-        _scene(folder, images, report, min_views, decode)
+        _scene(folder, images, cameras, report, min_views, decode)
     return report
 
 
-def _scene(folder: Path, images: str, report: Report, min_views: int, decode: bool) -> None:
+def _indexed(root: Path, index: Path) -> str | None:
+    """Where the photographs of the first scene of an index lie that is there."""
+    folders = (root / str(name) for name in json.loads(index.read_text()))
+    first = next((folder for folder in folders if folder.is_dir()), root)
+    return next((name for name in PLACES if (first / name).is_dir()), None)
+
+
+def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_views: int, decode: bool) -> None:
     inside = folder / images if (folder / images).is_dir() else folder
     paths = sorted(path for path in inside.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
     good = _look(paths, report, decode)
     try:
-        stored = read_poses(folder, [path.name for path in paths]) if paths else {}
+        stored = read_poses(folder, [path.name for path in paths], cameras) if paths else {}
     except ValueError as error:
         report.problems.append(str(error))
         return
     known = [path for path in good if not stored or path.name in stored]
     if len(known) < len(good):
         report.problems.append(f"{folder}: {len(good) - len(known)} photographs have no camera")
-    listed = _frames(folder / "transforms.json")
+    file = folder / (cameras or "transforms.json")
+    listed = _frames(file)
     names = {path.name for path in paths} | {path.stem for path in paths}
     absent = [name for name in listed if name not in names]
-    report.problems += [f"{folder}: transforms.json names {name}, which is not in {inside.name}" for name in absent]
+    report.problems += [f"{folder}: {file.name} names {name}, which is not in {inside.name}" for name in absent]
     report.views[len(known)] += 1
     report.scenes += len(known) >= min_views
     if len(known) < min_views:

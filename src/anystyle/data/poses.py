@@ -36,7 +36,7 @@ class StoredCamera:
         return self.intrinsics * scale[:, None]
 
 
-def read_poses(folder: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
+def read_poses(folder: Path, images: Sequence[str], stored_in: str | None = None) -> dict[str, StoredCamera]:
     """The cameras of a scene's images by file name; empty where none are stored.
 
     ``transforms.json`` and COLMAP's models name their images, which may lie in a folder of another resolution;
@@ -45,10 +45,13 @@ def read_poses(folder: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
     Args:
         folder: Of the scene.
         images: File names of its images, in order.
+        stored_in: The file with the cameras, or the folder of COLMAP's model, below ``folder``; ``None`` looks for one.
 
     Raises:
-        ValueError: A file is damaged or does not fit the images.
+        ValueError: A file is damaged or does not fit the images, or is not where it was said to be.
     """
+    if stored_in is not None:
+        return _read(folder / stored_in, images)
     if (folder / "transforms.json").is_file():
         stored = _transforms(folder / "transforms.json")
         return _named(stored, images, folder / "transforms.json")
@@ -57,6 +60,15 @@ def read_poses(folder: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
     if (sparse := colmap.find(folder)) is not None:
         return _named(_colmap(sparse), images, sparse)
     return {}
+
+
+def _read(path: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
+    """The cameras of one file or of one model."""
+    if path.is_dir() and (sparse := colmap.find(path)) is not None:
+        return _named(_colmap(sparse), images, sparse)
+    if not path.is_file():
+        raise ValueError(f"{path} is not there; cameras= names a file or a COLMAP model in the folder of every scene")
+    return _llff(path, images) if path.suffix == ".npy" else _named(_transforms(path), images, path)
 
 
 def _named(stored: Mapping[str, StoredCamera], images: Sequence[str], path: Path) -> dict[str, StoredCamera]:

@@ -31,16 +31,19 @@ class Shots(NamedTuple):
 
 
 class FolderScenes(SceneSource):
-    """Folders of photographs: one scene a folder, or ``root`` itself; also DL3DV-10K and LLFF captures.
+    """Folders of photographs: one scene a folder, or ``root`` itself; also DL3DV-10K, ScanNet++ and LLFF captures.
 
     A scene's photographs lie in its folder or in its sub-folder ``images``, and are taken in natural order. Cameras
-    come from ``transforms.json`` or ``poses_bounds.npy`` where there is one; photographs without a camera are then
-    left out, and so are files that are no images; a damaged one is found out when it is decoded, and raises then. Every
-    scene keeps its own aspect.
+    come from ``transforms.json``, ``poses_bounds.npy`` or COLMAP's model where there is one; photographs without a
+    camera are then left out, and so are files that are no images; a damaged one is found out when it is decoded, and
+    raises then. Every scene keeps its own aspect.
 
     Args:
         root: A folder.
-        images: Sub-folder with a scene's photographs, where there is one; DL3DV has several resolutions.
+        images: Sub-folder with a scene's photographs, where there is one; DL3DV has several resolutions, ScanNet++
+            undistorted ones in ``dslr/resized_undistorted_images``.
+        cameras: File with a scene's cameras, or folder of COLMAP's model, below the scene's folder, such as ScanNet++'s
+            ``dslr/nerfstudio/transforms_undistorted.json``; ``None`` looks for one.
         index: A JSON list of scene folders below ``root``, such as DL3DV's ``train_index.json``; ``None`` takes all.
         short_side: Shorter side of the views in pixels.
         multiple: Sides are multiples of it.
@@ -54,6 +57,7 @@ class FolderScenes(SceneSource):
         *,
         root: str = "scenes",
         images: str = "images",
+        cameras: str | None = None,
         index: str | None = None,
         short_side: int = 448,
         multiple: int = 14,
@@ -64,6 +68,7 @@ class FolderScenes(SceneSource):
         if not self.root.is_dir():
             raise ValueError(f"root={root}: there is no such folder of scenes")
         self.images = images
+        self.cameras = cameras
         self.short_side = short_side
         self.multiple = multiple
         self.folders = self._folders(index)
@@ -156,7 +161,7 @@ class FolderScenes(SceneSource):
         paths = self._photographs(folder)
         if not paths:
             raise ValueError(f"there are no photographs in the scene {folder}")
-        stored = read_poses(folder, [path.name for path in paths])
+        stored = read_poses(folder, [path.name for path in paths], self.cameras)
         if stored:
             known = [path for path in paths if path.name in stored]
             if len(known) < len(paths):
