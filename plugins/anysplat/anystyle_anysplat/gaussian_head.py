@@ -29,6 +29,7 @@ class GaussianHead(contracts.GaussianHead):
         styled_levels: Of the taps, by their order, those that are sites. A shift of all tokens of levels 0 and 1
             comes out of their transposed convolutions as a grid with the period of a patch, which is plain to see
             where patches are few (published: all).
+        styled_color: Whether the colours that come out are a site as well, all views at a time (published: no).
         chunk: Views decoded at a time, and so passed to ``inject`` at a time; a matter of memory alone.
     """
 
@@ -42,6 +43,7 @@ class GaussianHead(contracts.GaussianHead):
         sh_degree: int,
         taps: Sequence[int],
         styled_levels: Sequence[int] = (0, 1, 2, 3),
+        styled_color: bool = False,
         chunk: int,
     ) -> None:
         super().__init__()
@@ -49,25 +51,34 @@ class GaussianHead(contracts.GaussianHead):
         self.coefficients = (sh_degree + 1) ** 2
         self.taps = tuple(taps)
         self.styled_levels = tuple(styled_levels)
+        self.styled_color = styled_color
         self.chunk = chunk
         self.dpt = Dpt(dim=dim, features=features, channels=channels, hidden=hidden, outputs=9 + 3 * self.coefficients)
         self.direct = nn.Conv2d(3, self.direct_dim, 7, padding=3)
 
     @property
     def sites(self) -> tuple[Site, ...]:
-        """``head/tokens/0..3``, patch tokens of the styled levels, normalised; ``head/direct``, features of pixels."""
+        """``head/tokens/0..3``, patch tokens of the styled levels, normalised; ``head/direct``, features of pixels.
+
+        With ``styled_color`` also ``head/color``, the raw colours of pixels, of all views at once.
+        """
         tokens = tuple(Site(_site(level), self.dim) for level in self.styled_levels)
-        return (*tokens, Site("head/direct", self.direct_dim))
+        color = (Site("head/color", 3 * self.coefficients),) if self.styled_color else ()
+        return (*tokens, Site("head/direct", self.direct_dim), *color)
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
         """Predict raw attributes; quaternions are xyzw."""
         batch, views = images.shape[:2]
         raw = by_views(lambda some: self._raw(features, images, inject, some), views, max(1, self.chunk // batch))
+        color = raw[..., 8:-1]
+        if self.styled_color:
+            size = (images.shape[-2], images.shape[-1])
+            color = inject("head/color", Tokens(color.flatten(2, 3), grid=size)).data.unflatten(2, size)
         return Attributes(
             opacity=raw[..., 0],
             scale=raw[..., 1:4],
             rotation=raw[..., 4:8],
-            color=raw[..., 8:-1].unflatten(-1, (3, self.coefficients)),
+            color=color.unflatten(-1, (3, self.coefficients)),
             confidence=raw[..., -1],
         )
 
