@@ -25,6 +25,20 @@ def test_what_is_saved_is_loaded_bit_for_bit_with_what_it_says_of_itself(tmp_pat
     assert read_header(tmp_path / "a.safetensors") == header
 
 
+def test_what_a_header_omits_stays_as_the_module_has_it(tmp_path):
+    save_part(tmp_path / "a.safetensors", network(), Header("branch", omitted=("1",)))
+    with safe_open(tmp_path / "a.safetensors", "pt") as file:
+        assert set(file.keys()) == {"0.weight", "0.bias"}
+    other = network()
+    nn.init.zeros_(other[0].weight)
+    nn.init.constant_(other[1].weight, 7.0)
+    assert load_part(tmp_path / "a.safetensors", other, "branch").omitted == ("1",)
+    assert torch.equal(other[0].weight, network()[0].weight) and bool((other[1].weight == 7).all())
+    save_part(tmp_path / "less.safetensors", network()[:1], Header("branch"))
+    with pytest.raises(ValueError, match="missing 5"):
+        load_part(tmp_path / "less.safetensors", other, "branch")
+
+
 def test_half_precision_halves_the_file_and_keeps_integers(tmp_path):
     save_part(tmp_path / "half.safetensors", network(), Header("branch"), half=True)
     with safe_open(tmp_path / "half.safetensors", "pt") as file:

@@ -7,7 +7,7 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
-from torch import Tensor
+from torch import Tensor, nn
 
 from anystyle.branch import StyleBranch
 from anystyle.checkpoint import Header, has_header, load_part, read_header, sha256
@@ -205,8 +205,8 @@ def _check_base(file: Path, digests: dict[str, str]) -> None:
             )
 
 
-def branch_header(config: DictConfig, provenance: dict[str, Any]) -> Header:
-    """The header of a style branch trained under ``config``."""
+def branch_header(config: DictConfig, branch: nn.Module, provenance: dict[str, Any]) -> Header:
+    """The header of a style branch trained under ``config``; copies that did not learn are left out of its file."""
     files = {part: weights_file(name) for part, name in config.weights.items() if name is not None and part != "branch"}
     kept = OmegaConf.to_container(
         OmegaConf.masked_copy(config, ["backbone", "style_encoder", "placement", "injector", "branch"]),
@@ -219,4 +219,11 @@ def branch_header(config: DictConfig, provenance: dict[str, Any]) -> Header:
         config={str(key): value for key, value in kept.items()},
         base={part: sha256(file) for part, file in files.items()},
         provenance=provenance,
+        # Without a file of the backbone nothing says what was copied.
+        omitted=tuple(name for name, part in branch.named_children() if "backbone" in files and _is_frozen(part)),
     )
+
+
+def _is_frozen(part: nn.Module) -> bool:
+    parameters = list(part.parameters())
+    return bool(parameters) and not any(parameter.requires_grad for parameter in parameters)

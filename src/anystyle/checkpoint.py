@@ -26,12 +26,19 @@ class Header:
         config: The configuration that builds the module the weights fit.
         base: For each part the weights were trained on top of, the SHA-256 of its file.
         provenance: Who made it: command, commit, seed, steps, data.
+        omitted: Children of the module that are not in the file: their values are those of the weights in ``base``,
+            which the module has when it is made.
     """
 
     part: str
     config: Mapping[str, Any] = field(default_factory=dict)
     base: Mapping[str, str] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    omitted: tuple[str, ...] = ()
+
+    def omits(self, key: str) -> bool:
+        """Whether a tensor of the module's state is not in the file."""
+        return key.partition(".")[0] in self.omitted
 
 
 def save_part(path: str | Path, module: nn.Module, header: Header, *, half: bool = False) -> None:
@@ -45,6 +52,8 @@ def save_part(path: str | Path, module: nn.Module, header: Header, *, half: bool
     """
     state: dict[str, Tensor] = {}
     for key, tensor in module.state_dict().items():
+        if header.omits(key):
+            continue
         kept = tensor.detach().cpu().contiguous()
         state[key] = kept.half() if half and kept.is_floating_point() else kept.clone()
     metadata = {
@@ -53,6 +62,7 @@ def save_part(path: str | Path, module: nn.Module, header: Header, *, half: bool
         "config": json.dumps(header.config, sort_keys=True),
         "base": json.dumps(header.base, sort_keys=True),
         "provenance": json.dumps(header.provenance, sort_keys=True),
+        "omitted": json.dumps(header.omitted),
     }
     save_tensors(path, state, metadata)
 
@@ -91,6 +101,7 @@ def read_header(path: str | Path) -> Header:
         config=json.loads(metadata["config"]),
         base=json.loads(metadata["base"]),
         provenance=json.loads(metadata["provenance"]),
+        omitted=tuple(json.loads(metadata.get("omitted", "[]"))),
     )
 
 
@@ -118,7 +129,8 @@ def load_part(path: str | Path, module: nn.Module, part: str) -> Header:
         raise ValueError(f"{path} holds the weights of a {header.part}, but those of a {part} are needed")
     with _open(path) as file:
         state = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118  (no mapping)
-    load_strictly(module, state, source=str(path))
+    kept = {key: tensor for key, tensor in module.state_dict().items() if header.omits(key)}
+    load_strictly(module, kept | state, source=str(path))
     return header
 
 

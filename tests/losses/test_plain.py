@@ -2,13 +2,16 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
+from scipy import stats
 
 from anystyle.losses.depth_consistency import DepthConsistency
 from anystyle.losses.edge_aware_smoothness import EdgeAwareSmoothness
 from anystyle.losses.histogram import Histogram
 from anystyle.losses.luminance import Luminance
+from anystyle.losses.palette_ramp import PaletteRamp, painted, ramp, ranks
 from anystyle.losses.total_variation import TotalVariation
 from anystyle.types import Geometry
 from oracle import golden, hashed, smooth_image
@@ -77,3 +80,38 @@ def test_luminance_of_a_flat_view_is_finite() -> None:
     flat = torch.full((1, 1, 3, 56, 56), 0.5, requires_grad=True)
     Luminance()(stylization(flat, smooth_image(13, [1, 1, 3, 56, 56]))).backward()
     assert torch.isfinite(flat.grad).all()
+
+
+def test_palette_ramp_is_the_transcription_with_scipy_and_numpy() -> None:
+    photographs, style = smooth_image(21, [2, 2, 3, 12, 15]), smooth_image(22, [2, 3, 16, 24])
+    rendered = smooth_image(23, [2, 2, 3, 12, 15])
+    knots, errors = 8, []
+    for scene in range(2):
+        luma = np.tensordot([0.299, 0.587, 0.114], photographs[scene].double().numpy(), (0, 1))  # V H W
+        share = (stats.rankdata(luma, method="ordinal") - 1).reshape(luma.shape) / luma.size
+        colors = style[scene].double().flatten(1).T.numpy()
+        centred = colors - colors.mean(0)
+        axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+        axis = axis if axis @ [0.299, 0.587, 0.114] > 0 else -axis
+        steps = colors[np.argsort(centred @ axis)].reshape(knots, -1, 3).mean(1)
+        wanted = np.stack([np.interp(share * (knots - 1), np.arange(knots), steps[:, c]) for c in range(3)], 1)
+        errors.append(((rendered[scene].double().numpy() - wanted) ** 2).mean())
+    result = stylization(rendered, photographs, style)
+    assert PaletteRamp(knots=knots)(result).item() == pytest.approx(np.mean(errors), rel=1e-4)
+    only_second = stylization(rendered, photographs, style, has_image=torch.tensor([False, True]))
+    assert PaletteRamp(knots=knots)(only_second).item() == pytest.approx(errors[1], rel=1e-4)
+    assert PaletteRamp()(stylization(rendered, photographs)) == 0
+
+
+def test_palette_ramp_of_two_colours_parts_light_from_dark_whatever_the_exposure() -> None:
+    navy, orange = torch.tensor([0.08, 0.12, 0.35]), torch.tensor([0.95, 0.5, 0.1])
+    style = torch.stack([navy, orange], -1)[None, :, :, None].repeat(1, 1, 1, 4).permute(0, 1, 3, 2)  # 1 3 4 2
+    photographs = hashed(24, [1, 1, 3, 6, 6], 0, 1)
+    target = painted(ranks(photographs), ramp(style, 2))
+    darkest = (photographs * torch.tensor([0.299, 0.587, 0.114])[:, None, None]).sum(2).flatten().argmin()
+    assert target.flatten(3)[0, 0, :, darkest].tolist() == pytest.approx(navy.tolist())
+    assert target.mean((1, 3, 4))[0].tolist() == pytest.approx(((navy + orange) / 2).tolist(), abs=0.02)
+    torch.testing.assert_close(painted(ranks(photographs**2 * 0.5), ramp(style, 2)).mean(), target.mean())
+    assert PaletteRamp(knots=2)(stylization(target, photographs, style)).item() == pytest.approx(0, abs=1e-12)
+    with pytest.raises(ValueError, match="give at least 2"):
+        PaletteRamp(knots=1)

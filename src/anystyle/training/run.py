@@ -210,7 +210,7 @@ def export(config: DictConfig, made: Mapping[str, nn.Module], out: Path, *, step
     written = []
     for part, module in made.items():
         if part == "branch":
-            header = branch_header(config, provenance)
+            header = branch_header(config, module, provenance)
         else:
             node = OmegaConf.to_container(config[part], resolve=True, enum_to_str=True) if part in config else {}
             header = Header(part=part, config={part: node}, provenance=provenance)
