@@ -165,6 +165,7 @@ FILES: dict[str, WeightsFile] = {
     "tiny_judge": _ours("tiny_judge", "judge of protocol=tiny_heldout", "tiny_judge"),
     "tiny_backbone": _ours("tiny_backbone", "model=tiny", "tiny_reconstruction"),
     "tiny_head": _ours("tiny_head", "model=tiny, placement=head", "tiny_style"),
+    "tiny_full": _ours("tiny_full", "model=tiny_full, placement=full", "tiny_style_full"),
 }
 
 
