@@ -15,7 +15,7 @@ from anystyle.training.data import StepData
 from anystyle.training.embedding import EmbeddingTraining
 from anystyle.training.palette import palette_loss
 from anystyle.training.perceptual import TAPS, NormedTexture, PerceptualTraining
-from anystyle.training.styles import StyleBatches, TraitHeads
+from anystyle.training.styles import UNKNOWN, StyleBatches, TraitHeads
 from anystyle.types import Style
 from oracle import hashed
 
@@ -236,3 +236,16 @@ def test_trait_heads_answer_each_trait() -> None:
     with torch.no_grad():
         heads["brushwork"].bias[2] = 100.0
     assert heads.accuracies(features, traits)["brushwork"] == 1
+
+
+def test_a_trait_that_no_row_knows_costs_nothing_and_the_others_are_the_mean_over_rows_that_know() -> None:
+    heads = TraitHeads(4)
+    features = torch.randn(3, 4, generator=torch.Generator().manual_seed(0))
+    traits = torch.zeros(3, len(heads), dtype=torch.long)
+    first, second = list(heads)[:2]
+    traits[:, 0] = UNKNOWN
+    traits[2, 1] = UNKNOWN
+    losses = heads.losses(features, traits, smoothing=0.05)
+    assert losses[first] == 0
+    rows = torch.nn.functional.cross_entropy(heads[second](features[:2]), traits[:2, 1], label_smoothing=0.05)
+    torch.testing.assert_close(losses[second], rows)

@@ -194,11 +194,13 @@ class TraitHeads(nn.ModuleDict):
     def losses(
         self, features: Float[Tensor, "M C"], traits: Int[Tensor, "M T"], *, smoothing: float = 0.0
     ) -> dict[str, Float[Tensor, ""]]:
-        """Cross-entropy of each trait, over the rows where it is not :data:`UNKNOWN`."""
-        return {
-            name: nn.functional.cross_entropy(head(features), traits[:, place], label_smoothing=smoothing)
-            for place, (name, head) in enumerate(self.items())
-        }
+        """Cross-entropy of each trait, over the rows where it is not :data:`UNKNOWN`; 0 where it is in none."""
+        found = {}
+        for place, (name, head) in enumerate(self.items()):
+            known = traits[:, place]
+            total = nn.functional.cross_entropy(head(features), known, label_smoothing=smoothing, reduction="sum")
+            found[name] = total / (known != UNKNOWN).sum().clamp_min(1)
+        return found
 
     def accuracies(self, features: Float[Tensor, "M C"], traits: Int[Tensor, "M T"]) -> dict[str, Float[Tensor, ""]]:
         """The share of right answers for each trait."""
