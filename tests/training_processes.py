@@ -41,7 +41,6 @@ def _train(words: Sequence[str], out: Path, environment: Mapping[str, str], larg
     import torch
 
     from anystyle.commands._run import run
-
     from anystyle.training.run import train
     from training_cases import configuration
 
