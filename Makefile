@@ -4,7 +4,7 @@ BIN := .venv/bin
 EXTRAS := report,stats,flow,sweeps,tracking,hub
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo test test-slow lint format
+.PHONY: setup demo docs test test-slow lint format
 
 setup: .venv/.ready
 
@@ -25,6 +25,10 @@ demo: setup
 	$(BIN)/anystyle stylize $(DEMO) --text "purple and pink" --text "deep blue" \
 		--mix 0,0.25,0.5,0.75,1 --out out/demo/strip
 	@echo "the results are in out/demo: look at out/demo/sheet.png and out/demo/strip/sheet.png"
+
+docs: setup
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --config-file docs/site/mkdocs.yml
+	@echo "the pages are in out/docs: open out/docs/index.html"
 
 test: lint
 	$(BIN)/python -m pytest -n 2 -m "not slow"

@@ -1,5 +1,9 @@
 """Scenes kept on disk, and loaders that start where a run stands."""
 
+import multiprocessing
+import os
+import signal
+
 import pytest
 import torch
 
@@ -84,3 +88,19 @@ def test_a_loader_starts_where_the_run_stands_and_draws_no_random_number(workers
     # Lightning counts the steps already done.
     assert len(loader) == 7
     assert torch.equal(torch.get_rng_state(), before)
+
+
+@pytest.mark.parametrize("name", [signal.SIGTERM, signal.SIGINT])
+def test_signals_that_reach_the_workers_too_leave_the_training_its_batches(name):
+    before = set(multiprocessing.active_children())
+    rows = iter(StepLoader(Steps(), start=0, stop=12, workers=2))
+    assert next(rows).images.flatten()[0] == 0
+    workers = set(multiprocessing.active_children()) - before
+    assert len(workers) == 2
+    for worker in workers:
+        os.kill(worker.pid, name)
+    assert [int(batch.images.flatten()[0]) for batch in rows] == list(range(1, 12))
+    del rows
+    for worker in workers:
+        worker.join(20)
+        assert worker.exitcode == 0

@@ -7,6 +7,7 @@ from kornia.geometry.transform import get_perspective_transform, warp_perspectiv
 from torch import Tensor
 
 from anystyle.contracts import Loss, StyleEncoder
+from anystyle.perception.early import differentiated
 from anystyle.types import Stylization
 
 
@@ -25,6 +26,7 @@ class ClipPatch(Loss):
             view are therefore the same picture.
         size: Side that warped crops (bilinear) and photographs (bicubic) are resized to, as published; none leaves
             that to the encoder.
+        batch: Patches embedded at a time; a matter of memory alone.
         weight: In the objective.
     """
 
@@ -37,15 +39,19 @@ class ClipPatch(Loss):
         distortion: float = 0.5,
         shared_crop: bool = False,
         size: int | None = 224,
+        batch: int = 16,
         weight: float = 4.0,
     ) -> None:
         super().__init__()
+        if batch < 1:
+            raise ValueError(f"loss.clip_patch.batch={batch}: give at least 1")
         self._encoder = (style_encoder,)  # held, not owned
         self.crops = crops
         self.crop_size = crop_size
         self.distortion = distortion
         self.shared_crop = shared_crop
         self.size = size
+        self.batch = batch
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
@@ -61,10 +67,17 @@ class ClipPatch(Loss):
         patches = self._patches(color.repeat_interleave(copies, 0), generator)
         with torch.no_grad():
             before = embed(_resized(result.views.images.flatten(0, 1), self.size, "bicubic"))
-        after = embed(_resized(patches, self.size, "bilinear"))
-        change = F.normalize(after - before.repeat_interleave(copies, 0), dim=-1, eps=1e-4)
-        wanted = result.embedding.direction.repeat_interleave(result.renders.color.shape[1] * copies, 0)
-        return (1 - (change * F.normalize(wanted, dim=-1)).sum(-1)).mean()
+        wanted = F.normalize(result.embedding.direction, dim=-1).repeat_interleave(result.renders.color.shape[1], 0)
+        total = color.new_zeros(())
+        for place in torch.arange(len(patches), device=before.device).split(self.batch):
+            view = place // copies
+
+            def away(some: Tensor, before: Tensor = before[view], wanted: Tensor = wanted[view]) -> Tensor:
+                change = F.normalize(embed(_resized(some, self.size, "bilinear")) - before, dim=-1, eps=1e-4)
+                return (1 - (change * wanted).sum(-1)).sum()
+
+            total = total + differentiated(away, patches[place])
+        return total / len(patches)
 
     def _patches(self, images: Float[Tensor, "M 3 H W"], generator: torch.Generator | None) -> Float[Tensor, "M 3 c c"]:
         count, _, height, width = images.shape

@@ -11,6 +11,7 @@ from torch import Tensor
 from anystyle import perception
 from anystyle.contracts import Loss
 from anystyle.perception.compare import squash
+from anystyle.perception.early import differentiated
 from anystyle.types import Stylization
 
 
@@ -49,5 +50,9 @@ class Content(Loss):
         """See :meth:`anystyle.contracts.Loss.forward`."""
         with torch.no_grad():
             wanted = self.network(squash(result.views.images.flatten(0, 1), self.size), self.layers)
-        found = self.network(squash(result.renders.color.flatten(0, 1), self.size), self.layers)
-        return torch.stack([F.mse_loss(*pair) for pair in zip(found, wanted, strict=True)]).sum()
+
+        def distance(images: Tensor) -> Tensor:
+            found = self.network(squash(images, self.size), self.layers)
+            return torch.stack([F.mse_loss(*pair) for pair in zip(found, wanted, strict=True)]).sum()
+
+        return differentiated(distance, result.renders.color.flatten(0, 1))

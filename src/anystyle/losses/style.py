@@ -1,6 +1,7 @@
 """Style: match the mean and spread of features."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor
 from anystyle import perception
 from anystyle.contracts import Loss
 from anystyle.perception.compare import style_distance
+from anystyle.perception.early import differentiated
 from anystyle.perception.statistics import mean_std
 from anystyle.types import Stylization
 
@@ -51,14 +53,19 @@ class Style(Loss):
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""
-        return style_distance(
-            result,
-            network=self.network,
-            layers=self.layers,
-            size=self.size,
-            describe=_moments,
-            relative=self.relative,
-        )
+
+        def distance(images: Tensor) -> Tensor:
+            color = images.unflatten(0, result.renders.color.shape[:2])
+            return style_distance(
+                replace(result, renders=replace(result.renders, color=color)),
+                network=self.network,
+                layers=self.layers,
+                size=self.size,
+                describe=_moments,
+                relative=self.relative,
+            )
+
+        return differentiated(distance, result.renders.color.flatten(0, 1))
 
 
 def _moments(layer: str, features: Tensor) -> Tensor:

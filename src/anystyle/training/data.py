@@ -1,6 +1,7 @@
 """Batches as functions of the step, and the Lightning data module that serves them."""
 
 import logging
+import signal
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol, runtime_checkable
@@ -196,6 +197,15 @@ class _Steps(Dataset[Value]):
         return self.source.batch(step, self.rank, self.world)
 
 
+def _undisturbed(worker: int) -> None:
+    """Leave signals to the training: Ctrl-C and schedulers reach every process, and it needs its batch to end well.
+
+    A worker ends when it is told to, or when the training is gone.
+    """
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, signal.SIG_IGN)
+
+
 class StepLoader:
     """The batches of the steps from ``start`` to ``stop``, in order.
 
@@ -214,6 +224,7 @@ class StepLoader:
             sampler=range(start, stop),
             num_workers=workers,
             persistent_workers=False,
+            worker_init_fn=_undisturbed,
             generator=torch.Generator().manual_seed(0),
         )
 

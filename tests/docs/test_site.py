@@ -1,0 +1,52 @@
+"""The pages as a site: `make docs` builds them all, and refuses links that lead nowhere."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted(path.stem for path in (ROOT / "docs").glob("*.md"))
+
+pytest.importorskip("mkdocs", reason="the site is built by mkdocs: pip install --group docs")
+
+
+def build(root: Path, out: Path) -> subprocess.CompletedProcess[str]:
+    recipe = re.search(r"^docs:.*\n(?:\t.*\n)*?\t.*bin\)/mkdocs (.*)$", (ROOT / "Makefile").read_text(), re.I | re.M)
+    assert recipe is not None
+    return subprocess.run(
+        [sys.executable, "-m", "mkdocs", *recipe[1].split(), "--site-dir", str(out)],
+        cwd=root,
+        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_every_page_is_built_and_found_in_the_navigation(tmp_path):
+    done = build(ROOT, tmp_path / "site")
+    assert done.returncode == 0, done.stdout + done.stderr
+    first = (tmp_path / "site" / "index.html").read_text()
+    navigation = first[first.index('class="md-nav') : first.rindex("</nav>")]
+    for page in PAGES:
+        if page != "index":
+            assert (tmp_path / "site" / page / "index.html").is_file()
+            assert f'href="{page}/"' in navigation, page
+    assert 'class="mermaid"' in (tmp_path / "site" / "design" / "index.html").read_text()
+    # What lies outside of the pages is linked where it is read.
+    assert "/anystyle/blob/main/notebooks/01_stylize.py" in first
+    assert not (tmp_path / "site" / "site").exists()
+
+
+@pytest.mark.parametrize("link", ["[a](nowhere.md)", "[a](design.md#nowhere)", "[a](../nowhere.py)"])
+def test_a_broken_link_is_refused(link, tmp_path):
+    shutil.copytree(ROOT / "docs", tmp_path / "docs")
+    with (tmp_path / "docs" / "index.md").open("a", encoding="utf-8") as file:
+        file.write(f"\n{link}\n")
+    done = build(tmp_path, tmp_path / "site")
+    assert done.returncode != 0
+    assert "nowhere" in done.stdout + done.stderr
