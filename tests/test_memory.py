@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from anystyle import memory
-from anystyle.testing.toy.backbone import ToyBackbone
+from anystyle.testing.toy.backbone import ToyAggregator, ToyBackbone
+from anystyle.types import untouched
 
 
 def test_the_peak_counts_what_lives_at_one_time():
@@ -34,6 +35,38 @@ def test_too_many_views_are_refused_before_anything_runs(monkeypatch):
     memory.check(backbone, 9, (32, 32), torch.device("cpu"))
     with pytest.raises(ValueError, match=r"12 views of 32x32 need .* set views.max_views=(9|10) "):
         memory.check(backbone, 12, (32, 32), torch.device("cpu"))
+
+
+class Curious(ToyAggregator):
+    """An aggregator that looks at values, in one way or another, or is broken."""
+
+    def __init__(self, look):
+        super().__init__(dim=12, depth=2)
+        self.look = look
+
+    def forward(self, stem, inject=untouched):
+        self.look(stem.data)
+        return super().forward(stem, inject)
+
+
+@pytest.mark.parametrize("look", [lambda x: x.sum().item(), lambda x: x[x > 0], lambda x: x.numpy()])
+def test_without_values_there_is_no_estimate_and_the_log_says_why(look, caplog):
+    backbone = ToyBackbone(dim=12)
+    backbone.aggregator = Curious(look)
+    assert memory.encoding(backbone, (32, 32)) is None
+    assert "the backbone asks for values" in caplog.text
+    memory.check(backbone, 10**6, (32, 32), torch.device("cpu"))
+
+
+@pytest.mark.parametrize("error", [RuntimeError("the rope is torn"), ValueError("views of 32x32 are too small")])
+def test_what_is_broken_is_not_taken_for_unknown(error):
+    def look(_):
+        raise error
+
+    backbone = ToyBackbone(dim=12)
+    backbone.aggregator = Curious(look)
+    with pytest.raises(type(error), match=str(error)):
+        memory.encoding(backbone, (32, 32))
 
 
 def test_free_memory_is_known_here():

@@ -28,6 +28,9 @@ _HOMES = {
 def load(model: str = "tiny", overrides: Sequence[str] = ()) -> "Stylizer":
     """Build a stylizer with its weights, ready for use: in ``eval`` mode, without gradients.
 
+    Weights that are read from a file without a copy occupy memory only while their part of the network runs; see
+    :func:`anystyle.paging.thrifty`.
+
     Args:
         model: A preset of ``conf/model``.
         overrides: In Hydra's grammar, as ``anystyle stylize`` takes them, such as ``renderer=gsplat``.
@@ -37,10 +40,13 @@ def load(model: str = "tiny", overrides: Sequence[str] = ()) -> "Stylizer":
         FileNotFoundError: A file of weights is missing.
     """
     from anystyle.assemble import assemble
+    from anystyle.paging import thrifty
     from anystyle.registry.compose import compose
 
     stylizer, _ = assemble(compose("stylize", [f"model={model}", *overrides]))
-    return stylizer.requires_grad_(False).eval()
+    stylizer = stylizer.requires_grad_(False).eval()
+    thrifty(stylizer.stages)
+    return stylizer
 
 
 def __getattr__(name: str) -> Any:

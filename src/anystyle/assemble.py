@@ -15,7 +15,7 @@ from anystyle.contracts import Backbone, Injector, Placement, Published, Rendere
 from anystyle.perception import weights
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
-from anystyle.stylizer import Stylizer
+from anystyle.stylizer import Stylizer, lowered
 from anystyle.types import Site
 
 PARTS = ("backbone", "style_encoder", "branch")
@@ -135,6 +135,10 @@ def put_together(
     if whole and "branch" in published:
         with _empty(True):
             branch = make_branch(config, backbone, encoder.dim, options)
+    if whole:
+        # While nothing is in memory: tensors are brought to the types that are wanted as they come from their file.
+        for module in lowered(config.precision, backbone, branch):
+            module.to(torch.bfloat16)
     if "backbone" in published:
         published_by(config).load_backbone(backbone, published["backbone"])
     elif "backbone" in ours:

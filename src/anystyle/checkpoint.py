@@ -13,6 +13,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from anystyle.files import atomic_path
+from anystyle.paging import fill
 
 FORMAT = "anystyle/1"
 
@@ -156,8 +157,7 @@ def load_strictly(module: nn.Module, state: Mapping[str, Tensor], *, source: str
     ]
     if problems:
         raise ValueError(f"{source} does not fit this {type(module).__name__}: {'; '.join(problems)}")
-    for key, tensor in own.items():
-        tensor.copy_(state[key])
+    fill(module, state)
 
 
 def sha256(path: str | Path) -> str:

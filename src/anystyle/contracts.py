@@ -9,7 +9,7 @@ study's socket, :class:`anystyle.study.contract.StudyTest`, needs no torch and l
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import ClassVar, Protocol, final, runtime_checkable
+from typing import Any, ClassVar, Protocol, final, runtime_checkable
 
 import torch
 import torchmetrics
@@ -279,6 +279,18 @@ class Metric(Socket, torchmetrics.Metric, ABC):
     @abstractmethod
     def compute(self) -> dict[str, Tensor]:
         """The figures over all that was taken in; ``nan`` with a warning where there was too little."""
+
+    def plot(self, val: Any = None, ax: Any = None) -> Any:
+        """Draw figures as other metrics of torchmetrics do; needs matplotlib (``pip install "anystyle[report]"``).
+
+        Args:
+            val: What :meth:`compute` or a call returned, or a list of these, one a step; computed if not given.
+            ax: Matplotlib's axes to draw on.
+
+        Returns:
+            Matplotlib's figure and axes.
+        """
+        return self._plot(val, ax)
 
 
 class Correspondence(Socket, ABC):

@@ -6,6 +6,7 @@ what the pass itself will hold beside the weights; two sizes tell the slope, for
 
 import contextlib
 import copy
+import logging
 import weakref
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -13,12 +14,21 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
-from torch._subclasses.fake_tensor import DataDependentOutputException, FakeTensorMode
+from torch._subclasses.fake_tensor import (
+    DataDependentOutputException,
+    DynamicOutputShapeException,
+    FakeTensorMode,
+    UnsupportedOperatorException,
+)
 from torch.utils import _pytree as pytree
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from anystyle.contracts import Backbone
 from anystyle.types import Tokens
+
+_log = logging.getLogger(__name__)
+
+_ASKS_FOR_VALUES = (DataDependentOutputException, DynamicOutputShapeException, UnsupportedOperatorException)
 
 SHARE = 0.9
 """Of what is free: allocators and the system need the rest."""
@@ -85,7 +95,11 @@ def encoding(backbone: Backbone, size: tuple[int, int], dtype: torch.dtype = tor
         dtype: Of the images.
 
     Returns:
-        ``None`` for a backbone whose computation depends on values, which tensors without memory do not have.
+        ``None``, and a line in the log, for a backbone whose computation depends on values, which tensors without
+        memory do not have.
+
+    Raises:
+        ValueError: The backbone refuses such views.
     """
     # From here on, heads decode chunk by chunk: what one chunk takes no longer grows.
     few, many = 8, 16
@@ -109,10 +123,18 @@ def encoding(backbone: Backbone, size: tuple[int, int], dtype: torch.dtype = tor
 
         try:
             first, second = encode(few), encode(many)
-        except (RuntimeError, NotImplementedError, ValueError):
+        except RuntimeError as error:
+            if not _asks_for_values(error):
+                raise
+            _log.warning("what encoding takes cannot be said before: the backbone asks for values (%s)", error)
             return None
     slope = (second - first) / (many - few)
     return Estimate(max(0.0, first - few * slope), slope)
+
+
+def _asks_for_values(error: RuntimeError) -> bool:
+    # PyTorch has no class of its own for the way out to NumPy.
+    return isinstance(error, _ASKS_FOR_VALUES) or ".numpy()" in str(error)
 
 
 def available(device: torch.device) -> int | None:

@@ -54,16 +54,16 @@ class Stylizer(nn.Module):
         Raises:
             ValueError: There is no such precision.
         """
-        if precision not in PRECISIONS:
-            raise ValueError(f"precision is {precision!r}; choose from {', '.join(PRECISIONS)}")
+        for module in lowered(precision, self.backbone, self.branch):
+            module.to(torch.bfloat16)
         self.mixed = precision == "reference"
-        if precision != "fp32":
-            self.backbone.embedder.to(torch.bfloat16)
-            self.backbone.aggregator.to(torch.bfloat16)
-        if precision == "bf16":
-            self.backbone.gaussian_head.to(torch.bfloat16)
-            self.branch.to(torch.bfloat16)
         return self
+
+    @property
+    def stages(self) -> tuple[nn.Module, ...]:
+        """What a pass calls one after another, each as a whole."""
+        backbone = self.backbone
+        return backbone.embedder, backbone.aggregator, backbone.geometry_head, backbone.gaussian_head, self.branch
 
     @contextlib.contextmanager
     def _precision(self, device: torch.device) -> Iterator[None]:
@@ -127,6 +127,20 @@ class Stylizer(nn.Module):
     def forward(self, views: Views, embedding: StyleEmbedding) -> Gaussians:
         """The single pass: encode, then restyle."""
         return self.restyle(self.encode(views), embedding)
+
+
+def lowered(precision: str, backbone: Backbone, branch: StyleBranch | None = None) -> list[nn.Module]:
+    """The parts whose weights a precision keeps in bf16.
+
+    Raises:
+        ValueError: There is no such precision.
+    """
+    if precision not in PRECISIONS:
+        raise ValueError(f"precision is {precision!r}; choose from {', '.join(PRECISIONS)}")
+    parts: list[nn.Module] = [] if precision == "fp32" else [backbone.embedder, backbone.aggregator]
+    if precision == "bf16":
+        parts += [backbone.gaussian_head, *([branch] if branch else [])]
+    return parts
 
 
 def _paired(scene: Scene, embedding: StyleEmbedding) -> Scene:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from anystyle.assemble import published_by, put_together, weights_file
 from anystyle.contracts import StyleEncoder
+from anystyle.paging import thrifty
 from anystyle.perception import weights
 from anystyle.registry.compose import compose, override
 from anystyle.stylizer import Stylizer
@@ -27,7 +28,9 @@ def load_reference(
 
     The variant is read off the keys: a style branch with or without an aggregator of its own, or none; so are the
     sizes, off the shapes. Without a style branch every style gives the reconstruction itself, colours of all degrees
-    included. Tensors of the right type are taken as they are, without a copy.
+    included. Tensors of the right type are taken as they are, without a copy; those of another are brought to it one by
+    one. Weights that come from a file occupy memory only while their part of the network runs; see
+    :func:`anystyle.paging.thrifty`.
 
     Args:
         checkpoint: A state dict, with or without its file's prefixes (``encoder.``, ``model.encoder.``), or a file.
@@ -61,7 +64,9 @@ def load_reference(
             raise
         missing = _Missing(dim=config.style_encoder.dim, neutral=config.style_encoder.neutral, reason=str(error))
     stylizer, _ = put_together(config, {}, parts, missing)
-    return stylizer.requires_grad_(False).eval()
+    stylizer = stylizer.requires_grad_(False).eval()
+    thrifty(stylizer.stages)
+    return stylizer
 
 
 def reference_config(state: Mapping[str, Tensor], overrides: Sequence[str] = ()) -> DictConfig:

@@ -80,7 +80,7 @@ def test_the_same_again_computes_nothing_anew(tmp_path, monkeypatch):
     given = flags(*folders(tmp_path / "in"))
     run(*given, *TOY, "--out", "out")
     before = metrics("out")
-    monkeypatch.setattr("anystyle.evaluation.parts.judge_scene", None)
+    monkeypatch.setattr("anystyle.evaluation.parts.judge_row", None)
     run(*given, *TOY, "--out", "out")
     again = metrics("out")
     for found in (before, again):
@@ -158,7 +158,7 @@ def test_what_cannot_be_judged_is_one_line_and_leaves_nothing(tmp_path, capsys):
         "--style, --stylized are missing": ["--content", content],
         "there is no style folder": flags(content, tmp_path / "absent", stylized),
         "the stylized folder": flags(content, style, tmp_path / "empty"),
-        "Could not load 'metric/plain_chagne'": [*given, "metric=[plain_chagne]"],
+        "Could not find 'metric/plain_chagne'. Did you mean 'plain_change'?": [*given, "metric=[plain_chagne]"],
         "--run judges a model, and --stylized judges images": [*given, "--run", tmp_path],
         "holds no finished training": ["--run", tmp_path / "empty"],
         "this protocol needs scenes; add scenes=NAME": [*TOY],

@@ -137,7 +137,7 @@ def test_an_interruption_keeps_the_scenes_that_are_done(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         judge_pairing({"mean": metric}, pairing, tmp_path, stop)
     found = judge_pairing({"mean": metric}, pairing, tmp_path, silent)
-    assert [scene for scene, _ in metric.seen] == ["one", "one", "two", "two", "two"]
+    assert metric.seen == [("one", "a"), ("one", "b"), ("two", "a"), ("two", "b")]
     fresh = judge_pairing({"mean": Mean()}, pairing, tmp_path / "fresh", silent)
     assert found == fresh
 
@@ -164,3 +164,25 @@ def test_stand_ins_are_handed_on(tmp_path):
 def test_no_metric_is_an_error(tmp_path):
     with pytest.raises(ValueError, match=r"no metric is chosen; add metric=\[NAME"):
         judge_pairing({}, pair(*folders(tmp_path / "images")), tmp_path, silent)
+
+
+def test_an_interrupted_scene_goes_on_at_the_style_where_it_stopped(tmp_path):
+    """What was taken in of finished styles is kept, and the figures are those of a run in one go, to the last bit."""
+    cells = pair(*folders(tmp_path / "in", scenes=("one",), styles=("a", "b", "c")))
+    whole = judge_pairing({"mean": Mean(), "toy": ToyMetric()}, cells, tmp_path / "whole", silent)
+
+    class Killed(ToyMetric):
+        def update(self, given):
+            if given.styles == ("c",):
+                raise KeyboardInterrupt
+            super().update(given)
+
+    mean_ = Mean()
+    with pytest.raises(KeyboardInterrupt):
+        judge_pairing({"mean": mean_, "toy": Killed()}, cells, tmp_path / "out", silent)
+    assert [style for _, style in mean_.seen] == ["a", "b", "c"]
+    again, toy = Mean(), ToyMetric()
+    found = judge_pairing({"mean": again, "toy": toy}, cells, tmp_path / "out", silent)
+    assert again.seen == [], "nothing is taken in twice"
+    assert found == whole
+    assert not list((tmp_path / "out" / "parts").glob("*.rows"))

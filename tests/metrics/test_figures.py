@@ -10,6 +10,7 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torchmetrics.image.kid import poly_mmd
 
 from anystyle.contracts import Metric
+from anystyle.correspondences.raft import Raft
 from anystyle.metrics.art_fid import ArtFID
 from anystyle.metrics.cfsd import CFSD
 from anystyle.metrics.clip_direction import ClipDirection
@@ -22,6 +23,7 @@ from anystyle.metrics.lpips import LPIPS
 from anystyle.metrics.psnr import PSNR
 from anystyle.metrics.ssim import SSIM
 from anystyle.metrics.timing import Timing
+from anystyle.metrics.warp_consistency import WarpConsistency
 from anystyle.perception import memo
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.types import Cameras, Comparison, Style
@@ -220,3 +222,18 @@ def test_a_changed_image_is_another_image():
         many = torch.linspace(0, 1, 60).view(60, 1, 1, 1).expand(-1, 3, 2, 2).contiguous()
         memory.rows(many, memo.fingerprints(many), ("mean",), look)
     assert memory._bytes <= 100 and len(memory._kept) == 25
+
+
+def test_the_photographs_flow_is_searched_once_for_all_styles(monkeypatch):
+    """Also where styles come one after the other; another scene has a flow of its own."""
+    flow = Raft(weights="stand_in")
+    searched = []
+    search = flow.displacement
+    monkeypatch.setattr(flow, "displacement", lambda *frames: searched.append(1) or search(*frames))
+    metric = WarpConsistency(correspondence=flow, flow_from="content", weights="stand_in")
+    given = pictures(styles=3, frames=2, side=40)
+    for row in range(3):
+        metric.update(given.map(lambda tensor, i=row: tensor[i : i + 1].clone()))
+    assert len(searched) == 1
+    metric.update(replace(given, content=given.content.flip(-1)))
+    assert len(searched) == 2

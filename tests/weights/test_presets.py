@@ -1,8 +1,5 @@
 """The published sizes as presets: built without memory, filled from the file; and other precisions."""
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,7 +8,9 @@ from omegaconf import OmegaConf
 from safetensors.torch import save_file
 
 import anystyle
+import full_size
 from anystyle.assemble import assemble, put_together
+from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose, override
 from anystyle.stylizer import Stylizer
 from anystyle.types import StyleEmbedding, Views
@@ -24,30 +23,6 @@ PARAMETERS = {"anysplat": 1_190_736_456, "anystyle_head": 1_251_520_924, "anysty
 MASK_TOKEN, TEXT_ADAPTER = 1024, 525_312
 WITHIN = 1.15
 """Peak memory while loading, in the weights' size."""
-
-MEASURE = """
-import json, resource, sys
-from pathlib import Path
-
-def memory(field):
-    lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
-    return int(lines[field].split()[0]) * 1024
-
-import torch
-from anystyle.weights import load_reference, reference_config
-from anystyle.stylizer import Stylizer
-from anystyle.registry.compose import compose, override
-from anystyle import assemble, contracts
-compose("stylize", ["~model", "style_encoder=long_clip"])
-import anystyle.renderers.auto
-anystyle_file, overrides = sys.argv[1], sys.argv[2:]
-before = memory("VmRSS")
-stylizer = load_reference(anystyle_file, overrides=overrides)
-# Every tensor is looked at, as a first forward pass would.
-total = sum(float(tensor.sum()) for tensor in stylizer.state_dict().values())
-size = sum(tensor.numel() * tensor.element_size() for tensor in stylizer.state_dict().values())
-print(json.dumps({"peak": memory("VmHWM") - before, "size": size, "total": total}))
-"""
 
 
 @pytest.mark.parametrize("name", PARAMETERS)
@@ -63,36 +38,28 @@ def test_presets_have_the_published_size(name: str) -> None:
     assert count == PARAMETERS[name]
 
 
-def grown(file: Path, width: int) -> dict[str, torch.Tensor]:
-    """A checkpoint of a reduced depth and a width at which the weights outweigh the program."""
+def grown(file: Path, width: int, dtype: torch.dtype) -> None:
+    """Write a checkpoint of a reduced depth, and of a width at which weights outweigh the program."""
+    catalog().find("backbone", "anysplat").load()
     from anystyle_anysplat import AnySplat, keys
-    from oracle import fill_named
 
     with torch.device("meta"):
         backbone = AnySplat(dim=width, heads=width // 64, embed_depth=4, depth=5, taps=(1, 2, 3, 4), camera_depth=1)
     state = backbone.state_dict()
-    shapes = {name: state[key] for key, name in keys.backbone_names(state).items()}
-    shapes["aggregator.patch_embed.mask_token"] = torch.empty(1, width, device="meta")
-    filled = fill_named(shapes)
-    save_file({f"encoder.{key}": tensor for key, tensor in filled.items()}, file)
-    return filled
+    shapes = {name: state[key].shape for key, name in keys.backbone_names(state).items()}
+    shapes["aggregator.patch_embed.mask_token"] = torch.Size([1, width])
+    save_file({f"encoder.{name}": torch.full(shape, 0.1, dtype=dtype) for name, shape in shapes.items()}, file)
 
 
-@pytest.mark.skipif(not Path("/proc/self/status").is_file(), reason="the peak is read from the Linux kernel")
-def test_loading_holds_no_second_copy(tmp_path: Path) -> None:
-    """On a hash-filled file of half a gigabyte, in a process of its own."""
-    filled = grown(tmp_path / "it.safetensors", 512)
-    told = subprocess.run(
-        [sys.executable, "-c", MEASURE, str(tmp_path / "it.safetensors"), "backbone.taps=[1,2,3,4]"],
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert told.returncode == 0, told.stderr[-2000:]
-    measured = json.loads(told.stdout)
-    size = sum(tensor.numel() * tensor.element_size() for tensor in filled.values())
-    assert measured["size"] >= size - 4 * 512
-    assert measured["peak"] < WITHIN * measured["size"], measured
+@pytest.mark.skipif(not Path("/proc/self/pagemap").is_file(), reason="pages are counted by the Linux kernel")
+@pytest.mark.parametrize(("stored", "precision"), [(torch.bfloat16, "fp32"), (torch.float32, "bf16")])
+def test_loading_holds_no_second_copy(tmp_path: Path, stored: torch.dtype, precision: str) -> None:
+    """Not even where every tensor changes its type; on files of 250 and 500 MB, in a process of its own."""
+    grown(tmp_path / "it.safetensors", 512, stored)
+    told = full_size.load(tmp_path / "it.safetensors", ["backbone.taps=[1,2,3,4]", f"precision={precision}"])
+    assert ("torch.bfloat16" in told["types"]) is (precision == "bf16")
+    assert told["size"] > 400e6
+    assert told["peak"] < WITHIN * told["size"], told
 
 
 def small_model(tmp_path: Path, placement: str) -> list[str]:

@@ -6,15 +6,18 @@ training starts from. Names here are without prefixes. This module is what
 :class:`anystyle.contracts.Published` asks for.
 """
 
+import logging
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal
 
-import torch
 from torch import Tensor, nn
 
+from anystyle.paging import fill
 from anystyle.types import Site
 from anystyle_anysplat import shapes
+
+_log = logging.getLogger(__name__)
 
 PREFIXES = ("model.encoder.", "encoder.")
 BACKBONE_PARTS = ("aggregator.", "camera_head.", "depth_head.", "gaussian_param_head.")
@@ -161,20 +164,27 @@ def text_adapter(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
 def load_backbone(backbone: nn.Module, state: Mapping[str, Tensor]) -> None:
     """Load AnySplat's weights from any of the files into a backbone of the same options.
 
-    Of VGGT's file, which is an initialisation, the Gaussian head stays as it is.
+    Of VGGT's file, which is an initialisation, the Gaussian head stays as it is, and the log says so.
 
     Raises:
         ValueError: Keys or shapes differ; up to five of each kind of difference are named.
     """
     own = backbone.state_dict()
     given = without_prefix(state)
+    initialisation = _of_vggt(given)
     chosen = {name: tensor for name, tensor in given.items() if name.startswith(BACKBONE_PARTS) and name not in UNUSED}
     names, what = backbone_names(own), "backbone"
-    if _of_vggt(given):
+    if initialisation:
         what = "backbone's part that VGGT initialises"
         names = {key: name for key, name in names.items() if not name.startswith("gaussian_param_head.")}
-    matched = _matched(chosen, own, names, what)
-    _load(backbone, {key: tensor for key, tensor in own.items() if key not in matched} | matched)
+    fill(backbone, _matched(chosen, own, names, what))
+    if initialisation:
+        left = [key for key in own if key not in names]
+        _log.warning(
+            "VGGT's file initialises %d of the backbone's %d tensors; left as they were: the %d of its Gaussian head "
+            "(%s)",
+            *(len(names), len(own), len(left), _some(left)),
+        )
 
 
 def load_branch(branch: nn.Module, state: Mapping[str, Tensor]) -> None:
@@ -188,7 +198,7 @@ def load_branch(branch: nn.Module, state: Mapping[str, Tensor]) -> None:
     trained = placement(state)
     what = "style branch" if trained else "style branch, and holds none of its own"
     hint = f"; it was trained with placement={trained}" if trained else ""
-    _load(branch, _matched(chosen, own, branch_names(own), what, hint))
+    fill(branch, _matched(chosen, own, branch_names(own), what, hint))
 
 
 def _matched(
@@ -212,18 +222,12 @@ def _matched(
             f"the checkpoint does not fit this {what}: {'; '.join(differences)}{hint} "
             f"(expected: {len(names)} tensors in the layout of AnySplat and AnyStyle)"
         )
-    return {key: state[name].reshape(own[key].shape).to(own[key].dtype) for key, name in names.items()}
+    return {key: state[name].reshape(own[key].shape) for key, name in names.items()}
 
 
 def _squeezed(tensor: Tensor) -> Tensor:
     """A weight without the unit axes of a 1x1 convolution, which is a linear map here."""
     return tensor.flatten(1) if tensor.dim() > 2 and set(tensor.shape[2:]) == {1} else tensor
-
-
-@torch.no_grad()
-def _load(module: nn.Module, state: dict[str, Tensor]) -> None:
-    # A module on the meta device has no memory to copy into: it takes the tensors themselves.
-    module.load_state_dict(state, assign=any(tensor.is_meta for tensor in module.state_dict().values()))
 
 
 def _some(names: list[str]) -> str:

@@ -17,8 +17,7 @@ from anystyle import paths
 from anystyle.commands._flags import EPILOG, split
 from anystyle.commands._run import run, words_of
 from anystyle.registry.builtin import KINDS
-from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import VERSION_BASE, compose, explain, override
+from anystyle.registry.compose import VERSION_BASE, choices, compose, explain, override
 from anystyle.registry.source import register
 
 
@@ -49,7 +48,7 @@ def main(
 
 def describe(parser: argparse.ArgumentParser) -> None:
     """Let a parser's help say what Hydra takes, and what there is to choose from."""
-    groups = "".join(f"  {kind}: {', '.join(options(kind))}\n" for kind in configured())
+    groups = "".join(f"  {kind}: {', '.join(choices(kind))}\n" for kind in configured())
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = "\n".join(filter(None, [parser.epilog, EPILOG, f"Groups:\n{groups}"]))
 
@@ -58,12 +57,6 @@ def configured() -> list[str]:
     """Every configuration group: the kinds of plugins and the folders of ``conf/``."""
     folders = [path.name for path in sorted(paths.CONF.iterdir()) if path.is_dir()] if paths.CONF.is_dir() else []
     return [*KINDS, *(name for name in folders if name not in KINDS)]
-
-
-def options(group: str) -> list[str]:
-    """What a configuration group has to choose from: plugins and presets."""
-    presets = [path.stem for path in (paths.CONF / group).glob("*.yaml")]
-    return sorted({*presets, *(catalog().names(group) if group in KINDS else ())})
 
 
 def launch(config_name: str, function: Callable[[DictConfig], Any], words: Sequence[str]) -> None:

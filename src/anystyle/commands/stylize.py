@@ -222,8 +222,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
             device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
             stylizer = stylizer.requires_grad_(False).eval().to(device)
             backbone = stylizer.backbone
-            parts = (backbone.embedder, backbone.aggregator, backbone.geometry_head, backbone.gaussian_head)
-            thrifty([*parts, stylizer.branch])
+            thrifty(stylizer.stages)
         with stages("read", "the views"):
             views, sources = read_inputs(arguments, config, backbone.patch_size, backbone.resolution)
             count, size = views.images.shape[1], config.views.max_views

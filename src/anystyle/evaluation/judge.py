@@ -36,6 +36,21 @@ class SceneFigures:
     warned: tuple[str, ...] = ()
 
 
+@dataclass(frozen=True)
+class Judged:
+    """What one metric took in of one scene in one style.
+
+    Args:
+        figures: Of this comparison alone.
+        state: The metric's, as :meth:`torchmetrics.Metric.merge_state` takes it.
+        warned: What it warned of.
+    """
+
+    figures: Mapping[str, float]
+    state: Mapping[str, Any]
+    warned: tuple[str, ...] = ()
+
+
 def judge(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]) -> Evaluation:
     """The figures of some metrics over comparisons of one scene in one style each.
 
@@ -74,34 +89,47 @@ def judge_scene(
     Raises:
         ValueError: A comparison cannot be judged.
     """
-    rows: dict[str, dict[str, Mapping[str, float]]] = {name: {} for name in metrics}
-    states: dict[str, list[dict[str, Any]]] = {name: [] for name in metrics}
-    warned: dict[str, list[str]] = {name: [] for name in metrics}
+    rows: dict[str, dict[str, Judged]] = {name: {} for name in metrics}
     for place, comparison in enumerate(comparisons):
         check(comparison)
         style = comparison.styles[0] if comparison.styles else f"{place:02d}"
         for name, metric in metrics.items():
-            metric.compute_with_cache = False  # a row's figure must not stand for the scene's
-            metric.reset()
-            with _heard(warned[name], f"metric {name}"):
-                metric.update(comparison.to(metric.device))
-            with warnings.catch_warnings():
-                # Of too few images for a figure; the scene's figure, which counts, warns for itself.
-                warnings.simplefilter("ignore")
-                rows[name][style] = numbers(metric.compute())
-            states[name].append(_copied(metric.metric_state))
+            rows[name][style] = judge_row(name, metric, comparison)
         told()
-    found: dict[str, SceneFigures] = {}
-    for name, metric in metrics.items():
-        for state in reversed(states[name][:-1]):
-            metric.merge_state(state)
-        with _heard(warned[name], f"metric {name}"):
-            figures = numbers(metric.compute())
-        metric.reset()
-        found[name] = SceneFigures(
-            figures, rows[name], dict(metric.better), dict(metric.stand_ins), tuple(dict.fromkeys(warned[name]))
-        )
-    return found
+    return {name: merged(name, metric, rows[name]) for name, metric in metrics.items()}
+
+
+@torch.no_grad()
+def judge_row(name: str, metric: Metric, comparison: Comparison) -> Judged:
+    """What one metric says of one comparison; see :func:`check` for what it cannot judge."""
+    warned: list[str] = []
+    metric.compute_with_cache = False  # a row's figure must not stand for the scene's
+    metric.reset()
+    with _heard(warned, f"metric {name}"):
+        metric.update(comparison.to(metric.device))
+    with warnings.catch_warnings():
+        # Of too few images for a figure; the scene's figure, which counts, warns for itself.
+        warnings.simplefilter("ignore")
+        figures = numbers(metric.compute())
+    return Judged(figures, _copied(metric.metric_state), tuple(warned))
+
+
+def merged(name: str, metric: Metric, rows: Mapping[str, Judged]) -> SceneFigures:
+    """What a metric says of a scene, from what it took in of each style, now or in an earlier run."""
+    warned = [text for row in rows.values() for text in row.warned]
+    states = [_copied(row.state, metric.device) for row in rows.values()]
+    metric.compute_with_cache = False
+    metric.reset()
+    for key, value in states[-1].items() if states else ():
+        setattr(metric, key, value)
+    metric._update_count = 1
+    for state in reversed(states[:-1]):
+        metric.merge_state(state)
+    with _heard(warned, f"metric {name}"):
+        figures = numbers(metric.compute())
+    metric.reset()
+    styles = {style: row.figures for style, row in rows.items()}
+    return SceneFigures(figures, styles, dict(metric.better), dict(metric.stand_ins), tuple(dict.fromkeys(warned)))
 
 
 def check(comparison: Comparison) -> None:
@@ -193,9 +221,12 @@ class _heard(warnings.catch_warnings):
                 log.info("%s: %s", self._source, text)
 
 
-def _copied(state: Mapping[str, Any]) -> dict[str, Any]:
+def _copied(state: Mapping[str, Any], device: torch.device | None = None) -> dict[str, Any]:
     # `reset` empties lists in place.
-    return {name: list(value) if isinstance(value, list) else value for name, value in state.items()}
+    return {
+        name: [item.to(device=device) for item in value] if isinstance(value, list) else value.to(device=device)
+        for name, value in state.items()
+    }
 
 
 def _shape(images: Tensor) -> str:

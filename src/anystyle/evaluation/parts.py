@@ -2,18 +2,25 @@
 
 import hashlib
 import json
+import pickle
+import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 
+import torch
+
 from anystyle.contracts import Metric
 from anystyle.evaluation.contract import Evaluation, Progress
 from anystyle.evaluation.folders import Cell, Pairing, Reader
-from anystyle.evaluation.judge import SceneFigures, gathered, judge_scene
+from anystyle.evaluation.judge import Judged, SceneFigures, check, gathered, judge_row, merged
 from anystyle.files import atomic_path
 
 FOLDER = "parts"
-"""Below the folder of an evaluation: ``parts/METRIC-SCENE.json``; what is deleted there is computed again."""
+"""Below the folder of an evaluation: ``parts/METRIC-SCENE.json``; what is deleted there is computed again.
+
+While a scene is not finished, ``parts/METRIC-SCENE.rows`` holds what the metric took in of each style.
+"""
 
 
 def judge_pairing(
@@ -41,14 +48,16 @@ def judge_pairing(
         missing = {name: metric for name, metric in metrics.items() if kept[name] is None}
         fresh: dict[str, SceneFigures] = {}
         if missing:
-            base = done
-            place = iter(range(base + 1, base + len(cells) + 1))
-            progress(stage, base, total)
-            fresh = judge_scene(
-                missing, (reader(cell) for cell in cells), lambda place=place: progress(stage, next(place), total)
-            )
+            rows: dict[str, dict[str, Judged]] = {name: {} for name in missing}
+            for place, cell in enumerate(cells):
+                progress(stage, done + place, total)
+                for name, row in _judge(missing, cell, reader, out).items():
+                    rows[name][cell.style] = row
+            fresh = {name: merged(name, metric, rows[name]) for name, metric in missing.items()}
             for name, figures in fresh.items():
-                write(place_of(out, name, scene), seal, figures)
+                path = place_of(out, name, scene)
+                write(path, seal, figures)
+                shutil.rmtree(_rows(path), ignore_errors=True)
         done += len(cells)
         found[scene] = {name: fresh.get(name) or kept[name] for name in metrics}  # pyright: ignore[reportArgumentType]
     progress(stage, total, total)
@@ -56,6 +65,37 @@ def judge_pairing(
     pictures = {(cell.scene, cell.style): _pictures(cell) for cell in pairing.cells}
     rows = tuple(replace(row, pictures=pictures[row.scene, row.style]) for row in judged.rows)
     return replace(judged, rows=rows)
+
+
+def _judge(metrics: Mapping[str, Metric], cell: Cell, reader: Reader, out: Path) -> dict[str, Judged]:
+    """What metrics say of one scene in one style; images are read only where one has not said it before."""
+    mark = hashlib.sha256(cell.style.encode()).hexdigest()[:16]
+    places = {name: _rows(place_of(out, name, cell.scene)) / f"{mark}.pt" for name in metrics}
+    seal = _seal([cell])
+    kept = {name: _read_row(place, seal) for name, place in places.items()}
+    found = {name: row for name, row in kept.items() if row is not None}
+    if len(found) < len(metrics):
+        comparison = reader(cell)
+        check(comparison)
+        for name, metric in metrics.items():
+            if name not in found:
+                found[name] = judge_row(name, metric, comparison)
+                with atomic_path(places[name]) as temporary:
+                    torch.save({"seal": seal, **vars(found[name])}, temporary)
+    return found
+
+
+def _rows(place: Path) -> Path:
+    """The folder of what a metric took in of a scene that is not finished."""
+    return place.with_suffix(".rows")
+
+
+def _read_row(path: Path, seal: str) -> Judged | None:
+    try:
+        stored = torch.load(path, map_location="cpu", weights_only=True)
+        return Judged(**stored) if stored.pop("seal") == seal else None
+    except (OSError, ValueError, KeyError, TypeError, RuntimeError, EOFError, pickle.UnpicklingError):
+        return None  # absent, or of another version: computed again
 
 
 def _pictures(cell: Cell) -> dict[str, Path]:
@@ -68,6 +108,8 @@ def forget(out: Path, metrics: Iterable[str]) -> None:
     for name in metrics:
         for path in (out / FOLDER).glob(f"{name}-*.json"):
             path.unlink()
+        for path in (out / FOLDER).glob(f"{name}-*.rows"):
+            shutil.rmtree(path)
 
 
 def place_of(out: Path, metric: str, scene: str) -> Path:

@@ -13,7 +13,7 @@ from anystyle.contracts import Correspondence, Metric
 from anystyle.geometry.warp import backward_warp, softmax_splat
 from anystyle.metrics._pairs import checked
 from anystyle.perception import lpips, pictures
-from anystyle.perception.memo import batch_of
+from anystyle.perception.memo import batch_of, fingerprints
 from anystyle.perception.sources import Weights, checksums, stand_ins
 from anystyle.types import Comparison, Frames
 
@@ -25,6 +25,10 @@ SATURATED = 10.0
 
 MIN_WEIGHT = 0.5
 """Of a corrected splat: how much of a pixel must have been landed on for it to count."""
+
+
+Flows = list[tuple[Tensor, Tensor | None]]
+"""Displacement and visibility of some pairs, in parts."""
 
 
 class Warped(NamedTuple):
@@ -83,6 +87,7 @@ class WarpConsistency(Metric):
         self.correspondence = correspondence
         self.flow_from = flow_from
         self.reference = variant == "reference"
+        self._kept: dict[int, tuple[tuple[str, ...], Flows]] = {}
         self.network = lpips.load("vgg", weights)
         every = (*correspondence.sources, self.network.source)
         self.stand_ins = {
@@ -102,12 +107,9 @@ class WarpConsistency(Metric):
     def update(self, comparison: Comparison) -> None:
         """See :meth:`anystyle.contracts.Metric.update`; views are the frames, in their order."""
         checked(comparison)
-        shared = self.flow_from == "content" and comparison.content.stride(0) == 0
         for place, gap in enumerate(RANGES.values()):
-            flows: list[tuple[Tensor, Tensor | None]] | None = None
             for row in range(comparison.content.shape[0]):
-                flows = flows if shared and flows is not None else self._flows(comparison, row, gap)
-                found = self._row(comparison.stylized[row], gap, flows)
+                found = self._row(comparison.stylized[row], gap, self._flows(comparison, row, gap))
                 if found is not None:
                     self.totals[place] += found
                     self.rows[place] += 1
@@ -129,14 +131,27 @@ class WarpConsistency(Metric):
                 figures[f"warp_{kind}_{name}"] = value
         return {name: figures[name] for name in self.better}
 
-    def _flows(self, comparison: Comparison, row: int, gap: int) -> list[tuple[Tensor, Tensor | None]]:
-        """Displacement and visibility, where that is asked for, of the pairs of one row, in parts."""
+    def _flows(self, comparison: Comparison, row: int, gap: int) -> Flows:
+        """Displacement and visibility, where that is asked for, of the pairs of one row, in parts.
+
+        The photographs' are kept for the next style of the same scene.
+        """
         images = (comparison.stylized if self.flow_from == "stylized" else comparison.content)[row]
         if self.reference:
             images = pictures.eight_bit(images)
         frames = _frames(comparison, row, images)
-        found = []
-        for part in _parts(images, gap):
+        if self.flow_from == "stylized":
+            return self._searched(frames, gap)
+        known = (frames.images, frames.depth, frames.world_from_camera, frames.intrinsics)
+        rows = [tensor.reshape(tensor.shape[0], 1, 1, -1) for tensor in known if tensor is not None]
+        mark = tuple(mark for tensor in rows for mark in fingerprints(tensor))
+        if self._kept.get(gap, ((), []))[0] != mark:
+            self._kept[gap] = (mark, self._searched(frames, gap))
+        return self._kept[gap][1]
+
+    def _searched(self, frames: Frames, gap: int) -> Flows:
+        found: Flows = []
+        for part in _parts(frames.images, gap):
             source: Frames = frames.map(lambda tensor, p=part: tensor[p])
             target: Frames = frames.map(lambda tensor, p=part: tensor[p.start + gap : p.stop + gap])
             if self.reference:
@@ -146,9 +161,7 @@ class WarpConsistency(Metric):
                 found.append((flow.displacement, flow.visible))
         return found
 
-    def _row(
-        self, images: Float[Tensor, "V 3 H W"], gap: int, flows: list[tuple[Tensor, Tensor | None]]
-    ) -> Tensor | None:
+    def _row(self, images: Float[Tensor, "V 3 H W"], gap: int, flows: Flows) -> Tensor | None:
         """RMSE, LPIPS and coverage, averaged over the pairs of one row; nothing where no pair sees anything."""
         values: list[Tensor] = []
         images = pictures.eight_bit(images) if self.reference else images

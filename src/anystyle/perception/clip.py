@@ -8,6 +8,8 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from anystyle.paging import fill
+
 MEAN = (0.48145466, 0.4578275, 0.40821073)
 STD = (0.26862954, 0.26130258, 0.27577711)
 HEAD = 64
@@ -253,5 +255,4 @@ def load_clip(network: Clip, state: Mapping[str, Tensor]) -> None:
             f"the checkpoint does not fit this CLIP: {'; '.join(differences)} "
             f"(expected: {len(own)} tensors in the layout of CLIP or Long-CLIP)"
         )
-    state = {key: given[key].to(tensor.dtype) for key, tensor in own.items()}
-    network.load_state_dict(state, assign=any(tensor.is_meta for tensor in own.values()))
+    fill(network, given)

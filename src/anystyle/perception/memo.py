@@ -22,7 +22,7 @@ Compute = Callable[[Tensor], Sequence[Tensor]]
 LIMIT = 1 << 30
 """Bytes that are kept; the least recently used go first."""
 
-PIXELS = 1 << 22
+PIXELS = 1 << 20
 """How many pixels a network is shown at once."""
 
 

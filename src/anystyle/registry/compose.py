@@ -13,12 +13,17 @@ from omegaconf.errors import OmegaConfBaseException
 
 from anystyle import paths
 from anystyle.errors import UserError, did_you_mean, one_line
+from anystyle.registry.builtin import KINDS
+from anystyle.registry.catalog import catalog
 from anystyle.registry.schema import literal
 from anystyle.registry.source import register
 
 VERSION_BASE = "1.3"
 ERRORS = (HydraException, OmegaConfBaseException)
 """What Hydra and OmegaConf raise."""
+
+_UNKNOWN = re.compile(r"In '[^']*': Could not load '(?P<group>[^']*)/(?P<name>[^'/]*)'")
+"""How Hydra says that one of several choices of a group is none; of the only choice it raises what has options."""
 
 _NOISE = re.compile(r"\s*(full_key:|object_type=|reference_type=|To append to your config|Search path:|See https)")
 
@@ -70,9 +75,10 @@ def explain(error: Exception) -> str:
     """One line for an error of Hydra or OmegaConf: what was given, and what there is."""
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options is not None:
         group, _, name = error.missing_cfg_file.rpartition("/")
-        known = [option for option in error.options if not option.startswith("_")]
-        listing = f" Available in '{group}': {', '.join(known) or 'nothing'}"
-        return f"Could not find '{error.missing_cfg_file}'.{did_you_mean(name, known)}{listing}"
+        return _no_such(group, name, [option for option in error.options if not option.startswith("_")])
+    unknown = _UNKNOWN.match(str(error)) if isinstance(error, MissingConfigException) else None
+    if unknown is not None:
+        return _no_such(unknown["group"], unknown["name"], choices(unknown["group"]))
     if isinstance(error, OverrideParseException):
         reason = error.message.splitlines()[0] if error.message else "no such syntax"
         hint = "quote special characters twice: 'key=\"a, b\"'"
@@ -82,6 +88,17 @@ def explain(error: Exception) -> str:
     if isinstance(cause, OmegaConfBaseException):
         parts.append(_told(cause))
     return ": ".join(part.rstrip(".:") for part in parts if part) + _nearest(error, cause)
+
+
+def _no_such(group: str, name: str, known: Sequence[str]) -> str:
+    listing = f" Available in '{group}': {', '.join(known) or 'nothing'}"
+    return f"Could not find '{group}/{name}'.{did_you_mean(name, known)}{listing}"
+
+
+def choices(group: str) -> list[str]:
+    """What a configuration group has to choose from: plugins and presets."""
+    presets = {path.stem for path in (paths.CONF / group).glob("*.yaml")}
+    return sorted(presets | set(catalog().names(group) if group in KINDS else ()))
 
 
 def _told(error: BaseException) -> str:
@@ -100,4 +117,4 @@ def _nearest(*errors: BaseException | None) -> str:
     return ""
 
 
-__all__ = ["ERRORS", "VERSION_BASE", "compose", "explain", "override"]
+__all__ = ["ERRORS", "VERSION_BASE", "choices", "compose", "explain", "override"]

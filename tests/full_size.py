@@ -1,0 +1,174 @@
+"""Checkpoints of the published size and layout, hash-filled, and what loading them takes.
+
+No published weights are needed to measure: what a network costs does not depend on its values.
+
+``python tests/full_size.py make anystyle_head FOLDER`` writes ``anystyle_head.safetensors`` and with ``--ckpt`` a
+training checkpoint beside it. Tensors have the published file's types (the frozen transformers in bf16) unless
+``--types fp32`` or ``--types bf16`` is given. ``longclip_b32`` and ``vggt`` are made the same way.
+
+``python tests/full_size.py load FILE [OVERRIDE ...]`` loads a file in a process of its own, looks at every tensor, and
+prints the peak of the process's memory above where it began, in the size of the loaded model.
+"""
+
+import argparse
+import json
+import pickle
+import subprocess
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors.torch import load_file
+from torch import Tensor
+
+from anystyle.assemble import put_together
+from anystyle.perception.clip import Clip
+from anystyle.registry.compose import compose
+from oracle import fill_named, golden
+
+KINDS = ("anysplat", "anystyle_head", "anystyle_full", "vggt", "longclip_b32")
+NAMES = {torch.float32: "F32", torch.bfloat16: "BF16"}
+FILES = {"longclip_b32": "longclip-B-32"}
+
+LOAD = """
+import json, sys
+from pathlib import Path
+import torch
+from anystyle.assemble import put_together
+from anystyle.registry.compose import compose
+from anystyle.weights import load_reference
+
+def memory(field):
+    lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
+    return int(lines[field].split()[0]) * 1024
+
+# The program itself, which is no matter of weights.
+with torch.device("meta"):
+    put_together(compose("stylize", ["~model", "backbone=anysplat", "style_encoder=long_clip"]), {}, {})
+file, overrides = sys.argv[1], sys.argv[2:]
+before = memory("VmRSS")
+stylizer = load_reference(file, overrides=overrides)
+loaded = memory("VmHWM") - before
+own = memory("RssAnon")
+tensors = list(stylizer.state_dict().values())
+# Every tensor is looked at, as a first forward pass would.
+total = sum(float(tensor.sum()) for tensor in tensors)
+size = sum(tensor.numel() * tensor.element_size() for tensor in tensors)
+told = {"size": size, "loaded": loaded, "peak": memory("VmHWM") - before, "total": total, "own": own}
+print(json.dumps(told | {"tensors": len(tensors), "types": sorted({str(tensor.dtype) for tensor in tensors})}))
+"""
+
+
+def shapes(kind: str) -> dict[str, Tensor]:
+    """The tensors of a published file, without memory, under its names and in its types."""
+    if kind == "longclip_b32":
+        with torch.device("meta"):
+            extra = {"logit_scale": torch.empty(()), "positional_embedding_res": torch.empty(248, 512)}
+            return dict(Clip(context=248).state_dict()) | extra
+    model = "anysplat" if kind == "vggt" else kind
+    config = compose("stylize", [f"model={model}", "style_encoder=long_clip"])
+    with torch.device("meta"):
+        stylizer, _ = put_together(config, {}, {})
+    from anystyle_anysplat import keys
+
+    state = stylizer.backbone.state_dict()
+    found = {name: state[key] for key, name in keys.backbone_names(state).items()}
+    found["aggregator.patch_embed.mask_token"] = torch.empty(1, 1024, device="meta")
+    if kind == "vggt":
+        found = {name: tensor for name, tensor in found.items() if not name.startswith("gaussian_param_head.")}
+        return found | {f"{part}_head.it": torch.empty(1024, 1024, device="meta") for part in ("point", "track")}
+    if kind == "anysplat":
+        return {f"encoder.{name}": tensor for name, tensor in found.items()}
+    branch = stylizer.branch.state_dict()
+    found |= {name: branch[key] for key, name in keys.branch_names(branch).items()}
+    for layer in (0, 2):
+        found[f"text_adapter.mlp.{layer}.weight"] = torch.empty(512, 512, device="meta")
+        found[f"text_adapter.mlp.{layer}.bias"] = torch.empty(512, device="meta")
+    return {
+        f"model.encoder.{name}": tensor.bfloat16() if name.startswith("aggregator.") else tensor
+        for name, tensor in found.items()
+    }
+
+
+def typed(tensors: Mapping[str, Tensor], types: str) -> dict[str, Tensor]:
+    """The tensors in the types asked for."""
+    kinds = {"fp32": torch.float32, "bf16": torch.bfloat16}
+    return {key: tensor.to(kinds.get(types, tensor.dtype)) for key, tensor in tensors.items()}
+
+
+def filled(tensors: Mapping[str, Tensor]) -> Iterator[tuple[str, Tensor]]:
+    """Hash-filled tensors one by one, by the rule of ``golden_e2e``: its index is the bare key's."""
+    rules = golden("golden_e2e")["fill"]["rules"]
+    for key, like in tensors.items():
+        bare = key.removeprefix("model.").removeprefix("encoder.")
+        yield key, fill_named({bare: like}, rules)[bare].to(like.dtype)
+
+
+def write(path: Path, tensors: Mapping[str, Tensor]) -> None:
+    """A safetensors file, written tensor by tensor."""
+    header, place = {}, 0
+    for key, tensor in tensors.items():
+        end = place + tensor.numel() * tensor.element_size()
+        header[key] = {"dtype": NAMES[tensor.dtype], "shape": list(tensor.shape), "data_offsets": [place, end]}
+        place = end
+    told = json.dumps(header, separators=(",", ":")).encode()
+    told = told.ljust(-(-len(told) // 8) * 8)
+    with path.open("wb") as file:
+        file.write(len(told).to_bytes(8, "little") + told)
+        for _, tensor in filled(tensors):
+            file.write(tensor.contiguous().view(torch.uint8).numpy().tobytes() if tensor.dim() else tensor.numpy())
+
+
+def make(kind: str, folder: Path, types: str, ckpt: bool) -> None:
+    """Write a checkpoint, and on request a training checkpoint of the same tensors."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{FILES.get(kind, kind)}.safetensors"
+    write(path, typed(shapes(kind), types))
+    told(path)
+    if ckpt or kind in FILES:
+        state = load_file(path)
+        other = path.with_suffix(".pt" if kind in FILES else ".ckpt")
+        torch.save(state if kind in FILES else {"state_dict": state, "global_step": 0}, other, pickle_module=pickle)
+        told(other)
+
+
+def told(line: object) -> None:
+    """Write a line."""
+    sys.stdout.write(f"{line}\n")
+
+
+def load(file: Path, overrides: Sequence[str]) -> dict[str, Any]:
+    """What loading a file takes, in a process of its own."""
+    command = [sys.executable, "-c", LOAD, str(file), *overrides]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise ValueError(done.stderr.strip().splitlines()[-1])
+    return json.loads(done.stdout)
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run the program."""
+    flags = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = flags.add_subparsers(dest="command", required=True)
+    making = commands.add_parser("make")
+    making.add_argument("kind", choices=KINDS)
+    making.add_argument("folder", type=Path)
+    making.add_argument("--types", choices=("published", "fp32", "bf16"), default="published")
+    making.add_argument("--ckpt", action="store_true")
+    loading = commands.add_parser("load")
+    loading.add_argument("file", type=Path)
+    loading.add_argument("override", nargs="*")
+    arguments = flags.parse_args(words)
+    if arguments.command == "make":
+        make(arguments.kind, arguments.folder, arguments.types, arguments.ckpt)
+        return
+    found = load(arguments.file, arguments.override)
+    size = found["size"]
+    told(f"{size / 2**30:.2f} GiB of weights ({found['tensors']} tensors, {', '.join(found['types'])})")
+    told(f"peak while loading {found['loaded'] / size:.3f}, once every tensor is looked at {found['peak'] / size:.3f}")
+
+
+if __name__ == "__main__":
+    main()

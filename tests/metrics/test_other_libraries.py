@@ -1,0 +1,119 @@
+"""Metrics against other libraries that compute the same thing."""
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from scipy.spatial.distance import euclidean
+from scipy.special import rel_entr, softmax
+from torchmetrics.functional.image import lpips as their_lpips
+from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
+from torchmetrics.image.fid import _compute_fid
+
+from anystyle.metrics.cfsd import STEEP, structural_distance
+from anystyle.metrics.frechet import frechet_distance
+from anystyle.metrics.psnr import PSNR
+from anystyle.metrics.ssim import SSIM
+from anystyle.perception import lpips, weights
+from anystyle.perception.histogram import hellinger, rgb_uv_histogram
+from anystyle.types import Comparison
+from judging_cases import filled_folder
+from oracle import hashed, smooth_image
+
+
+@pytest.fixture(scope="module")
+def given() -> Comparison:
+    content = smooth_image(11, [3, 3, 64, 80])
+    return Comparison(content[None], (0.7 * content + 0.3 * smooth_image(12, [3, 3, 64, 80]))[None])
+
+
+def test_psnr_is_torchmetrics(given):
+    metric = PSNR()
+    metric.update(given)
+    options = {"data_range": 1.0, "dim": (1, 2, 3), "reduction": "elementwise_mean"}
+    theirs = peak_signal_noise_ratio(given.stylized[0], given.content[0], **options)
+    torch.testing.assert_close(metric.compute()["psnr"], theirs, rtol=1e-5, atol=0)
+
+
+def test_ssim_is_torchmetrics(given):
+    metric = SSIM()
+    metric.update(given)
+    options = {"data_range": 1.0, "return_full_image": True}
+    _, theirs = structural_similarity_index_measure(given.stylized[0], given.content[0], **options)
+    # They continue images beyond their border by mirroring; published is what lies inside.
+    torch.testing.assert_close(metric.compute()["ssim"], theirs[..., 5:-5, 5:-5].mean(), rtol=1e-4, atol=0)
+
+
+@pytest.mark.parametrize(("n", "m", "dim"), [(60, 50, 20), (300, 40, 20)])
+def test_frechet_distance_is_torchmetrics(n, m, dim):
+    first, second = hashed(51, (n, dim)).double(), hashed(52, (m, dim)).double().square()
+    moments = [(rows.mean(0), torch.cov(rows.T)) for rows in (first, second)]
+    theirs = _compute_fid(*moments[0], *moments[1])
+    np.testing.assert_allclose(float(frechet_distance(first, second)), float(theirs), rtol=1e-8)
+
+
+@pytest.mark.parametrize("backbone", ["alex", "vgg"])
+def test_lpips_has_torchmetrics_heads_and_combines_them_alike(backbone, monkeypatch):
+    """Their scaling, normalisation, linear layers and published heads, on the features of one network."""
+    monkeypatch.setenv("ANYSTYLE_WEIGHTS", str(filled_folder()))
+    network = lpips.load(backbone, "published")
+    first, second = smooth_image(61, [2, 3, 64, 64]), smooth_image(62, [2, 3, 64, 64])
+    scaled = [their_lpips.ScalingLayer()(2 * images - 1) for images in (first, second)]
+    mean, std = (network.network.get_buffer(name) for name in ("mean", "std"))
+    # The network normalises what it gets; what it is to see is theirs.
+    maps = [network.network(images * std + mean, network.layers) for images in scaled]
+    heads = weights.read(weights.find(f"lpips_{backbone}"))
+    total = torch.zeros(2)
+    for place, (one, other) in enumerate(zip(*maps, strict=True)):
+        layer = their_lpips.NetLinLayer(one.shape[1], use_dropout=True).eval()
+        layer.load_state_dict({"model.1.weight": heads[f"lin{place}.model.1.weight"]})
+        gap = their_lpips._normalize_tensor(one) - their_lpips._normalize_tensor(other)
+        total = total + their_lpips._spatial_average(layer(gap.square()), keep_dim=False)[:, 0].detach()
+    # Theirs has its constant inside of the root, where features are large.
+    torch.testing.assert_close(network(first, second), total, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize(("reach", "steep"), [(0.5, False), (2.0, False), (4.0, True)])
+def test_structural_distance_is_scipys_relative_entropy(reach, steep):
+    """In both ways that it is computed in: in blocks, and row by row where similarities are far apart."""
+    first, second = hashed(71, (12, 9, 11), 0, 12 * reach), hashed(72, (12, 9, 11), 0, 12 * reach)
+    second = 0.9 * first + 0.1 * second
+    rows = [features.flatten(1).double().numpy() / 12 for features in (first, second)]
+    assert (max(float((row**2).sum(0).max()) for row in rows) > STEEP) is steep
+    shares = [softmax(row.T @ row, axis=1) for row in rows]
+    expected = rel_entr(shares[1], shares[0]).sum()
+    np.testing.assert_allclose(float(structural_distance(first, second)), expected, rtol=1e-4)
+
+
+def test_flat_similarities_are_told_apart(monkeypatch):
+    """Where single precision loses a row's entropy in rounding: real features divided by 256 channels are that flat."""
+    monkeypatch.setattr("anystyle.metrics.cfsd.SIDE", 16)
+    first, second = hashed(73, (32, 12, 12)), hashed(74, (32, 12, 12))
+    rows = [features.flatten(1).double() / 32 for features in (first, second)]
+    found, wanted = ((row.T @ row).log_softmax(-1) for row in rows)
+    expected = F.kl_div(found, wanted, reduction="sum", log_target=True)
+    assert expected < 1e-3
+    np.testing.assert_allclose(float(structural_distance(first, second)), float(expected), rtol=1e-5)
+
+
+def test_histograms_are_as_far_apart_as_scipy_says():
+    one, other = (rgb_uv_histogram(smooth_image(seed, [1, 3, 48, 48])) for seed in (81, 82))
+    theirs = euclidean(one.double().sqrt().flatten().numpy(), other.double().sqrt().flatten().numpy()) / 2**0.5
+    np.testing.assert_allclose(float(hellinger(one, other)), theirs, rtol=1e-5)
+
+
+def test_networks_with_folded_normalisations_say_the_same(monkeypatch):
+    """What PyTorch's own normalisation layers say after each convolution."""
+    monkeypatch.setenv("ANYSTYLE_WEIGHTS", str(filled_folder()))
+    from anystyle.perception import art_score, inception
+
+    images = smooth_image(91, [1, 3, 96, 112])
+    for module, cls, name in (
+        (inception, inception.ArtInception, "art_inception"),
+        (art_score, art_score.ArtScoreNet, "art_score"),
+    ):
+        plain = cls()
+        plain.load_state_dict(weights.read(weights.find(name)))
+        plain.train(False)
+        with torch.no_grad():
+            torch.testing.assert_close(module.load()(images), plain(images), rtol=2e-5, atol=1e-5)

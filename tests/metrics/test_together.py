@@ -1,0 +1,116 @@
+"""All metrics: two processes say what one does, and each draws itself."""
+
+import multiprocessing
+import socket
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import pytest
+import torch
+
+from anystyle.registry.builtin import BUILTIN
+from anystyle.registry.catalog import catalog
+from anystyle.testing.run import subject
+from anystyle.testing.samples import comparison
+
+METRICS = sorted(BUILTIN["metric"])
+ROWS = 3
+
+
+def made(name, folder):
+    """A metric of its own, on stand-ins."""
+    cls = catalog().find("metric", name).load()
+    return subject("metric", cls, cls.example(Path(folder))).build()
+
+
+def rows():
+    """One comparison a style."""
+    whole = comparison(ROWS, 2)
+    whole = replace(whole, seconds=torch.tensor([1.0, 2.0, 6.0]))
+    return [
+        replace(
+            whole.map(lambda tensor, i=row: tensor[i : i + 1]),
+            scenes=whole.scenes[row : row + 1],
+            styles=whole.styles[row : row + 1],
+            style=replace(
+                whole.style.map(lambda tensor, i=row: tensor[i : i + 1]),
+                names=whole.styles[row : row + 1],
+                text=None if whole.style.text is None else whole.style.text[row : row + 1],
+            ),
+        )
+        for row in range(ROWS)
+    ]
+
+
+def figures(metric):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of few images, which is no matter here
+        return {name: float(value) for name, value in metric.compute().items()}
+
+
+def _process(rank, count, port, folder):
+    torch.set_num_threads(1)
+    torch.distributed.init_process_group("gloo", f"tcp://127.0.0.1:{port}", rank=rank, world_size=count)
+    mine = rows()[rank::count]  # the processes have unequal shares
+    found = {}
+    for name in METRICS:
+        metric = made(name, folder)
+        with torch.no_grad(), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            for row in mine:
+                metric.update(row)
+        found[name] = figures(metric)
+    torch.save(found, Path(folder) / f"{rank}.pt")
+    torch.distributed.destroy_process_group()
+
+
+@pytest.fixture(scope="module")
+def by_two(tmp_path_factory):
+    """What each of two processes says that share the rows."""
+    folder = tmp_path_factory.mktemp("processes")
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["anystyle.testing.run", "anystyle.testing.samples", "torch.distributed"])
+    processes = [context.Process(target=_process, args=(rank, 2, port, folder), daemon=True) for rank in range(2)]
+    for process in processes:
+        process.start()
+    for process in processes:
+        process.join(240)
+    assert [process.exitcode for process in processes] == [0, 0]
+    return [torch.load(folder / f"{rank}.pt") for rank in range(2)]
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """Every metric, with all rows taken in by this process."""
+    metrics = {name: made(name, tmp_path_factory.mktemp(name)) for name in METRICS}
+    with torch.no_grad(), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for metric in metrics.values():
+            for row in rows():
+                metric.update(row)
+    return metrics
+
+
+@pytest.mark.parametrize("name", METRICS)
+def test_two_processes_say_what_one_does(name, by_two, alone):
+    expected = figures(alone[name])
+    # The sum over processes has another order.
+    for found in by_two:
+        assert found[name] == pytest.approx(expected, rel=1e-5, abs=1e-7, nan_ok=True)
+    known = [value for value in expected.values() if value == value]
+    assert known or name == "depth_agreement", f"{name} has nothing to compare"
+
+
+@pytest.mark.parametrize("name", METRICS)
+def test_a_metric_draws_itself(name, alone):
+    plt.switch_backend("agg")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        figure, axes = alone[name].plot()
+    assert {line.get_label() for line in axes.get_lines()} >= set(alone[name].better)
+    plt.close(figure)
