@@ -16,7 +16,7 @@
 #
 # A row of the paper's Table 3 is a file of two lines. This notebook trains five of them on the procedural world, judges
 # all by one protocol, and sets the table. It stops after a few steps, enough to see every part work and **far too few
-# to compare rows**; the recipe itself takes ten minutes a row on one core.
+# to compare rows**; `docs/ablation.md` has the table that three seeds a row give in half an hour.
 
 # %%
 from pathlib import Path
@@ -25,7 +25,7 @@ from IPython.display import Image, Markdown
 
 from anystyle.paths import CONF
 
-STEPS = 6
+STEPS = 4
 
 # %% [markdown]
 # ## What a row changes
@@ -41,18 +41,18 @@ Markdown("\n".join(f"**{row}**\n```yaml\n{(CONF / 'ablation' / f'{row}.yaml').re
 # others alone.
 
 # %%
-short = f"trainer.max_steps={STEPS} training.batch_size=1 training.pool=3 scenes.num_scenes=3 training.warmup=2"
-# !anystyle train -m experiment=tiny_style ablation={",".join(rows)} {short} hydra.sweep.dir=table 2>train.log
+short = f"trainer.max_steps={STEPS} training.pool=2 scenes.num_scenes=2 training.warmup=2"
+# !anystyle train -m experiment=tiny_ablation ablation={",".join(rows)} {short} hydra.sweep.dir=table 2>train.log
 
 # %% [markdown]
 # ## Judge all of them
-# One protocol for every row: the same held-out scene, styles as texts, figures of how near the colours of a render are
-# to those of the style's picture, and how near its embedding is.
+# One protocol for every row: the same held-out scene in the same styles, each given once as its text and once as its
+# image. Figures of how near a render's embedding is to the style's, and of the depth that the stylized scene has.
 
 # %%
-scenes = "scenes=procedural scenes.split=heldout scenes.size=112 protocol.num_scenes=1 protocol.frames=2"
+scenes = "scenes=procedural scenes.split=heldout scenes.size=112 protocol.num_scenes=1 protocol.num_views=2"
 styles = "styles=procedural styles.split=heldout styles.size=96 protocol.num_styles=3"
-# !anystyle evaluate --run table protocol=paper_text {scenes} {styles} metric=[color_match,clip_style] >judge.log 2>&1
+# !anystyle evaluate --run table protocol=guides {scenes} {styles} metric=[clip_style,depth_agreement] >judge.log 2>&1
 
 # %% [markdown]
 # ## The table
@@ -72,5 +72,5 @@ Image(filename="table/report/sheet.png")
 
 # %% [markdown]
 # ## The whole thing
-# Without `short`, and with three seeds, over night: `seed=0,1,2` in the first command is all that is added. On a
-# cluster, `hydra/launcher=submitit_slurm` turns each job into one of Slurm's.
+# Without `short`, and with three seeds: `seed=0,1,2` in the first command is all that is added. On a cluster,
+# `hydra/launcher=submitit_slurm` turns each job into one of Slurm's.

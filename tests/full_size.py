@@ -118,7 +118,7 @@ def write(path: Path, tensors: Mapping[str, Tensor]) -> None:
     with path.open("wb") as file:
         file.write(len(told).to_bytes(8, "little") + told)
         for _, tensor in filled(tensors):
-            file.write(tensor.contiguous().view(torch.uint8).numpy().tobytes() if tensor.dim() else tensor.numpy())
+            file.write(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
 
 
 def make(kind: str, folder: Path, types: str, ckpt: bool) -> None:

@@ -3,7 +3,8 @@
 ``python tests/step_cost.py --depth 12`` measures in turn, each time in a process of its own, at the published width:
 
 - ``ours``: the training's own step: the backbone under ``no_grad``, the branch differentiated;
-- ``straightforward``: the same step with the backbone run and differentiated as if it learned too.
+- ``straightforward``: the same step with the backbone run and differentiated as if it learned too, and all terms
+  differentiated at the end.
 
 It prints seconds and peak memory of both, the share of the injectors, and how fast the data pipeline feeds. The peak is
 that of the steps: weights, gradients, the optimiser's averages, activations and the interpreter. ``--objective paper``
@@ -26,6 +27,7 @@ import torch
 from PIL import Image
 
 from anystyle.data.scene_folder import FolderScenes
+from anystyle.losses import clip_patch, content, style
 from anystyle.perception import weights
 from anystyle.registry.compose import compose
 from anystyle.training.data import SceneBatches
@@ -87,6 +89,8 @@ def measure(case: Case, kind: str) -> dict[str, float]:
     if kind == "straightforward":
         stylizer.backbone.requires_grad_(True)
         training.encoded.encode = stylizer.backbone.encode
+        for module in (clip_patch, content, style):
+            module.differentiated = lambda function, images: function(images)
     learns = [parameter for parameter in training.parameters() if parameter.requires_grad]
     optimizer = torch.optim.AdamW(stylizer.branch.parameters(), lr=1e-4)
     training.train()

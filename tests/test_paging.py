@@ -53,7 +53,7 @@ def test_blocks_give_back_theirs_before_the_next_one_runs(tmp_path):
     held = []
 
     def forward(x):
-        for block in part.blocks:
+        for block in blocks:
             x = block(x)
             held.append(resident())
         return x

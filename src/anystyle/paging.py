@@ -102,7 +102,7 @@ def fill(module: nn.Module, state: Mapping[str, Tensor]) -> None:
     own = module.state_dict()
     if any(tensor.is_meta for tensor in own.values()):
         taken = {key: brought(tensor, own[key].dtype) for key, tensor in state.items()}
-        module.load_state_dict(taken, strict=False, assign=True)
+        module.load_state_dict(own | taken, assign=True)
         return
     for key, tensor in state.items():
         own[key].copy_(tensor)

@@ -6,12 +6,14 @@ import pytest
 import torch
 
 from anystyle.commands import benchmark as command
-from anystyle.commands.benchmark import Measured, Results, benchmark, slope, table
+from anystyle.commands.benchmark import Measured, Results, benchmark, off_line, slope, table
 
 
 def test_the_slope_is_that_of_the_line_through_the_peaks():
     assert slope({2: 100, 4: 160, 8: 280}) == pytest.approx(30)
     assert slope({2: 100}) == 0
+    assert off_line({2: 100, 4: 160, 8: 280}) == pytest.approx(0, abs=1e-9)
+    assert off_line({0: 0, 1: 3, 2: 0}) == pytest.approx(2)
 
 
 def test_the_best_of_several_runs_counts():
@@ -51,7 +53,7 @@ def test_the_command_measures_the_tiny_model_and_writes_one_table(tmp_path, caps
     printed = capsys.readouterr().out
     assert "restyle (head, 2 views)" in printed and "results equal" in printed
     assert "render with cpu" in printed and "render with torch" in printed
-    assert "10.0 MiB a view" in printed
+    assert "10.0 MiB a view." in printed
     stored = json.loads(out.read_text())
     assert {"head, 2 views", "renderers", "memory of 2 views", "memory of 4 views"} == set(stored["rows"])
 
@@ -69,4 +71,5 @@ def test_wrong_words_end_in_one_line():
 
 def test_the_table_states_units():
     text = table([{"name": "encode", "seconds": 1.0, "cpu_seconds": 2.0, "instead": "x"}], {2: 2**20, 3: 3 * 2**20})
-    assert "| encode | 1.000 | 2.000 | x |" in text and "2.0 MiB a view" in text
+    assert "| encode | 1.000 | 2.000 | x |" in text and "2.0 MiB a view." in text
+    assert "of that line" in table([], {1: 1, 2: 2, 4: 4})

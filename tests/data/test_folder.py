@@ -50,6 +50,20 @@ def test_sides_are_multiples_and_points_map_back_to_the_source(tmp_path, width, 
         assert abs(shown - expected) < 1.0
 
 
+def test_without_a_size_every_pixel_stays(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 255, (2, 48, 64, 3), dtype=np.uint8)
+    for number in range(2):
+        Image.fromarray(pixels[number]).save(tmp_path / f"{number}.png")
+    views, sources = read(tmp_path, short_side=None)
+    assert torch.equal((views.images[0] * 255).round().byte(), torch.from_numpy(pixels).movedim(-1, 1))
+    assert sources[0].box == (0, 0, 64, 48)
+    with pytest.raises(ValueError, match=r"are 64x48 pixels, and sides must be multiples of 14: views\.resize=true"):
+        read(tmp_path, short_side=None, multiple=14)
+    save(tmp_path / "2.png", width=56, height=56)
+    with pytest.raises(ValueError, match=r"have 2 sizes \(56x56, 64x48\)"):
+        read(tmp_path, short_side=None)
+
+
 def test_different_sizes_and_a_bad_file_among_good_ones(tmp_path, caplog):
     save(tmp_path / "a.png")
     save(tmp_path / "b.png")

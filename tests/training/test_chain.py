@@ -1,12 +1,17 @@
 """Chained trainings: each finds what those before it made, and a stopped chain goes on."""
 
 import os
+import signal
+import sys
+import threading
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pytest
 
 from anystyle.registry.compose import compose
+from anystyle.training import chain
 from anystyle.training.chain import WEIGHTS, Link, forwarded, links, train_chain
 
 CHAIN = (Link("first", "backbone", "tiny_backbone"), Link("second", "branch", "tiny_head"))
@@ -57,3 +62,28 @@ def test_the_recipe_names_experiments_and_weights_that_there_are() -> None:
         compose("train", [f"experiment={link.experiment}", "name=x", "out=y"])
     with pytest.raises(ValueError, match="give one part and the name of its weights"):
         links({"tiny_style": {"branch": "nothing"}})
+
+
+def test_a_signal_reaches_the_training_which_saves_before_the_chain_ends(tmp_path: Path, monkeypatch) -> None:
+    script = tmp_path / "training"
+    script.write_text(
+        f"#!{sys.executable}\n"
+        "import pathlib, signal, sys, time\n"
+        f"here = pathlib.Path({str(tmp_path)!r})\n"
+        "signal.signal(signal.SIGTERM, lambda *_: ((here / 'saved').touch(), sys.exit(0)))\n"
+        "(here / 'ready').touch()\n"
+        "time.sleep(60)\n"
+    )
+    script.chmod(0o700)
+    monkeypatch.setattr(chain.sys, "executable", str(script))
+
+    def stop() -> None:
+        while not (tmp_path / "ready").exists():
+            time.sleep(0.02)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    before = signal.getsignal(signal.SIGTERM)
+    threading.Thread(target=stop, daemon=True).start()
+    with pytest.raises(ValueError, match="stopped in experiment=first; the same command goes on"):
+        train_chain(CHAIN, [], tmp_path / "out")
+    assert (tmp_path / "saved").exists() and signal.getsignal(signal.SIGTERM) is before

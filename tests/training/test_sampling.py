@@ -94,6 +94,18 @@ def test_processes_share_a_batch_and_nothing_is_lost():
         source.batch(5, 0, 4)
 
 
+@pytest.mark.parametrize("count", [2, 5, 7, 18])
+def test_several_processes_have_the_published_batch_each(count):
+    """36 images a process: as many scenes in each as the published tables say, and none of them twice."""
+    source = SceneBatches(Frames(), Named(), seed=1, images=8 * 36, context_views=(count, count))
+    shares = [source.batch(3, rank, 8) for rank in range(8)]
+    assert [len(share.keys) for share in shares] == 8 * [SAMPLER["batch"][str(count)]]
+    assert len({key for share in shares for key in share.keys}) == 8 * SAMPLER["batch"][str(count)]
+    # Fewer images than processes have views: a scene each.
+    few = SceneBatches(Frames(), seed=1, images=36, context_views=(count, count))
+    assert all(len(few.batch(0, rank, 30).keys) == 1 for rank in (0, 29))
+
+
 def test_equal_keys_mean_equal_views_and_a_pool_has_so_many():
     source = SceneBatches(Frames(), seed=0, batch_size=4, context_views=(2, 3), pool=5)
     seen: dict[int, torch.Tensor] = {}

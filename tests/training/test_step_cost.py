@@ -1,14 +1,15 @@
-"""What a step costs at full width: measured, minutes on one core."""
+"""What a step costs at full width: measured, many minutes on one core."""
 
 import pytest
 
-from step_cost import compare
+from step_cost import Case, compare
 
 
 @pytest.mark.slow
 def test_what_is_frozen_is_neither_differentiated_nor_kept():
-    found = compare()
-    assert found["time ratio"] <= 0.6, found
-    assert found["memory ratio"] <= 0.6, found
+    found = compare(Case(depth=12, side=224, views=2, objective="paper", steps=1))
+    assert found["processor time ratio"] <= 0.6, found
     assert found["injectors' share"] < 0.005, found
     assert found["pipeline ratio"] >= 3, found
+    # At half the depth, where what learns and what judges weighs twice as much beside what is frozen.
+    assert found["memory ratio"] <= 0.75, found

@@ -14,6 +14,7 @@ from anystyle.training.guards import FiniteLoss
 from anystyle.training.loggers import make_loggers, show
 from anystyle.training.run import make_data, make_training, train
 from anystyle.training.scene_cache import EncodedScenes
+from anystyle.training.sharding import Sharded
 from anystyle.training.trainer import check, make_trainer
 from anystyle.types import Style, Views
 from oracle import hashed
@@ -101,6 +102,13 @@ def test_contradictory_options_are_refused_in_one_line(tmp_path, words, told):
     with pytest.raises(ValueError, match=told) as caught:
         make_trainer(configuration((*STYLIZATION, *words), tmp_path), tmp_path, [])
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("devices", ["auto", "1"])
+def test_devices_are_what_lightning_takes_whatever_the_strategy(tmp_path, devices):
+    words = (*STYLIZATION, "trainer.strategy=fsdp2", f"trainer.devices={devices}")
+    trainer = make_trainer(configuration(words, tmp_path), tmp_path, [])
+    assert trainer.num_devices == 1 and isinstance(trainer.strategy, Sharded)
 
 
 def test_usual_options_contradict_nothing():

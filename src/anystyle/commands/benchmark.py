@@ -194,6 +194,13 @@ def slope(peaks: Mapping[int, int]) -> float:
     return sum((views - mean_views) * (size - mean_bytes) for views, size in peaks.items()) / spread if spread else 0.0
 
 
+def off_line(peaks: Mapping[int, int]) -> float:
+    """The most bytes that a peak lies beside the line through all of them."""
+    steepness, count = slope(peaks), len(peaks)
+    start = (sum(peaks.values()) - steepness * sum(peaks)) / count
+    return max(abs(size - start - steepness * views) for views, size in peaks.items())
+
+
 class Results:
     """A JSON file of rows that is written after each, and read where an earlier run stopped."""
 
@@ -267,7 +274,9 @@ def table(rows: Sequence[Mapping[str, Any]], peaks: Mapping[int, int]) -> str:
     lines += [f"| {row['name']} | {row['seconds']:.3f} | {row['cpu_seconds']:.3f} | {row['instead']} |" for row in rows]
     lines += ["", "| views | peak memory |", "|---|---|"]
     lines += [f"| {views} | {size / 2**20:.0f} MiB |" for views, size in peaks.items()]
-    lines.append(f"\nMemory grows by {slope(peaks) / 2**20:.1f} MiB a view.")
+    growth = f"\nMemory grows by {slope(peaks) / 2**20:.1f} MiB a view"
+    beside = f"; the measured peaks lie within {off_line(peaks) / 2**20:.1f} MiB of that line"
+    lines.append(f"{growth}{beside if len(peaks) > 2 else ''}.")
     free = memory.available(torch.device("cpu"))
     if free is not None:
         lines.append(f"{free / 2**30:.1f} GiB are free on this machine.")

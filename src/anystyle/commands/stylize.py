@@ -116,6 +116,8 @@ def check_arguments(arguments: argparse.Namespace, config: DictConfig) -> list[f
     for option, value, choices in (("poses", config.poses, POSES), ("export.colmap", config.export.colmap, MODELS)):
         if value not in choices:
             raise ValueError(f"{option}={value}; choose one of {', '.join(choices)}")
+    if config.views.short_side is not None and not config.views.resize:
+        raise ValueError(f"views.short_side={config.views.short_side} with views.resize=false; give one of them")
     amounts: list[float] = []
     for word in ",".join(arguments.mix).split(",") if arguments.mix else []:
         try:
@@ -137,7 +139,7 @@ def read_inputs(
     if arguments.inputs:
         return read_views(
             [Path(word) for word in arguments.inputs],
-            short_side=config.views.short_side or side,
+            short_side=(config.views.short_side or side) if config.views.resize else None,
             multiple=multiple,
             max_views=config.views.take,
         )

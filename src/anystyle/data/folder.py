@@ -64,7 +64,7 @@ class SourceImage:
 
 
 def read_views(
-    inputs: Sequence[Path], *, short_side: int, multiple: int, max_views: int
+    inputs: Sequence[Path], *, short_side: int | None, multiple: int, max_views: int
 ) -> tuple[Views, list[SourceImage]]:
     """Read photographs as views of one size.
 
@@ -75,7 +75,8 @@ def read_views(
 
     Args:
         inputs: Folders (their images in natural order), image files, patterns such as ``photos/*.jpg``, or videos.
-        short_side: In pixels; rounded to a multiple.
+        short_side: In pixels; rounded to a multiple. ``None`` takes photographs pixel by pixel as they are, where all
+            have one size of such multiples.
         multiple: The patch size of the network.
         max_views: Of more photographs, evenly spaced ones are taken.
 
@@ -89,7 +90,11 @@ def read_views(
     shots, problems = _open(thinned, max_views)
     if not shots:
         raise ValueError(f"no photograph can be read: {problems[0]}" + _more(len(problems) - 1))
-    size = common_size([shot.size for shot in shots], short_side=short_side, multiple=multiple)
+    sizes = [shot.size for shot in shots]
+    if short_side is None:
+        size = own_size(sizes, multiple=multiple)
+    else:
+        size = common_size(sizes, short_side=short_side, multiple=multiple)
     covered: list[tuple[Image.Image, SourceImage]] = []
     for name, shot in zip(_distinct([shot.name for shot in shots]), shots, strict=True):
         try:
@@ -153,6 +158,25 @@ def common_size(sizes: Sequence[tuple[int, int]], *, short_side: int, multiple: 
     short = max(multiple, round(short_side / multiple) * multiple)
     long = max(short, round(short * max(aspect, 1 / aspect) / multiple) * multiple)
     return (short, long) if aspect >= 1 else (long, short)
+
+
+def own_size(sizes: Sequence[tuple[int, int]], *, multiple: int) -> tuple[int, int]:
+    """Height and width that all photographs have, from their widths and heights.
+
+    Raises:
+        ValueError: They differ, or are no multiples.
+    """
+    different = sorted(set(sizes))
+    if len(different) > 1:
+        some = ", ".join(f"{width}x{height}" for width, height in different[:5])
+        raise ValueError(f"the photographs have {len(different)} sizes ({some}); views.resize=true brings them to one")
+    width, height = different[0]
+    if width % multiple or height % multiple:
+        raise ValueError(
+            f"the photographs are {width}x{height} pixels, and sides must be multiples of {multiple}: "
+            "views.resize=true brings them to such a size"
+        )
+    return height, width
 
 
 def _find(inputs: Sequence[Path]) -> list[Path]:

@@ -48,12 +48,12 @@ def judge_pairing(
         missing = {name: metric for name, metric in metrics.items() if kept[name] is None}
         fresh: dict[str, SceneFigures] = {}
         if missing:
-            rows: dict[str, dict[str, Judged]] = {name: {} for name in missing}
+            taken: dict[str, dict[str, Judged]] = {name: {} for name in missing}
             for place, cell in enumerate(cells):
                 progress(stage, done + place, total)
                 for name, row in _judge(missing, cell, reader, out).items():
-                    rows[name][cell.style] = row
-            fresh = {name: merged(name, metric, rows[name]) for name, metric in missing.items()}
+                    taken[name][cell.style] = row
+            fresh = {name: merged(name, metric, taken[name]) for name, metric in missing.items()}
             for name, figures in fresh.items():
                 path = place_of(out, name, scene)
                 write(path, seal, figures)

@@ -1,6 +1,7 @@
 """What every plugin promises before it is built: that a configuration can name it and check its options."""
 
 import tempfile
+import traceback
 from dataclasses import dataclass
 from functools import cached_property
 from inspect import getdoc
@@ -10,7 +11,7 @@ from typing import Any
 from anystyle.registry.catalog import Plugin, PluginError, base_of, catalog
 from anystyle.registry.schema import node, plain
 from anystyle.registry.socket import Socket
-from anystyle.testing.check import Check, ContractError, attempt, describe, expect
+from anystyle.testing.check import Check, ContractError, attempt, expect
 
 
 @dataclass(frozen=True)
@@ -66,13 +67,20 @@ def class_can_be_imported(declared: Declaration) -> None:
     try:
         declared.plugin.load()
     except PluginError as error:
-        cause = f": {describe(error.__cause__)}" if error.__cause__ else ""
         base = base_of(declared.kind)
         raise ContractError(
-            given=f"{error}{cause}" if cause and "(" in cause else str(error),
+            given=f"{error}{_place_of(error.__cause__, declared.plugin.target)}",
             expected=f"a class that can be imported and inherits from {base.__module__}.{base.__qualname__}",
             change="mend the import, the name behind the ':' or the base class",
         ) from error
+
+
+def _place_of(error: BaseException | None, target: str) -> str:
+    """The line of the plugin's own module or package that an import failed in; empty where it is in neither."""
+    own = target.partition(":")[0].partition(".")[0]
+    frames = traceback.extract_tb(error.__traceback__) if error else []
+    inside = [frame for frame in frames if own in Path(frame.filename).with_suffix("").parts]
+    return f" ({Path(inside[-1].filename).name}, line {inside[-1].lineno})" if inside else ""
 
 
 def every_method_is_there(declared: Declaration) -> None:

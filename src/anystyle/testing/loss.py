@@ -35,6 +35,12 @@ def value_is_one_finite_number(plugin: Plugin) -> None:
         with attempt(f"the loss of {what}", change="make it work for any number of scenes, views and pixels"):
             value = _value(plugin, stylization(batch, number, size))
         conform_tensor(value, Float[Tensor, ""], f"the loss of {what}")
+        expect(
+            value.dtype == torch.float32,
+            given=f"the loss of {what} is {str(value.dtype).removeprefix('torch.')}",
+            expected="float32, as the renders are",
+            change="look for `.double()`, or for a number that numpy made",
+        )
         expect_finite(value, f"the loss of {what}")
 
 

@@ -68,7 +68,8 @@ class SceneBatches:
         styles: What is put on it.
         seed: Of every choice.
         batch_size: Scenes a step over all processes; ``None`` means as many as make ``images`` images.
-        images: Images a step, where ``batch_size`` is ``None`` (published: 36).
+        images: Images a step over all processes at most, where ``batch_size`` is ``None``; each process has as many
+            scenes as the others, and at least one (published: 36 a process).
         context_views: Least and most views the network is given (published: 2 to 18).
         view_power: Numbers of views are drawn in proportion to their power (published: 2).
         target_views: Further views, for losses.
@@ -113,11 +114,11 @@ class SceneBatches:
         self.heights, self.width, self.multiple = heights, width, multiple
         self.flip, self.pool = flip, pool
 
-    def shape(self, step: int) -> tuple[int, int]:
-        """How many scenes ``step`` has over all processes, and of how many context views."""
+    def shape(self, step: int, world: int = 1) -> tuple[int, int]:
+        """How many scenes ``step`` has over all ``world`` processes, and of how many context views."""
         rng = generator(self.seed, 1, step)
         context = int(rng.choice(self.counts, p=self.probabilities))
-        return self.batch_size or batch_rows(context, self.images), context
+        return self.batch_size or world * batch_rows(context, self.images // world), context
 
     def _draw(self, step: int, row: int, context: int, attempt: int) -> Draw:
         rng = generator(self.seed, 8, step, row, attempt) if attempt else generator(self.seed, 2, step, row)
@@ -141,11 +142,11 @@ class SceneBatches:
         Raises:
             ValueError: The rows cannot be shared out evenly, or nothing can be read.
         """
-        count, context = self.shape(step)
+        count, context = self.shape(step, world)
         if count % world:
             raise ValueError(
-                f"{count} scenes a step cannot be shared by {world} processes; change training.batch_size, or "
-                f"training.images with training.context_views=[n,n]"
+                f"{count} scenes a step cannot be shared by {world} processes; make training.batch_size a multiple of "
+                f"them, or null and set training.images"
             )
         rows, styles, keys, skipped = [], [], [], []
         for row in range(rank, count, world):

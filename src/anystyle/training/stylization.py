@@ -33,7 +33,8 @@ class StylizationTraining(Training):
         stylizer: Its branch learns.
         losses: The objective: terms by name, each with its weight.
         features: Where encoded scenes are kept on disk; ``None`` keeps none there.
-        images: Images a step over all processes; with n views a scene that is ``images // n`` scenes.
+        images: Images a step over all processes; with n views a scene that is ``images // n`` scenes, and the same
+            number for each process (published: 36 a process).
         batch_size: Scenes a step, instead of ``images``.
         context_views: Least and most views of a scene.
         view_power: Numbers of views are drawn in proportion to their power.

@@ -16,6 +16,11 @@ class PerView(ToyLoss):
         return (result.renders.color.mean((2, 3, 4)) - result.views.images.mean((2, 3, 4))).square()
 
 
+class Double(ToyLoss):
+    def forward(self, result):
+        return super().forward(result).double()
+
+
 class ForOneScene(ToyLoss):
     def forward(self, result):
         return super().forward(result) * result.renders.color.sum((1, 2, 3, 4)).reshape(())
@@ -63,6 +68,7 @@ CHANGED = {
     "as it is": (ToyLoss, set()),
     "no weight": (Weightless, {"weight is a number"}),
     "a number a view": (PerView, {"value is one finite number"}),
+    "in double precision": (Double, {"value is one finite number"}),
     "for one scene": (ForOneScene, {"value is one finite number"}),
     "needs an image": (NeedsAnImage, {"styles may lack a part", "absent images are not read"}),
     "reads what is absent": (ReadsAbsentImages, {"absent images are not read"}),

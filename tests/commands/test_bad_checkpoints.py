@@ -1,0 +1,114 @@
+"""What people give by mistake to a published network: each ends in one line, status 2, and leaves nothing."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from omegaconf import OmegaConf
+from PIL import Image
+from safetensors.torch import save_file
+
+from anystyle import memory
+from anystyle.commands._compose import main
+from anystyle.commands.stylize import parser, stylize
+from anystyle.registry.compose import override
+from anystyle.weights import reference_config
+from weights_cases import small_checkpoint, training_checkpoint
+
+ENCODER = {"text_width": 64, "text_layers": 1, "image_width": 64, "image_layers": 1}
+
+
+class Code:
+    """A pickle that would run something."""
+
+    def __reduce__(self) -> tuple:
+        return (print, ("EXECUTED",))
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("photographs")
+    pixels = np.random.default_rng(0).integers(0, 255, (56, 70, 3), dtype=np.uint8)
+    for number in range(2):
+        Image.fromarray(np.roll(pixels, 3 * number, 1)).save(folder / f"{number}.png")
+    return folder
+
+
+@pytest.fixture
+def words(photographs: Path, tmp_path: Path) -> list[str]:
+    """A command for the Head variant in miniature, on a whole file."""
+    torch.save(training_checkpoint("head"), tmp_path / "head.ckpt")
+    sizes = OmegaConf.to_container(reference_config(small_checkpoint("head")).backbone, enum_to_str=True)
+    assert isinstance(sizes, dict)
+    options = [override(f"backbone.{key}", value) for key, value in sizes.items() if key != "_target_"]
+    options += [override(f"style_encoder.{key}", value) for key, value in ENCODER.items()]
+    files = [f"weights.{part}={tmp_path / 'head.ckpt'}" for part in ("backbone", "branch")]
+    given = [str(photographs), "--text", "dots", "--out", str(tmp_path / "out"), "model=anystyle_head"]
+    return [*given, *options, *files, "weights.style_encoder=null", "views.short_side=56"]
+
+
+def refused(capsys: pytest.CaptureFixture[str], words: list[str], *more: str) -> str:
+    """The one line that a command ends in; nothing is left behind."""
+    with pytest.raises(SystemExit) as caught:
+        main("stylize", stylize, parser(), [*words, *more])
+    assert caught.value.code == 2
+    told = capsys.readouterr()
+    lines = [line for line in told.err.splitlines() if not line.endswith("…")]
+    assert len(lines) == 1 and lines[0].startswith("anystyle: error: "), lines
+    assert "EXECUTED" not in told.out
+    assert not Path(words[words.index("--out") + 1]).exists()
+    return lines[0]
+
+
+def test_files_that_are_not_the_checkpoint(
+    words: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_file({"visual.proj": torch.zeros(2)}, tmp_path / "other.safetensors")
+    (tmp_path / "half.ckpt").write_bytes((tmp_path / "head.ckpt").read_bytes()[:20000])
+    torch.save({"state_dict": small_checkpoint("head"), "callbacks": Code()}, tmp_path / "code.ckpt")
+    for name, told in (
+        ("other.safetensors", "neither AnySplat's nor AnyStyle's (visual.proj)"),
+        ("half.ckpt", "is truncated or no file of weights"),
+        ("code.ckpt", "is damaged or holds more than tensors"),
+    ):
+        assert told in refused(capsys, words, *(f"weights.{part}={tmp_path / name}" for part in ("backbone", "branch")))
+
+
+def test_a_head_checkpoint_for_a_full_model(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    full = ["model=anystyle_full" if word == "model=anystyle_head" else word for word in words]
+    assert "trained with placement=head" in refused(capsys, full)
+
+
+def test_sizes_that_are_no_multiples_where_nothing_is_resized(
+    words: list[str], photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = [*words[:-1], "views.resize=false"]
+    Image.new("RGB", (70, 50)).save(tmp_path / "0.png")
+    told = refused(capsys, [str(tmp_path / "0.png"), *given[1:]])
+    assert "are 70x50 pixels, and sides must be multiples of 14" in told
+    assert "have 2 sizes (70x50, 70x56)" in refused(capsys, [str(tmp_path / "0.png"), *given])
+    assert "with views.resize=false; give one of them" in refused(capsys, [*words, "views.resize=false"])
+
+
+def test_poses_that_do_not_match_the_images(
+    words: list[str], photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    frame = {"file_path": "0.png", "transform_matrix": np.eye(4).tolist()}
+    for told, size in (
+        ("1 of 2 photographs have no stored camera", (70, 56)),
+        ("pixels, and the photograph", (99, 20)),
+    ):
+        content = {"fl_x": 60.0, "w": size[0], "h": size[1], "frames": [frame]}
+        (photographs / "transforms.json").write_text(json.dumps(content))
+        assert told in refused(capsys, words, "poses=known")
+    (photographs / "transforms.json").unlink()
+    assert "no cameras are stored" in refused(capsys, words, "poses=known")
+
+
+def test_more_views_than_memory_allows(
+    words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(memory, "available", lambda device: 2**20)
+    assert "not even two fit: set a smaller size" in refused(capsys, words)
