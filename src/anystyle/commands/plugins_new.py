@@ -180,7 +180,7 @@ def _class_name(name: str, source: str) -> str:
     camel = "".join(word.capitalize() for word in name.split("_"))
     # A class called as what the module imports, such as a backbone named "embedder", would hide that; "true" is a word
     # of the language's own.
-    taken = keyword.iskeyword(camel) or hasattr(builtins, camel) or re.search(rf"\b{camel}\b", source)
+    taken = keyword.iskeyword(camel) or camel in vars(builtins) or re.search(rf"\b{camel}\b", source)
     return f"My{camel}" if taken else camel
 
 
