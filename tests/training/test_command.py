@@ -2,14 +2,18 @@
 
 import csv
 import os
+import signal
 import subprocess
 import sys
 
 import pytest
 from omegaconf import OmegaConf
 
+from anystyle.commands._compose import launch
+from anystyle.commands.train import run
 from anystyle.registry.compose import compose
-from training_cases import BACKBONE
+from anystyle.training.stylization import StylizationTraining
+from training_cases import BACKBONE, STYLIZATION
 
 
 def anystyle(folder, *words: str) -> subprocess.CompletedProcess[str]:
@@ -44,6 +48,27 @@ def test_devices_inside_a_multirun_are_refused_with_a_way_out(tmp_path):
     assert result.returncode == 2
     assert "trainer.devices=2 inside a multirun" in result.stderr
     assert "submitit_slurm" in result.stderr and "Traceback" not in result.stderr
+
+
+def test_a_signal_ends_a_sweep_after_saving_and_the_next_start_goes_on(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["-m", *STYLIZATION, "trainer.max_steps=3", "seed=0,1", "hydra.sweep.dir=sweep"]
+    whole, steps = StylizationTraining.training_step, []
+
+    def training_step(self, batch, index):
+        steps.append(index)
+        if len(steps) == 2:
+            signal.raise_signal(signal.SIGTERM)
+        return whole(self, batch, index)
+
+    monkeypatch.setattr(StylizationTraining, "training_step", training_step)
+    with pytest.raises(KeyboardInterrupt):
+        launch("train", run, words)
+    assert "stopped after step 2" in capsys.readouterr().out and steps == [0, 1]
+    assert (tmp_path / "sweep/0/last.ckpt").is_file() and not (tmp_path / "sweep/1").exists()
+    launch("train", run, words)
+    assert steps == [0, 1, 2, 0, 1, 2]
+    assert all((tmp_path / "sweep" / job / "branch.safetensors").is_file() for job in "01")
 
 
 @pytest.mark.parametrize("name", ["all_geometry", "no_clip_loss", "no_style_loss", "no_text"])
