@@ -25,6 +25,9 @@ def differentiated(
         return function(images)
     own = images.detach().requires_grad_()
     value = function(own)
+    if not value.requires_grad:
+        # What it says does not depend on the images, such as of styles that lack what it reads.
+        return value
     (gradient,) = torch.autograd.grad(value, own)
     known: Any = _Known.apply(images, value.detach(), gradient)
     return known
