@@ -1,6 +1,7 @@
 """Whole runs, a second each: they learn, they continue bit for bit, and they stop when they should."""
 
 import json
+import shutil
 import signal
 
 import lightning.pytorch as pl
@@ -79,6 +80,13 @@ def test_a_run_of_another_configuration_is_not_continued(uninterrupted):
         train(other, out)
     # What does not change the result may change.
     assert train(configuration((*RECONSTRUCTION, "checkpoint.every_steps=1"), out), out).finished
+
+
+def test_a_checkpoint_of_nobody_knows_what_is_not_continued(uninterrupted, tmp_path):
+    shutil.copy(uninterrupted[0] / "last.ckpt", tmp_path / "last.ckpt")
+    with pytest.raises(ValueError, match=r"no bound.json that says of which configuration; pass resume=changed"):
+        train(configuration(RECONSTRUCTION, tmp_path), tmp_path)
+    assert train(configuration((*RECONSTRUCTION, "resume=changed"), tmp_path), tmp_path).finished
 
 
 def test_two_runs_do_not_share_a_folder(tmp_path):

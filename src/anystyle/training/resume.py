@@ -65,11 +65,16 @@ def resumable(config: DictConfig, last: Path) -> bool:
     """Whether there is a run to continue; writes down the configuration of a new one.
 
     Raises:
-        ValueError: There is one, of another configuration.
+        ValueError: There is one, of another configuration or of one that is not known.
     """
     record = last.with_name("bound.json")
     current = json.loads(json.dumps(bound(config)))
     if config.resume != "never" and last.is_file():
+        if not record.is_file() and config.resume != "changed":
+            raise ValueError(
+                f"{last.parent} holds a checkpoint and no {record.name} that says of which configuration; "
+                f"pass resume=changed to continue it all the same, resume=never to start again, or another name=..."
+            )
         earlier = json.loads(record.read_text()) if record.is_file() else current
         changed = sorted(key for key in {*earlier, *current} if earlier.get(key) != current.get(key))
         if changed and config.resume != "changed":
