@@ -22,7 +22,6 @@ def read(name):
     return jupytext.read(FOLDER / name)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_notebook_runs(name, tmp_path, monkeypatch):
     client = pytest.importorskip("nbclient", reason="notebooks are run by nbclient: pip install nbmake")
