@@ -254,7 +254,7 @@ def test_only_what_learns_recomputes_its_blocks(tmp_path, monkeypatch):
     plain = make_training(configuration((*STYLIZATION, *words), tmp_path))
     saving = make_training(configuration((*STYLIZATION, *words, "backbone.checkpointing=true"), tmp_path))
     saving.load_state_dict(plain.state_dict())
-    import anystyle_anysplat.aggregator as module
+    import anystyle.nn.attention as module
 
     calls = []
     whole = module.checkpoint
