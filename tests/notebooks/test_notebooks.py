@@ -22,22 +22,33 @@ def read(name):
     return jupytext.read(FOLDER / name)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_notebook_runs(name, tmp_path, monkeypatch):
+def run(name, folder, monkeypatch):
     client = pytest.importorskip("nbclient", reason="notebooks are run by nbclient: pip install nbmake")
     # Commands of a notebook are those of this environment.
     monkeypatch.setenv("PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
-    monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
+    monkeypatch.setenv("IPYTHONDIR", str(folder / "ipython"))
     notebook = read(name)
-    start = time.process_time() + _children()
     client.NotebookClient(
-        notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": tmp_path}}
+        notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": folder}}
     ).execute()
-    assert time.process_time() + _children() - start < LONGEST
+    return notebook
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_notebook_runs(name, tmp_path, monkeypatch):
+    notebook = run(name, tmp_path, monkeypatch)
     shown = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     assert not [output for output in shown if output.get("name") == "stderr"], shown
     kinds = {kind for output in shown for kind in output.get("data", {})}
     assert kinds & {"image/png", "image/gif", "image/svg+xml"}, "a notebook shows pictures"
+
+
+@pytest.mark.slow  # a matter of the machine, and of what else it does
+@pytest.mark.parametrize("name", NAMES)
+def test_notebook_is_quick(name, tmp_path, monkeypatch):
+    start = time.process_time() + _children()
+    run(name, tmp_path, monkeypatch)
+    assert time.process_time() + _children() - start < LONGEST
 
 
 @pytest.mark.parametrize("name", NAMES)
