@@ -6,11 +6,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
-from anystyle.perception.compare import mean_where, style_images
+from anystyle.perception.compare import LUMA, mean_where, style_images
 from anystyle.types import Stylization
-
-# Rec. 601, on sRGB values as they are.
-LUMA = (0.299, 0.587, 0.114)
 
 
 class PaletteRamp(Loss):
