@@ -273,3 +273,13 @@ def test_only_what_learns_recomputes_its_blocks(tmp_path, monkeypatch):
     assert len(calls) == 8 and all(id(block) in copied for block in calls)
     for one, other in zip(*gradients, strict=True):
         torch.testing.assert_close(one, other)
+
+
+def test_bf16_trains_with_its_losses_in_full_precision(tmp_path):
+    outcome = train(
+        configuration((*STYLIZATION, "trainer.precision=bf16-mixed", "export.half=false"), tmp_path), tmp_path
+    )
+    exact = train(configuration((*STYLIZATION, "export.half=false"), tmp_path / "exact"), tmp_path / "exact")
+    assert outcome.finished
+    assert outcome.metrics["train/loss"] == pytest.approx(exact.metrics["train/loss"], rel=0.05)
+    assert outcome.metrics["train/loss"] != exact.metrics["train/loss"]
