@@ -232,8 +232,32 @@ def test_the_photographs_flow_is_searched_once_for_all_styles(monkeypatch):
     monkeypatch.setattr(flow, "displacement", lambda *frames: searched.append(1) or search(*frames))
     metric = WarpConsistency(correspondence=flow, flow_from="content", weights="stand_in")
     given = pictures(styles=3, frames=2, side=40)
-    for row in range(3):
-        metric.update(given.map(lambda tensor, i=row: tensor[i : i + 1].clone()))
+    rows = [given.map(lambda tensor, i=row: tensor[i : i + 1].clone()) for row in range(3)]
+    for row in rows:
+        metric.update(row)
     assert len(searched) == 1
     metric.update(replace(given, content=given.content.flip(-1)))
     assert len(searched) == 2
+    # That is what the corrected variant does unless it is told otherwise; there and back.
+    for flow_from, times in ((None, 2), ("stylized", 6)):
+        searched.clear()
+        metric = WarpConsistency(correspondence=flow, flow_from=flow_from, variant="corrected", weights="stand_in")
+        for row in rows:
+            metric.update(row)
+        assert len(searched) == times
+
+
+def test_a_style_that_hides_all_motion_does_not_hide_it_from_the_corrected_variant():
+    """Stylized frames without any texture give the flow nothing to hold on to; the photographs do."""
+    wide = smooth_image(5, [1, 3, 42, 60]) * 0.5 + 0.5 * smooth_image(6, [1, 3, 42, 60])
+    content = torch.stack([wide[..., 3 * frame : 3 * frame + 42] for frame in range(3)], dim=1)
+    flat = torch.linspace(0.2, 0.8, 3).view(1, 3, 1, 1, 1).expand(-1, -1, 3, 42, 42).contiguous()
+    given = replace(pictures(styles=1, frames=3, side=42), content=content, stylized=flat)
+    metric = WarpConsistency(correspondence=Raft(weights="stand_in"), variant="corrected", weights="stand_in")
+    metric.update(given)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the long range
+        found = metric.compute()
+    # Grey changes by 0.3 a frame, wherever a pixel goes; what the motion brings into view cannot be compared.
+    assert found["warp_rmse_short"] == pytest.approx(0.3, abs=1e-5)
+    assert 0.5 < found["warp_coverage_short"] < 1

@@ -54,11 +54,12 @@ class WarpConsistency(Metric):
     Args:
         correspondence: The flow; the framework passes the one that is configured.
         flow_from: ``stylized`` frames, as published; or the ``content`` frames, whose flow a style cannot disturb and
-            which is computed once for all styles.
+            which is computed once for all styles. ``None`` takes the variant's: ``stylized`` in ``reference``,
+            ``content`` in ``corrected``.
         variant: ``reference`` is the published script: images in [0, 255] for LPIPS and for the splatting's logits,
             which saturate; RMSE over all pixels, so that a hole is no error. ``corrected`` has images in [0, 1], LPIPS
-            in [-1, 1], moves only pixels that the correspondence calls visible, and averages RMSE over the pixels
-            where they land. ``warp_coverage_*`` is their share.
+            in [-1, 1], searches the flow in the photographs, moves only pixels that the correspondence calls visible,
+            and averages RMSE over the pixels where they land. ``warp_coverage_*`` is their share.
         weights: Of LPIPS; ``auto`` takes a stand-in where the published ones are missing, and says so.
     """
 
@@ -79,14 +80,14 @@ class WarpConsistency(Metric):
         self,
         *,
         correspondence: Correspondence,
-        flow_from: Literal["stylized", "content"] = "stylized",
+        flow_from: Literal["stylized", "content"] | None = None,
         variant: Literal["reference", "corrected"] = "reference",
         weights: Weights = "auto",
     ) -> None:
         super().__init__()
         self.correspondence = correspondence
-        self.flow_from = flow_from
         self.reference = variant == "reference"
+        self.flow_from = flow_from or ("stylized" if self.reference else "content")
         self._kept: dict[int, tuple[tuple[str, ...], Flows]] = {}
         self.network = lpips.load("vgg", weights)
         every = (*correspondence.sources, self.network.source)
