@@ -16,6 +16,7 @@ from anystyle.perception.features import FeatureNetwork
 from anystyle.perception.lpips import STAND_IN_SIDE, shrunk
 from anystyle.perception.memo import MEMO
 from anystyle.perception.sources import Weights, bundled, checksums, locate, published, stand_ins
+from anystyle.perception.winograd import quicken
 from anystyle.types import Comparison
 
 CHUNK = 1 << 25
@@ -49,7 +50,7 @@ class CFSD(RowMean):
         super().__init__()
         self.reference = variant == "reference"
         file = locate("vgg19", weights)
-        self.network: FeatureNetwork = perception.load("texture" if file is None else "vgg19", file)
+        self.network: FeatureNetwork = quicken(perception.load("texture" if file is None else "vgg19", file))
         self.layer = "relu3_1"
         self.longest = STAND_IN_SIDE if file is None else None
         self._source = bundled("vgg19", "texture_similarity") if file is None else published("vgg19", file)

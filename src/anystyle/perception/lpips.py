@@ -12,6 +12,7 @@ from anystyle import perception
 from anystyle.perception import weights
 from anystyle.perception.features import FeatureNetwork, Frozen
 from anystyle.perception.sources import Source, Weights, bundled, locate, published
+from anystyle.perception.winograd import quicken
 
 Backbone = Literal["alex", "vgg"]
 
@@ -57,21 +58,28 @@ class Lpips(Frozen):
     def describe(self, images: Float[Tensor, "M 3 H W"]) -> list[Float[Tensor, "M _ _ _"]]:
         """What images in [0, 1] are compared by: unit features times the roots of the weights."""
         maps = self.network(shrunk(images, self.longest), self.layers)
-        return [
-            features / (features.square().sum(1, keepdim=True).sqrt() + 1e-10) * self.get_buffer(f"head{place}")
-            for place, features in enumerate(maps)
-        ]
+        return [_unit(features, self.get_buffer(f"head{place}")) for place, features in enumerate(maps)]
 
     def compare(self, first: Sequence[Float[Tensor, "M _ _ _"]], second: Sequence[Float[Tensor, "M _ _ _"]]) -> Tensor:
         """The distances ``M`` of images that were described."""
         total = first[0].new_zeros(first[0].shape[0])
         for one, other in zip(first, second, strict=True):
-            total = total + (one - other).square().sum(1).mean((1, 2))
+            # Image by image: what is as large as the features of several is slow to get from the system.
+            rows = [torch.linalg.vector_norm(a - b, dim=0).square().mean() for a, b in zip(one, other, strict=True)]
+            total = total + torch.stack(rows)
         return total
 
     def forward(self, first: Float[Tensor, "M 3 H W"], second: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M"]:
         """The distances of pairs of images in [0, 1]."""
         return self.compare(self.describe(first), self.describe(second))
+
+
+def _unit(features: Float[Tensor, "M C h w"], head: Float[Tensor, "1 C 1 1"]) -> Float[Tensor, "M C h w"]:
+    """Features of unit length times the roots of the weights; in place where nobody asks for gradients."""
+    length = torch.linalg.vector_norm(features, dim=1, keepdim=True) + 1e-10
+    if torch.is_grad_enabled():
+        return features / length * head
+    return features.div_(length).mul_(head)
 
 
 def load(backbone: Backbone, choice: Weights = "auto") -> Lpips:
@@ -92,7 +100,7 @@ def load(backbone: Backbone, choice: Weights = "auto") -> Lpips:
         maps = network(torch.zeros(1, 3, 32, 32), STAND_IN_LAYERS)
         heads = [torch.full((found.shape[1],), 0.25) for found in maps]
         return Lpips(network, STAND_IN_LAYERS, heads, bundled(name, "texture_distance"), STAND_IN_SIDE)
-    network = perception.load(name, file)
+    network = quicken(perception.load(name, file))
     maps = network(torch.zeros(1, 3, 64, 64), LAYERS[backbone])
     heads = _heads(f"lpips_{backbone}", [found.shape[1] for found in maps])
     return Lpips(network, LAYERS[backbone], heads, published(name, file))

@@ -5,7 +5,7 @@ between iterations is computed in each: what the update reads of the context is 
 upsampling after the last.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from anystyle.perception import weights
 from anystyle.perception.features import Frozen, fold, load_strictly
+from anystyle.perception.winograd import quicken
 
 LEVELS, RADIUS = 4, 4
 SMALLEST = 128
@@ -77,9 +78,14 @@ class Raft(Frozen):
         """
         pyramid = correlations(source, target)
         start = _grid(source)
-        place, state = start.expand(source.shape[0], -1, -1, -1), context.state
+        place = start.expand(source.shape[0], -1, -1, -1)
+        # What is looked up lies channel beside channel; so does all that it meets.
+        state, *reading = (
+            tensor.contiguous(memory_format=torch.channels_last)
+            for tensor in (context.state, *context.reading.split(384, dim=1))
+        )
         for _ in range(iterations):
-            state, step = self.update_block(state, context.reading, look_up(pyramid, place), place - start)
+            state, step = self.update_block(state, reading, look_up(pyramid, place), place - start)
             place = place + step
         return upsample(place - start, self.update_block.weights_of(state))
 
@@ -113,7 +119,7 @@ def load(name: str = "raft_things", path: str | Path | None = None) -> Raft:
         FileNotFoundError: They are missing.
     """
     file = weights.find(name, path)
-    return load_strictly(Raft(), own_keys(weights.read(file)), name=name, file=file)
+    return quicken(load_strictly(Raft(), own_keys(weights.read(file)), name=name, file=file))
 
 
 def own_keys(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -190,7 +196,7 @@ def look_up(pyramid: list[Float[Tensor, "Mhw 1 _ _"]], place: Float[Tensor, "M 2
         grid = 2 * (centres / 2**number + window) / sides - 1
         sampled = F.grid_sample(level, grid, mode="bilinear", padding_mode="zeros", align_corners=True)
         found.append(sampled.reshape(count, height, width, -1))
-    return torch.cat(found, dim=-1).permute(0, 3, 1, 2).contiguous()
+    return torch.cat(found, dim=-1).permute(0, 3, 1, 2)
 
 
 def upsample(flow: Float[Tensor, "M 2 h w"], logits: Float[Tensor, "M 576 h w"]) -> Float[Tensor, "M 2 H W"]:
@@ -276,7 +282,7 @@ class Update(nn.Module):
         self.flow_head = Head()
         self.mask = nn.Sequential(nn.Conv2d(128, 256, 3, padding=1), nn.ReLU(), nn.Conv2d(256, 64 * 9, 1))
 
-    def forward(self, state: Tensor, reading: Tensor, found: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, state: Tensor, reading: Sequence[Tensor], found: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
         """The next hidden state, and how the flow changes."""
         state = self.gru(state, reading, self.encoder(found, flow))
         return state, self.flow_head(state)
@@ -327,9 +333,9 @@ class Recurrent(nn.Module):
             found.append(F.conv2d(context, self._parts(half, "zrq", slice(128, 256)), bias, padding=padding))
         return torch.cat(found, dim=1)
 
-    def forward(self, state: Tensor, reading: Tensor, motion: Tensor) -> Tensor:
-        """The next hidden state."""
-        for half, padding, known in ((1, (0, 2), reading[:, :384]), (2, (2, 0), reading[:, 384:])):
+    def forward(self, state: Tensor, reading: Sequence[Tensor], motion: Tensor) -> Tensor:
+        """The next hidden state; what was read of the context is given for each half."""
+        for half, padding, known in zip((1, 2), ((0, 2), (2, 0)), reading, strict=True):
             outer = [self._parts(half, gates, slice(0, 128)) for gates in ("zr", "q")]
             moved = F.conv2d(motion, self._parts(half, "zrq", slice(256, 384)), padding=padding) + known
             gates = (F.conv2d(state, outer[0], padding=padding) + moved[:, :256]).sigmoid()
