@@ -12,6 +12,7 @@ from torch import Tensor, nn
 from anystyle.branch import StyleBranch
 from anystyle.checkpoint import Header, has_header, load_part, read_header, sha256
 from anystyle.contracts import Backbone, Injector, Placement, Published, Renderer, StyleEncoder
+from anystyle.errors import did_you_mean
 from anystyle.perception import weights
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
@@ -23,8 +24,19 @@ State = Mapping[str, Tensor]
 
 
 def weights_file(name: str) -> Path:
-    """The file of a name that ``anystyle weights`` lists, or of a path."""
-    return weights.find(name) if name in weights.files() else Path(name).expanduser()
+    """The file of a name that ``anystyle weights`` lists, or of a path.
+
+    Raises:
+        ValueError: It is neither.
+    """
+    known = weights.files()
+    path = weights.find(name) if name in known else Path(name).expanduser()
+    if not path.is_file():
+        raise ValueError(
+            f"weights {name}: there is no such file, and no weights of that name.{did_you_mean(name, known)} "
+            "`anystyle weights list` names them"
+        )
+    return path
 
 
 def make_branch(

@@ -9,11 +9,14 @@ import torch
 from PIL import Image
 
 from anystyle.commands.data import main
+from anystyle.contracts import SceneSource
 from anystyle.data.checking import check, guess
 from anystyle.data.likeness import fingerprint, same_pictures
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.wikiart import DESCRIPTIONS, TEST_FILES, WikiArtStyles
 from anystyle.errors import UserError
+from anystyle.registry.build import build
+from anystyle.registry.compose import compose
 from oracle import hashed
 from real_data import real
 
@@ -49,7 +52,7 @@ def test_scenes_are_counted_and_what_is_wrong_is_named(dl3dv):
     report = check(dl3dv)
     assert (report.layout, report.scenes, report.images) == ("scenes", 2, 8)
     assert report.sizes == {(60, 40): 8} and sorted(report.views.elements()) == [1, 3, 4]
-    assert report.use == f"scenes=folder scenes.root={dl3dv} scenes.images=images_8 scenes.index=train_index.json"
+    assert report.use == f"scenes=dl3dv scenes.root={dl3dv}"
     found = "\n".join(report.problems)
     for words in (
         "3K/gone: in train_index.json",
@@ -75,13 +78,12 @@ def test_scannet_is_found_where_it_keeps_its_photographs_and_cameras(tmp_path):
         (dslr / "nerfstudio" / "transforms_undistorted.json").write_text(json.dumps(content))
     report = check(tmp_path)
     assert (report.layout, report.scenes, report.images, report.problems) == ("scenes", 2, 6, [])
-    options = dict(word.removeprefix("scenes.").split("=", 1) for word in report.use.split()[1:])
-    assert options == {
-        "root": str(tmp_path),
-        "images": "dslr/resized_undistorted_images",
-        "cameras": "dslr/nerfstudio/transforms_undistorted.json",
-    }
-    scenes = FolderScenes(**options, short_side=20, multiple=10)
+    # The words it prints compose to the source of this layout, whatever the experiment takes.
+    assert report.use == f"scenes=scannetpp scenes.root={tmp_path}" and report.posed == 6
+    words = ["experiment=paper_head", *report.use.split(), "name=x", "out=y"]
+    node = compose("train", [*words, "scenes.short_side=20", "scenes.multiple=10"]).scenes
+    scenes = build(SceneSource, node)
+    options = {name: node[name] for name in ("root", "images")}
     views = scenes.read(1, [0, 2])
     assert scenes.name(1) == "1ada7a0617" and views.cameras.world_from_camera[0, 1, 0, 3] == 2
     torch.testing.assert_close(views.cameras.intrinsics[0, 0, 0, 0], torch.tensor(25.0))
@@ -111,8 +113,17 @@ def test_clips_are_counted_by_their_chunks(tmp_path):
     torch.save(clips, tmp_path / "train" / "0.torch")
     (tmp_path / "train" / "index.json").write_text(json.dumps({"a": "0.torch", "b": "0.torch", "c": "1.torch"}))
     report = check(tmp_path)
-    assert (guess(tmp_path), report.scenes, report.images) == ("re10k", 1, 4)
+    assert (guess(tmp_path), report.scenes, report.images, report.posed) == ("re10k", 1, 4, 4)
+    # The size is that of the stored frames, not of what a training makes of them.
+    assert report.sizes == {(48, 27): 4}
     assert len(report.problems) == 2 and "1.torch" in "\n".join(report.problems)
+    clips[0]["images"] = [frame, frame[: len(frame) // 2], frame]
+    torch.save(clips, tmp_path / "train" / "0.torch")
+    report = check(tmp_path)
+    assert (report.scenes, report.images) == (1, 3)
+    assert [line for line in report.problems if line.startswith("train/a: frame 1 is a damaged image")]
+    words = ["experiment=paper_head", *report.use.split(), "name=x", "out=y"]
+    assert build(SceneSource, compose("train", words).scenes).num_views(0) == 3
 
 
 def test_paintings_are_held_against_their_descriptions_and_lists(tmp_path, capsys):

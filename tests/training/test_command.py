@@ -11,6 +11,7 @@ from omegaconf import OmegaConf
 
 from anystyle.commands._compose import launch
 from anystyle.commands.train import run
+from anystyle.errors import UserError
 from anystyle.registry.compose import compose
 from anystyle.training.stylization import StylizationTraining
 from training_cases import BACKBONE, STYLIZATION
@@ -41,6 +42,13 @@ def test_mistakes_end_in_one_line(tmp_path):
     result = anystyle(tmp_path, "experiment=tiny_reconstruction", "debug=smoke", "trainer.max_stepps=3")
     assert result.returncode == 2 and result.stdout == ""
     assert "max_stepps" in result.stderr and len(result.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("word", ["styles=null", "scenes@validation_scenes=null"])
+def test_a_group_that_is_set_to_null_is_told_with_the_way_out(word):
+    with pytest.raises(UserError, match=f"{word}: a group takes a name; to leave it out, write '~{word[:-5]}'"):
+        compose("train", ["experiment=paper_head", word, "name=x", "out=y"])
+    assert compose("train", ["experiment=paper_head", "~model", "name=x", "out=y"]).weights.backbone is None
 
 
 def test_devices_inside_a_multirun_are_refused_with_a_way_out(tmp_path):

@@ -165,7 +165,7 @@ def test_stacking_says_what_does_not_fit():
 
 
 def test_bad_view_counts_are_refused():
-    with pytest.raises(ValueError, match="context_views is"):
+    with pytest.raises(ValueError, match=r"training\.context_views=\[0, 2\]"):
         SceneBatches(Frames(), context_views=(0, 2))
     with pytest.raises(ValueError, match="has 4 views, and 4 context and 1 target"):
         SceneBatches(Frames(4), context_views=(4, 4), target_views=1, spread="any").batch(0)

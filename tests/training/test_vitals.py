@@ -12,10 +12,11 @@ from anystyle.training.data import ATTEMPTS, SceneBatches
 from anystyle.training.feature_store import FeatureStore
 from anystyle.training.guards import FiniteLoss
 from anystyle.training.loggers import make_loggers, show
+from anystyle.training.options import check_options, check_trainer
 from anystyle.training.run import make_data, make_training, train
 from anystyle.training.scene_cache import EncodedScenes
 from anystyle.training.sharding import Sharded
-from anystyle.training.trainer import check, make_trainer
+from anystyle.training.trainer import make_trainer
 from anystyle.types import Style, Views
 from oracle import hashed
 from training_cases import STYLIZATION, configuration
@@ -91,7 +92,24 @@ def test_a_loss_that_explodes_stops_the_run(tmp_path):
         (("trainer.precision=16-mixed",), "use bf16-mixed"),
         (("trainer.strategy=fsdp2", "average=0.9"), "use trainer=ddp or average=null"),
         (("trainer.strategy=dpp",), "dpp"),
-        (("+trainer.logger=true",), "logger"),
+        (("+trainer.logger=true",), "a run sets that itself"),
+        (("+trainer.max_epochs=3",), "trainer.max_epochs=3: a run sets that itself"),
+        (("trainer.max_steps=0",), "trainer.max_steps=0: .* at least 1"),
+        (("trainer.max_steps=2.5",), "trainer.max_steps=2.5"),
+        (("trainer.gradient_clip_val=-1",), "trainer.gradient_clip_val=-1: give a norm"),
+        (("trainer.val_check_interval=0",), "trainer.val_check_interval=0"),
+        (("trainer.devices=0",), "devices=0"),
+        (("loggers=tensorboard",), r"loggers=\[tensorboard\]"),
+        (("seed=abc",), "seed=abc: give a whole number"),
+        (("workers=-1",), "workers=-1"),
+        (("validation_steps=-1",), "validation_steps=-1"),
+        (("checkpoint.every_steps=0",), "checkpoint.every_steps=0: .* at least 1"),
+        (("checkpoint.every_minutes=0",), "checkpoint.every_minutes=0"),
+        (("average=2",), "average=2: .* between 0 and 1"),
+        (("average=soon",), "average=soon"),
+        (("explosion=0.5",), "explosion=0.5: .* factor above 1"),
+        (("resume=maybe",), "resume=maybe: choose from auto, never, changed"),
+        (("skip_outliers=maybe",), "skip_outliers=maybe"),
         (("trainer.accelerator=gpu",), "gpu"),
         (("loggers=[tensorbord]",), "Did you mean 'tensorboard'"),
     ],
@@ -99,9 +117,49 @@ def test_a_loss_that_explodes_stops_the_run(tmp_path):
 def test_contradictory_options_are_refused_in_one_line(tmp_path, words, told):
     if "trainer.accelerator=gpu" in words and torch.cuda.is_available():
         pytest.skip("there is a graphics card")
+    config = configuration((*STYLIZATION, *words), tmp_path)
     with pytest.raises(ValueError, match=told) as caught:
-        make_trainer(configuration((*STYLIZATION, *words), tmp_path), tmp_path, [])
+        check_options(config)
+        make_trainer(config, tmp_path, [])
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("training.batch_size=0",), "training.batch_size=0: give at least 1"),
+        (("training.batch_size=-2",), "training.batch_size=-2"),
+        (("training.batch_size=null", "training.images=0"), "training.images=0"),
+        (("training.pool=0",), "training.pool=0"),
+        (("training.context_views=[3]",), r"training.context_views=\[3\]: give the least and the greatest"),
+        (("training.context_views=[5,2]",), r"training.context_views=\[5, 2\]"),
+        (("training.heights=[28,10]",), r"training.heights=\[28, 10\]"),
+        (("training.heights=[30,40]",), r"no multiple of that lies between; give one, such as \[28, 42\]"),
+        (("training.heights=[28,28]", "training.width=40"), "training.width=40: .* such as 42"),
+        (("training.learning_rate=0",), "training.learning_rate=0.0"),
+        (("training.aggregator_rate=-1",), "training.aggregator_rate"),
+        (("training.warmup=-1",), "training.warmup=-1"),
+        (("training.decay_steps=0",), "training.decay_steps=0"),
+        (("training.betas=[0.9]",), r"training.betas=\[0.9\]: give two numbers"),
+        (("training.text_ratio=2",), "training.text_ratio is 2"),
+        (("~styles",), "this training needs styles; add styles=NAME"),
+        (("scenes.size=30",), r"images are 30x30 pixels.*scenes.multiple=14"),
+    ],
+)
+def test_options_of_a_training_that_no_step_can_have_are_refused_in_one_line(tmp_path, words, told):
+    given = [word for word in STYLIZATION if not (word.startswith("styles") and "~styles" in words)]
+    config = configuration((*given, *words), tmp_path)
+    with pytest.raises(ValueError, match=told) as caught:
+        make_data(config, make_training(config)).train.batch(0)
+    assert "\n" not in str(caught.value)
+
+
+def test_mistakes_in_the_data_show_before_networks_are_loaded(tmp_path, monkeypatch):
+    monkeypatch.setattr("anystyle.training.run.make_training", lambda config: pytest.fail("networks were built"))
+    given = [word for word in STYLIZATION if not word.startswith("styles")]
+    config = configuration((*given, "styles=wikiart", f"styles.root={tmp_path / 'gone'}"), tmp_path)
+    with pytest.raises(ValueError, match="there is no such folder of paintings"):
+        train(config, tmp_path)
 
 
 @pytest.mark.parametrize("devices", ["auto", "1"])
@@ -113,7 +171,8 @@ def test_devices_are_what_lightning_takes_whatever_the_strategy(tmp_path, device
 
 def test_usual_options_contradict_nothing():
     for precision in ("32-true", "bf16-mixed"):
-        check({"max_steps": 3, "accelerator": "cpu", "precision": precision, "strategy": "fsdp2"}, average=False)
+        options = {"max_steps": 3, "accelerator": "cpu", "precision": precision, "strategy": "fsdp2"}
+        check_trainer(options, average=False)
 
 
 @pytest.mark.parametrize(("name", "extra"), [("wandb", "wandb"), ("mlflow", "mlflow"), ("tensorboard", "tracking")])

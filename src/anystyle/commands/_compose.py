@@ -17,7 +17,7 @@ from anystyle import paths
 from anystyle.commands._flags import EPILOG, split
 from anystyle.commands._run import run, words_of
 from anystyle.registry.builtin import KINDS
-from anystyle.registry.compose import VERSION_BASE, choices, compose, explain, override
+from anystyle.registry.compose import VERSION_BASE, check_words, choices, compose, explain, override
 from anystyle.registry.source import register
 
 
@@ -66,6 +66,7 @@ def launch(config_name: str, function: Callable[[DictConfig], Any], words: Seque
         Exception: What Hydra or ``function`` raises, as it is.
     """
     register()
+    check_words(words)
     failures: list[Exception] = []
 
     @functools.wraps(function)

@@ -66,6 +66,8 @@ def check_command(arguments: argparse.Namespace) -> None:
     tell(report)
     if arguments.against is not None:
         _overlap(arguments.path, arguments.against, arguments.write)
+        if arguments.write is not None and report.layout == "wikiart":
+            report.use += f" styles.exclude=[{arguments.write}]"
     print(f"looked at in {time.perf_counter() - start:.1f} s; to train on it: {report.use}")
     if not report.images or (report.layout in ("scenes", "re10k") and not report.scenes):
         raise UserError(f"{arguments.path} holds nothing that can be used")
@@ -76,13 +78,16 @@ def tell(report: Report) -> None:
     print(f"layout    {report.layout}")
     if report.layout in ("scenes", "re10k"):
         counts = sorted(report.views.elements())
-        spread = f", {counts[0]} to {counts[-1]} views each" if counts else ""
+        least, most = (counts[0], counts[-1]) if counts else (0, 0)
+        spread = f", {least} views each" if least == most else f", {least} to {most} views each"
         print(f"scenes    {report.scenes} that can be used, of {len(counts)}{spread}")
     print(f"images    {report.images}")
     for (width, height), count in report.sizes.most_common(5):
         print(f"          {count} of {width} x {height}")
     if len(report.sizes) > 5:
         print(f"          and {len(report.sizes) - 5} more sizes")
+    if report.layout in ("scenes", "re10k"):
+        print(f"cameras   {report.posed}" + ("" if report.posed else ": training asks for none"))
     if report.layout in ("styles", "wikiart"):
         print(f"texts     {report.texts}")
     print(f"problems  {len(report.problems)}")

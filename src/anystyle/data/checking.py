@@ -1,6 +1,7 @@
 """What a folder of training data holds, and what in it is missing or broken."""
 
 import json
+import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -36,6 +37,7 @@ class Report:
         images: How many images can be decoded.
         sizes: How many images have each width and height.
         views: How many scenes have each number of views.
+        posed: How many images have a camera.
         texts: How many images have a description.
         problems: A line for each thing that is missing or broken.
     """
@@ -46,6 +48,7 @@ class Report:
     images: int = 0
     sizes: Counter[tuple[int, int]] = field(default_factory=Counter)
     views: Counter[int] = field(default_factory=Counter)
+    posed: int = 0
     texts: int = 0
     problems: list[str] = field(default_factory=list)
 
@@ -86,11 +89,7 @@ def _scenes(root: Path, min_views: int, decode: bool) -> Report:
     images = next(found, None if index is None else _indexed(root, root / index)) or "images"
     cameras = PLACES[images]
     probe = FolderScenes(root=str(root), index=index, images=images, cameras=cameras)
-    words = [f"scenes=folder scenes.root={root}"]
-    words += [] if images == "images" else [f"scenes.images={images}"]
-    words += [] if cameras is None else [f"scenes.cameras={cameras}"]
-    words += [] if index is None else [f"scenes.index={index}"]
-    report = Report("scenes", " ".join(words))
+    report = Report("scenes", _words(root, images, cameras, index))
     if index is not None:
         names = json.loads((root / index).read_text())
         report.problems += [f"{name}: in {index}, and not there" for name in names if not (root / name).is_dir()]
@@ -99,9 +98,20 @@ def _scenes(root: Path, min_views: int, decode: bool) -> Report:
     return report
 
 
+def _words(root: Path, images: str, cameras: str | None, index: str | None) -> str:
+    if cameras is not None:
+        return f"scenes=scannetpp scenes.root={root}"
+    if images != "images" and index is not None:
+        return f"scenes=dl3dv scenes.root={root}" + ("" if images == "images_8" else f" scenes.images={images}")
+    words = [f"scenes=folder scenes.root={root}"]
+    words += [] if images == "images" else [f"scenes.images={images}"]
+    words += [] if index is None else [f"scenes.index={index}"]
+    return " ".join(words)
+
+
 def _indexed(root: Path, index: Path) -> str | None:
     """Where the photographs of the first scene of an index lie that is there."""
-    folders = (root / str(name) for name in json.loads(index.read_text()))
+    folders = FolderScenes(root=str(root), index=index.name).folders
     first = next((folder for folder in folders if folder.is_dir()), root)
     return next((name for name in PLACES if (first / name).is_dir()), None)
 
@@ -124,6 +134,7 @@ def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_v
     absent = [name for name in listed if name not in names]
     report.problems += [f"{folder}: {file.name} names {name}, which is not in {inside.name}" for name in absent]
     report.views[len(known)] += 1
+    report.posed += len(known) if stored else 0
     report.scenes += len(known) >= min_views
     if len(known) < min_views:
         report.problems.append(f"{folder}: {len(known)} views, fewer than {min_views}")
@@ -144,19 +155,23 @@ def _re10k(root: Path, min_views: int, decode: bool) -> Report:
         source = Re10kScenes(root=str(root), split=split)
         for scene in range(len(source)):
             try:
-                views = source.num_views(scene)
-                # One frame of each clip: all of them would be the whole data set in one process.
-                picture = source.read(scene, [views // 2]) if decode else None
+                frames = source.frames(scene)
             except ValueError as error:
                 report.problems.append(f"{split}/{source.name(scene)}: {error}")
                 continue
-            report.views[views] += 1
-            report.images += views
-            report.scenes += views >= min_views
-            if picture is not None:
-                report.sizes[picture.size[1], picture.size[0]] += views
-            if views < min_views:
-                report.problems.append(f"{split}/{source.name(scene)}: {views} views, fewer than {min_views}")
+            with tempfile.TemporaryDirectory() as folder:
+                paths = [Path(folder) / f"frame {number}" for number in range(len(frames))]
+                for path, frame in zip(paths, frames, strict=True):
+                    path.write_bytes(frame)
+                torn: list[str] = []
+                good = len(_look(paths, report, decode, torn))
+            name = f"{split}/{source.name(scene)}"
+            report.problems += [f"{name}: {line.replace(f'{folder}/', '')}" for line in torn]
+            report.views[good] += 1
+            report.scenes += good >= min_views
+            report.posed += good
+            if good < min_views:
+                report.problems.append(f"{name}: {good} views, fewer than {min_views}")
     return report
 
 
@@ -192,13 +207,13 @@ def _described(paths: Sequence[Path], root: Path, texts: dict[str, str], report:
     report.problems += [f"{name} has a description and is not there" for name in texts if name not in present]
 
 
-def _look(paths: Sequence[Path], report: Report, decode: bool) -> list[Path]:
-    """Those images that can be read; the others are problems."""
+def _look(paths: Sequence[Path], report: Report, decode: bool, problems: list[str] | None = None) -> list[Path]:
+    """Those images that can be read; the others are problems, of the report where no other list is given."""
     good = []
     with ThreadPoolExecutor(4) as pool:
         for path, found in zip(paths, pool.map(_open if decode else _measure, paths), strict=True):
             if isinstance(found, str):
-                report.problems.append(found)
+                (report.problems if problems is None else problems).append(found)
             else:
                 report.images += 1
                 report.sizes[found] += 1

@@ -79,6 +79,10 @@ class Re10kScenes(SceneSource):
         """How many frames a clip has."""
         return len(self._clip(scene)["images"])
 
+    def frames(self, scene: int) -> list[bytes]:
+        """The frames of a clip as they are stored, compressed."""
+        return [frame.numpy().tobytes() for frame in self._clip(scene)["images"]]
+
     def read(self, scene: int, views: Sequence[int]) -> Views:
         """Decode some frames, with their cameras."""
         clip, views = self._clip(scene), list(views)

@@ -43,8 +43,11 @@ class ClipPatch(Loss):
         weight: float = 4.0,
     ) -> None:
         super().__init__()
-        if batch < 1:
-            raise ValueError(f"loss.clip_patch.batch={batch}: give at least 1")
+        for name, count in (("crops", crops), ("crop_size", crop_size), ("batch", batch)):
+            if count < 1:
+                raise ValueError(f"loss.clip_patch.{name}={count}: give at least 1")
+        if not 0 <= distortion <= 1:
+            raise ValueError(f"loss.clip_patch.distortion={distortion}: give a share between 0 and 1")
         self._encoder = (style_encoder,)  # held, not owned
         self.crops = crops
         self.crop_size = crop_size

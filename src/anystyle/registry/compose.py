@@ -25,6 +25,9 @@ ERRORS = (HydraException, OmegaConfBaseException)
 _UNKNOWN = re.compile(r"In '[^']*': Could not load '(?P<group>[^']*)/(?P<name>[^'/]*)'")
 """How Hydra says that one of several choices of a group is none; of the only choice it raises what has options."""
 
+_NULL = re.compile(r"(?P<group>\w+)(@\w+)?=null")
+"""A word that sets what may be a group to nothing."""
+
 _NOISE = re.compile(r"\s*(full_key:|object_type=|reference_type=|To append to your config|Search path:|See https)")
 
 
@@ -40,6 +43,7 @@ def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | Non
         UserError: Something is unknown or of the wrong type; one line says what.
     """
     register()
+    check_words(overrides)
     try:
         with initialize_config_dir(
             str((conf or paths.CONF).absolute()), job_name=config_name, version_base=VERSION_BASE
@@ -47,6 +51,21 @@ def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | Non
             return hydra_compose(config_name, overrides=list(overrides))
     except ERRORS as error:
         raise UserError(explain(error)) from error
+
+
+def check_words(words: Sequence[str]) -> None:
+    """Refuse a group that is set to null, for which Hydra's own line names neither the group nor a way out.
+
+    Raises:
+        UserError: There is one.
+    """
+    for word in words:
+        found = _NULL.fullmatch(word)
+        if found and (found["group"] in KINDS or (paths.CONF / found["group"]).is_dir()):
+            raise UserError(
+                f"{word}: a group takes a name; to leave it out, write '~{word.removesuffix('=null')}'; there are: "
+                f"{', '.join(choices(found['group']))}"
+            )
 
 
 def override(key: str, value: object) -> str:
@@ -117,4 +136,4 @@ def _nearest(*errors: BaseException | None) -> str:
     return ""
 
 
-__all__ = ["ERRORS", "VERSION_BASE", "choices", "compose", "explain", "override"]
+__all__ = ["ERRORS", "VERSION_BASE", "check_words", "choices", "compose", "explain", "override"]

@@ -13,7 +13,17 @@ from torch.utils.data import DataLoader, Dataset
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.errors import one_line
 from anystyle.training.fitting import fit_views, mirror_views, stack_styles, stack_views
-from anystyle.training.sampling import Draw, any_views, batch_rows, bounded_views, generator, view_probabilities
+from anystyle.training.sampling import (
+    Draw,
+    any_views,
+    batch_rows,
+    bounded_views,
+    bounds,
+    check_counts,
+    check_sides,
+    generator,
+    view_probabilities,
+)
 from anystyle.types import Style, Value, Views
 
 logger = logging.getLogger(__name__)
@@ -100,9 +110,10 @@ class SceneBatches:
         flip: float = 0.0,
         pool: int | None = None,
     ) -> None:
-        low, high = context_views
-        if not 1 <= low <= high:
-            raise ValueError(f"context_views is [{low}, {high}]; give the least and the most views, at least 1")
+        low, high = bounds("context_views", context_views)
+        check_counts(batch_size=batch_size, images=images, pool=pool, width=width)
+        if heights is not None:
+            check_sides(*bounds("heights", heights), width=width, multiple=multiple)
         if len(scenes) == 0:
             raise ValueError("the scene source holds no scene; `anystyle data check PATH` says why")
         self.scenes, self.styles, self.seed = scenes, styles, seed
@@ -155,6 +166,12 @@ class SceneBatches:
             styles.append(style)
             keys.append(key)
         size = self._size(step, rows[0])
+        if size is None and any(side % self.multiple for side in rows[0].size):
+            height, width = rows[0].size
+            raise ValueError(
+                f"images are {height}x{width} pixels, and the backbone's patches {self.multiple}; set training.heights "
+                f"and training.width, or scenes that come in multiples of that (scenes.multiple={self.multiple})"
+            )
         return Batch(
             views=stack_views([row if size is None else fit_views(row, size) for row in rows]),
             context=context,

@@ -40,6 +40,28 @@ def scheduled(
     return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
 
 
+def check_rates(**rates: float) -> None:
+    """Refuse learning rates, and shares of them, that are not positive.
+
+    Raises:
+        ValueError: One is not; the message names it.
+    """
+    for name, rate in rates.items():
+        if not rate > 0:
+            raise ValueError(f"training.{name}={rate}: give a number above 0")
+
+
+def check_steps(**counts: int) -> None:
+    """Refuse options of a training that count something and are negative.
+
+    Raises:
+        ValueError: One is; the message names it.
+    """
+    for name, count in counts.items():
+        if count < 0:
+            raise ValueError(f"training.{name}={count}: give at least 0")
+
+
 def decayed_groups(modules: Sequence[nn.Module], *, lr: float, weight_decay: float) -> list[dict[str, Any]]:
     """Parameter groups in which matrices decay; biases, gains and single vectors do not."""
     matrices, vectors = [], []

@@ -30,6 +30,7 @@ from anystyle.training.callbacks import Average, LastCheckpoint
 from anystyle.training.contract import Training
 from anystyle.training.data import StepData
 from anystyle.training.feature_store import FeaturePlace
+from anystyle.training.options import check_options
 from anystyle.training.resume import alone, resumable, sweep, trial
 from anystyle.training.sharding import gathered
 from anystyle.training.trainer import make_trainer
@@ -70,6 +71,7 @@ def train(config: DictConfig, out: Path) -> Outcome:
         ValueError: The configuration contradicts itself or is not that of the run to be continued, or another run is
             at work there.
     """
+    check_options(config)
     out.mkdir(parents=True, exist_ok=True)
     with alone(out):
         if not config.fast_dev_run:
@@ -83,14 +85,16 @@ def _train(config: DictConfig, out: Path) -> Outcome:
     last = out / "last.ckpt"
     sweep(last)
     resume = resumable(config, last)
-    torch.manual_seed(config.seed)
-    training = make_training(config)
-    data = make_data(config, training)
+    # Trainer and data come first: a mistake in them shows before networks are loaded, which may take minutes.
     average = Average(float(config.average)) if config.average else None
     keeper = LastCheckpoint(
         last, every_steps=config.checkpoint.every_steps, every_minutes=float(config.checkpoint.every_minutes)
     )
     trainer = make_trainer(config, out, [*([average] if average else []), keeper])
+    sources = make_sources(config)
+    torch.manual_seed(config.seed)
+    training = make_training(config)
+    data = make_data(config, training, sources)
     with warnings.catch_warnings():
         # Lightning advises on choices that are made on purpose here.
         warnings.filterwarnings("ignore", module=r"lightning\..*")
@@ -177,27 +181,60 @@ def _weighted(config: DictConfig, part: str, module: nn.Module) -> nn.Module:
     return module
 
 
-def make_data(config: DictConfig, training: Training) -> StepData:
-    """What the training reads, and what it is validated on."""
-    scenes, validation_scenes = (_scenes(config, key) for key in ("scenes", "validation_scenes"))
-    styles, validation_styles = (
-        None if config.get(key) is None else build(StyleSource, config[key]) for key in ("styles", "validation_styles")
+@dataclass(frozen=True)
+class Sources:
+    """The scenes and styles of a run, where it has some."""
+
+    scenes: SceneSource | None
+    styles: StyleSource | None
+    validation_scenes: SceneSource | None
+    validation_styles: StyleSource | None
+
+
+def make_sources(config: DictConfig) -> Sources:
+    """Build the scenes and styles that a configuration names."""
+    return Sources(
+        scenes=_scenes(config, "scenes"),
+        styles=_styles(config, "styles"),
+        validation_scenes=_scenes(config, "validation_scenes"),
+        validation_styles=_styles(config, "validation_styles"),
     )
-    validated = validation_scenes is not None or validation_styles is not None
+
+
+def make_data(config: DictConfig, training: Training, sources: Sources | None = None) -> StepData:
+    """What the training reads, and what it is validated on.
+
+    Args:
+        config: What ``conf/train.yaml`` composes.
+        training: Says how it reads them.
+        sources: Those of the configuration; built if they are not given.
+    """
+    found = sources or make_sources(config)
+    validated = found.validation_scenes is not None or found.validation_styles is not None
     validation = None
     if validated and config.validation_steps:
         # Asked for first, so that the training's own seed is the last one it hears.
-        validation = training.batches(validation_scenes, validation_styles or styles, seed=config.seed + 1)
-    source = training.batches(scenes, styles, seed=config.seed)
+        styles = found.validation_styles or found.styles
+        validation = training.batches(found.validation_scenes, styles, seed=config.seed + 1)
+    source = training.batches(found.scenes, found.styles, seed=config.seed)
     return StepData(source, validation, validation_steps=config.validation_steps, workers=config.workers)
 
 
+def _chosen(config: DictConfig, key: str) -> bool:
+    """Whether a group has a choice; where it was taken back, an experiment's options for it may be left."""
+    return config.get(key) is not None and config[key].get("_target_") is not None
+
+
 def _scenes(config: DictConfig, key: str) -> SceneSource | None:
-    if config.get(key) is None:
+    if not _chosen(config, key):
         return None
     source = build(SceneSource, config[key])
     cache = config.get("cache")
     return source if cache in (None, FEATURES) else CachedScenes(source, Path(str(cache)).expanduser() / key)
+
+
+def _styles(config: DictConfig, key: str) -> StyleSource | None:
+    return build(StyleSource, config[key]) if _chosen(config, key) else None
 
 
 def export(config: DictConfig, made: Mapping[str, nn.Module], out: Path, *, steps: int) -> tuple[Path, ...]:

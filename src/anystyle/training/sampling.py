@@ -83,6 +83,53 @@ def any_views(rng: np.random.Generator, total: int, context: int, targets: int) 
     return tuple(int(view) for view in rng.permutation(total)[: context + targets])
 
 
+def bounds(name: str, pair: Sequence[int]) -> tuple[int, int]:
+    """The least and the greatest of something, as given by an option of a training.
+
+    Raises:
+        ValueError: They are not two numbers in order, at least 1.
+    """
+    if len(pair) != 2 or not 1 <= pair[0] <= pair[1]:
+        raise ValueError(f"training.{name}={list(pair)}: give the least and the greatest, at least 1, such as [2, 4]")
+    return pair[0], pair[1]
+
+
+def check_counts(**counts: int | None) -> None:
+    """Refuse options of a training that count something and are below 1.
+
+    Raises:
+        ValueError: One is; the message names it.
+    """
+    for name, count in counts.items():
+        if count is not None and count < 1:
+            raise ValueError(f"training.{name}={count}: give at least 1")
+
+
+def check_sides(low: int, high: int, *, width: int | None, multiple: int) -> None:
+    """Refuse sizes of images that no step can have.
+
+    Args:
+        low: Least height.
+        high: Greatest height.
+        width: In pixels, if it is given.
+        multiple: Sides are multiples of it.
+
+    Raises:
+        ValueError: No multiple lies between the heights, or the width is none.
+    """
+    if -(-low // multiple) > high // multiple:
+        raise ValueError(
+            f"training.heights=[{low}, {high}]: the backbone's patches are {multiple} pixels high, and no multiple of "
+            f"that lies between; give one, such as [{max(1, low // multiple) * multiple}, "
+            f"{-(-high // multiple) * multiple}]"
+        )
+    if width is not None and width % multiple:
+        raise ValueError(
+            f"training.width={width}: the backbone's patches are {multiple} pixels wide; give a multiple of that, such "
+            f"as {max(1, round(width / multiple)) * multiple}"
+        )
+
+
 def generator(*words: int) -> np.random.Generator:
     """A generator that depends on all the words, and on their order."""
     return np.random.default_rng(np.random.SeedSequence([word % 2**32 for word in words]))

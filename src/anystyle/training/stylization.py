@@ -17,8 +17,8 @@ from anystyle.training.contract import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.feature_store import FeaturePlace, without_stem
 from anystyle.training.loggers import Picture, show
-from anystyle.training.optim import scheduled, trainable
-from anystyle.training.sampling import generator
+from anystyle.training.optim import check_rates, check_steps, scheduled, trainable
+from anystyle.training.sampling import check_counts, generator
 from anystyle.training.scene_cache import EncodedScenes
 from anystyle.types import Scene, Style, StyleEmbedding, Stylization, Views
 
@@ -95,6 +95,11 @@ class StylizationTraining(Training):
         for name, share in (("text_ratio", text_ratio), ("mix_ratio", mix_ratio), ("flip", flip)):
             if not 0 <= share <= 1:
                 raise ValueError(f"training.{name} is {share}; give a share between 0 and 1")
+        check_counts(decay_steps=decay_steps)
+        check_rates(learning_rate=learning_rate, head_rate=head_rate, aggregator_rate=aggregator_rate)
+        check_steps(warmup=warmup, preview_every=preview_every, cache_scenes=cache_scenes)
+        if len(betas) != 2 or not all(0 <= beta < 1 for beta in betas):
+            raise ValueError(f"training.betas={list(betas)}: give two numbers of at least 0 and below 1")
         if not losses:
             raise ValueError("there is nothing to learn from; add loss=[content,style,clip_directional]")
         if features is not None and pool is None:
