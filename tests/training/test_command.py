@@ -10,6 +10,7 @@ import pytest
 from omegaconf import OmegaConf
 
 from anystyle.commands._compose import launch
+from anystyle.commands._run import run as ending
 from anystyle.commands.train import run
 from anystyle.errors import UserError
 from anystyle.registry.compose import compose
@@ -38,10 +39,23 @@ def test_a_smoke_run_learns_and_says_what_it_left(tmp_path):
     assert result.stderr.splitlines()[-1].startswith("val/")
 
 
-def test_mistakes_end_in_one_line(tmp_path):
-    result = anystyle(tmp_path, "experiment=tiny_reconstruction", "debug=smoke", "trainer.max_stepps=3")
-    assert result.returncode == 2 and result.stdout == ""
-    assert "max_stepps" in result.stderr and len(result.stderr.splitlines()) == 1
+def refused(capsys, *words: str) -> str:
+    """What a command line that ends with status 2 says in its one line, below that of a sweep, which names the job.
+
+    In this process, which has imported everything.
+    """
+    with pytest.raises(SystemExit) as ended:
+        ending(lambda: launch("train", run, words))
+    told = capsys.readouterr()
+    assert ended.value.code == 2 and told.out == "" and told.err.count("\n") == 1 + ("-m" in words)
+    return told.err
+
+
+def test_mistakes_end_in_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert "max_stepps" in refused(capsys, "experiment=tiny_reconstruction", "debug=smoke", "trainer.max_stepps=3")
+    assert not list(tmp_path.iterdir())
+    assert "trainer.max_steps=0: " in refused(capsys, *STYLIZATION, "trainer.max_steps=0")
 
 
 @pytest.mark.parametrize("word", ["styles=null", "scenes@validation_scenes=null"])
@@ -51,11 +65,25 @@ def test_a_group_that_is_set_to_null_is_told_with_the_way_out(word):
     assert compose("train", ["experiment=paper_head", "~model", "name=x", "out=y"]).weights.backbone is None
 
 
-def test_devices_inside_a_multirun_are_refused_with_a_way_out(tmp_path):
-    result = anystyle(tmp_path, "-m", "trainer.devices=2", "seed=0,1", "training=reconstruction", "loss=[]")
-    assert result.returncode == 2
-    assert "trainer.devices=2 inside a multirun" in result.stderr
-    assert "submitit_slurm" in result.stderr and "Traceback" not in result.stderr
+def test_devices_inside_a_multirun_are_refused_with_a_way_out(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    told = refused(capsys, "-m", "trainer.devices=2", "seed=0,1", "training=reconstruction", "loss=[]")
+    assert "trainer.devices=2 inside a multirun" in told and "submitit_slurm" in told
+
+
+def test_processes_that_a_training_starts_show_no_traceback_that_nobody_asked_for(monkeypatch, capsys):
+    for name in ("ANYSTYLE_TRACEBACK", "HYDRA_FULL_ERROR"):
+        monkeypatch.delenv(name, raising=False)
+    inherited = []
+    launch("train", lambda config: inherited.append(dict(os.environ)), [*STYLIZATION])
+    monkeypatch.setattr(os, "environ", inherited[0])
+
+    def mistaken() -> None:
+        raise ValueError("3 scenes cannot be shared by 2 processes")
+
+    with pytest.raises(SystemExit):
+        ending(mistaken)
+    assert capsys.readouterr().err == "anystyle: error: 3 scenes cannot be shared by 2 processes\n"
 
 
 def test_a_signal_ends_a_sweep_after_saving_and_the_next_start_goes_on(tmp_path, monkeypatch, capsys):

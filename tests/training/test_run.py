@@ -4,7 +4,6 @@ import json
 import shutil
 import signal
 
-import lightning.pytorch as pl
 import pytest
 import torch
 
@@ -107,24 +106,6 @@ def test_a_loss_that_is_no_number_stops_the_run_and_keeps_the_batch(tmp_path, mo
     kept = torch.load(tmp_path / "refused_batch.pt", weights_only=False)
     assert kept["step"] == 0 and kept["batch"].views.images.shape[0] == 2
     assert not (tmp_path / "last.ckpt").exists()
-
-
-def test_a_full_disk_keeps_the_last_good_checkpoint(tmp_path, monkeypatch):
-    overrides = (*RECONSTRUCTION, "checkpoint.every_steps=2")
-    whole = pl.Trainer.save_checkpoint
-
-    def save(self, path, *args, **kwargs):
-        if self.global_step > 2:
-            path.write_bytes(b"half a checkpoint")
-            raise OSError(28, "No space left on device")
-        whole(self, path, *args, **kwargs)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(pl.Trainer, "save_checkpoint", save)
-        with pytest.raises(OSError, match="No space left"):
-            train(configuration(overrides, tmp_path), tmp_path)
-    assert torch.load(tmp_path / "last.ckpt", weights_only=True)["global_step"] == 2
-    assert sorted(path.name for path in tmp_path.iterdir()) == [".lock", "bound.json", "last.ckpt", "log"]
 
 
 def test_stylization_learns_and_continues_bit_for_bit(tmp_path):

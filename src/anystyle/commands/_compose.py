@@ -15,7 +15,7 @@ from omegaconf import DictConfig
 
 from anystyle import paths
 from anystyle.commands._flags import EPILOG, split
-from anystyle.commands._run import run, words_of
+from anystyle.commands._run import run, wants_traceback, words_of
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.compose import VERSION_BASE, check_words, choices, compose, explain, override
 from anystyle.registry.source import register
@@ -98,16 +98,21 @@ def _arguments(words: Sequence[str]) -> Iterator[None]:
 
 @contextmanager
 def _raising() -> Iterator[None]:
-    """Let Hydra raise instead of printing an error and leaving with status 1."""
-    before = os.environ.get("HYDRA_FULL_ERROR")
-    os.environ["HYDRA_FULL_ERROR"] = "1"
+    """Let Hydra raise instead of printing an error and leaving with status 1.
+
+    The processes that a training starts inherit that; who asked for no traceback here asked for none there.
+    """
+    wanted = {"HYDRA_FULL_ERROR": "1"} | ({} if wants_traceback() else {"ANYSTYLE_TRACEBACK": "0"})
+    before = {name: os.environ.get(name) for name in wanted}
+    os.environ.update(wanted)
     try:
         yield
     finally:
-        if before is None:
-            del os.environ["HYDRA_FULL_ERROR"]
-        else:
-            os.environ["HYDRA_FULL_ERROR"] = before
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
 __all__ = ["compose", "explain", "launch", "main", "override", "run", "split"]

@@ -36,8 +36,8 @@ def run(command: Callable[[], Any]) -> None:
 
 
 def wants_traceback() -> bool:
-    """Whether the user asked for tracebacks of every error."""
-    return any(os.environ.get(name) == "1" for name in _FULL)
+    """Whether the user asked for tracebacks of every error; ``ANYSTYLE_TRACEBACK=0`` has the last word."""
+    return os.environ.get(_FULL[0]) != "0" and any(os.environ.get(name) == "1" for name in _FULL)
 
 
 def message(error: BaseException) -> str | None:

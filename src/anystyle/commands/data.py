@@ -127,7 +127,13 @@ def caption_parser() -> argparse.ArgumentParser:
 
 
 def caption_command(arguments: argparse.Namespace) -> None:
-    """Run it."""
+    """Run it.
+
+    Raises:
+        ValueError: There is no such folder.
+    """
+    if not arguments.path.is_dir():
+        raise UserError(f"there is no folder {arguments.path}")
     out = arguments.out or arguments.path / "captions.jsonl"
     failed = caption_folder(
         arguments.path,

@@ -11,6 +11,7 @@ from typing import Literal
 
 from anystyle.data.captions import read_captions
 from anystyle.data.images import SUFFIXES, image_size, open_image
+from anystyle.data.paintings import listing
 from anystyle.data.poses import read_poses
 from anystyle.data.re10k import Re10kScenes
 from anystyle.data.scene_folder import FolderScenes
@@ -132,7 +133,10 @@ def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_v
     listed = _frames(file)
     names = {path.name for path in paths} | {path.stem for path in paths}
     absent = [name for name in listed if name not in names]
-    report.problems += [f"{folder}: {file.name} names {name}, which is not in {inside.name}" for name in absent]
+    if absent:
+        report.problems.append(
+            f"{folder}: {file.name} names {listing(absent, 5)}: {len(absent)} of {len(listed)} are not in {inside.name}"
+        )
     report.views[len(known)] += 1
     report.posed += len(known) if stored else 0
     report.scenes += len(known) >= min_views

@@ -99,7 +99,7 @@ class FeatureStore:
             return
         if self.used + size > self.limit:
             self._end(
-                f"a scene takes {size / GIGABYTE:.3f} of the {self.limit / GIGABYTE:.1f} GB; raise features.gigabytes "
+                f"a scene takes {size / GIGABYTE:.2g} of the {self.limit / GIGABYTE:.3g} GB; raise features.gigabytes "
                 f"or lower training.pool"
             )
             return
@@ -112,7 +112,7 @@ class FeatureStore:
     def _end(self, reason: str) -> None:
         self._full = True
         logger.warning(
-            "%s holds %.1f GB, and %s; further scenes are encoded anew each time",
+            "%s holds %.2g GB, and %s; further scenes are encoded anew each time",
             self.folder, self.used / GIGABYTE, reason,
         )  # fmt: skip
 

@@ -51,7 +51,7 @@ def gap_bounds(context: int, total: int) -> tuple[int, int]:
     if high < low:
         raise ValueError(
             f"a scene of {total} frames is too short for {context} views at least {low} frames apart; "
-            f"lower context_views or use spread=any"
+            f"lower training.context_views or set training.spread=any"
         )
     return low, high
 
@@ -78,7 +78,7 @@ def any_views(rng: np.random.Generator, total: int, context: int, targets: int) 
     if total < context + targets:
         raise ValueError(
             f"a scene has {total} views, and {context} context and {targets} target views are asked for; "
-            f"lower context_views or target_views"
+            f"lower training.context_views or training.target_views"
         )
     return tuple(int(view) for view in rng.permutation(total)[: context + targets])
 
