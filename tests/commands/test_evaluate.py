@@ -4,6 +4,9 @@ import csv
 import json
 import math
 import shutil
+import signal
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +16,8 @@ from PIL import Image
 
 from anystyle.commands import evaluate as command
 from anystyle.commands import plugins_new
+from anystyle.evaluation import parts
+from anystyle.evaluation.judge import judge_row
 from anystyle.evaluation.tables import STAND_IN
 from anystyle.registry.compose import compose
 from evaluation_cases import folders, picture
@@ -86,6 +91,39 @@ def test_the_same_again_computes_nothing_anew(tmp_path, monkeypatch):
     for found in (before, again):
         del found["provenance"]
     assert again == before
+
+
+KILLED = """
+import os, signal, sys
+from anystyle.commands import evaluate
+from anystyle.evaluation import parts
+
+judged, judge = [], parts.judge_row
+def dying(*given):
+    judged.append(given[0])
+    if len(judged) == 4:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return judge(*given)
+parts.judge_row = dying
+evaluate.main(sys.argv[1:])
+"""
+
+
+def test_a_killed_evaluation_ends_with_the_same_figures(tmp_path, monkeypatch):
+    """`kill -9` in the second scene: what was judged is neither lost nor judged again."""
+    words = [str(word) for word in (*flags(*folders(tmp_path / "in")), *TOY)]
+    run(*words, "--out", "whole")
+    ended = subprocess.run([sys.executable, "-c", KILLED, *words, "--out", "out"], capture_output=True, check=False)
+    assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
+    assert not Path("out/metrics.json").exists()
+    judged = []
+    monkeypatch.setattr(parts, "judge_row", lambda *given: judged.append(given[0]) or judge_row(*given))
+    run(*words, "--out", "out")
+    assert len(judged) == 1
+    whole, again = metrics("whole"), metrics("out")
+    del whole["provenance"], again["provenance"]
+    assert again == whole
+    assert Path("out/metrics.csv").read_bytes() == Path("whole/metrics.csv").read_bytes()
 
 
 def test_a_model_on_a_protocol_resumes_and_is_bound_to_its_configuration(tmp_path, capsys):

@@ -137,6 +137,10 @@ def test_depth_and_cameras(tmp_path):
     torch.testing.assert_close(read.cameras.world_from_camera, given.world_from_camera)
     torch.testing.assert_close(read.cameras.intrinsics, given.intrinsics)
     assert read.cameras.size == (8, 12)
+    np.savez(tmp_path / "depth" / "one" / "cameras.npz", poses=np.eye(4))
+    with pytest.raises(ValueError, match=r"cameras\.npz does not hold the cameras of one .*; expected frames"):
+        Reader()(pair(*known, tmp_path / "depth").cells[0])
+    write_cameras(tmp_path / "depth" / "one" / "cameras.npz", ["0", "1", "2"], given)
     np.save(tmp_path / "depth" / "one" / "1.npy", np.full((8, 12), np.nan))
     with pytest.raises(ValueError, match=r"1\.npy has shape \[8, 12\]; expected finite depth"):
         Reader()(pair(*known, tmp_path / "depth").cells[0])

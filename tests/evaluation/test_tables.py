@@ -82,6 +82,12 @@ def test_latex_escapes_what_would_be_commands():
     assert made.count(r"\begin{") == made.count(r"\end{") == 2
 
 
+def test_words_stand_at_the_left_and_figures_at_the_right():
+    made = Table(("figure", "all", "note"), (("fid ↓", "1.5 ± 0.1", "stand-in"), ("psnr ↑", "–", "")), notes=("“all”",))
+    assert made.markdown().splitlines()[1] == "|--------|----------:|----------|"
+    assert r"\begin{tabular}{lrl}" in made.latex() and "``all''" in made.latex()
+
+
 def test_csv_is_what_a_reader_reads():
     made = Table(("a", "b"), (("x,y", 'say "z"'),))
     assert list(csv.reader(io.StringIO(made.csv()))) == [["a", "b"], ["x,y", 'say "z"']]

@@ -193,7 +193,10 @@ def _read_cameras(cell: Cell, size: tuple[int, int]) -> Cameras | None:
             places = [names.index(frame) for frame in cell.frames]
             height, width = (int(side) for side in stored["size"])
     except (OSError, ValueError, KeyError, EOFError) as error:
-        raise ValueError(f"{cell.cameras} does not hold the cameras of {cell.scene} ({error})") from None
+        raise ValueError(
+            f"{cell.cameras} does not hold the cameras of {cell.scene} ({str(error).strip(chr(39))}); expected frames "
+            "(names), world_from_camera [V, 4, 4], intrinsics [V, 3, 3] in pixels and size (height, width)"
+        ) from None
     cameras = Cameras(
         torch.from_numpy(poses[places].astype(np.float32))[None],
         torch.from_numpy(lenses[places].astype(np.float32))[None],

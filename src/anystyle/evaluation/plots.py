@@ -68,6 +68,7 @@ def spread(found: Evaluation, path: Path, *, caption: str = "") -> bool:
         axis.set_yticks(range(len(scenes)), scenes if place % columns == 0 else [""] * len(scenes), fontsize=7)
         axis.set_ylim(len(scenes) - 0.5, -0.5)
         axis.tick_params(axis="x", labelsize=7, color=_RULE)
+        axis.xaxis.get_offset_text().set_fontsize(7)
         axis.tick_params(axis="y", length=0)
         axis.locator_params(axis="x", nbins=4)
         axis.set_title(titled(name, found.better), fontsize=8.5, color=_INK, loc="left")

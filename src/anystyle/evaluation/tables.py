@@ -10,10 +10,12 @@ STAND_IN = "stand-in, not comparable"
 """What every table says of a figure that a stand-in network computed."""
 
 _ARROWS = {"higher": "↑", "lower": "↓"}
+_FIGURES = "0123456789-+.–"
 _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "↑": r"$\uparrow$", "↓": r"$\downarrow$", "×": r"$\times$",
     "–": "--", "±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$",
+    "“": "``", "”": "''",
 }  # fmt: skip
 
 
@@ -43,7 +45,10 @@ class Table:
         ]
         rule = (
             "|"
-            + "|".join(("-" * (width + 1) + ":") if place else "-" * (width + 2) for place, width in enumerate(widths))
+            + "|".join(
+                "-" * (width + 1) + ":" if number else "-" * (width + 2)
+                for width, number in zip(widths, self._numbers(), strict=True)
+            )
             + "|"
         )
         parts = [f"**{_md(self.caption)}**\n"] if self.caption else []
@@ -65,7 +70,7 @@ class Table:
             r"\begin{table}[t]",
             r"\centering",
             *([rf"\caption{{{tex(self.caption)}}}"] if self.caption else []),
-            rf"\begin{{tabular}}{{l{'r' * (len(self.columns) - 1)}}}",
+            rf"\begin{{tabular}}{{{''.join('r' if number else 'l' for number in self._numbers())}}}",
             r"\toprule",
             " & ".join(map(tex, self.columns)) + r" \\",
             r"\midrule",
@@ -76,6 +81,11 @@ class Table:
             r"\end{table}",
         ]
         return "\n".join(lines) + "\n"
+
+    def _numbers(self) -> list[bool]:
+        """Of each column but the first, whether it holds figures, which stand at the right; words stand at the left."""
+        columns = zip(*self.rows, strict=True) if self.rows else [()] * len(self.columns)
+        return [place > 0 and all(not word or word[0] in _FIGURES for word in c) for place, c in enumerate(columns)]
 
 
 def tex(text: str) -> str:

@@ -2,7 +2,7 @@
 
 import warnings
 from abc import ABC, abstractmethod
-from typing import final
+from typing import ClassVar, final
 
 import torch
 from jaxtyping import Float
@@ -17,8 +17,12 @@ class RowMean(Metric, ABC):
     """A metric with one figure, the mean of one number a row: each style of each scene counts alike.
 
     A row's number that is ``nan`` is left out.
+
+    Attributes:
+        lacking: What to say where no row had a number.
     """
 
+    lacking: ClassVar[str] = "nothing that can be judged was taken in"
     is_differentiable = False
     full_state_update = False
     total: Tensor
@@ -47,6 +51,6 @@ class RowMean(Metric, ABC):
         """See :meth:`anystyle.contracts.Metric.compute`."""
         (name,) = self.better
         if int(self.rows) == 0:
-            warnings.warn(f"{name}: nothing that can be judged was taken in; the figure is nan", stacklevel=2)
+            warnings.warn(f"{name}: {self.lacking}; the figure is nan", stacklevel=2)
             return {name: torch.full((), float("nan"), device=self.total.device)}
         return {name: (self.total / self.rows).float()}
