@@ -22,6 +22,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -44,6 +45,8 @@ from judging_cases import filled_folder
 from oracle import smooth_image
 
 STYLES, FRAMES = 50, 16
+
+Network = TypeVar("Network", bound=torch.nn.Module)
 
 
 def write_scene(root: Path, size: int, styles: int, frames: int) -> None:
@@ -107,8 +110,8 @@ def pair_by_pair(root: Path) -> tuple[dict[str, float], dict[str, float]]:
     metrics = make("reference")
     for metric in metrics.values():
         # The published networks' own convolutions; RAFT is a part of no metric's.
-        _direct(metric)
-    _direct(metrics["warp_consistency"].correspondence.network)
+        use_direct(metric)
+    use_direct(metrics["warp_consistency"].correspondence.network)
     cells = pair(root / "content", root / "style", root / "stylized").cells
     ways = {
         "art_score": _art_score, "art_fid": _art_fid, "lpips_gray": _lpips_gray, "cfsd": _cfsd,
@@ -123,10 +126,12 @@ def pair_by_pair(root: Path) -> tuple[dict[str, float], dict[str, float]]:
     return figures, seconds
 
 
-def _direct(network: torch.nn.Module) -> None:
+def use_direct(network: Network) -> Network:
+    """Let a network convolve as the published ones do."""
     for module in network.modules():
         if isinstance(module, Conv3x3):
             module.direct = True
+    return network
 
 
 def _triples(cells: tuple[Cell, ...]) -> list[tuple[Path, Path, Path]]:

@@ -1,0 +1,115 @@
+"""What the units of work of an evaluation cost in either way, and what they come to for the whole protocol.
+
+``python tests/evaluation_units.py [--size 448] [--rounds 3]`` measures, in turns, what one image or pair takes as the
+published scripts do it and as this package does, with the same weights (filled by the goldens' rule) and one thread
+unless ``OMP_NUM_THREADS`` says otherwise. Units are then counted for one scene of 50 styles x 16 frames. Minutes where
+``tests/evaluation_cost.py``, which judges whole scenes, takes hours; what is read and decoded is left out, which both
+ways do alike but for ours doing less of it.
+"""
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from anystyle.metrics.cfsd import structural_distance
+from anystyle.metrics.warp_consistency import corrected_warp, reference_warp
+from anystyle.perception import art_score, lpips, raft, vectors
+from anystyle.perception import load as load_features
+from anystyle.perception.histogram import rgb_uv_histogram
+from anystyle.perception.winograd import quicken
+from evaluation_cost import FRAMES, STYLES, published_flow, use_direct
+from judging_cases import filled_folder
+from oracle import smooth_image
+
+PAIRS = (FRAMES - 1 + FRAMES - 7) / FRAMES
+"""Of neighbours and of distant frames, for each frame."""
+
+Work = Callable[[], object]
+
+
+def units(size: int) -> dict[str, tuple[Work | None, Work | None, tuple[float, float, float]]]:
+    """By name: as published, as here, and how often a stylized frame needs it: published, reference, corrected."""
+    one, other = smooth_image(1, [1, 3, size, size]), smooth_image(2, [1, 3, size, size])
+    large, small = smooth_image(3, [1, 3, 512, 512]), smooth_image(3, [1, 3, 299, 299])
+    flow = 4 * smooth_image(4, [1, 2, size, size])
+    seen = torch.ones(1, size, size, dtype=torch.bool)
+    inception = vectors.load_art_inception("published")
+    alex, usual = lpips.load("alex", "published"), use_direct(lpips.load("alex", "published"))
+    judge = art_score.load()
+    fast, slow = lpips.load("vgg", "published"), use_direct(lpips.load("vgg", "published"))
+    vgg, plain = quicken(load_features("vgg19")), load_features("vgg19")
+    network, published = raft.load(), use_direct(raft.load())
+    described, context = network.describe(one), network.context(one)
+
+    def similar() -> Tensor:
+        # Filled weights make similarities flat; eight times as large they are not.
+        maps = [8 * plain(image, ("relu3_1",))[0][0].flatten(1).T for image in (one, other)]
+        first, second = ((places / places.shape[1]) @ (places / places.shape[1]).T for places in maps)
+        return F.kl_div(first.log_softmax(-1)[None], second.softmax(-1)[None], reduction="batchmean")
+
+    shared, once = 1 / STYLES, 1 / FRAMES
+    features = [8 * vgg(image, ("relu3_1",))[0][0] for image in (one, other)]
+    return {
+        "inception at 512": (lambda: inception(large), lambda: inception(large), (2, 1 + once, 0)),
+        "inception at 299": (None, lambda: inception(small), (0, 0, 1 + once)),
+        "alexnet at 512": (
+            lambda: usual.describe(large), lambda: alex.describe(large), (4, 2 + 2 * shared, 2 + 2 * shared)
+        ),
+        "art_score at 224": (lambda: judge(small[..., :224, :224]), lambda: judge(small[..., :224, :224]), (1, 1, 1)),
+        "histogram": (lambda: rgb_uv_histogram(one), lambda: rgb_uv_histogram(one), (2, 1 + once, 1 + once)),
+        "cfsd, as published": (similar, None, (1, 0, 0)),
+        "cfsd, features": (None, lambda: vgg(one, ("relu3_1",)), (0, 1 + shared, 1 + shared)),
+        "cfsd, similarities": (None, lambda: structural_distance(*features), (0, 1, 1)),
+        "raft, as published": (lambda: published_flow(published, one, other), None, (PAIRS, 0, 0)),
+        "raft, frame": (None, lambda: (network.describe(one), network.context(one)), (0, 1, shared)),
+        "raft, pair": (None, lambda: network.flow(described, described, context), (0, PAIRS, 2 * PAIRS * shared)),
+        "lpips of warped frames": (lambda: slow(one, other), lambda: fast(one, other), (PAIRS, PAIRS, PAIRS)),
+        "warp": (
+            lambda: reference_warp(one, other, flow), lambda: reference_warp(one, other, flow), (PAIRS, PAIRS, 0)
+        ),
+        "warp, corrected": (None, lambda: corrected_warp(one, other, flow, seen), (0, 0, PAIRS)),
+    }  # fmt: skip
+
+
+@torch.no_grad()
+def compare(size: int, rounds: int) -> None:
+    """Measure in turns and print."""
+    work = units(size)
+    spent: dict[tuple[str, int], list[float]] = {}
+    for _ in range(rounds):
+        for name, (*ways, _) in work.items():
+            for way, do in enumerate(ways):
+                if do is not None:
+                    start = time.process_time()
+                    do()
+                    spent.setdefault((name, way), []).append(time.process_time() - start)
+    sums = np.zeros(3)
+    sys.stdout.write(f"seconds a stylized frame at {size} pixels: published, reference, corrected\n")
+    for name, (*_, counts) in work.items():
+        published, ours = (float(np.median(spent.get((name, way), [0.0]))) for way in (0, 1))
+        found = np.array([published, ours, ours]) * counts
+        sums += found
+        sys.stdout.write(f"{name:<24}" + "".join(f"{value:8.3f}" for value in found) + "\n")
+    sys.stdout.write(f"{'all':<24}" + "".join(f"{value:8.3f}" for value in sums) + "\n")
+    sys.stdout.write(f"times the throughput: reference {sums[0] / sums[1]:.2f}, corrected {sums[0] / sums[2]:.2f}\n")
+
+
+def main() -> None:
+    """Read the flags and measure."""
+    flags = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    flags.add_argument("--size", type=int, default=448)
+    flags.add_argument("--rounds", type=int, default=3)
+    words = flags.parse_args()
+    os.environ["ANYSTYLE_WEIGHTS"] = str(filled_folder())
+    compare(words.size, words.rounds)
+
+
+if __name__ == "__main__":
+    main()
