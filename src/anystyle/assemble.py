@@ -27,13 +27,13 @@ def weights_file(name: str) -> Path:
     """The file of a name that ``anystyle weights`` lists, or of a path.
 
     Raises:
-        ValueError: It is neither.
+        FileNotFoundError: It is neither.
     """
     known = weights.files()
     path = weights.find(name) if name in known else Path(name).expanduser()
     if not path.is_file():
-        raise ValueError(
-            f"weights {name}: there is no such file, and no weights of that name.{did_you_mean(name, known)} "
+        raise FileNotFoundError(
+            f"there is no weights file {path}, and no weights of that name.{did_you_mean(name, known)} "
             "`anystyle weights list` names them"
         )
     return path

@@ -95,10 +95,7 @@ def _unless_given(overrides: Sequence[str], group: str, name: str) -> list[str]:
 def _state(given: Mapping[str, Tensor] | str | Path) -> Mapping[str, Tensor]:
     if isinstance(given, Mapping):
         return given
-    file = weights_file(str(given))
-    if not file.is_file():
-        raise FileNotFoundError(f"there is no weights file {file}; name one, or a row of `anystyle weights`")
-    return weights.read(file)
+    return weights.read(weights_file(str(given)))
 
 
 class _Missing(StyleEncoder):

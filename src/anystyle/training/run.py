@@ -99,6 +99,7 @@ def _train(config: DictConfig, out: Path) -> Outcome:
         # Lightning advises on choices that are made on purpose here.
         warnings.filterwarnings("ignore", module=r"lightning\..*")
         warnings.filterwarnings("ignore", message=".*LeafSpec.*")
+        warnings.filterwarnings("ignore", message="This DataLoader will create .* worker processes")
         # The attributes of a branch are views of one tensor; nothing writes into them.
         warnings.filterwarnings("ignore", message="FSDP2-wrapped module .* returned a view")
         trainer.fit(training, datamodule=data, ckpt_path=str(last) if resume else None, weights_only=resume or None)
