@@ -235,9 +235,10 @@ def test_help_and_configuration(command):
     status, out, _ = command("--help")
     assert status == 0
     assert "--text" in out and "--multirun" in out and "placement: aggregator, full, head" in out
-    status, out, _ = command("--cfg", "job", "placement=full")
-    assert status == 0
-    assert OmegaConf.create(out).placement._target_ == "anystyle.placements.full.Full"
+    for words in (["--cfg", "job", "placement=full"], ["placement=full", "--cfg", "job", "seed=3"]):
+        status, out, _ = command(*words)
+        assert status == 0
+        assert OmegaConf.create(out).placement._target_ == "anystyle.placements.full.Full"
 
 
 def test_multirun_runs_every_combination(command):
@@ -297,6 +298,7 @@ def test_workers_know_the_plugins_of_a_folder(tmp_path):
         (["+new.key=1", "++x=2", "~loss", "~loss=style"], [], [], ["+new.key=1", "++x=2", "~loss", "~loss=style"]),
         (["hydra/launcher=joblib", "scenes@validation=x"], [], [], ["hydra/launcher=joblib", "scenes@validation=x"]),
         (["--cfg", "job", "--info", "defaults", "in"], ["in"], [], ["--cfg", "job", "--info", "defaults"]),
+        (["a=b", "--cfg", "job", "c=d", "in"], ["in"], [], ["a=b", "c=d", "--cfg", "job"]),
         (["--cfg=job", "~/photos"], ["~/photos"], [], ["--cfg=job"]),
         (["in", "--", "a=b", "-m"], ["in", "a=b", "-m"], [], []),
         (["--style", "a=b", "c=d"], [], [], ["c=d"]),

@@ -43,6 +43,7 @@ def split(parser: argparse.ArgumentParser, words: Sequence[str]) -> tuple[argpar
     actions = parser._option_string_actions
     own: list[str] = []
     hydra: list[str] = []
+    overrides: list[str] = []
     place = 0
     while place < len(words):
         word = words[place]
@@ -65,10 +66,11 @@ def split(parser: argparse.ArgumentParser, words: Sequence[str]) -> tuple[argpar
             if flag in ("-c", "--cfg") and hydra[-1].removeprefix(f"{flag}=") not in CONFIGURATIONS:
                 raise UserError(f"--cfg takes one of {', '.join(CONFIGURATIONS)}")
         elif is_override(word):
-            hydra.append(word)
+            overrides.append(word)
         else:
             own.append(word)
-    return parse(parser, own), hydra
+    # Hydra reads overrides in one row only.
+    return parse(parser, own), [*overrides, *hydra]
 
 
 def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
