@@ -74,12 +74,12 @@ class Conv3x3(nn.Conv2d):
         self.direct = False
         self._values: tuple[tuple[int, int], Tensor] | None = None
 
-    def forward(self, x: Float[Tensor, "M C H W"]) -> Float[Tensor, "M K H W"]:
+    def forward(self, input: Float[Tensor, "M C H W"]) -> Float[Tensor, "M K H W"]:
         """The convolution; in channels-last memory where it is computed in tiles."""
-        plain = x.device.type == "cpu" and x.dtype == torch.float32 == self.weight.dtype
+        plain = input.device.type == "cpu" and input.dtype == torch.float32 == self.weight.dtype
         if self.direct or torch.is_grad_enabled() or not plain:
-            return super().forward(x)
-        return self._in_tiles(x.permute(0, 2, 3, 1).contiguous())
+            return super().forward(input)
+        return self._in_tiles(input.permute(0, 2, 3, 1).contiguous())
 
     def values(self) -> Float[Tensor, "36 C K"]:
         """The weights at the 6 x 6 points, computed once."""
