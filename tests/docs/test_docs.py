@@ -47,7 +47,7 @@ def _named(path):
     return str(path.relative_to(ROOT))
 
 
-ELSEWHERE = {"add_a_plugin.md": "tests/commands/test_add_a_plugin_page.py runs every command on it"}
+ELSEWHERE = {"add_a_plugin.md": "test_commands.py runs every command on it, on the plugins it shows"}
 """Notebooks are run from top to bottom by tests/notebooks, their commands with them."""
 COMMANDS = sorted({(_named(page), line) for page in PAGES if page.name not in ELSEWHERE for line in _commands(page)})
 

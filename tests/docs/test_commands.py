@@ -1,0 +1,130 @@
+"""Every command that a page shows runs, those of a page one after the other in one folder, as a reader types them."""
+
+import json
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
+
+import pytest
+
+import docs_world as world
+from anystyle.study.protocol import read_study
+from docs_cases import ENDS, INSTEAD, NOT_RUN, PAGES, TELLS, ending, named, reason, shown, small, told
+from docs_program import Done, Program
+
+MORE = {
+    "docs/add_a_plugin.md": world.of_plugins,
+    "docs/index.md": world.of_programs,
+    "docs/protocol.md": world.of_programs,
+    "docs/user_study.md": world.of_study,
+}
+"""What a page's folder holds besides what all hold."""
+BEFORE = {"docs/protocol.md": ("anystyle train -m experiment=tiny_style placement=head,full",)}
+"""Commands of other pages whose results a page goes on with."""
+KEPT = re.compile(r"anystyle (stylize|plugins \w+ \w+$|weights)")
+"""Commands that leave nothing for those after them: they run on the first page that shows them, and not again."""
+LINES = [(named(page), line) for page in PAGES for line in shown(page)]
+
+
+@pytest.fixture(scope="module")
+def program():
+    started = Program()
+    yield started
+    started.close()
+
+
+class Reader:
+    """Types the commands of one page."""
+
+    def __init__(self, page: str, folder: Path, program: Program) -> None:
+        self.page, self.folder, self.program = page, folder, program
+        self.environment = {key: value for key, value in os.environ.items() if not key.startswith("ANYSTYLE_")}
+        self.environment |= {
+            "OMP_NUM_THREADS": "1",
+            "HF_HUB_OFFLINE": "1",
+            "PATH": os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]),
+        }
+
+    def types(self, line: str) -> Done:
+        """Run a command in the way that is cheapest for it."""
+        words = small(self.page, line)
+        if self.page == "README.md" and (self.folder / "plugins").is_dir():
+            # Its reader is in the checkout, where this folder is looked into anyway.
+            self.environment["ANYSTYLE_PLUGINS"] = "plugins"
+        if words[0] == "export":
+            self.environment |= dict([words[1].split("=", 1)])
+            return Done(0, "", "", 0.0)
+        if words[-3:-1] == ["--serve", "--port"]:
+            return self.serves(words)
+        if words[0] == "anystyle" and not any(word.startswith("hydra/launcher") for word in words):
+            return self.program(words[1:], folder=self.folder, environment=self.environment)
+        # The jobs of a launcher are processes of their own: what launches them must be the program.
+        words = [sys.executable, "-m", *words] if words[0] == "anystyle" else words
+        done = subprocess.run(words, capture_output=True, text=True, cwd=self.folder, env=self.environment)
+        return Done(done.returncode, done.stdout, done.stderr, 0.0)
+
+    def serves(self, words: list[str]) -> Done:
+        """Serve a study, answer as all its participants do, and interrupt it."""
+        process = subprocess.Popen(
+            [sys.executable, "-m", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+            cwd=self.folder, env=self.environment,
+        )  # fmt: skip
+        assert process.stdout is not None
+        first = process.stdout.readline()
+        found = re.search(r"http://[\d.]+:\d+/", first)
+        assert found, first
+        study = read_study(self.folder / "study")
+        checks = {check.id: check.expected for check in study.checks}
+        for place, participant in enumerate(study.participants):
+            for page in participant.order:
+                for question in study.plan.questions:
+                    message = {
+                        "study": study.id, "participant": participant.id, "session": "0123456789abcdef", "item": page,
+                        "question": question.name, "revision": 1,
+                        "score": checks.get(page, 1 + (place + len(page)) % 5),
+                    }  # fmt: skip
+                    body = json.dumps(message).encode()
+                    with urllib.request.urlopen(
+                        urllib.request.Request(f"{found[0]}answers", body, {"Content-Type": "application/json"})
+                    ) as reply:
+                        assert reply.status == 200
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=30)
+        return Done(process.returncode, first + out, err, 0.0)
+
+
+@pytest.mark.parametrize("page", sorted({page for page, line in LINES if reason(line) is None}))
+def test_commands_of_a_page_run(page, tmp_path, program):
+    world.make(tmp_path)
+    MORE.get(page, lambda folder: None)(tmp_path)
+    reader = Reader(page, tmp_path, program)
+    for line in BEFORE.get(page, ()):
+        assert reader.types(line).status == 0
+    wrong = []
+    for line in (line for where, line in LINES if where == page and reason(line) is None):
+        if KEPT.match(line) and next(where for where, other in LINES if other == line) != page:
+            continue
+        done, end = reader.types(line), ending(line)
+        errors = [text for text in done.err.splitlines() if text.startswith("anystyle: error: ")]
+        if end is None:
+            fine = done.status == 0 and told(line) in done.out
+        else:
+            fine = done.status == 2 and len(errors) == 1 and re.search(end, errors[0]) is not None
+        if not fine or "Traceback" in done.err:
+            wrong.append(f"{line}\nends with {done.status}: {done.out[-500:]}{done.err[-1500:]}")
+    assert not wrong, "\n\n".join(wrong)
+
+
+def test_what_is_said_of_commands_is_said_of_some():
+    """No reason, ending or stand-in outlives its command."""
+    lines = [line for _, line in LINES]
+    for pattern in (*NOT_RUN, *ENDS, *TELLS):
+        assert any(re.match(pattern, line) for line in lines), pattern
+    assert set(INSTEAD) <= set(lines)
+    assert all(shlex.split(line) for line in lines)
+    assert not [line for line in lines if reason(line) and ending(line)]

@@ -1,0 +1,146 @@
+"""The commands that pages show, what makes each small enough for a test, and which of them no test machine can run."""
+
+import re
+import shlex
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *sorted((ROOT / "docs").glob("*.md")),
+    *sorted(ROOT.glob("plugins/*/README.md")),
+]
+CARDS = [ROOT / "src/anystyle/assets/README.md", *sorted(ROOT.glob("plugins/*/*/assets/README.md"))]
+"""Model cards: their commands are records of hours of training, and are composed, not run."""
+FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+SHELLS = ("console", "bash", "sh")
+_INLINE = re.compile(r"`((?:anystyle|torchrun|srun|make|python|pip|jupytext|git|(?:[A-Z_]+=[^\s`]+ )+\w+)\s[^`]+)`")
+
+_BACKBONE = (
+    "weights.backbone=null backbone.resolution=28 backbone.native_resolution=28 backbone.dim=16 backbone.embed_depth=1 "
+    "backbone.depth=4 backbone.taps=[0,1,2,3] backbone.heads=2 backbone.camera_heads=2 backbone.depth_features=8 "
+    "backbone.depth_channels=[8,8,8,8] backbone.gaussian_features=16 backbone.gaussian_channels=[8,8,8,8] "
+    "backbone.gaussian_hidden=8"
+)
+_SOURCES = "scenes=folder scenes.root=SCENES styles=folder styles.root=STYLES"
+ADDED = (
+    (r"anystyle stylize (?!.*--cfg)(?!.*short_side)", "views.short_side=56"),
+    (r"anystyle stylize (?!.*--cfg)", "video.frames=2"),
+    (r"anystyle train .*=tiny_", "trainer.max_steps=2 training.warmup=1 scenes.size=28 scenes.num_scenes=2"),
+    (r"anystyle train .*=tiny_(style|ablation)", "training.batch_size=1 styles.num_styles=1 styles.size=28"),
+    (r"anystyle train .*=tiny_(style|ablation)", "training.pool=2 training.cache_scenes=2 training.preview_every=0"),
+    (r"anystyle train .*=tiny_reconstruction", "training.batch_size=1 training.context_views=[2,2] validation_steps=1"),
+    (r"anystyle train (?!.*(paper|depth_anything|--cfg|--info))", _BACKBONE),
+    (r"anystyle train -m (?!.*sweep.dir)", "hydra.sweep.dir=multirun/DATE/TIME"),
+    (r"anystyle benchmark(?!.*model)", "--views 2 --repeat 1 --size 56x56"),
+    (r"anystyle evaluate .*=tiny_heldout", "protocol.num_scenes=2 protocol.num_styles=2 protocol.num_captions=2"),
+    (r"anystyle evaluate .*=tiny_heldout", "protocol.strips=1 protocol.steps=2"),
+    (r"anystyle evaluate --run .*=paper_image", f"{_SOURCES} scenes.short_side=28"),
+    (r"anystyle evaluate .*=SCENES", "scenes.short_side=56"),
+    (r"anystyle evaluate .*=guides", "scenes.size=28 styles.size=28 protocol.num_scenes=1 protocol.num_styles=2"),
+    (r"anystyle study design", "participants=4 sets=4 image_size=64"),
+    (r"anystyle study form .*--serve", "--port 0"),
+    (r"anystyle study analyze", "--resamples 99"),
+    (r"anystyle study power", "--studies 20"),
+    (r"python tests/evaluation_cost.py", "--size 64 --styles 1 --frames 8"),
+)
+"""Words that a command is run with behind its own, by what it begins with: sizes and numbers, not what it is about."""
+INSTEAD = {
+    "anystyle train experiment=... backbone=anysplat_tiny": (
+        "anystyle train experiment=tiny_reconstruction backbone=anysplat_tiny"
+    ),
+    "anystyle evaluate --run multirun/DATE/TIME protocol=paper_image ...": (
+        "anystyle evaluate --run multirun/DATE/TIME protocol=paper_image"
+    ),
+    "anystyle evaluate --content photos/ --style styles/ --stylized results/ --out eval/": (
+        "anystyle evaluate --content photos/ --style styles/ --stylized results/ --out theirs/"
+    ),
+    "anystyle plugins new protocol NAME": "anystyle plugins new protocol mine",
+    "anystyle plugins new study_test NAME": "anystyle plugins new study_test mine",
+    "anystyle weights list NAME ...": "anystyle weights list vgg16 alexnet",
+    "anystyle study analyze ... --test NAME NAME.option=value": (
+        "anystyle study analyze study/answers.sqlite --study study --out own --test wilcoxon wilcoxon.method=approx"
+    ),
+}
+"""Commands with places to fill in, filled in; and one whose folder another command of its page has filled already."""
+FEWER = {"seed=0,1,2": "seed=0", "hydra/launcher=joblib": None, "hydra.launcher.n_jobs=2": None}
+"""Words of sweeps that are other or none on a page that shows more jobs than a test can train."""
+SWEEPS = ("docs/ablation.md",)
+ENDS = {
+    r"anystyle weights download ": "cannot be fetched",
+    r"anystyle data caption ": "captions need transformers",
+    r"anystyle (stylize|benchmark) .*model=any(splat|style_head|style_full)\b": "the weights '.*' are missing: get",
+    r"anystyle stylize .*weights.backbone=model.safetensors": "there is no weights file model.safetensors",
+}
+"""Commands that need a file from the network: they run as well, and end in one line that says which."""
+TELLS = {
+    r"anystyle plugins check ": "promises kept",
+    r"anystyle stylize placement=sparse placement.step=3 --cfg job": "_target_: sparse.Sparse\nstep: 3",
+    r"anystyle weights convert ": "anystyle_head.safetensors",
+    r"anystyle stylize photos/ (?!.*(=any|weights))": "look at out/sheet.png",
+    r"anystyle train (?!.*(-m|--cfg|--info|fast_dev|smoke|paper))": "steps done; ",
+}
+"""What the commands that begin so say, by which it is seen that they did their work."""
+NOT_RUN = {
+    r"git clone ": "needs a network",
+    r"pip install ": "needs a network",
+    r"make (demo|setup|lint|test|test-slow)$": "sets up an environment from a network",
+    r"make docs$": "tests/docs/test_site.py does what it does",
+    r"python -m pytest tests/docs$": "these tests",
+    r"torchrun ": "needs several graphics cards, or machines",
+    r"srun ": "needs a cluster",
+    r"anystyle train -m hydra/launcher=submitit_slurm ": "needs a cluster",
+    r"anystyle train experiment=paper_(?!.*model=tiny)": "needs graphics cards, the data sets and published weights",
+    r"anystyle train -m hydra/launcher=joblib seed=0,1,2$": "as the one above it, and published weights",
+    r"PYTHONPATH=tests python tests/full_size.py (make|load) ": "gigabytes; `make test-slow` runs it",
+    r"(OMP_NUM_THREADS=2 )?python tests/step_(cost|count).py ": "minutes; training/test_step_cost.py has a small one",
+    r"anystyle study 'design\|form\|analyze\|power'$": "four commands in a line; docs/user_study.md shows each",
+}
+"""Commands that no test machine can run, and why. They are parsed and composed by ``test_docs.py``."""
+
+
+def named(page: Path) -> str:
+    """A page as people call it."""
+    return page.relative_to(ROOT).as_posix()
+
+
+def blocks(page: Path, *languages: str) -> list[str]:
+    """The fenced blocks of some languages."""
+    return [body for language, body in FENCE.findall(page.read_text(encoding="utf-8")) if language in languages]
+
+
+def shown(page: Path) -> list[str]:
+    """Every command of a page, in its order; those within sentences and tables last. Comments are left out.
+
+    A bare name within a sentence, such as ``anystyle weights``, speaks of a command and shows none.
+    """
+    lines = "\n".join(blocks(page, *SHELLS)).replace("\\\n", " ").splitlines()
+    found = [line.strip().removeprefix("$ ") for line in lines]
+    prose = FENCE.sub("", page.read_text(encoding="utf-8"))
+    found += [text for text in _INLINE.findall(prose) if len(text.split()) > 2]
+    return [line for line in (shlex.join(shlex.split(line, comments=True)) for line in found) if line]
+
+
+def small(page: str, line: str) -> list[str]:
+    """The words of a command with those that are added to it."""
+    line = INSTEAD.get(line, line)
+    words = shlex.split(line)
+    if page in SWEEPS:
+        words = [word for word in (FEWER.get(word, word) for word in words) if word is not None]
+    return words + [word for pattern, more in ADDED if re.match(pattern, line) for word in shlex.split(more)]
+
+
+def reason(line: str) -> str | None:
+    """Why a command is not run; ``None`` where it is."""
+    return next((why for pattern, why in NOT_RUN.items() if re.match(pattern, line)), None)
+
+
+def ending(line: str) -> str | None:
+    """What the one line says in which a command must end; ``None`` where it must work."""
+    return next((told for pattern, told in ENDS.items() if re.match(pattern, line)), None)
+
+
+def told(line: str) -> str:
+    """What a command must say."""
+    return next((words for pattern, words in TELLS.items() if re.match(pattern, line)), "")

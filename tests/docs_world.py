@@ -1,0 +1,80 @@
+"""What the commands of pages find in the folder they run in: photographs, styles, results, data sets, a checkpoint."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import torch
+from PIL import Image
+
+from docs_cases import ROOT, blocks
+from weights_cases import training_checkpoint
+
+_TRANSFORMS = {"w": 64, "h": 48, "fl_x": 60, "fl_y": 60, "cx": 32, "cy": 24}
+
+
+def make(folder: Path) -> None:
+    """Put everything there that a page speaks of."""
+    for number in range(3):
+        for scene in ("photos", "SCENES/Train", "PHOTOS/Train", "scenes/one", "scenes/two"):
+            _picture(folder / scene / f"{number:03d}.jpg", seed=0, shift=number)
+    for seed, name in enumerate(("painting", "a", "b", "styles/s0", "styles/s1", "STYLES/s0", "STYLES/s1"), start=1):
+        _picture(folder / f"{name}.jpg", seed=seed)
+    for style, seed in (("s0", 20), ("s1", 21)):
+        for frame in range(3):
+            for place in ("results", "RESULTS/Train"):
+                _picture(folder / place / f"{style}_{frame:03d}.png", seed=seed, shift=frame)
+    _data_sets(folder)
+    torch.manual_seed(0)
+    torch.save(training_checkpoint("head"), folder / "anystyle_head.ckpt")
+    figures = {"method": "another", "source": "us", "table": "Table 1", "figures": {"art_fid": {"Train": 30.0}}}
+    rows = {"about": "Ours.", "sources": {"us": "our own table"}, "rows": [figures]}
+    (folder / "rows.json").write_text(json.dumps(rows))
+
+
+def _data_sets(folder: Path) -> None:
+    scene = folder / "DL3DV-10K" / "1K" / "garden"
+    frames = []
+    for number in range(4):
+        _picture(scene / "images_8" / f"frame_{number:05d}.png", seed=30, shift=number)
+        pose = np.eye(4)
+        pose[0, 3] = 0.1 * number
+        frames.append({"file_path": f"images/frame_{number:05d}.png", "transform_matrix": pose.tolist()})
+    (scene / "transforms.json").write_text(json.dumps({**_TRANSFORMS, "frames": frames}))
+    (folder / "DL3DV-10K" / "train_index.json").write_text(json.dumps(["1K/garden"]))
+    for number in range(2):
+        _picture(folder / "wikiart" / "Cubism" / f"painter_{number}.jpg", seed=40 + number)
+    (folder / "stylos" / "examples" / "styles").mkdir(parents=True)
+    shutil.copy(folder / "wikiart/Cubism/painter_1.jpg", folder / "stylos/examples/styles/kept.jpg")
+
+
+def of_study(folder: Path) -> None:
+    """Results of two methods, as a study is designed from."""
+    shutil.rmtree(folder / "results")
+    for seed, method in ((50, "ours"), (60, "styl3r")):
+        for place, name in enumerate(("one/s0", "one/s1", "two/s0", "two/s1")):
+            _picture(folder / "results" / method / f"{name}.png", seed=seed + place)
+
+
+def of_plugins(folder: Path) -> None:
+    """The two files that the page on plugins shows."""
+    page = ROOT / "docs" / "add_a_plugin.md"
+    (code,) = (text for text in blocks(page, "python") if "class Sparse" in text)
+    (folder / "sparse").mkdir()
+    (folder / "sparse" / "sparse.py").write_text(code)
+    (folder / "sparse" / "pyproject.toml").write_text(blocks(page, "toml")[0])
+
+
+def of_programs(folder: Path) -> None:
+    """The checkout's programs and notebooks, where commands name them."""
+    (folder / "tests").symlink_to(ROOT / "tests")
+    shutil.copytree(ROOT / "notebooks", folder / "notebooks", ignore=shutil.ignore_patterns(".*", "__pycache__"))
+
+
+def _picture(path: Path, *, seed: int, shift: int = 0) -> None:
+    """A soft picture of 64 x 48 pixels, moved aside by some."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    coarse = np.random.default_rng(seed).integers(0, 255, (6, 9, 3), dtype=np.uint8)
+    wide = Image.fromarray(coarse).resize((72, 48), Image.Resampling.BICUBIC)
+    wide.crop((shift, 0, shift + 64, 48)).save(path)
