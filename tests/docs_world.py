@@ -26,8 +26,7 @@ def make(folder: Path) -> None:
             for place in ("results", "RESULTS/Train"):
                 _picture(folder / place / f"{style}_{frame:03d}.png", seed=seed, shift=frame)
     captions = [{"image": f"s{n}.jpg", "text": text} for n, text in enumerate(("red waves", "blue dots"))]
-    (folder / "STYLES" / "captions.jsonl").write_text("".join(f"{json.dumps(one)}
-" for one in captions))
+    (folder / "STYLES" / "captions.jsonl").write_text("".join(f"{json.dumps(one)}\n" for one in captions))
     _data_sets(folder)
     torch.manual_seed(0)
     torch.save(training_checkpoint("head"), folder / "anystyle_head.ckpt")
