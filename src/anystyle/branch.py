@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from torch import nn
 
@@ -55,7 +56,18 @@ class StyleBranch(nn.Module):
         """The attributes of ``scene`` in each style; scenes and styles are paired row by row."""
 
         def inject(site: str, tokens: Tokens) -> Tokens:
-            return self.injectors[site](tokens, embedding.vector) if site in self.injectors else tokens
+            if site not in self.injectors:
+                return tokens
+            injector = self.injectors[site]
+            return injector(placed(tokens, scene) if injector.reads_places else tokens, embedding.vector)
 
         features = scene.features if self.aggregator is None else self.aggregator(scene.stem, inject)
         return self.gaussian_head(features, scene.views.images, inject).with_degree(self.sh_degree)
+
+
+def placed(tokens: Tokens, scene: Scene) -> Tokens:
+    """Tokens that know where the first camera sees what they show."""
+    places = scene.geometry.places(tokens.grid)
+    if tokens.order is not None:
+        places = places.gather(1, tokens.order[..., None, None].expand_as(places))
+    return replace(tokens, places=places)

@@ -225,6 +225,9 @@ class Injector(Socket, nn.Module, ABC):
     the identity, bit for bit; it is equivariant to the order of views.
     """
 
+    reads_places: ClassVar[bool] = False
+    """Whether it reads :attr:`Tokens.places`, which cost a projection of all points."""
+
     @abstractmethod
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
         """Tokens of the same shape, grid and kind."""

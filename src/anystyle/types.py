@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import torch
+import torch.nn.functional as F
 import torch.utils._pytree as pytree
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -137,12 +138,15 @@ class Style(Value):
         text: One description a scene; an empty one means there is none.
         has_image: Which rows of ``image`` hold one; ``None`` means all.
         names: One a style; may be empty.
+        pattern: The pattern alone, from dark at 0 to light at 1, where all styles of one kind start at one place and
+            none is turned: what can be learnt pixel by pixel. Known of made styles only; ``None`` elsewhere.
     """
 
     image: Float[Tensor, "B 3 h w"] | None = None
     text: tuple[str, ...] | None = None
     has_image: Bool[Tensor, " B"] | None = None
     names: tuple[str, ...] = ()
+    pattern: Float[Tensor, "B r c"] | None = None
 
 
 @dataclass(frozen=True)
@@ -175,12 +179,15 @@ class Tokens(Value):
         grid: Rows and columns of patches.
         special: How many special tokens (camera, registers) lead.
         order: Where a backbone reorders the views: the place of each token row in the input; ``None`` means in order.
+        places: Where the first camera sees what each patch shows, x and y in [-1, 1] across its image and beyond;
+            filled in for injectors that ask for it.
     """
 
     data: Float[Tensor, "B V P C"]
     grid: tuple[int, int]
     special: int = 0
     order: Int[Tensor, "B V"] | None = None
+    places: Float[Tensor, "B V p 2"] | None = None
 
     @property
     def patches(self) -> Float[Tensor, "B V p C"]:
@@ -266,6 +273,28 @@ class Geometry(Value):
             for row in range(3)
         ]
         return torch.stack(world, dim=-1)
+
+    def places(self, grid: tuple[int, int]) -> Float[Tensor, "B V p 2"]:
+        """Where the first camera sees what each patch shows: x and y, in [-1, 1] across its image and beyond.
+
+        Of all views the same point has the same place, so what is laid over these places lies still in the scene
+        (projective texture mapping: Segal et al. 1992). ``depth`` is read as distance along z.
+
+        Args:
+            grid: Rows and columns of patches; a patch has the mean place of its pixels.
+        """
+        height, width = self.depth.shape[-2:]
+        first = self.cameras.world_from_camera[:, :1, None, None]  # B 1 1 1 4 4
+        seen = ((self.points() - first[..., :3, 3])[..., None, :] @ first[..., :3, :3])[..., 0, :]
+        # What lies behind the first camera has a place too, if none that it could see.
+        away = seen[..., 2].abs().clamp_min(1e-6)
+        intrinsics = self.cameras.intrinsics[:, :1, None, None]  # B 1 1 1 3 3
+        x = (intrinsics[..., 0, 0] * seen[..., 0] / away + intrinsics[..., 0, 2]) * (2 / width) - 1
+        y = (intrinsics[..., 1, 1] * seen[..., 1] / away + intrinsics[..., 1, 2]) * (2 / height) - 1
+        places = torch.stack([x, y], dim=2)  # B V 2 H W
+        if grid != (height, width):
+            places = F.adaptive_avg_pool2d(places.flatten(0, 1), grid).unflatten(0, places.shape[:2])
+        return places.flatten(-2).mT
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ from anystyle.losses.depth_consistency import DepthConsistency
 from anystyle.losses.edge_aware_smoothness import EdgeAwareSmoothness
 from anystyle.losses.histogram import Histogram
 from anystyle.losses.luminance import Luminance
-from anystyle.losses.palette_ramp import PaletteRamp, painted, ramp, ranks
+from anystyle.losses.palette_ramp import PaletteRamp
 from anystyle.losses.total_variation import TotalVariation
+from anystyle.perception.ramps import luma, painted, ramp, shares
 from anystyle.types import Geometry
 from oracle import golden, hashed, smooth_image
 from style_cases import cameras, stylization
@@ -21,20 +22,20 @@ PHOTOGRAPHS = smooth_image(11, [2, 2, 3, 28, 35])
 
 
 def test_total_variation_of_a_ramp_and_of_a_constant() -> None:
-    ramp = (torch.arange(35.0) / 100 + torch.arange(28.0)[:, None] / 50).expand(2, 2, 3, 28, 35)
-    assert TotalVariation()(stylization(ramp, ramp)).item() == pytest.approx(0.01**2 + 0.02**2, rel=1e-4)
-    flat = torch.full_like(ramp, 0.4)
+    rising = (torch.arange(35.0) / 100 + torch.arange(28.0)[:, None] / 50).expand(2, 2, 3, 28, 35)
+    assert TotalVariation()(stylization(rising, rising)).item() == pytest.approx(0.01**2 + 0.02**2, rel=1e-4)
+    flat = torch.full_like(rising, 0.4)
     assert TotalVariation()(stylization(flat, flat)) == 0
 
 
 def test_edge_aware_smoothness_of_a_ramp_is_damped_by_the_photographs_own_slope() -> None:
-    ramp = (torch.arange(35.0) / 100 + torch.arange(28.0)[:, None] / 50).expand(2, 2, 3, 28, 35)
-    flat = torch.full_like(ramp, 0.4)
+    rising = (torch.arange(35.0) / 100 + torch.arange(28.0)[:, None] / 50).expand(2, 2, 3, 28, 35)
+    flat = torch.full_like(rising, 0.4)
     loss = EdgeAwareSmoothness(sharpness=20.0)
-    assert loss(stylization(ramp, flat)).item() == pytest.approx(0.01 + 0.02, rel=1e-4)
+    assert loss(stylization(rising, flat)).item() == pytest.approx(0.01 + 0.02, rel=1e-4)
     damped = 0.01 * math.exp(-20 * 0.01) + 0.02 * math.exp(-20 * 0.02)
-    assert loss(stylization(ramp, ramp)).item() == pytest.approx(damped, rel=1e-4)
-    assert loss(stylization(flat, ramp)) == 0
+    assert loss(stylization(rising, rising)).item() == pytest.approx(damped, rel=1e-4)
+    assert loss(stylization(flat, rising)) == 0
     with pytest.raises(ValueError, match="give 0 or more"):
         EdgeAwareSmoothness(sharpness=-1.0)
 
@@ -107,11 +108,11 @@ def test_palette_ramp_of_two_colours_parts_light_from_dark_whatever_the_exposure
     navy, orange = torch.tensor([0.08, 0.12, 0.35]), torch.tensor([0.95, 0.5, 0.1])
     style = torch.stack([navy, orange], -1)[None, :, :, None].repeat(1, 1, 1, 4).permute(0, 1, 3, 2)  # 1 3 4 2
     photographs = hashed(24, [1, 1, 3, 6, 6], 0, 1)
-    target = painted(ranks(photographs), ramp(style, 2))
+    target = painted(shares(luma(photographs)), ramp(style, 2))
     darkest = (photographs * torch.tensor([0.299, 0.587, 0.114])[:, None, None]).sum(2).flatten().argmin()
     assert target.flatten(3)[0, 0, :, darkest].tolist() == pytest.approx(navy.tolist())
     assert target.mean((1, 3, 4))[0].tolist() == pytest.approx(((navy + orange) / 2).tolist(), abs=0.02)
-    torch.testing.assert_close(painted(ranks(photographs**2 * 0.5), ramp(style, 2)).mean(), target.mean())
+    torch.testing.assert_close(painted(shares(luma(photographs**2 * 0.5)), ramp(style, 2)).mean(), target.mean())
     assert PaletteRamp(knots=2)(stylization(target, photographs, style)).item() == pytest.approx(0, abs=1e-12)
     with pytest.raises(ValueError, match="give at least 2"):
         PaletteRamp(knots=1)

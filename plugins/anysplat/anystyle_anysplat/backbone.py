@@ -52,6 +52,7 @@ class AnySplat(contracts.Backbone):
         gaussian_channels: Channels of its four levels.
         gaussian_hidden: Channels of its last hidden layer.
         styled_levels: Levels of the Gaussian head that are sites, of the four (published: all).
+        styled_direct: Whether its features of pixels are a site (published: yes).
         styled_color: Whether the Gaussian head's colours are a site too (published: no).
         sh_degree: Of its harmonics.
         sh_mode: ``reference`` reproduces a side effect of the published code on styled colours; see
@@ -126,6 +127,7 @@ class AnySplat(contracts.Backbone):
         gaussian_channels: Sequence[int] = (256, 512, 1024, 1024),
         gaussian_hidden: int = 128,
         styled_levels: Sequence[int] = (0, 1, 2, 3),
+        styled_direct: bool = True,
         styled_color: bool = False,
         sh_degree: int = 4,
         sh_mode: Literal["reference", "dc_only"] = "reference",
@@ -187,6 +189,7 @@ class AnySplat(contracts.Backbone):
             sh_degree=sh_degree,
             taps=taps,
             styled_levels=styled_levels,
+            styled_direct=styled_direct,
             styled_color=styled_color,
             chunk=chunk,
         )

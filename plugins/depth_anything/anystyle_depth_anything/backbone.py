@@ -50,6 +50,7 @@ class DepthAnything(contracts.Backbone):
         gaussian_features: Channels of the Gaussian head's decoder.
         gaussian_channels: Channels of its four levels.
         styled_levels: Levels of the Gaussian head that are sites, of the four (published: all).
+        styled_direct: Whether its features of pixels are a site (published: yes).
         styled_color: Whether the Gaussian head's colours are a site too (published: no).
         sh_degree: Of its harmonics.
         depth_along: How the adapter reads depth; see :class:`anystyle_depth_anything.adapter.Adapter`.
@@ -116,6 +117,7 @@ class DepthAnything(contracts.Backbone):
         gaussian_features: int = 256,
         gaussian_channels: Sequence[int] = (256, 512, 1024, 1024),
         styled_levels: Sequence[int] = (0, 1, 2, 3),
+        styled_direct: bool = True,
         styled_color: bool = False,
         sh_degree: int = 2,
         depth_along: Literal["ray", "z"] = "ray",
@@ -178,6 +180,7 @@ class DepthAnything(contracts.Backbone):
             sh_degree=sh_degree,
             taps=taps,
             styled_levels=styled_levels,
+            styled_direct=styled_direct,
             styled_color=styled_color,
             chunk=chunk,
         )

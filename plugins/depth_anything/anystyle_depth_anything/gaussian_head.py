@@ -30,6 +30,7 @@ class GaussianHead(contracts.GaussianHead):
         styled_levels: Of the taps, by their order, those that are sites. A shift of all tokens of levels 0 and 1
             comes out of their transposed convolutions as a grid with the period of a patch, which is plain to see
             where patches are few (published: all).
+        styled_direct: Whether features of pixels are a site (published: yes).
         styled_color: Whether the colours that come out are a site as well, all views at a time (published: no).
         chunk: Views decoded at a time, and so passed to ``inject`` at a time; a matter of memory alone.
     """
@@ -43,6 +44,7 @@ class GaussianHead(contracts.GaussianHead):
         sh_degree: int,
         taps: Sequence[int],
         styled_levels: Sequence[int] = (0, 1, 2, 3),
+        styled_direct: bool = True,
         styled_color: bool = False,
         chunk: int,
     ) -> None:
@@ -51,7 +53,7 @@ class GaussianHead(contracts.GaussianHead):
         self.coefficients = (sh_degree + 1) ** 2
         self.taps = tuple(taps)
         self.styled_levels = tuple(styled_levels)
-        self.styled_color = styled_color
+        self.styled_direct, self.styled_color = styled_direct, styled_color
         self.chunk = chunk
         self.dpt = Dpt(
             dim=dim,
@@ -73,8 +75,9 @@ class GaussianHead(contracts.GaussianHead):
         With ``styled_color`` also ``head/color``, the raw colours of pixels, of all views at once.
         """
         tokens = tuple(Site(_site(level), self.dim) for level in self.styled_levels)
+        direct = (Site("head/direct", self.direct_dim),) if self.styled_direct else ()
         color = (Site("head/color", 3 * self.coefficients),) if self.styled_color else ()
-        return (*tokens, Site("head/direct", self.direct_dim), *color)
+        return (*tokens, *direct, *color)
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
         """Predict raw attributes."""
@@ -106,7 +109,8 @@ class GaussianHead(contracts.GaussianHead):
             levels.append(patches.flatten(0, 1))
         decoded = self.dpt.decode(levels, features[self.taps[0]].grid, (height, width))
         direct = self.direct(images.flatten(0, 1)).flatten(2).mT.unflatten(0, (batch, count))
-        direct = inject("head/direct", Tokens(direct, grid=(height, width))).data
+        if self.styled_direct:
+            direct = inject("head/direct", Tokens(direct, grid=(height, width))).data
         direct = direct.flatten(0, 1).mT.unflatten(2, (height, width))
         return self.dpt.predict_(decoded + direct).unflatten(0, (batch, count))
 

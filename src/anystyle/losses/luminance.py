@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
-from anystyle.perception.compare import LUMA
+from anystyle.perception.ramps import luma
 from anystyle.types import Stylization
 
 
@@ -37,17 +37,13 @@ class Luminance(Loss):
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""
-        found = _luma(result.renders.color.flatten(0, 1))
-        wanted = _luma(result.views.images.flatten(0, 1))
+        found = luma(result.renders.color.flatten(0, 1))[:, None]
+        wanted = luma(result.views.images.flatten(0, 1))[:, None]
         terms = [
             share * F.mse_loss(_normalised(F.avg_pool2d(found, scale)), _normalised(F.avg_pool2d(wanted, scale)))
             for scale, share in zip(self.scales, self.shares, strict=True)
         ]
         return torch.stack(terms).sum()
-
-
-def _luma(images: Tensor) -> Tensor:
-    return (images * images.new_tensor(LUMA)[:, None, None]).sum(1, keepdim=True)
 
 
 def _normalised(maps: Tensor) -> Tensor:

@@ -1,12 +1,13 @@
 """Palette ramp: the n-th darkest pixel of a scene takes the n-th colour of the style."""
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
-from anystyle.perception.compare import LUMA, mean_where, style_images
+from anystyle.geometry.texture import sample_texture
+from anystyle.perception.compare import mean_where, style_images
+from anystyle.perception.ramps import luma, painted, ramp, shares
 from anystyle.types import Stylization
 
 
@@ -20,19 +21,29 @@ class PaletteRamp(Loss):
     exact one-dimensional transport of Pitie et al. 2007 (section 2), it also gives every colour its share. A distance
     between distributions leaves open which pixel takes which colour and is learnt far more slowly; this one settles it.
 
+    With ``pattern``, and where the style's pattern is known by itself (:attr:`anystyle.types.Style.pattern`), that
+    pattern is laid over the scene from the first camera, and what is ranked is a mixture of luma and pattern: colours
+    keep their shares, and change where the pattern does. ``shade`` gives back the light and dark that it covers.
+
     Args:
         knots: Of the ramp.
+        pattern: Share of the pattern in what is ranked, in [0, 1].
+        shade: How much lighter than its place on the ramp the lightest pixel is, and darker the darkest, as a share of
+            its colour; in [0, 1].
         weight: In the objective.
 
     Raises:
-        ValueError: ``knots`` is below 2.
+        ValueError: ``knots`` is below 2, or a share is outside [0, 1].
     """
 
-    def __init__(self, *, knots: int = 32, weight: float = 10.0) -> None:
+    def __init__(self, *, knots: int = 32, pattern: float = 0.0, shade: float = 0.0, weight: float = 10.0) -> None:
         super().__init__()
         if knots < 2:
             raise ValueError(f"loss.palette_ramp.knots is {knots}; give at least 2")
-        self.knots = knots
+        for name, share in (("pattern", pattern), ("shade", shade)):
+            if not 0 <= share <= 1:
+                raise ValueError(f"loss.palette_ramp.{name} is {share}; give a share between 0 and 1")
+        self.knots, self.pattern, self.shade = knots, pattern, shade
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
@@ -42,32 +53,16 @@ class PaletteRamp(Loss):
             return result.renders.color.new_zeros(())
         image, given = styles
         with torch.no_grad():
-            target = painted(ranks(result.views.images), ramp(image, self.knots))
+            target = self.target(result, ramp(image, self.knots))
         return mean_where((result.renders.color - target).square().mean((1, 2, 3, 4)), given)
 
-
-def ramp(images: Float[Tensor, "B 3 h w"], knots: int) -> Float[Tensor, "B knots 3"]:
-    """The colours of each image from the dark to the light end of their first principal axis, in equal shares."""
-    colors = images.flatten(2).mT
-    centred = colors - colors.mean(1, keepdim=True)
-    axis = torch.linalg.eigh(centred.mT @ centred).eigenvectors[..., -1:]  # B 3 1
-    lighter = torch.where((axis.mT @ axis.new_tensor(LUMA)) < 0, -1.0, 1.0)[..., None]
-    order = (centred @ (axis * lighter)).argsort(dim=1)
-    return F.adaptive_avg_pool1d(colors.gather(1, order.expand_as(colors)).mT, knots).mT
-
-
-def ranks(images: Float[Tensor, "B V 3 H W"]) -> Float[Tensor, "B V H W"]:
-    """Which share of its scene's pixels is darker than each, in [0, 1)."""
-    luma = (images * images.new_tensor(LUMA)[:, None, None]).sum(2)
-    flat = luma.flatten(1)
-    places = torch.arange(flat.shape[1], device=flat.device).expand_as(flat)
-    order = flat.argsort(dim=1, stable=True)
-    return torch.empty_like(flat).scatter_(1, order, places.to(flat.dtype) / flat.shape[1]).view_as(luma)
-
-
-def painted(rank: Float[Tensor, "B V H W"], colors: Float[Tensor, "B knots 3"]) -> Float[Tensor, "B V 3 H W"]:
-    """Each pixel in the colour at its place on the ramp, linear between knots."""
-    place = rank.flatten(1) * (colors.shape[1] - 1)
-    low = place.floor().long().clamp_max(colors.shape[1] - 2)[..., None].expand(-1, -1, 3)
-    mixed = torch.lerp(colors.gather(1, low), colors.gather(1, low + 1), (place - low[..., 0])[..., None])
-    return mixed.unflatten(1, rank.shape[1:]).movedim(-1, 2)
+    def target(self, result: Stylization, colors: Float[Tensor, "B knots 3"]) -> Float[Tensor, "B V 3 H W"]:
+        """The photographs in the colours of a ramp."""
+        light = shares(luma(result.views.images))
+        place = light
+        if self.pattern and result.style.pattern is not None:
+            height, width = light.shape[-2:]
+            drawn = sample_texture(result.style.pattern[:, None], result.scene.geometry.places((height, width)))
+            place = shares(torch.lerp(light, drawn[..., 0].unflatten(-1, (height, width)), self.pattern))
+        shaded = painted(place, colors) * (1 + self.shade * (2 * light - 1))[:, :, None]
+        return shaded.clamp(0, 1)

@@ -10,9 +10,6 @@ from torch import Tensor
 from anystyle.perception.features import FeatureNetwork
 from anystyle.types import Stylization
 
-LUMA = (0.299, 0.587, 0.114)
-"""Weights of sRGB values as they are, Rec. 601."""
-
 Describe = Callable[[str, Tensor], Tensor]
 """From a layer's name and its features ``M C h w`` to a summary ``M K D``: K parts of D numbers each."""
 

@@ -54,6 +54,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "film": "anystyle.injectors.film:FiLM",
         "hypernetwork": "anystyle.injectors.hypernetwork:HyperNetwork",
         "lora": "anystyle.injectors.lora:LoRA",
+        "ramp_texture": "anystyle.injectors.ramp_texture:RampTexture",
         "zero_conv": "anystyle.injectors.zero_conv:ZeroConv",
     },
     "renderer": {

@@ -8,6 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from anystyle.contracts import StyleEncoder
+from anystyle.perception.ramps import ramp
 from anystyle.perception.statistics import pooled_moments
 from anystyle.perception.texture import Texture
 from anystyle.style_encoders.words import hash_words
@@ -15,15 +16,19 @@ from anystyle.style_encoders.words import hash_words
 TAPS = ("relu1_2", "relu2_2", "relu3_2", "relu4_1")
 TAP_CHANNELS = (32, 64, 96, 128)
 SIDE = 64
-COLORS = 4
+COLORS = 32
+"""Colours of the ramp that the image tower reads."""
+KNOTS = 8
+"""Colours of the ramp that an embedding gives back."""
 
 
 class Tiny(StyleEncoder):
     """Images and texts in a space of textures and palettes; 0.9 M parameters, no download.
 
-    Images go through the convolutions of the texture network, pooled to mean and deviation at every scale, beside a
-    learnt soft histogram of colours. Texts go through hashed words and a small transformer. Each modality is centred,
-    both are whitened by one matrix, so that patterns weigh as much as the colours that dominate raw embeddings.
+    Images go through the convolutions of the texture network, pooled to mean and deviation at every scale, beside the
+    ramp of their colours from dark to light. Texts go through hashed words and a small transformer. Each modality is
+    centred, both are whitened by one matrix, so that patterns weigh as much as the colours that dominate raw
+    embeddings.
 
     Args:
         dim: Of the space.
@@ -51,7 +56,8 @@ class Tiny(StyleEncoder):
         self.neutral = "a photo"
         self.image_tower = ImageTower(dim)
         self.text_tower = TextTower(dim, text_width, text_layers, buckets, max_words)
-        self.palette_head = nn.Sequential(nn.Linear(dim, 192), nn.GELU(), nn.Linear(192, 3 * COLORS))
+        self.palette_head = nn.Linear(dim, 3 * KNOTS)
+        nn.init.constant_(self.palette_head.bias, 0.5)
         self.register_buffer("image_mean", torch.zeros(dim))
         self.register_buffer("text_mean", torch.zeros(dim))
         self.register_buffer("whitening", torch.eye(dim))
@@ -69,8 +75,11 @@ class Tiny(StyleEncoder):
         return self._whiten(self.text_tower(texts), self.text_mean)
 
     def palette(self, vectors: Float[Tensor, "M D"]) -> Float[Tensor, "M colors 3"]:
-        """Four sRGB colours in [0, 1], each for a quarter of the pixels, that an embedding stands for."""
-        return self.palette_head(vectors * self.dim**0.5).sigmoid().unflatten(-1, (COLORS, 3))
+        """Eight sRGB colours from dark to light, each for an eighth of the pixels, that an embedding stands for.
+
+        They are linear in the embedding, and so may lie a little outside [0, 1].
+        """
+        return self.palette_head(vectors * self.dim**0.5).unflatten(-1, (KNOTS, 3))
 
     @torch.no_grad()
     def whiten(self, images: Float[Tensor, "N 3 H W"], texts: Sequence[str], *, floor: float = 0.02) -> None:
@@ -105,25 +114,24 @@ class ImageTower(nn.Module):
     def __init__(self, dim: int) -> None:
         super().__init__()
         self.texture = Texture()
-        self.colors = nn.Sequential(nn.Conv2d(3, 48, 1), nn.ReLU(), nn.Conv2d(48, 64, 1), nn.ReLU())
-        pooled = 2 * sum(TAP_CHANNELS) + 64
+        pooled = 2 * sum(TAP_CHANNELS)
         self.norm = nn.LayerNorm(pooled)
-        self.head = nn.Sequential(nn.Linear(pooled, 192), nn.GELU(), nn.Linear(192, dim))
+        self.head = nn.Sequential(nn.Linear(pooled + 3 * COLORS, 512), nn.GELU(), nn.Linear(512, dim))
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """Embed images of any size."""
         images = shorter_side(images, SIDE)
-        return self.join(self.textures(images), images)
+        return self.join(self.textures(images), ramp(images, COLORS))
 
     def textures(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M C"]:
         """Mean and deviation of the texture network's features at four scales, of images of the right size."""
         return torch.cat([pooled_moments(tap.float()) for tap in self.texture(images, TAPS)], dim=-1)
 
-    def join(self, textures: Float[Tensor, "M C"], images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """Embed images of which the textures are known."""
-        # One pixel in four of a picture has the same colours, at a quarter of the cost.
-        colors = self.colors((images[..., ::2, ::2] - 0.5) * 4).mean((-2, -1))
-        return F.normalize(self.head(self.norm(torch.cat([textures, colors], dim=-1))), dim=-1)
+    def join(self, textures: Float[Tensor, "M C"], colors: Float[Tensor, "M knots 3"]) -> Float[Tensor, "M D"]:
+        """Embed images of which the textures and the ramp are known."""
+        # Colours are spared the norm: how far they are from grey is what they say.
+        read = torch.cat([self.norm(textures), (colors.flatten(1) - 0.5) * 4], dim=-1)
+        return F.normalize(self.head(read), dim=-1)
 
 
 class TextTower(nn.Module):

@@ -100,7 +100,9 @@ def styles_of_a_batch_stay_apart(plugin: Plugin) -> None:
     with torch.no_grad():
         together = injector(tokens, style)
         for row in range(3):
-            alone = injector(replace(tokens, data=tokens.data[row : row + 1]), style[row : row + 1])
+            assert tokens.places is not None
+            one = replace(tokens, data=tokens.data[row : row + 1], places=tokens.places[row : row + 1])
+            alone = injector(one, style[row : row + 1])
             expect_close(
                 together.data[row : row + 1],
                 alone.data,
@@ -116,9 +118,11 @@ def views_have_no_order(plugin: Plugin) -> None:
     _train(injector, steps=3)
     tokens, style = _tokens(2, 3, (3, 5), 5, DIMS[0]), _style(2)
     turned = [2, 0, 1]
+    assert tokens.places is not None
+    other = replace(tokens, data=tokens.data[:, turned], places=tokens.places[:, turned])
     with torch.no_grad():
         expect_close(
-            injector(replace(tokens, data=tokens.data[:, turned]), style).data,
+            injector(other, style).data,
             injector(tokens, style).data[:, turned],
             what="tokens of views in another order",
             expected="the same tokens in that order",
@@ -166,8 +170,14 @@ def _make(plugin: Plugin, dim: int, seed: int = 0) -> Injector:
 
 
 def _tokens(batch: int, number: int, grid: tuple[int, int], special: int, dim: int) -> Tokens:
-    count = special + grid[0] * grid[1]
-    return Tokens(torch.randn(batch, number, count, dim, generator=generator(count)), grid=grid, special=special)
+    patches = grid[0] * grid[1]
+    count = special + patches
+    return Tokens(
+        torch.randn(batch, number, count, dim, generator=generator(count)),
+        grid=grid,
+        special=special,
+        places=torch.randn(batch, number, patches, 2, generator=generator(patches)),
+    )
 
 
 def _style(batch: int, seed: int = 0) -> Float[Tensor, "B D"]:

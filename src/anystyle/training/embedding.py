@@ -11,19 +11,20 @@ from torch import Tensor, nn
 
 from anystyle import perception
 from anystyle.contracts import SceneSource, StyleSource
-from anystyle.style_encoders.tiny import SIDE, Tiny, shorter_side
+from anystyle.perception.ramps import ramp
+from anystyle.style_encoders.tiny import COLORS, KNOTS, SIDE, Tiny, shorter_side
 from anystyle.training.contract import Training
 from anystyle.training.optim import decayed_groups, scheduled
-from anystyle.training.palette import palette_loss
 from anystyle.training.styles import StyleBatch, StyleBatches, TraitHeads
 
 
 class EmbeddingTraining(Training):
     """Bring pictures and captions of procedural styles into one space in which patterns and palettes are plain to see.
 
-    Contrast alone lets colours crowd out patterns, so both modalities must also name pattern and scale and give the
-    palette, each from the embedding alone. Part of the way through, centres and whitening are fixed and learning goes
-    on behind them.
+    Contrast alone lets colours crowd out patterns, so both modalities must also name pattern and scale, give the
+    palette and draw the pattern, each from the embedding alone; the latter two by linear maps, so that whoever reads
+    the embedding finds them with few examples, and so that mixtures of embeddings are mixtures of both. Part of the way
+    through, centres and whitening are fixed and learning goes on behind them.
 
     Args:
         style_encoder: What learns.
@@ -35,7 +36,9 @@ class EmbeddingTraining(Training):
         pool: Styles to draw from, kept in memory; none means all there are.
         feature_noise: Relative noise on remembered features, in place of variations of the pictures.
         names_weight: Of naming pattern, scale and brushwork.
-        palette_weight: Of the palette.
+        palette_weight: Of the palette, the squared error of the ramp as a share of what colours of any kind vary.
+        pattern_weight: Of the drawn pattern, likewise.
+        pattern_side: Of the drawing, in samples.
         noise_words: Share of captions with a word put in that means nothing.
         whiten_at: Where whitening is fixed, as a share of the training.
         whiten_on: How many styles it is computed from.
@@ -57,7 +60,9 @@ class EmbeddingTraining(Training):
         pool: int | None = 12000,
         feature_noise: float = 0.05,
         names_weight: float = 0.5,
-        palette_weight: float = 10.0,
+        palette_weight: float = 40.0,
+        pattern_weight: float = 10.0,
+        pattern_side: int = 64,
         noise_words: float = 0.2,
         whiten_at: float = 0.6,
         whiten_on: int = 2048,
@@ -76,13 +81,18 @@ class EmbeddingTraining(Training):
                     parameter.copy_(start[name])
         style_encoder.image_tower.texture.requires_grad_(tune_texture)
         self.tune_texture, self.feature_noise = tune_texture, feature_noise
-        self._textures: dict[int, Tensor] = {}
+        self._known: dict[int, tuple[Tensor, Tensor]] = {}
         self.batch_size, self.photos, self.pool = batch_size, photos, pool
-        self.names_weight, self.palette_weight, self.noise_words = names_weight, palette_weight, noise_words
+        self.names_weight, self.noise_words = names_weight, noise_words
+        self.palette_weight, self.pattern_weight = palette_weight, pattern_weight
         self.whiten_at, self.whiten_on = whiten_at, whiten_on
         self.learning_rate, self.texture_rate = learning_rate, texture_rate
         self.warmup, self.weight_decay, self.bf16 = warmup, weight_decay, bf16
         self.traits = TraitHeads(style_encoder.dim)
+        self.pattern_side = pattern_side
+        self.pattern = nn.Linear(style_encoder.dim, pattern_side**2)
+        nn.init.zeros_(self.pattern.weight)
+        nn.init.zeros_(self.pattern.bias)
         self.log_temperature = nn.Parameter(torch.tensor(0.07).log())
         self.source: StyleBatches | None = None
 
@@ -119,7 +129,10 @@ class EmbeddingTraining(Training):
         """Contrast between modalities, and what each must say of the style by itself."""
         styles = len(batch.texts)
         images = torch.cat([batch.images, batch.photos])
-        raw = self.varied_pictures(images) if self.tune_texture else self.known_pictures(images, batch.keys)
+        if self.tune_texture:
+            raw, colors = self.varied_pictures(images)
+        else:
+            raw, colors = self.known_pictures(images, batch.keys)
         pictures = self.style_encoder.from_image_tower(raw)
         captions = self.style_encoder.embed_texts(
             [_noisy(text, self.noise_words) for text in batch.texts + batch.photo_texts]
@@ -128,32 +141,55 @@ class EmbeddingTraining(Training):
         for name, vectors in (("image", pictures), ("text", captions)):
             named = self.traits.losses(self._scaled(vectors[:styles]), batch.traits)
             terms[f"{name}_names"] = torch.stack([*named.values()]).sum()
-            terms[f"{name}_palette"] = palette_loss(self.style_encoder.palette(vectors), images).mean()
-        weights = {"contrast": 1.0, "names": self.names_weight, "palette": self.palette_weight}
+            terms[f"{name}_palette"] = self.palette_error(vectors, colors)
+            terms[f"{name}_pattern"] = self.pattern_error(vectors[:styles], batch.patterns)
+        weights = {
+            "contrast": 1.0,
+            "names": self.names_weight,
+            "palette": self.palette_weight,
+            "pattern": self.pattern_weight,
+        }
         total = torch.stack([weights[name.split("_")[-1]] * value for name, value in terms.items()]).sum()
         self.log("train/loss", total, batch_size=styles, prog_bar=True)
         self.log_dict({f"train/{name}": value for name, value in terms.items()}, batch_size=styles)
         return total
 
-    def varied_pictures(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """What the image tower says of varied pictures; all of it learns."""
+    def palette_error(self, vectors: Float[Tensor, "M D"], colors: Float[Tensor, "M knots 3"]) -> Float[Tensor, ""]:
+        """How far the ramps that embeddings give back are off, as a share of what colours of any kind vary."""
+        wanted = F.adaptive_avg_pool1d(colors.mT, KNOTS).mT
+        return 12 * (self.style_encoder.palette(vectors) - wanted).square().mean()
+
+    def pattern_error(self, vectors: Float[Tensor, "M D"], patterns: Float[Tensor, "M r c"]) -> Float[Tensor, ""]:
+        """How far the drawn patterns are off, as a share of their distance from grey; nothing is turned or shifted."""
+        wanted = F.adaptive_avg_pool2d(patterns, self.pattern_side).flatten(1) - 0.5
+        return (self.pattern(self._scaled(vectors)) - wanted).square().mean() / wanted.square().mean().clamp_min(1e-6)
+
+    def varied_pictures(
+        self, images: Float[Tensor, "M 3 H W"]
+    ) -> tuple[Float[Tensor, "M D"], Float[Tensor, "M knots 3"]]:
+        """What the image tower says of varied pictures, and their ramps; all of it learns."""
         tower = self.style_encoder.image_tower
         small = shorter_side(varied(images), SIDE).contiguous(memory_format=torch.channels_last)
         with torch.autocast(images.device.type, torch.bfloat16, enabled=self.bf16):
             textures = tower.textures(small)
-        return tower.join(textures.float(), small)
+        colors = ramp(small, COLORS)
+        return tower.join(textures.float(), colors), colors
 
-    def known_pictures(self, images: Float[Tensor, "M 3 H W"], keys: tuple[int, ...]) -> Float[Tensor, "M D"]:
-        """What the image tower says of pictures whose textures are remembered; only what comes after learns."""
+    def known_pictures(
+        self, images: Float[Tensor, "M 3 H W"], keys: tuple[int, ...]
+    ) -> tuple[Float[Tensor, "M D"], Float[Tensor, "M knots 3"]]:
+        """What the image tower says of pictures whose textures and ramps are remembered; only what follows learns."""
         tower, small = self.style_encoder.image_tower, shorter_side(images, SIDE)
         with torch.no_grad():
             for place, key in enumerate(keys):
-                if key not in self._textures:
+                if key not in self._known:
                     # One by one, so that a picture's features do not depend on its company.
-                    self._textures[key] = tower.textures(small[place : place + 1])[0]
-        textures = torch.stack([self._textures[key] for key in keys])
+                    one = small[place : place + 1]
+                    self._known[key] = tower.textures(one)[0], ramp(one, COLORS)[0]
+        textures = torch.stack([self._known[key][0] for key in keys])
+        colors = torch.stack([self._known[key][1] for key in keys])
         textures = textures * (1 + self.feature_noise * torch.randn_like(textures))
-        return tower.join(textures, small)
+        return tower.join(textures, colors), colors
 
     def contrast(
         self, pictures: Float[Tensor, "M D"], captions: Float[Tensor, "M D"], photos: int
@@ -177,6 +213,7 @@ class EmbeddingTraining(Training):
         captions = self.style_encoder.embed_texts(batch.texts)
         similarity = pictures @ captions.T
         own = torch.arange(len(captions), device=similarity.device)
+        colors = ramp(shorter_side(batch.images, SIDE), COLORS)
         found = {
             "retrieval_image_to_text": (similarity.argmax(1) == own).float().mean(),
             "retrieval_text_to_image": (similarity.argmax(0) == own).float().mean(),
@@ -184,8 +221,8 @@ class EmbeddingTraining(Training):
         for name, vectors in (("image", pictures), ("text", captions)):
             named = self.traits.accuracies(self._scaled(vectors), batch.traits)
             found |= {f"{name}_{trait}": value for trait, value in named.items()}
-            palette = self.style_encoder.palette(vectors)
-            found[f"{name}_palette_rms"] = palette_loss(palette, batch.images).sqrt().mean()
+            found[f"{name}_palette_error"] = self.palette_error(vectors, colors)
+            found[f"{name}_pattern_error"] = self.pattern_error(vectors, batch.patterns)
         self.log_dict({f"val/{name}": value for name, value in found.items()}, batch_size=len(captions))
 
     def _scaled(self, vectors: Float[Tensor, "M D"]) -> Float[Tensor, "M D"]:

@@ -81,4 +81,6 @@ def stack_styles(rows: Sequence[Style]) -> Style:
         )
     texts = tuple(text for row in rows for text in (row.text or ("",)))
     names = tuple(name for row in rows for name in row.names)
-    return Style(image=image, text=texts if any(texts) else None, has_image=has_image, names=names)
+    known = [row.pattern for row in rows if row.pattern is not None]
+    pattern = torch.cat(known) if len(known) == len(rows) else None
+    return Style(image=image, text=texts if any(texts) else None, has_image=has_image, names=names, pattern=pattern)

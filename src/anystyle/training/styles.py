@@ -44,6 +44,7 @@ class StyleBatch(Value):
         traits: The number of each style's answer to each of :data:`TRAITS`.
         photos: Pictures of scenes, as large as the styles.
         photo_texts: A caption of each.
+        patterns: The patterns alone; see :attr:`anystyle.types.Style.pattern`.
         keys: One number a picture, styles first; equal numbers mean equal pictures.
     """
 
@@ -52,6 +53,7 @@ class StyleBatch(Value):
     traits: Int[Tensor, "M T"]
     photos: Float[Tensor, "P 3 H W"]
     photo_texts: tuple[str, ...]
+    patterns: Float[Tensor, "M r c"]
     keys: tuple[int, ...] = ()
 
     @property
@@ -69,7 +71,7 @@ class MadeStyles(Protocol):
         ...
 
     def read(self, style: int) -> Style:
-        """One style with an image and a text."""
+        """One style with an image, a text and its pattern alone."""
         ...
 
     def traits(self, style: int) -> StyleTraits:
@@ -113,7 +115,7 @@ class StyleBatches:
         if self.pool < batch_size:
             raise ValueError(f"a batch of {batch_size} needs as many styles, and there are {self.pool}")
         self.batch_size, self.photos, self.photo_pool = batch_size, photos, photo_pool
-        self._styles: dict[int, tuple[Tensor, str, Tensor]] = {}
+        self._styles: dict[int, tuple[Tensor, str, Tensor, Tensor]] = {}
         self._photos: dict[int, Tensor] = {}
 
     def batch(self, step: int, rank: int = 0, world: int = 1) -> StyleBatch:
@@ -133,9 +135,10 @@ class StyleBatches:
                 f"set styles.size and scenes.size to the same"
             )
         return StyleBatch(
-            images=torch.stack([image for image, _, _ in rows]).float() / 255,
-            texts=tuple(text for _, text, _ in rows),
-            traits=torch.stack([traits for _, _, traits in rows]),
+            images=torch.stack([image for image, *_ in rows]).float() / 255,
+            texts=tuple(text for _, text, *_ in rows),
+            traits=torch.stack([traits for _, _, traits, _ in rows]),
+            patterns=torch.stack([pattern for *_, pattern in rows]),
             photos=(torch.stack(photos) if photos else rows[0][0].new_empty(0, *rows[0][0].shape)).float() / 255,
             photo_texts=texts,
             # Styles count up from 0, photographs down from -1.
@@ -145,21 +148,22 @@ class StyleBatches:
     def examples(self, count: int) -> StyleBatch:
         """The first styles of the pool, up to ``count``, without photographs."""
         rows = [self._style(style) for style in range(min(count, self.pool))]
-        images = torch.stack([image for image, _, _ in rows]).float() / 255
+        images = torch.stack([image for image, *_ in rows]).float() / 255
         return StyleBatch(
             images=images,
-            texts=tuple(text for _, text, _ in rows),
-            traits=torch.stack([traits for _, _, traits in rows]),
+            texts=tuple(text for _, text, *_ in rows),
+            traits=torch.stack([traits for _, _, traits, _ in rows]),
+            patterns=torch.stack([pattern for *_, pattern in rows]),
             photos=images[:0],
             photo_texts=(),
         )
 
-    def _style(self, style: int) -> tuple[Tensor, str, Tensor]:
+    def _style(self, style: int) -> tuple[Tensor, str, Tensor, Tensor]:
         if style not in self._styles:
             source, traits = self.styles.read(style), self.styles.traits(style)
-            assert source.image is not None and source.text is not None
+            assert source.image is not None and source.text is not None and source.pattern is not None
             answers = torch.tensor([getattr(traits, name) for name in TRAITS])
-            self._styles[style] = (source.image[0] * 255).round().byte(), source.text[0], answers
+            self._styles[style] = (source.image[0] * 255).round().byte(), source.text[0], answers, source.pattern[0]
         return self._styles[style]
 
     def _photo(self, photo: int) -> Tensor:

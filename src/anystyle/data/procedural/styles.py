@@ -1,6 +1,7 @@
 """Captioned paintings made on the fly: palettes x patterns x scales x brushwork."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from typing import Literal
 
@@ -13,7 +14,7 @@ from anystyle.contracts import StyleSource
 from anystyle.data.procedural.captions import DIRECTIONS, SCALES, describe
 from anystyle.data.procedural.layout import Draw, unit_circle
 from anystyle.data.procedural.palettes import COLORS
-from anystyle.data.procedural.patterns import BRUSHWORK, FREQUENCY, PATTERNS, WASH, paint
+from anystyle.data.procedural.patterns import BRUSHWORK, FREQUENCY, PATTERNS, PRINT, WASH, paint
 from anystyle.data.procedural.volumes import scramble, volumes
 from anystyle.types import Style
 
@@ -23,6 +24,9 @@ HOLD = 6
 # Patterns that look the same upside down turn freely; the others keep a direction that a caption may tell.
 DIRECTED = ("stripes", "waves", "zigzag")
 UPRIGHT = ("bricks", "scales", "plaid", "wash", "plain")
+# Turns of the directions, and periods of the scales as a share of the middle one's.
+TURN = (0.0, 0.5 * np.pi, 0.25 * np.pi)
+SCALE = (1.7, 1.0, 0.59)
 
 
 @dataclass(frozen=True)
@@ -110,6 +114,7 @@ class ProceduralStyles(StyleSource):
             image=_paint(draw, traits, self.size),
             text=(text,),
             names=(f"{self.split}-{self.seed}-{style:05d}",),
+            pattern=pattern_alone(traits.pattern, traits.scale, traits.direction)[None],
         )
 
     def traits(self, style: int) -> StyleTraits:
@@ -175,16 +180,34 @@ def _palette(draw: Draw, colors: tuple[int, ...], *, plain: bool) -> Float[Tenso
     return torch.from_numpy(np.stack(rows)).float()
 
 
+@lru_cache(maxsize=256)
+def pattern_alone(pattern: int, scale: int, direction: int) -> Float[Tensor, "96 96"]:
+    """The light of a pattern printed in black and white, in [0, 1]: from its origin, upright unless it has a direction.
+
+    Args:
+        pattern: Index in :data:`anystyle.data.procedural.patterns.PATTERNS`.
+        scale: Index in :data:`anystyle.data.procedural.captions.SCALES`.
+        direction: Index in :data:`anystyle.data.procedural.captions.DIRECTIONS`, or -1.
+    """
+    image = np.empty((96, 96, 3))
+    frequency = FREQUENCY[pattern] * SCALE[scale]
+    turn = np.array(unit_circle(TURN[direction] if direction >= 0 else 0.0))
+    palette = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    paint(pattern, PRINT, frequency, turn, np.zeros(2), palette, 0, volumes(), image)
+    return torch.from_numpy(image[..., 0]).float()
+
+
 def _paint(draw: Draw, traits: StyleTraits, size: int) -> Float[Tensor, "1 3 H W"]:
     name = PATTERNS[traits.pattern]
     if traits.direction >= 0:
-        angle = (0.0, 0.5 * np.pi, 0.25 * np.pi * (1 if draw.chance(0.5) else -1))[traits.direction]
+        rising = draw.chance(0.5)
+        angle = TURN[traits.direction] * (1 if rising or DIRECTIONS[traits.direction] != "diagonal" else -1)
         angle += draw.between(-0.12, 0.12)
     elif name in UPRIGHT:
         angle = draw.between(-0.12, 0.12) + (np.pi if traits.pattern == WASH and draw.chance(0.5) else 0.0)
     else:
         angle = draw.between(-np.pi, np.pi)
-    frequency = FREQUENCY[traits.pattern] * (1.7, 1.0, 0.59)[traits.scale] * draw.between(0.85, 1.15)
+    frequency = FREQUENCY[traits.pattern] * SCALE[traits.scale] * draw.between(0.85, 1.15)
     image = np.empty((size, size, 3))
     paint(
         traits.pattern,
