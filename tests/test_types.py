@@ -21,6 +21,28 @@ def test_the_inverse_pose_is_the_inverse_matrix_under_autocast_too():
         torch.testing.assert_close(given.camera_from_world, expected, rtol=1e-5, atol=1e-5)
 
 
+def test_places_of_the_first_view_are_its_own_pixels_and_a_point_has_one_place_in_all_views():
+    given = cameras()
+    depth = torch.rand(2, 3, 6, 8) + 0.5
+    geometry = Geometry(given, depth, depth)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        places = geometry.places((6, 8))
+    x, y = (torch.arange(8) + 0.5) / 4 - 1, (torch.arange(6) + 0.5) / 3 - 1
+    own = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1).flatten(0, 1).expand(2, -1, -1)
+    torch.testing.assert_close(places[:, 0], own, rtol=1e-4, atol=1e-4)
+    # Points of the other views in the first camera's axes, by its matrix and its lens.
+    points = geometry.points().flatten(2, 3).double()
+    seen = points @ given.camera_from_world[:, :1, :3, :3].double().mT + given.camera_from_world[:, :1, None, :3, 3]
+    image = seen @ given.intrinsics[:, :1].double().mT / seen[..., 2:].abs()
+    front = seen[..., 2] > 0.1
+    expected = image[..., :2] / torch.tensor([4.0, 3.0]) - 1
+    assert front[:, 1:].any()
+    torch.testing.assert_close(places[front].double(), expected[front], rtol=1e-3, atol=1e-3)
+    coarse = geometry.places((2, 4)).unflatten(2, (2, 4))
+    whole = places.unflatten(2, (6, 8))
+    torch.testing.assert_close(coarse[:, :, 1, 2], whole[:, :, 3:, 4:6].mean((2, 3)), rtol=1e-4, atol=1e-4)
+
+
 def test_points_project_back_to_their_pixels():
     given = cameras()
     depth = torch.rand(2, 3, 6, 8) + 0.5

@@ -9,7 +9,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from anystyle.data.procedural.captions import MEDIA, SCALES, WORDS
+from anystyle.data.procedural.captions import DIRECTIONS, MEDIA, SCALES, WORDS
 from anystyle.data.procedural.palettes import COLORS
 from anystyle.data.procedural.patterns import BRUSHWORK, FREQUENCY, PATTERNS, PRINT
 from anystyle.data.procedural.styles import ProceduralStyles, is_held_out
@@ -88,6 +88,27 @@ def test_reading_is_random_access_and_does_not_depend_on_the_size_of_the_source(
         assert left.text == right.text
         assert torch.equal(left.image, right.image)
     assert a.traits(7).colors == b.traits(7).colors
+
+
+def test_the_pattern_alone_is_that_of_all_styles_of_its_kind_and_upright():
+    source = ProceduralStyles(size=24, num_styles=400)
+    kinds: dict[tuple[int, int, int], torch.Tensor] = {}
+    for style in range(len(source)):
+        traits = source.traits(style)
+        pattern = source.read(style).pattern
+        assert pattern.shape == (1, 96, 96)
+        assert 0 <= pattern.min() <= pattern.max() <= 1
+        assert torch.equal(kinds.setdefault((traits.pattern, traits.scale, traits.direction), pattern), pattern)
+    stripes = PATTERNS.index("stripes")
+    for (kind, scale, direction), pattern in kinds.items():
+        if kind == stripes and DIRECTIONS[direction] != "diagonal":
+            along, across = pattern[0].std(1).mean(), pattern[0].std(0).mean()
+            assert (along < 0.01) == (DIRECTIONS[direction] == "horizontal")
+            assert (across < 0.01) == (DIRECTIONS[direction] == "vertical")
+            lines = pattern[0].mean(1 if along < across else 0)
+            frequency = torch.fft.rfft(lines - lines.mean()).abs().argmax()
+            assert frequency == pytest.approx(FREQUENCY[stripes] * (1.7, 1.0, 0.59)[scale], abs=0.6)
+    assert any(kind == stripes for kind, *_ in kinds)
 
 
 def test_max_colors_bounds_the_palette():

@@ -1,10 +1,12 @@
 """What each injector computes, against its paper's formula written out; what all share is in their contract."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from scipy import ndimage
 from scipy.special import expit, softmax
 
 from anystyle.contracts import Injector
@@ -13,6 +15,7 @@ from anystyle.injectors.cross_attention import CrossAttention
 from anystyle.injectors.film import FiLM
 from anystyle.injectors.hypernetwork import HyperNetwork
 from anystyle.injectors.lora import LoRA
+from anystyle.injectors.ramp_texture import RampTexture, between_knots
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.registry.catalog import catalog
 from anystyle.testing import assert_contract
@@ -160,6 +163,70 @@ def test_attention_does_different_things_to_different_tokens_and_a_shift_does_no
         assert (bool((added.std(dim=(1, 2)) > 1e-3).any())) is varies
 
 
+def _placed(tokens: Tokens, places: torch.Tensor) -> Tokens:
+    return replace(tokens, places=places)
+
+
+def _mirrored(places: np.ndarray) -> np.ndarray:
+    """What lies beyond [-1, 1] folded back."""
+    return 1 - np.abs((places + 1) % 4 - 2)
+
+
+def test_ramp_texture_is_the_formula():
+    knots, size = 5, 6
+    injector = _trained(RampTexture, knots=knots, size=size, width=7)
+    tokens, style = _tokens().to(torch.float64), _style().double()
+    # Far beyond the border too, but away from it, where neighbours are cut off.
+    places = 1.6 * torch.randn(2, 3, 6, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
+    given = injector(_placed(tokens, places), style).data.detach().numpy()
+    np.testing.assert_array_equal(given[:, :, :2], tokens.data.numpy()[:, :, :2])
+    for scene, vector in enumerate(style):
+        x = tokens.patches[scene].numpy()
+        normed = (x - x.mean((0, 1))) / np.sqrt(x.var((0, 1)) + 1e-3)
+        light = injector.light(torch.from_numpy(np.concatenate([x, normed], -1))).detach().numpy()
+        texture = injector.texture(vector).detach().numpy().reshape(size, size)
+        across = (_mirrored(places[scene].numpy()) + 1) * size / 2 - 0.5  # in samples; x, then y
+        laid = ndimage.map_coordinates(texture, [across[..., 1], across[..., 0]], order=1, mode="nearest")
+        place = 0.5 + light[..., 0] + laid
+        inside = np.clip(place, 0, 1)
+        along = (inside + 0.01 * (place - inside)) * (knots - 1)
+        share = np.maximum(1 - np.abs(along[..., None] - np.arange(knots)), 0)
+        made = share @ injector.ramp(vector).detach().numpy().reshape(knots, DIM) + light[..., 1:]
+        expected = x + injector.gate.detach().numpy() * (made - x)
+        np.testing.assert_allclose(given[scene, :, 2:], expected, rtol=1e-9, atol=1e-9)
+
+
+def test_between_two_styles_the_ramp_and_the_texture_are_between_theirs():
+    injector = _trained(RampTexture, knots=4, size=3)
+    with torch.no_grad():
+        injector.texture.weight.zero_()  # places of tokens stay, and so colours are linear in the style
+    tokens, style = _tokens(batch=1).to(torch.float64), _style().double()
+    ends = [injector(tokens, one[None]).data for one in style]
+    middle = injector(tokens, style.mean(0, keepdim=True)).data
+    torch.testing.assert_close(middle, (ends[0] + ends[1]) / 2)
+
+
+def test_without_places_there_is_no_texture():
+    injector = _trained(RampTexture, size=3)
+    tokens, style = _tokens().to(torch.float64), _style().double()
+    bare = injector(tokens, style).data
+    with torch.no_grad():
+        injector.texture.weight.zero_()
+        injector.texture.bias.zero_()
+    laid = injector(_placed(tokens, torch.zeros(2, 3, 6, 2, dtype=torch.float64)), style).data
+    torch.testing.assert_close(bare, laid)
+
+
+def test_weights_of_knots_are_linear_interpolation_and_lead_back_from_beyond():
+    place = torch.tensor([[0.0, 0.1, 0.5, 1.0, 1.5]], dtype=torch.float64, requires_grad=True)
+    weights = between_knots(place, 5)
+    expected = [[1, 0, 0, 0, 0], [0.6, 0.4, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 0, 1], [0, 0, 0, 0, 0.98]]
+    torch.testing.assert_close(weights[0], torch.tensor(expected, dtype=torch.float64))
+    (weights[0, 4, 4]).backward()
+    assert place.grad is not None
+    assert place.grad[0, 4] < 0
+
+
 @pytest.mark.parametrize(
     ("name", "options"),
     [
@@ -169,6 +236,7 @@ def test_attention_does_different_things_to_different_tokens_and_a_shift_does_no
         ("hypernetwork", {"width": 1, "hidden": 4, "special_tokens": True}),
         ("lora", {"rank": 1, "special_tokens": True}),
         ("lora", {"rank": 500}),
+        ("ramp_texture", {"knots": 2, "size": 2, "width": 4, "gain": 11.3}),
     ],
 )
 def test_contract_with_other_options(name, options):
@@ -190,6 +258,7 @@ def test_contract_with_other_options(name, options):
         (lambda: LoRA(dim=4, style_dim=4, rank=0), r"injector\.rank is 0; give at least 1"),
         (lambda: CrossAttention(dim=4, style_dim=4, num_tokens=1), r"num_tokens=1.* give at least 2, 1 and 1"),
         (lambda: CrossAttention(dim=4, style_dim=4, heads=0), "heads=0"),
+        (lambda: RampTexture(dim=4, style_dim=4, knots=1), r"knots=1, size=64 and width=32 are too few"),
     ],
 )
 def test_bad_options_are_refused(make, told):

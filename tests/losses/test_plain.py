@@ -1,6 +1,7 @@
 """Losses on images, depths and colours against closed forms."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -102,6 +103,29 @@ def test_palette_ramp_is_the_transcription_with_scipy_and_numpy() -> None:
     only_second = stylization(rendered, photographs, style, has_image=torch.tensor([False, True]))
     assert PaletteRamp(knots=knots)(only_second).item() == pytest.approx(errors[1], rel=1e-4)
     assert PaletteRamp()(stylization(rendered, photographs)) == 0
+
+
+def test_palette_ramp_lays_the_pattern_over_the_scene_from_the_first_camera() -> None:
+    photographs, style = smooth_image(21, [1, 2, 3, 12, 16]), smooth_image(22, [1, 3, 16, 24])
+    columns = (torch.arange(16) % 4 < 2).float().expand(12, 16)
+    given = cameras(1, 2, (12, 16))  # both views look the same way from the same place
+    flat = torch.ones(1, 2, 12, 16)
+    result = stylization(photographs, photographs, style, geometry=Geometry(given, flat, flat))
+    result = replace(result, style=replace(result.style, pattern=columns[None]))
+    colors = ramp(style, 8)
+    light = shares(luma(photographs))
+    # Where the pattern is dark, the darker half of the ramp, whatever the photograph.
+    whole = PaletteRamp(knots=8, pattern=1.0).target(result, colors)
+    place = (stats.rankdata(columns.expand(1, 2, 12, 16).flatten().numpy(), method="ordinal") - 1) / 384
+    expected = np.stack([np.interp(place * 7, np.arange(8), colors[0, :, c].numpy()) for c in range(3)])
+    np.testing.assert_allclose(whole[0].movedim(1, 0).flatten(1), expected, atol=1e-5)
+    # Half and half, every share of the ramp is still met once, and the lightest and darkest pixels are given back.
+    half = PaletteRamp(knots=8, pattern=0.5, shade=0.4).target(result, colors)
+    plain = painted(shares(0.5 * light + 0.5 * columns), colors) * (1 + 0.4 * (2 * light - 1))[:, :, None]
+    torch.testing.assert_close(half, plain.clamp(0, 1))
+    torch.testing.assert_close(PaletteRamp(knots=8).target(result, colors), painted(light, colors).clamp(0, 1))
+    with pytest.raises(ValueError, match=r"palette_ramp\.shade is 2.0; give a share"):
+        PaletteRamp(shade=2.0)
 
 
 def test_palette_ramp_of_two_colours_parts_light_from_dark_whatever_the_exposure() -> None:

@@ -8,6 +8,7 @@ from anystyle.contracts import neutral_embedding
 from anystyle.data.procedural.scenes import ProceduralScenes
 from anystyle.data.procedural.styles import ProceduralStyles
 from anystyle.perception import weights
+from anystyle.perception.ramps import ramp
 from anystyle.style_encoders.tiny import Tiny
 from anystyle.training.palette import palette_loss
 
@@ -64,6 +65,14 @@ def test_embeddings_tell_the_palette(encoder: Tiny, heldout: dict[str, torch.Ten
         assert own < 0.6 * other
 
 
+def test_palettes_are_the_ramps_of_pictures_from_dark_to_light(encoder: Tiny, heldout: dict[str, torch.Tensor]) -> None:
+    """To 3 % of what ramps vary for pictures; a caption leaves shades and shares open."""
+    wanted = ramp(heldout["images"], 8)
+    varies = (wanted - wanted.mean(0)).square().mean()
+    for kind, left in (("pictures", 0.03), ("captions", 0.35)):
+        assert (encoder.palette(heldout[kind]) - wanted).square().mean() < left * varies
+
+
 def test_two_named_colours_come_out_as_two(encoder: Tiny) -> None:
     wanted = {
         "orange and navy stripes": ((240, 126, 28), (20, 32, 88)),
@@ -80,4 +89,5 @@ def test_photographs_lie_at_the_neutral_prompt(encoder: Tiny, heldout: dict[str,
     scenes = ProceduralScenes(size=64, split="heldout", num_scenes=8, views=2)
     photos = torch.cat([scenes.read(scene, [0]).images[0] for scene in range(8)])
     neutral = neutral_embedding(encoder)[0]
-    assert (encoder.embed_images(photos) @ neutral).mean() > (heldout["pictures"] @ neutral).mean() + 0.4
+    # The one that is farthest from it is still nearer than all but a few pictures of styles.
+    assert (encoder.embed_images(photos) @ neutral).min() > (heldout["pictures"] @ neutral).quantile(0.98)
