@@ -232,6 +232,16 @@ class Injector(Socket, nn.Module, ABC):
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
         """Tokens of the same shape, grid and kind."""
 
+    def fit(self, embeddings: Float[Tensor, "N K D"], examples: Style) -> None:
+        """Take from examples of styles what has a closed form, once and before training; nothing unless overridden.
+
+        The injector stays the identity.
+
+        Args:
+            embeddings: ``K`` of each example, such as its image's and its text's.
+            examples: ``N`` styles.
+        """
+
 
 class Placement(Socket, ABC):
     """Which of a backbone's sites style enters."""

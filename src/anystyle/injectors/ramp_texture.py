@@ -8,8 +8,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Injector
+from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.geometry.texture import sample_texture
-from anystyle.types import Tokens
+from anystyle.perception.ramps import ramp
+from anystyle.types import Style, Tokens
+
+REACH = 0.7
+"""How far of the ramp the drawn pattern moves a token, from its dark to its light, before anything is learnt."""
 
 
 class RampTexture(Injector):
@@ -30,6 +35,8 @@ class RampTexture(Injector):
         knots: Of the ramp.
         size: Side of the texture, in samples.
         width: Of the small network's hidden layers.
+        fitted: Whether ramp and texture stay as :meth:`fit` made them and only the reading of light learns. Gradients
+            come from one text and one image at a time and wear the ramps of all others down to what lies between.
         gain: Of the embedding and of the gate. A unit vector's entries shrink with its dimensions, and with them what
             a style changes at first; the root of ``style_dim`` makes up for it where training is short.
 
@@ -40,14 +47,22 @@ class RampTexture(Injector):
     reads_places: ClassVar[bool] = True
 
     def __init__(
-        self, *, dim: int, style_dim: int, knots: int = 8, size: int = 64, width: int = 32, gain: float = 1.0
+        self,
+        *,
+        dim: int,
+        style_dim: int,
+        knots: int = 8,
+        size: int = 64,
+        width: int = 32,
+        fitted: bool = False,
+        gain: float = 1.0,
     ) -> None:
         super().__init__()
         if knots < 2 or size < 1 or width < 1:
             raise ValueError(
                 f"injector.knots={knots}, size={size} and width={width} are too few; give at least 2, 1 and 1"
             )
-        self.knots, self.size = knots, size
+        self.channels, self.knots, self.size = dim, knots, size
         self.gain = gain
         self.ramp = nn.Linear(style_dim, knots * dim)
         self.texture = nn.Linear(style_dim, size * size)
@@ -57,6 +72,8 @@ class RampTexture(Injector):
         self.gate = nn.Parameter(torch.zeros(dim))
         nn.init.zeros_(self.texture.weight)
         nn.init.zeros_(self.texture.bias)
+        self.ramp.requires_grad_(not fitted)
+        self.texture.requires_grad_(not fitted)
 
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
         """Put the tokens onto the style's ramp; special ones stay, and without places there is no texture."""
@@ -72,6 +89,32 @@ class RampTexture(Injector):
         ramp = self.ramp(code).unflatten(-1, (self.knots, -1))
         made = torch.bmm(between_knots(place, self.knots), ramp) + read[..., 1:]
         return tokens.with_patches(torch.lerp(rows, made, self.gain * self.gate).view_as(patches))
+
+    @torch.no_grad()
+    def fit(self, embeddings: Float[Tensor, "N K D"], examples: Style) -> None:
+        """Solve for the ramp, where tokens are colours as harmonics of degree 0, and for the texture.
+
+        Both are linear in the embedding, so that least squares give at once what steps of gradients are long in
+        finding: the embedding's directions differ in length by orders of magnitude.
+        """
+        rows = torch.ones(len(embeddings), dtype=torch.bool) if examples.has_image is None else examples.has_image
+        code = self.gain * embeddings
+        if examples.image is not None and self.channels == 3:
+            colors = constant_from_rgb(ramp(examples.image[rows], self.knots))
+            solve(self.ramp, code[rows], colors.flatten(1))
+        if examples.pattern is not None:
+            drawn = F.adaptive_avg_pool2d(examples.pattern, self.size)
+            solve(self.texture, code, REACH * (drawn - 0.5).flatten(1))
+
+
+def solve(layer: nn.Linear, inputs: Float[Tensor, "N K D"], outputs: Float[Tensor, "N F"]) -> None:
+    """Set a layer to what maps each of ``K`` inputs to one output with the least squares (ridge regression)."""
+    design = F.pad(inputs.flatten(0, 1), (0, 1), value=1.0).double()
+    wanted = design.T @ outputs.repeat_interleave(inputs.shape[1], 0).double()
+    penalty = 1e-6 * len(design) * torch.eye(design.shape[1], device=design.device)
+    found = torch.linalg.solve(design.T @ design + penalty, wanted)
+    layer.weight.copy_(found[:-1].T)
+    layer.bias.copy_(found[-1])
 
 
 def between_knots(place: Float[Tensor, "B N"], knots: int) -> Float[Tensor, "B N knots"]:

@@ -33,6 +33,12 @@ class Training(Socket, pl.LightningModule, ABC):
     def exports(self) -> Mapping[str, nn.Module]:
         """What the run is for: modules to be written as weights files, by the part they are."""
 
+    def begin(self) -> None:
+        """What comes before the first step of a run that is not continued; nothing unless overridden.
+
+        It comes after :meth:`batches`, in every process alike, and before anything is shared out among them.
+        """
+
     def units(self) -> Sequence[nn.Module]:
         """Parts of what is exported that ``trainer=fsdp`` gathers one at a time; the rest is gathered as one."""
         return ()

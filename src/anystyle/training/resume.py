@@ -115,6 +115,8 @@ def trial(config: DictConfig, out: Path) -> Iterator[tuple[DictConfig, Path]]:
     assert isinstance(short, DictConfig)
     if "preview_every" in short.training:
         OmegaConf.update(short, "training.preview_every", 1)
+    if "examples" in short.training:
+        OmegaConf.update(short, "training.examples", min(16, short.training.examples))
     folder = out / ".trial"
     if leads():
         shutil.rmtree(folder, ignore_errors=True)

@@ -95,6 +95,8 @@ def _train(config: DictConfig, out: Path) -> Outcome:
     torch.manual_seed(config.seed)
     training = make_training(config)
     data = make_data(config, training, sources)
+    if not resume:
+        training.begin()
     with warnings.catch_warnings():
         # Lightning advises on choices that are made on purpose here.
         warnings.filterwarnings("ignore", module=r"lightning\..*")

@@ -10,12 +10,13 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor, nn
 
-from anystyle.contracts import Loss, SceneSource, StyleSource, neutral_embedding
+from anystyle.contracts import Injector, Loss, SceneSource, StyleSource, neutral_embedding
 from anystyle.files import atomic_path
 from anystyle.stylizer import Stylizer
 from anystyle.training.contract import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.feature_store import FeaturePlace, without_stem
+from anystyle.training.fitting import stack_styles
 from anystyle.training.loggers import Picture, show
 from anystyle.training.optim import check_rates, check_steps, scheduled, trainable
 from anystyle.training.sampling import check_counts, generator
@@ -50,6 +51,8 @@ class StylizationTraining(Training):
         learning_rate: Of the head and of all injectors of the head.
         head_rate: Times ``learning_rate``, for the head's copy; below 1 the injectors lead (published: 1).
         aggregator_rate: Times ``learning_rate``, for the aggregator's copy and its injectors, as published.
+        examples: So many styles are shown to the injectors before the first step, for what has a closed form; see
+            :meth:`anystyle.contracts.Injector.fit` (published: 0).
         learn_copies: Whether the copied parts learn beside the injectors; without, ``injector=lora`` is LoRA proper.
         betas: Of AdamW.
         warmup: Steps of the warm-up.
@@ -82,6 +85,7 @@ class StylizationTraining(Training):
         learning_rate: float = 1e-4,
         head_rate: float = 1.0,
         aggregator_rate: float = 0.3,
+        examples: int = 0,
         learn_copies: bool = True,
         betas: Sequence[float] = (0.9, 0.95),
         warmup: int = 100,
@@ -97,7 +101,7 @@ class StylizationTraining(Training):
                 raise ValueError(f"training.{name} is {share}; give a share between 0 and 1")
         check_counts(decay_steps=decay_steps)
         check_rates(learning_rate=learning_rate, head_rate=head_rate, aggregator_rate=aggregator_rate)
-        check_steps(warmup=warmup, preview_every=preview_every, cache_scenes=cache_scenes)
+        check_steps(warmup=warmup, preview_every=preview_every, cache_scenes=cache_scenes, examples=examples)
         if len(betas) != 2 or not all(0 <= beta < 1 for beta in betas):
             raise ValueError(f"training.betas={list(betas)}: give two numbers of at least 0 and below 1")
         if not losses:
@@ -109,7 +113,9 @@ class StylizationTraining(Training):
             )
         self.stylizer = stylizer
         if not learn_copies:
-            stylizer.branch.requires_grad_(False).injectors.requires_grad_()
+            for copied in (stylizer.branch.aggregator, stylizer.branch.gaussian_head):
+                if copied is not None:
+                    copied.requires_grad_(False)
         self.terms = nn.ModuleDict(losses)
         self.images, self.batch_size = images, batch_size
         self.context_views, self.view_power = context_views, view_power
@@ -121,10 +127,12 @@ class StylizationTraining(Training):
         self.learning_rate, self.betas = learning_rate, betas
         self.head_rate, self.aggregator_rate = head_rate, aggregator_rate
         self.warmup, self.weight_decay = warmup, weight_decay
+        self.examples = examples
         self.floor, self.decay_steps = floor, decay_steps
         self.preview_every, self.preview_texts = preview_every, preview_texts
         self.seed = 0
         self._source: SceneBatches | None = None
+        self._styles: StyleSource | None = None
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -133,7 +141,7 @@ class StylizationTraining(Training):
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
         """Scenes with one style each."""
-        self.seed = seed
+        self.seed, self._styles = seed, styles
         if self.features is not None:
             self.encoded.store = self.features.store(
                 seed=seed, spread=self.spread, flip=self.flip, context_views=list(self.context_views)
@@ -154,6 +162,17 @@ class StylizationTraining(Training):
             pool=self.pool,
         )
         return self._source
+
+    def begin(self) -> None:
+        """Show the injectors some examples of styles, as images and as texts."""
+        if not self.examples:
+            return
+        styles = required(self._styles, "styles")
+        shown = stack_styles([styles.read(style) for style in range(min(self.examples, len(styles)))])
+        ways = [style_vectors(self.stylizer, shown, as_text=as_text) for as_text in (False, True)]
+        for injector in self.stylizer.branch.injectors.children():
+            assert isinstance(injector, Injector)
+            injector.fit(torch.stack(ways, dim=1), shown)
 
     def exports(self) -> Mapping[str, nn.Module]:
         """The style branch."""
