@@ -15,11 +15,11 @@ from anystyle.injectors.cross_attention import CrossAttention
 from anystyle.injectors.film import FiLM
 from anystyle.injectors.hypernetwork import HyperNetwork
 from anystyle.injectors.lora import LoRA
-from anystyle.injectors.ramp_texture import RampTexture, between_knots
+from anystyle.injectors.ramp_texture import REACH, RampTexture, between_knots
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.registry.catalog import catalog
 from anystyle.testing import assert_contract
-from anystyle.types import Tokens
+from anystyle.types import Style, Tokens
 
 DIM, STYLE = 12, 5
 ALL = [AdaLN, CrossAttention, FiLM, HyperNetwork, LoRA, ZeroConv]
@@ -215,6 +215,40 @@ def test_without_places_there_is_no_texture():
         injector.texture.bias.zero_()
     laid = injector(_placed(tokens, torch.zeros(2, 3, 6, 2, dtype=torch.float64)), style).data
     torch.testing.assert_close(bare, laid)
+
+
+@pytest.mark.parametrize("fitted", [False, True])
+def test_fit_is_least_squares_of_both_modalities(fitted):
+    generator = torch.Generator().manual_seed(4)
+    count, knots, size = 60, 4, 3
+    embeddings = torch.randn(count, 2, STYLE, generator=generator)
+    images = torch.rand(count, 3, 1, 1, generator=generator).expand(-1, -1, 4, 4).clone()  # one colour each
+    patterns = torch.rand(count, 6, 6, generator=generator)
+    has_image = torch.arange(count) % 3 > 0
+    injector = RampTexture(dim=3, style_dim=STYLE, knots=knots, size=size, fitted=fitted, gain=2.0)
+    injector.fit(embeddings, Style(image=images, has_image=has_image, pattern=patterns))
+
+    design = np.concatenate([2 * embeddings.numpy(), np.ones((count, 2, 1))], -1)
+    blocks = patterns.numpy().reshape(count, 3, 2, 3, 2).mean((2, 4)).reshape(count, -1)
+    colors = (images[:, :, 0, 0].numpy() - 0.5) * 2 * math.sqrt(math.pi)
+    for layer, rows, wanted in (
+        (injector.ramp, has_image.numpy(), np.tile(colors, knots)),
+        (injector.texture, np.full(count, True), REACH * (blocks - 0.5)),
+    ):
+        found, *_ = np.linalg.lstsq(design[rows].reshape(-1, STYLE + 1), np.repeat(wanted[rows], 2, axis=0), rcond=None)
+        given = torch.cat([layer.weight, layer.bias[:, None]], 1).detach().numpy().T
+        np.testing.assert_allclose(given, found, atol=1e-4)
+    learning = {name.split(".")[0] for name, value in injector.named_parameters() if value.requires_grad}
+    assert learning == ({"light", "gate"} if fitted else {"light", "gate", "ramp", "texture"})
+    tokens = _placed(_tokens(dim=3), torch.zeros(2, 3, 6, 2))
+    assert torch.equal(injector(tokens, _style()).data, tokens.data)
+
+
+def test_fit_takes_nothing_from_what_is_not_known():
+    injector = RampTexture(dim=3, style_dim=STYLE)
+    before = {name: value.clone() for name, value in injector.state_dict().items()}
+    injector.fit(torch.randn(4, 1, STYLE), Style(text=("a", "b", "c", "d")))
+    assert all(torch.equal(value, before[name]) for name, value in injector.state_dict().items())
 
 
 def test_weights_of_knots_are_linear_interpolation_and_lead_back_from_beyond():

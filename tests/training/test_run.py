@@ -9,6 +9,7 @@ import torch
 
 from anystyle.checkpoint import load_part, read_header
 from anystyle.contracts import Backbone
+from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.registry.build import build
 from anystyle.training import run as module
 from anystyle.training.reconstruction import ReconstructionTraining
@@ -70,6 +71,22 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights(uninterrupted, tmp_pa
     assert train(configuration(overrides, tmp_path), tmp_path).finished
     first, second = weights(whole / "backbone.safetensors"), weights(tmp_path / "backbone.safetensors")
     assert all(torch.equal(first[key], second[key]) for key in first)
+
+
+def test_injectors_see_examples_once_before_the_first_step(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(ZeroConv, "fit", lambda self, embeddings, examples: seen.append((embeddings, examples)))
+    short = (*STYLIZATION, "placement=head", "styles.num_styles=3", "training.examples=2", "trainer.max_steps=1")
+    train(configuration(short, tmp_path), tmp_path)
+    sites = len(seen)
+    assert sites > 0
+    for embeddings, examples in seen:
+        assert embeddings.shape[:2] == (2, 2) and len(examples.text) == 2 and examples.pattern is not None
+        # By image and by text.
+        assert not torch.equal(embeddings[:, 0], embeddings[:, 1])
+    longer = (*short, "trainer.max_steps=2", "training.decay_steps=1", "resume=changed")
+    assert train(configuration(longer, tmp_path), tmp_path).steps == 2
+    assert len(seen) == sites
 
 
 def test_a_run_of_another_configuration_is_not_continued(uninterrupted):
