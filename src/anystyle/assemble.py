@@ -221,7 +221,7 @@ def _check_base(file: Path, digests: dict[str, str]) -> None:
             )
 
 
-def branch_header(config: DictConfig, branch: nn.Module, provenance: dict[str, Any]) -> Header:
+def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str, Any]) -> Header:
     """The header of a style branch trained under ``config``; copies that did not learn are left out of its file."""
     files = {part: weights_file(name) for part, name in config.weights.items() if name is not None and part != "branch"}
     kept = OmegaConf.to_container(

@@ -73,6 +73,20 @@ def test_a_run_that_was_stopped_ends_with_the_same_weights(uninterrupted, tmp_pa
     assert all(torch.equal(first[key], second[key]) for key in first)
 
 
+def test_weights_name_the_commit_that_the_run_began_at(tmp_path, monkeypatch):
+    where = ["begun"]
+    monkeypatch.setattr(module, "commit", lambda: where[0])
+    whole = ReconstructionTraining.training_step
+
+    def training_step(self, batch, index):
+        where[0] = "moved on"
+        return whole(self, batch, index)
+
+    monkeypatch.setattr(ReconstructionTraining, "training_step", training_step)
+    train(configuration((*RECONSTRUCTION, "trainer.max_steps=1"), tmp_path), tmp_path)
+    assert read_header(tmp_path / "backbone.safetensors").provenance["commit"] == "begun"
+
+
 def test_injectors_see_examples_once_before_the_first_step(tmp_path, monkeypatch):
     seen = []
     monkeypatch.setattr(ZeroConv, "fit", lambda self, embeddings, examples: seen.append((embeddings, examples)))

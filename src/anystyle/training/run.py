@@ -82,6 +82,8 @@ def train(config: DictConfig, out: Path) -> Outcome:
 
 
 def _train(config: DictConfig, out: Path) -> Outcome:
+    # At once: the checkout may move on while a run goes on with what it was begun with.
+    provenance = provenance_of(config)
     last = out / "last.ckpt"
     sweep(last)
     resume = resumable(config, last)
@@ -113,7 +115,7 @@ def _train(config: DictConfig, out: Path) -> Outcome:
         average.swap(training)
     made = {part: gathered(module) for part, module in training.exports().items()} if finished else {}
     if trainer.is_global_zero and finished:
-        weights = export(config, made, out, steps=trainer.global_step)
+        weights = export(config, made, out, provenance={**provenance, "steps": trainer.global_step})
         with atomic_path(out / "metrics.json") as temporary:
             temporary.write_text(json.dumps(metrics, indent=2, sort_keys=True) + "\n")
     return Outcome(trainer.global_step, finished, metrics, weights, trainer.is_global_zero, keeper.stopped_by)
@@ -240,13 +242,14 @@ def _styles(config: DictConfig, key: str) -> StyleSource | None:
     return build(StyleSource, config[key]) if _chosen(config, key) else None
 
 
-def export(config: DictConfig, made: Mapping[str, nn.Module], out: Path, *, steps: int) -> tuple[Path, ...]:
+def export(
+    config: DictConfig, made: Mapping[str, nn.Module], out: Path, *, provenance: Mapping[str, Any]
+) -> tuple[Path, ...]:
     """Write what a training made, as weights files that say how they were made.
 
     Raises:
         OSError: They cannot be written; the checkpoint stays, and the same command writes them once there is room.
     """
-    provenance = provenance_of(config, steps)
     written = []
     for part, module in made.items():
         if part == "branch":
@@ -263,13 +266,12 @@ def export(config: DictConfig, made: Mapping[str, nn.Module], out: Path, *, step
     return tuple(written)
 
 
-def provenance_of(config: DictConfig, steps: int) -> dict[str, Any]:
-    """Who made a weights file: the command, the commit, the seed and the steps."""
+def provenance_of(config: DictConfig) -> dict[str, Any]:
+    """Who makes a weights file: the command, the commit and the seed."""
     return {
         "command": shlex.join(["anystyle", "train", *sys.argv[1:]]),
         "commit": commit(),
         "seed": config.seed,
-        "steps": steps,
         "torch": torch.__version__,
     }
 
