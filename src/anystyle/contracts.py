@@ -235,8 +235,6 @@ class Injector(Socket, nn.Module, ABC):
     def fit(self, embeddings: Float[Tensor, "N K D"], examples: Style) -> None:
         """Take from examples of styles what has a closed form, once and before training; nothing unless overridden.
 
-        The injector stays the identity.
-
         Args:
             embeddings: ``K`` of each example, such as its image's and its text's.
             examples: ``N`` styles.

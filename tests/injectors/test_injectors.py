@@ -191,7 +191,9 @@ def test_ramp_texture_is_the_formula():
         inside = np.clip(place, 0, 1)
         along = (inside + 0.01 * (place - inside)) * (knots - 1)
         share = np.maximum(1 - np.abs(along[..., None] - np.arange(knots)), 0)
-        made = share @ injector.ramp(vector).detach().numpy().reshape(knots, DIM) + light[..., 1:]
+        colors = share @ injector.ramp(vector).detach().numpy().reshape(knots, DIM)
+        dark = injector.dark.detach().numpy()
+        made = dark + (1 + light[..., 1:]) * (colors - dark)
         expected = x + injector.gate.detach().numpy() * (made - x)
         np.testing.assert_allclose(given[scene, :, 2:], expected, rtol=1e-9, atol=1e-9)
 
@@ -239,9 +241,9 @@ def test_fit_is_least_squares_of_both_modalities(fitted):
         given = torch.cat([layer.weight, layer.bias[:, None]], 1).detach().numpy().T
         np.testing.assert_allclose(given, found, atol=1e-4)
     learning = {name.split(".")[0] for name, value in injector.named_parameters() if value.requires_grad}
-    assert learning == ({"light", "gate"} if fitted else {"light", "gate", "ramp", "texture"})
-    tokens = _placed(_tokens(dim=3), torch.zeros(2, 3, 6, 2))
-    assert torch.equal(injector(tokens, _style()).data, tokens.data)
+    assert learning == ({"light"} if fitted else {"light", "gate", "dark", "ramp", "texture"})
+    np.testing.assert_allclose(injector.dark.detach(), -math.sqrt(math.pi), rtol=1e-6)
+    torch.testing.assert_close(2 * injector.gate.detach(), torch.full((3,), float(fitted)))
 
 
 def test_fit_takes_nothing_from_what_is_not_known():

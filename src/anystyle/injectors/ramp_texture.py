@@ -13,19 +13,19 @@ from anystyle.geometry.texture import sample_texture
 from anystyle.perception.ramps import ramp
 from anystyle.types import Style, Tokens
 
-REACH = 0.7
+REACH = 0.8
 """How far of the ramp the drawn pattern moves a token, from its dark to its light, before anything is learnt."""
 
 
 class RampTexture(Injector):
-    """Put tokens onto the style's ramp: ``x + gate * (ramp(z)[light(x) + texture(z)] + shade(x) - x)``.
+    """Put tokens onto the style's ramp: ``x + gate * (dark + shade(x) * (ramp(z)[light(x) + texture(z)] - dark) - x)``.
 
     The style gives ``knots`` tokens, its ramp, and a texture; both are linear in the embedding, so that half of the
     way between two styles is half of each. The texture is laid over the scene from the first camera (projective
     texture mapping, Segal et al., "Fast shadows and lighting effects using texture mapping", 1992, section 2), so a
     point has the same place in it in every view. Where a token lies on the ramp is how light it is among the scene's
     tokens plus what the texture has there; a small network, the same for all styles, reads the former off the token
-    itself and off ``(token - mean) / deviation`` over views and places.
+    itself and off ``(token - mean) / deviation`` over views and places, and how far from ``dark`` it is to be with it.
 
     Meant for the colours of pixels: what they show is a gradient map with a pattern in it.
 
@@ -35,8 +35,8 @@ class RampTexture(Injector):
         knots: Of the ramp.
         size: Side of the texture, in samples.
         width: Of the small network's hidden layers.
-        fitted: Whether ramp and texture stay as :meth:`fit` made them and only the reading of light learns. Gradients
-            come from one text and one image at a time and wear the ramps of all others down to what lies between.
+        fitted: Whether ramp, texture, ``dark`` and gate stay as :meth:`fit` makes them and only the reading of light
+            learns. Where a text leaves colours open, gradients draw ramps and gate to what lies between all of them.
         gain: Of the embedding and of the gate. A unit vector's entries shrink with its dimensions, and with them what
             a style changes at first; the root of ``style_dim`` makes up for it where training is short.
 
@@ -67,13 +67,15 @@ class RampTexture(Injector):
         self.ramp = nn.Linear(style_dim, knots * dim)
         self.texture = nn.Linear(style_dim, size * size)
         self.light = nn.Sequential(
-            nn.Linear(2 * dim, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 1 + dim)
+            nn.Linear(2 * dim, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU(), nn.Linear(width, 2)
         )
+        self.dark = nn.Parameter(torch.zeros(dim))
         self.gate = nn.Parameter(torch.zeros(dim))
         nn.init.zeros_(self.texture.weight)
         nn.init.zeros_(self.texture.bias)
-        self.ramp.requires_grad_(not fitted)
-        self.texture.requires_grad_(not fitted)
+        self.fitted = fitted
+        for part in (self.ramp, self.texture, self.dark, self.gate):
+            part.requires_grad_(not fitted)
 
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
         """Put the tokens onto the style's ramp; special ones stay, and without places there is no texture."""
@@ -87,7 +89,8 @@ class RampTexture(Injector):
             texture = self.texture(code).unflatten(-1, (1, self.size, self.size))
             place = place + sample_texture(texture, tokens.places.to(texture.dtype)).flatten(1)
         ramp = self.ramp(code).unflatten(-1, (self.knots, -1))
-        made = torch.bmm(between_knots(place, self.knots), ramp) + read[..., 1:]
+        colors = torch.bmm(between_knots(place, self.knots), ramp)
+        made = torch.lerp(self.dark, colors, 1 + read[..., 1:])
         return tokens.with_patches(torch.lerp(rows, made, self.gain * self.gate).view_as(patches))
 
     @torch.no_grad()
@@ -95,16 +98,20 @@ class RampTexture(Injector):
         """Solve for the ramp, where tokens are colours as harmonics of degree 0, and for the texture.
 
         Both are linear in the embedding, so that least squares give at once what steps of gradients are long in
-        finding: the embedding's directions differ in length by orders of magnitude.
+        finding: the embedding's directions differ in length by orders of magnitude. The gate is opened if it is not
+        to learn.
         """
         rows = torch.ones(len(embeddings), dtype=torch.bool) if examples.has_image is None else examples.has_image
         code = self.gain * embeddings
         if examples.image is not None and self.channels == 3:
             colors = constant_from_rgb(ramp(examples.image[rows], self.knots))
             solve(self.ramp, code[rows], colors.flatten(1))
+            self.dark.copy_(constant_from_rgb(torch.zeros_like(self.dark)))
         if examples.pattern is not None:
             drawn = F.adaptive_avg_pool2d(examples.pattern, self.size)
             solve(self.texture, code, REACH * (drawn - 0.5).flatten(1))
+        if self.fitted:
+            self.gate.fill_(1 / self.gain)
 
 
 def solve(layer: nn.Linear, inputs: Float[Tensor, "N K D"], outputs: Float[Tensor, "N F"]) -> None:
