@@ -47,7 +47,7 @@ class Raft(Frozen):
 
     def __init__(self) -> None:
         super().__init__()
-        self.fnet = Encoder(_instance_norm)
+        self.fnet = Encoder(InstanceNorm)
         self.cnet = Encoder(nn.BatchNorm2d)
         self.update_block = Update()
 
@@ -194,8 +194,16 @@ def _grid(like: Float[Tensor, "M C h w"]) -> Float[Tensor, "M 2 h w"]:
     return torch.stack([x, y]).expand(like.shape[0], -1, -1, -1)
 
 
-def _instance_norm(channels: int) -> nn.Module:
-    return nn.InstanceNorm2d(channels)
+class InstanceNorm(nn.Module):
+    """PyTorch's, but for the copies that it makes of images whose channels lie side by side."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+
+    def forward(self, x: Float[Tensor, "M C H W"]) -> Float[Tensor, "M C H W"]:
+        """Each channel of each image with mean 0 and variance 1."""
+        x = x - x.mean((2, 3), keepdim=True)
+        return x * (x.square().mean((2, 3), keepdim=True) + 1e-5).rsqrt()
 
 
 class Encoder(nn.Module):
