@@ -36,7 +36,7 @@ from anystyle.evaluation.folders import Cell, pair, read
 from anystyle.evaluation.parts import judge_pairing
 from anystyle.geometry.warp import backward_warp, softmax_splat
 from anystyle.metrics.art_fid import ArtFID
-from anystyle.perception import pictures, raft
+from anystyle.perception import correlations, pictures, raft
 from anystyle.perception.histogram import hellinger, rgb_uv_histogram
 from anystyle.perception.memo import MEMO
 from anystyle.perception.winograd import Conv3x3
@@ -218,14 +218,14 @@ def published_flow(network: raft.Raft, first: Tensor, second: Tensor, iterations
     one, other = network.describe(first), network.describe(second)
     state, context = network.cnet(2 * first - 1).split(128, dim=1)
     state, context = state.tanh(), context.relu()
-    pyramid = raft.correlations(one, other)
+    pyramid = correlations.correlations(one, other)
     height, width = one.shape[-2:]
     y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     start = torch.stack([x, y])[None].float()
     place, update = start, network.update_block
     fine = start
     for _ in range(iterations):
-        motion = update.encoder(raft.look_up(pyramid, place), place - start)
+        motion = update.encoder(correlations.sample(pyramid, place), place - start)
         for half in (1, 2):
             conv = [getattr(update.gru, f"conv{gate}{half}") for gate in "zrq"]
             known = torch.cat([state, context, motion], dim=1)
@@ -233,8 +233,17 @@ def published_flow(network: raft.Raft, first: Tensor, second: Tensor, iterations
             proposed = conv[2](torch.cat([reset * state, context, motion], dim=1)).tanh()
             state = (1 - keep) * state + keep * proposed
         place = place + update.flow_head(state)
-        fine = raft.upsample(place - start, update.weights_of(state))
+        fine = published_upsampling(place - start, update.weights_of(state))
     return fine
+
+
+def published_upsampling(flow: Tensor, logits: Tensor) -> Tensor:
+    """RAFT's, with all nine neighbours of each new pixel side by side."""
+    count, _, height, width = flow.shape
+    share = logits.reshape(count, 1, 9, 8, 8, height, width).softmax(dim=2)
+    around = F.unfold(8 * flow, 3, padding=1).reshape(count, 2, 9, 1, 1, height, width)
+    fine = (share * around).sum(2)  # M 2 8 8 h w
+    return fine.permute(0, 1, 4, 2, 5, 3).reshape(count, 2, 8 * height, 8 * width)
 
 
 def _mean(values) -> float:

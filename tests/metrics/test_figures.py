@@ -106,7 +106,7 @@ def test_a_wall_agrees_with_itself_and_one_that_moved_does_not():
         depth[:, 1] = second
         given = Comparison(images, images, cameras=Cameras(eye, intrinsics, (40, 40)), depth=depth)
         assert figure(DepthAgreement(tolerance=0.05), given) == expected
-    with pytest.warns(UserWarning, match="nothing that can be judged"):
+    with pytest.warns(UserWarning, match="no two views with depth and cameras"):
         assert np.isnan(figure(DepthAgreement(), Comparison(images, images)))
 
 

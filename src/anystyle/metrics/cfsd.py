@@ -92,11 +92,12 @@ def structural_distance(stylized: Float[Tensor, "C h w"], content: Float[Tensor,
     if float(max(rows.square().sum(0).max() for rows in (first, second))) > STEEP:
         return _row_by_row(first, second)
     weight, change, gap = first.new_zeros(3, places, dtype=torch.float64)
+    room = first.new_empty(3, SIDE, SIDE)
     for start in range(0, places, SIDE):
         rows = slice(start, start + SIDE)
         for begin in range(start, places, SIDE):
             columns = slice(begin, begin + SIDE)
-            blocks = _block(first, second, rows, columns)
+            blocks = _block(first, second, rows, columns, room)
             for total, block in zip((weight, change, gap), blocks, strict=True):
                 total[rows] += block.sum(1)
                 if begin > start:
@@ -107,13 +108,16 @@ def structural_distance(stylized: Float[Tensor, "C h w"], content: Float[Tensor,
     return (gap / weight + (ratio.log1p() - ratio)).sum()
 
 
-def _block(first: Tensor, second: Tensor, rows: slice, columns: slice) -> tuple[Tensor, Tensor, Tensor]:
-    """Of some similarities the weights w, ``w (exp(-d) - 1)`` and ``w (d + exp(-d) - 1)``."""
-    weight = second[:, rows].mT @ second[:, columns]
-    d = weight - first[:, rows].mT @ first[:, columns]
+def _block(
+    first: Tensor, second: Tensor, rows: slice, columns: slice, room: Float[Tensor, "3 _ _"]
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Of some similarities the weights w, ``w (exp(-d) - 1)`` and ``w (d + exp(-d) - 1)``, where there is room."""
+    weight, gap, change = room[:, : second[:, rows].shape[1], : second[:, columns].shape[1]]
+    torch.mm(second[:, rows].mT, second[:, columns], out=weight)
+    torch.addmm(weight, first[:, rows].mT, first[:, columns], beta=-1, out=gap)  # -d
+    torch.expm1(gap, out=change)
     weight.exp_()
-    change = (-d).expm1_()
-    gap = d.add_(change).mul_(weight)
+    torch.sub(change, gap, out=gap).mul_(weight)
     return weight, change.mul_(weight), gap
 
 

@@ -25,6 +25,9 @@ LIMIT = 1 << 30
 PIXELS = 1 << 20
 """How many pixels a network is shown at once."""
 
+CPU_PIXELS = 1 << 18
+"""The same on a processor: what features of more images take is slow to get from the system, and in no cache."""
+
 
 class Memo:
     """A bounded memory of results by image.
@@ -110,7 +113,8 @@ def fingerprints(images: Float[Tensor, "M C H W"]) -> list[str]:
 
 def batch_of(images: Float[Tensor, "M C H W"]) -> int:
     """How many images of this size are looked at together."""
-    return max(1, PIXELS // max(1, images.shape[-1] * images.shape[-2]))
+    pixels = CPU_PIXELS if images.device.type == "cpu" else PIXELS
+    return max(1, pixels // max(1, images.shape[-1] * images.shape[-2]))
 
 
 def _size(value: tuple[Tensor, ...]) -> int:

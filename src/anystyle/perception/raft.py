@@ -14,13 +14,20 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.perception import weights
+from anystyle.perception import lines, weights
+from anystyle.perception.correlations import LEVELS, WINDOW, correlations, look_up
 from anystyle.perception.features import Frozen, fold, load_strictly
-from anystyle.perception.winograd import quicken
+from anystyle.perception.winograd import quicken, suits
 
-LEVELS, RADIUS = 4, 4
 SMALLEST = 128
 """Below this many pixels a side the coarsest level of correlations is one pixel wide, and the flow is not a number."""
+
+
+STATE, CONTEXT, MOTION = slice(0, 128), slice(128, 256), slice(256, 384)
+"""What the channels are that the recurrent unit reads."""
+
+PADDING = {1: (0, 2), 2: (2, 0)}
+"""Of its halves, the first along rows, the second along columns."""
 
 
 class Context(NamedTuple):
@@ -40,13 +47,14 @@ class Raft(Frozen):
 
     def __init__(self) -> None:
         super().__init__()
-        self.fnet = Encoder(_instance_norm)
+        self.fnet = Encoder(InstanceNorm)
         self.cnet = Encoder(nn.BatchNorm2d)
         self.update_block = Update()
 
     def settle(self) -> None:
         """See :meth:`anystyle.perception.features.Frozen.settle`: normalisations become part of convolutions."""
         self.cnet.fold()
+        self.update_block.gru.settle()
 
     def describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 256 h w"]:
         """What frames are matched by, at an eighth of the size.
@@ -77,13 +85,12 @@ class Raft(Frozen):
             iterations: Of the update.
         """
         pyramid = correlations(source, target)
-        start = _grid(source)
-        place = start.expand(source.shape[0], -1, -1, -1)
         # What is looked up lies channel beside channel; so does all that it meets.
-        state, *reading = (
+        start, state, *reading = (
             tensor.contiguous(memory_format=torch.channels_last)
-            for tensor in (context.state, *context.reading.split(384, dim=1))
+            for tensor in (_grid(source), context.state, *context.reading.split(384, dim=1))
         )
+        place = start
         for _ in range(iterations):
             state, step = self.update_block(state, reading, look_up(pyramid, place), place - start)
             place = place + step
@@ -167,57 +174,36 @@ def _from_torchvision(key: str) -> str:
     return key
 
 
-def correlations(
-    source: Float[Tensor, "M C h w"], target: Float[Tensor, "M C h w"]
-) -> list[Float[Tensor, "Mhw 1 _ _"]]:
-    """Correlations of every place of the source with every place of the target, at four sizes of the target."""
-    count, channels, height, width = source.shape
-    volume = source.flatten(2).mT @ target.flatten(2) / channels**0.5  # M hw hw
-    level = volume.reshape(count * height * width, 1, height, width)
-    pyramid = [level]
-    for _ in range(LEVELS - 1):
-        level = F.avg_pool2d(level, 2)
-        pyramid.append(level)
-    return pyramid
-
-
-def look_up(pyramid: list[Float[Tensor, "Mhw 1 _ _"]], place: Float[Tensor, "M 2 h w"]) -> Float[Tensor, "M 324 h w"]:
-    """Correlations in a window around each place, at every size.
-
-    The window's first index moves along x and its second along y, as in the published network.
-    """
-    count, _, height, width = place.shape
-    steps = torch.arange(-RADIUS, RADIUS + 1, dtype=place.dtype, device=place.device)
-    window = torch.stack(torch.meshgrid(steps, steps, indexing="ij"), dim=-1)  # 9 9 2, (x, y)
-    centres = place.permute(0, 2, 3, 1).reshape(-1, 1, 1, 2)
-    found = []
-    for number, level in enumerate(pyramid):
-        sides = level.new_tensor([level.shape[-1] - 1, level.shape[-2] - 1])
-        grid = 2 * (centres / 2**number + window) / sides - 1
-        sampled = F.grid_sample(level, grid, mode="bilinear", padding_mode="zeros", align_corners=True)
-        found.append(sampled.reshape(count, height, width, -1))
-    return torch.cat(found, dim=-1).permute(0, 3, 1, 2)
-
-
 def upsample(flow: Float[Tensor, "M 2 h w"], logits: Float[Tensor, "M 576 h w"]) -> Float[Tensor, "M 2 H W"]:
     """To eight times the size: each new pixel is a convex combination of the nine old ones around it."""
     count, _, height, width = flow.shape
-    share = logits.reshape(count, 1, 9, 8, 8, height, width).softmax(dim=2)
-    around = F.unfold(8 * flow, 3, padding=1).reshape(count, 2, 9, 1, 1, height, width)
-    fine = (share * around).sum(2)  # M 2 8 8 h w
-    return fine.permute(0, 1, 4, 2, 5, 3).reshape(count, 2, 8 * height, 8 * width)
+    share = logits.permute(0, 2, 3, 1).reshape(count, height * width, 9, 64).softmax(dim=2)
+    around = F.unfold(8 * flow, 3, padding=1).reshape(count, 2, 9, height * width).permute(0, 3, 2, 1)
+    fine = share.new_zeros(count, height * width, 2, 64)
+    for neighbour in range(9):
+        fine = fine + around[:, :, neighbour, :, None] * share[:, :, neighbour, None]
+    fine = fine.reshape(count, height, width, 2, 8, 8)
+    return fine.permute(0, 3, 1, 4, 2, 5).reshape(count, 2, 8 * height, 8 * width)
 
 
-def _grid(like: Float[Tensor, "M C h w"]) -> Float[Tensor, "1 2 h w"]:
+def _grid(like: Float[Tensor, "M C h w"]) -> Float[Tensor, "M 2 h w"]:
     height, width = like.shape[-2:]
     y = torch.arange(height, dtype=like.dtype, device=like.device)
     x = torch.arange(width, dtype=like.dtype, device=like.device)
     y, x = torch.meshgrid(y, x, indexing="ij")
-    return torch.stack([x, y])[None]
+    return torch.stack([x, y]).expand(like.shape[0], -1, -1, -1)
 
 
-def _instance_norm(channels: int) -> nn.Module:
-    return nn.InstanceNorm2d(channels)
+class InstanceNorm(nn.Module):
+    """PyTorch's, but for the copies that it makes of images whose channels lie side by side."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+
+    def forward(self, x: Float[Tensor, "M C H W"]) -> Float[Tensor, "M C H W"]:
+        """Each channel of each image with mean 0 and variance 1."""
+        x = x - x.mean((2, 3), keepdim=True)
+        return x * (x.square().mean((2, 3), keepdim=True) + 1e-5).rsqrt()
 
 
 class Encoder(nn.Module):
@@ -289,7 +275,7 @@ class Update(nn.Module):
 
     def weights_of(self, state: Float[Tensor, "M 128 h w"]) -> Float[Tensor, "M 576 h w"]:
         """Logits of the upsampling's weights; a quarter, as published, to balance gradients."""
-        return 0.25 * self.mask(state)
+        return self.mask(state).mul_(0.25)
 
 
 class Motion(nn.Module):
@@ -297,7 +283,7 @@ class Motion(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        self.convc1 = nn.Conv2d(LEVELS * (2 * RADIUS + 1) ** 2, 256, 1)
+        self.convc1 = nn.Conv2d(LEVELS * WINDOW**2, 256, 1)
         self.convc2 = nn.Conv2d(256, 192, 3, padding=1)
         self.convf1 = nn.Conv2d(2, 128, 7, padding=3)
         self.convf2 = nn.Conv2d(128, 64, 3, padding=1)
@@ -305,9 +291,9 @@ class Motion(nn.Module):
 
     def forward(self, found: Tensor, flow: Tensor) -> Tensor:
         """128 channels, the last two the flow itself."""
-        correlation = F.relu(self.convc2(F.relu(self.convc1(found))))
-        movement = F.relu(self.convf2(F.relu(self.convf1(flow))))
-        return torch.cat([F.relu(self.conv(torch.cat([correlation, movement], dim=1))), flow], dim=1)
+        correlation = self.convc2(self.convc1(found).relu_()).relu_()
+        movement = self.convf2(self.convf1(flow).relu_()).relu_()
+        return torch.cat([self.conv(torch.cat([correlation, movement], dim=1)).relu_(), flow], dim=1)
 
 
 class Recurrent(nn.Module):
@@ -318,31 +304,44 @@ class Recurrent(nn.Module):
 
     def __init__(self) -> None:
         super().__init__()
-        for half, kernel, padding in ((1, (1, 5), (0, 2)), (2, (5, 1), (2, 0))):
+        for half, kernel in ((1, (1, 5)), (2, (5, 1))):
             for gate in "zrq":
-                self.add_module(f"conv{gate}{half}", nn.Conv2d(384, 128, kernel, padding=padding))
+                self.add_module(f"conv{gate}{half}", nn.Conv2d(384, 128, kernel, padding=PADDING[half]))
 
-    def _parts(self, half: int, gates: str, channels: slice) -> Tensor:
-        return torch.cat([self.get_parameter(f"conv{gate}{half}.weight")[:, channels] for gate in gates])
+    def settle(self) -> None:
+        """Compute what convolutions along lines need of the weights."""
+        for half in (1, 2):
+            for gates in ("zr", "q"):
+                values = lines.values_of(self._weight(half, gates, STATE, MOTION).flatten(2))
+                self.register_buffer(f"values_{gates}{half}", values, persistent=False)
 
     def read(self, context: Float[Tensor, "M 128 h w"]) -> Float[Tensor, "M 768 h w"]:
         """What the three gates of both halves read of the context, biases included."""
         found = []
-        for half, padding in ((1, (0, 2)), (2, (2, 0))):
+        for half in (1, 2):
             bias = torch.cat([self.get_parameter(f"conv{gate}{half}.bias") for gate in "zrq"])
-            found.append(F.conv2d(context, self._parts(half, "zrq", slice(128, 256)), bias, padding=padding))
+            found.append(F.conv2d(context, self._weight(half, "zrq", CONTEXT), bias, padding=PADDING[half]))
         return torch.cat(found, dim=1)
 
     def forward(self, state: Tensor, reading: Sequence[Tensor], motion: Tensor) -> Tensor:
         """The next hidden state; what was read of the context is given for each half."""
-        for half, padding, known in zip((1, 2), ((0, 2), (2, 0)), reading, strict=True):
-            outer = [self._parts(half, gates, slice(0, 128)) for gates in ("zr", "q")]
-            moved = F.conv2d(motion, self._parts(half, "zrq", slice(256, 384)), padding=padding) + known
-            gates = (F.conv2d(state, outer[0], padding=padding) + moved[:, :256]).sigmoid()
-            update, reset = gates.split(128, dim=1)
-            proposed = (F.conv2d(reset * state, outer[1], padding=padding) + moved[:, 256:]).tanh()
-            state = (1 - update) * state + update * proposed
+        for half, known in zip((1, 2), reading, strict=True):
+            gates = self._convolve(half, "zr", torch.cat([state, motion], dim=1)).add_(known[:, :256])
+            update, reset = gates.sigmoid_().split(128, dim=1)
+            proposed = self._convolve(half, "q", torch.cat([reset * state, motion], dim=1)).add_(known[:, 256:])
+            state = state.lerp(proposed.tanh_(), update)
         return state
+
+    def _convolve(self, half: int, gates: str, x: Float[Tensor, "M 256 h w"]) -> Tensor:
+        values = getattr(self, f"values_{gates}{half}", None)
+        if values is not None and suits(x, values):
+            return lines.convolve(x, values, axis=4 - half)
+        return F.conv2d(x, self._weight(half, gates, STATE, MOTION), padding=PADDING[half])
+
+    def _weight(self, half: int, gates: str, *channels: slice) -> Tensor:
+        """Of some gates, what reads these channels."""
+        every = [self.get_parameter(f"conv{gate}{half}.weight") for gate in gates]
+        return torch.cat([torch.cat([weight[:, some] for some in channels], dim=1) for weight in every])
 
 
 class Head(nn.Module):
@@ -355,4 +354,4 @@ class Head(nn.Module):
 
     def forward(self, state: Tensor) -> Tensor:
         """(x, y) in pixels of an eighth of the size."""
-        return self.conv2(F.relu(self.conv1(state)))
+        return self.conv2(self.conv1(state).relu_())

@@ -4,8 +4,6 @@ Exact but for rounding, which is about four times that of the direct sum: a few 
 For networks that judge many images on a processor and are never asked for gradients.
 """
 
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar, no_type_check
 
 import numpy as np
@@ -14,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.compiled import compiled
+from anystyle.perception.threads import workers
 
 TILE = 4
 """Pixels a side of what is computed together; it reads two more."""
@@ -21,8 +20,8 @@ TILE = 4
 STRIP = 1 << 21
 """Bytes of transformed values that are held at once: they should stay in a core's caches."""
 
-FEWEST = 96
-"""Tiles that are computed together at least, or else products of matrices are slow."""
+FEWEST = 196
+"""Tiles that are computed together at least, or else the weights are read more often than pixels."""
 
 NARROWEST = 48
 """Channels below which the transforms cost more than they save."""
@@ -50,13 +49,19 @@ def quicken(network: Network) -> Network:
         for name, child in list(module.named_children()):
             if type(child) is nn.Conv2d and _gains(child):
                 setattr(module, name, Conv3x3(child))
-    return network
+    # What the others make lies in memory as these read it.
+    return network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
 
 def _gains(conv: nn.Conv2d) -> bool:
     shape = (conv.kernel_size, conv.stride, conv.padding, conv.dilation, conv.groups, conv.padding_mode)
     usual = shape == ((3, 3), (1, 1), (1, 1), (1, 1), 1, "zeros")
     return usual and conv.bias is not None and min(conv.in_channels, conv.out_channels) >= NARROWEST
+
+
+def suits(*tensors: Tensor) -> bool:
+    """Whether a computation of these may be compiled: on the CPU, in float32 and without gradients."""
+    return not torch.is_grad_enabled() and all(x.device.type == "cpu" and x.dtype == torch.float32 for x in tensors)
 
 
 class Conv3x3(nn.Conv2d):
@@ -76,8 +81,7 @@ class Conv3x3(nn.Conv2d):
 
     def forward(self, input: Float[Tensor, "M C H W"]) -> Float[Tensor, "M K H W"]:
         """The convolution; in channels-last memory where it is computed in tiles."""
-        plain = input.device.type == "cpu" and input.dtype == torch.float32 == self.weight.dtype
-        if self.direct or torch.is_grad_enabled() or not plain:
+        if self.direct or not suits(input, self.weight):
             return super().forward(input)
         return self._in_tiles(input.permute(0, 2, 3, 1).contiguous())
 
@@ -99,38 +103,23 @@ class Conv3x3(nn.Conv2d):
         values = self.values()
         bias = self.get_parameter("bias").detach().numpy()
         found = x.new_empty(count, height, width, self.out_channels)
-        read = x.new_empty(36, together * columns, channels)
-        made = x.new_empty(36, together * columns, self.out_channels)
-        with ThreadPoolExecutor(threads) as pool:
+        # One tile more than is used: the points' values must not lie powers of two apart, where caches have one place.
+        read = x.new_empty(36, together * columns + 1, channels)
+        made = x.new_empty(36, together * columns + 1, self.out_channels)
+        with workers() as share:
             for image, result in zip(x.numpy(), found.numpy(), strict=True):
                 for first in range(0, rows, together):
-                    last = min(first + together, rows)
-                    used = (last - first) * columns
-                    _share(pool, threads, first, last, lambda a, b, o, i=image: _read(i, read.numpy(), a, b, o))
+                    some = min(together, rows - first)
+                    used = some * columns
+                    share(some, lambda a, b, i=image, f=first: _read(i, read.numpy(), f, a, b))
                     torch.bmm(read[:, :used], values, out=made[:, :used])
-                    _share(
-                        pool, threads, first, last,
-                        lambda a, b, o, r=result: _write(made.numpy(), bias, r, a, b, o),
-                    )  # fmt: skip
+                    share(some, lambda a, b, r=result, f=first: _write(made.numpy(), bias, r, f, a, b))
         return found.permute(0, 3, 1, 2)
-
-
-def _share(
-    pool: ThreadPoolExecutor, threads: int, first: int, last: int, work: Callable[[int, int, int], object]
-) -> None:
-    """Let threads do the rows of tiles from ``first`` on that lie in one strip."""
-    if threads == 1:
-        work(first, last, first)
-        return
-    each = -(-(last - first) // threads)
-    jobs = [pool.submit(work, row, min(row + each, last), first) for row in range(first, last, each)]
-    for job in jobs:
-        job.result()
 
 
 @compiled
 @no_type_check
-def _read(image: np.ndarray, values: np.ndarray, first: int, last: int, origin: int) -> None:
+def _read(image: np.ndarray, values: np.ndarray, origin: int, first: int, last: int) -> None:
     """Values at the 36 points of tiles in some rows: ``Bt d B`` of each 6 x 6 pixels ``d``."""
     height, width, channels = image.shape
     columns = (width + 3) // 4
@@ -139,11 +128,11 @@ def _read(image: np.ndarray, values: np.ndarray, first: int, last: int, origin: 
     four, five, two = np.float32(4), np.float32(5), np.float32(2)
     for row in range(first, last):
         for column in range(columns):
-            place = (row - origin) * columns + column
+            place = row * columns + column
             for j in range(6):
                 x = 4 * column - 1 + j
                 for i in range(6):
-                    y = 4 * row - 1 + i
+                    y = 4 * (origin + row) - 1 + i
                     if 0 <= y < height and 0 <= x < width:
                         pixels[i, :] = image[y, x, :]
                     else:
@@ -175,7 +164,7 @@ def _read(image: np.ndarray, values: np.ndarray, first: int, last: int, origin: 
 
 @compiled
 @no_type_check
-def _write(values: np.ndarray, bias: np.ndarray, image: np.ndarray, first: int, last: int, origin: int) -> None:
+def _write(values: np.ndarray, bias: np.ndarray, image: np.ndarray, origin: int, first: int, last: int) -> None:
     """Pixels of tiles in some rows from their values at the 36 points: ``At m A``, and the bias."""
     height, width, channels = image.shape
     columns = (width + 3) // 4
@@ -183,7 +172,7 @@ def _write(values: np.ndarray, bias: np.ndarray, image: np.ndarray, first: int, 
     four, eight, two = np.float32(4), np.float32(8), np.float32(2)
     for row in range(first, last):
         for column in range(columns):
-            place = (row - origin) * columns + column
+            place = row * columns + column
             for j in range(6):
                 for c in range(channels):
                     a, b = values[6 + j, place, c], values[12 + j, place, c]
@@ -193,8 +182,8 @@ def _write(values: np.ndarray, bias: np.ndarray, image: np.ndarray, first: int, 
                     half[1, j, c] = skew + two * wide
                     half[2, j, c] = near + four * far
                     half[3, j, c] = skew + eight * wide + values[30 + j, place, c]
-            for i in range(min(4, height - 4 * row)):
-                y, x = 4 * row + i, 4 * column
+            for i in range(min(4, height - 4 * (origin + row))):
+                y, x = 4 * (origin + row) + i, 4 * column
                 for c in range(channels):
                     a, b, d, e = half[i, 1, c], half[i, 2, c], half[i, 3, c], half[i, 4, c]
                     image[y, x, c] = half[i, 0, c] + a + b + d + e + bias[c]
