@@ -57,6 +57,10 @@ def shown(capsys, *words: str) -> str:
     return capsys.readouterr().out
 
 
+def test_list_is_the_overview(capsys):
+    assert shown(capsys, "list") == shown(capsys)
+
+
 def test_overview_names_everything(capsys):
     text = shown(capsys)
     for kind, row in KINDS.items():
