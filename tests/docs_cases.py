@@ -95,6 +95,7 @@ NOT_RUN = {
     r"PYTHONPATH=tests python tests/full_size.py (make|load) ": "gigabytes; `make test-slow` runs it",
     r"(OMP_NUM_THREADS=2 )?python tests/step_(cost|count).py ": "minutes; training/test_step_cost.py has a small one",
     r"python tests/evaluation_cost.py ": "hours; evaluation/test_cost.py has a small one, for `make test-slow`",
+    r"python tests/evaluation_units.py": "minutes",
     r"anystyle study 'design\|form\|analyze\|power'$": "four commands in a line; docs/user_study.md shows each",
 }
 """Commands that no test machine can run, and why. They are parsed and composed by ``test_docs.py``."""
