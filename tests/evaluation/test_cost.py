@@ -1,5 +1,6 @@
 """The program that says what judging costs: both of its ways find the same figures, and it says what each takes."""
 
+import os
 import re
 import subprocess
 import sys
@@ -14,7 +15,8 @@ PROGRAM = Path(__file__).parents[1] / "evaluation_cost.py"
 @pytest.mark.slow
 def test_both_ways_agree_and_are_timed():
     words = ["--size", "128", "--styles", "1", "--frames", "8"]
-    done = subprocess.run([sys.executable, PROGRAM, *words], capture_output=True, text=True)
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    done = subprocess.run([sys.executable, PROGRAM, *words], capture_output=True, text=True, env=environment)
     assert done.returncode == 0, done.stdout + done.stderr
     lines = done.stdout.splitlines()
     assert "1 styles x 8 frames at 128 pixels, 1 thread(s)" in lines
