@@ -34,7 +34,7 @@ SHARE = 0.9
 """Of what is free: allocators and the system need the rest."""
 
 PLENTY = 16 * 2**10
-"""Bytes a pixel that no network is expected to need, eight times what the published one takes. Where even these are
+"""Bytes a pixel that no network is expected to need, seven times what the published one takes. Where even these are
 free there is nothing to estimate, which for a few small photographs takes longer than encoding them."""
 
 
