@@ -32,7 +32,7 @@ ADDED = (
     (r"anystyle train .*=tiny_(style|ablation)", "training.pool=2 training.cache_scenes=2 training.preview_every=0"),
     (r"anystyle train .*=tiny_reconstruction", "training.batch_size=1 training.context_views=[2,2] validation_steps=1"),
     (r"anystyle train (?!.*(paper|depth_anything|--cfg|--info))", _BACKBONE),
-    (r"anystyle train -m (?!.*sweep.dir)", "hydra.sweep.dir=multirun/DATE/TIME"),
+    (r"anystyle train -m (?!.*(sweep.dir|hydra/launcher))", "hydra.sweep.dir=multirun/DATE/TIME"),
     (r"anystyle benchmark(?!.*model)", "--views 2 --repeat 1 --size 56x56"),
     (r"anystyle evaluate .*=tiny_heldout", "protocol.num_scenes=2 protocol.num_styles=2 protocol.num_captions=2"),
     (r"anystyle evaluate .*=tiny_heldout", "protocol.strips=1 protocol.steps=2"),
@@ -43,7 +43,6 @@ ADDED = (
     (r"anystyle study form .*--serve", "--port 0"),
     (r"anystyle study analyze", "--resamples 99"),
     (r"anystyle study power", "--studies 20"),
-    (r"python tests/evaluation_cost.py", "--size 64 --styles 1 --frames 8"),
 )
 """Words that a command is run with behind its own, by what it begins with: sizes and numbers, not what it is about."""
 INSTEAD = {
@@ -53,9 +52,6 @@ INSTEAD = {
     "anystyle evaluate --run multirun/DATE/TIME protocol=paper_image ...": (
         "anystyle evaluate --run multirun/DATE/TIME protocol=paper_image"
     ),
-    "anystyle evaluate --content photos/ --style styles/ --stylized results/ --out eval/": (
-        "anystyle evaluate --content photos/ --style styles/ --stylized results/ --out theirs/"
-    ),
     "anystyle plugins new protocol NAME": "anystyle plugins new protocol mine",
     "anystyle plugins new study_test NAME": "anystyle plugins new study_test mine",
     "anystyle weights list NAME ...": "anystyle weights list vgg16 alexnet",
@@ -63,10 +59,13 @@ INSTEAD = {
         "anystyle study analyze study/answers.sqlite --study study --out own --test wilcoxon wilcoxon.method=approx"
     ),
 }
-"""Commands with places to fill in, filled in; and one whose folder another command of its page has filled already."""
-FEWER = {"seed=0,1,2": "seed=0", "hydra/launcher=joblib": None, "hydra.launcher.n_jobs=2": None}
-"""Words of sweeps that are other or none on a page that shows more jobs than a test can train."""
-SWEEPS = ("docs/ablation.md",)
+"""Commands with places to fill in, filled in."""
+FEWER = {
+    "docs/ablation.md": {"seed=0,1,2": "seed=0", "hydra/launcher=joblib": None, "hydra.launcher.n_jobs=2": None},
+    "docs/clusters.md": {"seed=0,1,2": "seed=0,1", "placement=head,full": "placement=full"},
+}
+"""Words of sweeps that are other or none on a page that shows more jobs than a test can train. With several jobs the
+launchers are run by ``ablation/test_ablations.py``."""
 ENDS = {
     r"anystyle weights download ": "cannot be fetched",
     r"anystyle data caption ": "captions need transformers",
@@ -95,6 +94,8 @@ NOT_RUN = {
     r"anystyle train -m hydra/launcher=joblib seed=0,1,2$": "as the one above it, and published weights",
     r"PYTHONPATH=tests python tests/full_size.py (make|load) ": "gigabytes; `make test-slow` runs it",
     r"(OMP_NUM_THREADS=2 )?python tests/step_(cost|count).py ": "minutes; training/test_step_cost.py has a small one",
+    r"python tests/evaluation_cost.py ": "hours; evaluation/test_cost.py has a small one, for `make test-slow`",
+    r"python tests/evaluation_units.py": "minutes",
     r"anystyle study 'design\|form\|analyze\|power'$": "four commands in a line; docs/user_study.md shows each",
 }
 """Commands that no test machine can run, and why. They are parsed and composed by ``test_docs.py``."""
@@ -113,12 +114,13 @@ def blocks(page: Path, *languages: str) -> list[str]:
 def shown(page: Path) -> list[str]:
     """Every command of a page, in its order; those within sentences and tables last. Comments are left out.
 
-    A bare name within a sentence, such as ``anystyle weights``, speaks of a command and shows none.
+    A bare name within a sentence, such as ``anystyle weights`` or ``anystyle plugins check``, speaks of a command and
+    shows none.
     """
     lines = "\n".join(blocks(page, *SHELLS)).replace("\\\n", " ").splitlines()
     found = [line.strip().removeprefix("$ ") for line in lines]
     prose = FENCE.sub("", page.read_text(encoding="utf-8"))
-    found += [text for text in _INLINE.findall(prose) if len(text.split()) > 2]
+    found += [text for text in _INLINE.findall(prose) if not re.fullmatch(r"anystyle( [a-z_]+){1,2}", text)]
     return [line for line in (shlex.join(shlex.split(line, comments=True)) for line in found) if line]
 
 
@@ -126,8 +128,8 @@ def small(page: str, line: str) -> list[str]:
     """The words of a command with those that are added to it."""
     line = INSTEAD.get(line, line)
     words = shlex.split(line)
-    if page in SWEEPS:
-        words = [word for word in (FEWER.get(word, word) for word in words) if word is not None]
+    fewer = FEWER.get(page, {})
+    words = [word for word in (fewer.get(word, word) for word in words) if word is not None]
     return words + [word for pattern, more in ADDED if re.match(pattern, line) for word in shlex.split(more)]
 
 

@@ -37,6 +37,15 @@ def test_too_many_views_are_refused_before_anything_runs(monkeypatch):
         memory.check(backbone, 12, (32, 32), torch.device("cpu"))
 
 
+def test_where_even_plenty_is_free_nothing_is_estimated(monkeypatch):
+    looked = []
+    monkeypatch.setattr(memory, "encoding", lambda *given: looked.append(given))
+    monkeypatch.setattr(memory, "available", lambda device: 10 * 32 * 32 * memory.PLENTY)
+    for views, times in ((9, 0), (10, 1)):
+        memory.check(ToyBackbone(), views, (32, 32), torch.device("cpu"))
+        assert len(looked) == times
+
+
 class Curious(ToyAggregator):
     """An aggregator that looks at values, in one way or another, or is broken."""
 

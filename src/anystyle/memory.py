@@ -33,6 +33,10 @@ _ASKS_FOR_VALUES = (DataDependentOutputException, DynamicOutputShapeException, U
 SHARE = 0.9
 """Of what is free: allocators and the system need the rest."""
 
+PLENTY = 16 * 2**10
+"""Bytes a pixel that no network is expected to need, seven times what the published one takes. Where even these are
+free there is nothing to estimate, which for a few small photographs takes longer than encoding them."""
+
 
 class Estimate(NamedTuple):
     """Peak bytes of encoding ``V`` views: ``fixed + slope * V``, beside the weights."""
@@ -152,7 +156,7 @@ def check(backbone: Backbone, views: int, size: tuple[int, int], device: torch.d
         ValueError: They do not fit; the message says how many do.
     """
     free = available(device)
-    if free is None:
+    if free is None or views * size[0] * size[1] * PLENTY <= SHARE * free:
         return
     estimate = encoding(backbone, size)
     if estimate is None or estimate(views) <= SHARE * free:

@@ -79,6 +79,15 @@ def test_what_is_left_out_must_be_a_loss():
         objective(config)
 
 
+def test_one_term_is_left_out_by_its_name_alone():
+    words = ["experiment=tiny_style", "name=x", "out=x"]
+    left = [set(objective(compose("train", [*words, word]))) for word in ("without=[]", "without=clip_directional")]
+    assert left[0] - left[1] == {"clip_directional"}
+    config = compose("train", [*words, "without=clip_directoinal"])
+    with pytest.raises(UserError, match=r"no loss is named 'clip_directoinal'\. Did you mean"):
+        objective(config)
+
+
 def test_the_table_trains_in_one_command_and_again_does_only_what_is_missing(capfd):
     multirun(TABLE)
     shown = capfd.readouterr()

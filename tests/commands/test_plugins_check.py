@@ -269,7 +269,7 @@ def test_no_check_takes_long(found):
 
 def test_nothing_is_checked_after_what_is_needed(found):
     text = found["wrong_base"]["text"]
-    assert text.rstrip().splitlines()[-1].startswith("1 promises kept, 1 broken, ")
+    assert text.rstrip().splitlines()[-1].startswith("1 promise kept, 1 broken, ")
     assert "not checked (needs what 'class can be imported' promises)" in text
 
 

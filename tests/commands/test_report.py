@@ -38,6 +38,17 @@ def test_every_form_is_written(evaluated, tmp_path, capsys):
         assert plot.width > 300 and len(np.unique(np.asarray(plot.convert("L")))) > 4
 
 
+def test_the_plot_has_a_row_for_each_variant_and_says_below_a_panel_what_stands_in(evaluated, tmp_path, monkeypatch):
+    drawn = {}
+    monkeypatch.setattr(
+        "anystyle.evaluation.plots.bars", lambda groups, names, path, **how: drawn.update(how, groups=groups)
+    )
+    command.main([str(evaluated), "--out", str(tmp_path / "out")])
+    assert drawn["groups"] == {"evaluated": {"art_fid": 321.5, "psnr": 20.25}}
+    assert drawn["notes"] == {"art_fid": STAND_IN}
+    assert drawn["colors"]["evaluated", "art_fid"] != drawn["colors"]["evaluated", "psnr"]
+
+
 def test_the_same_command_gives_the_same_bytes(evaluated, tmp_path):
     for name in ("one", "two"):
         command.main([str(evaluated), "--out", str(tmp_path / name)])

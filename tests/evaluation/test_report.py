@@ -156,6 +156,14 @@ def test_scenes_are_columns_in_the_order_of_the_paper(tmp_path):
         report.figures_of(lines, ["nothing"])
 
 
+def test_figures_of_texts_and_of_images_come_first_where_the_papers_own_do(tmp_path):
+    folder = evaluation(
+        tmp_path / "run", {"psnr": 1.0, "art_fid_image": 2.0, "art_fid_text": 3.0, "art_score_text": 4.0}
+    )
+    lines, _ = report.lines_of(runs.find(folder))
+    assert report.figures_of(lines) == ["art_score_text", "art_fid_image", "art_fid_text", "psnr"]
+
+
 def test_one_scene_stands_beside_the_published_one_of_its_name(tmp_path):
     found = Evaluation({"art_fid": 33.0}, 4, provenance={"scenes": ["train"]})
     record.write(found, tmp_path, {"protocol": "paper"})

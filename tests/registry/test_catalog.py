@@ -45,7 +45,8 @@ def test_folder_is_listed_without_import(plugin_folder):
     row = catalog().find("placement", "mine")
     assert row.origin == str(root)
     assert "mine" in catalog().names("placement")
-    with pytest.raises(PluginError, match=r"placement 'mine' \(.*:Mine, declared by .*\) cannot be imported: imported"):
+    told = r"placement 'mine' \(.*:Mine, declared by .*\) cannot be imported: RuntimeError: imported \(.*, line 1\)$"
+    with pytest.raises(PluginError, match=told):
         row.load()
 
 
@@ -76,15 +77,22 @@ def test_broken_plugin_harms_nobody(plugin_folder):
     plugin_folder("", toml="[project\nnonsense")
     plugin_folder("", toml='project = "text"')
     assert issubclass(catalog().find("placement", "head").load(), Placement)
-    with pytest.raises(PluginError, match="cannot be imported: No module named 'does_not_exist_anywhere'"):
+    told = r"imported: ModuleNotFoundError: No module named 'does_not_exist_anywhere' \(\w+\.py, line 1\)$"
+    with pytest.raises(PluginError, match=told):
         catalog().find("placement", "broken").load()
 
 
 def test_syntax_error_is_one_line(plugin_folder):
     plugin_folder("class Broken(:\n", broken="Broken")
-    with pytest.raises(PluginError, match="cannot be imported: invalid syntax") as caught:
+    with pytest.raises(PluginError, match="cannot be imported: SyntaxError: invalid syntax") as caught:
         catalog().find("placement", "broken").load()
     assert "\n" not in str(caught.value)
+
+
+def test_a_module_that_leaves_the_process_is_one_line(plugin_folder):
+    plugin_folder("\nraise SystemExit(3)", broken="Broken")
+    with pytest.raises(PluginError, match=r"cannot be imported: SystemExit: 3 \(\w+\.py, line 2\)$"):
+        catalog().find("placement", "broken").load()
 
 
 def test_not_a_subclass(plugin_folder):

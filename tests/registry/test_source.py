@@ -100,7 +100,9 @@ def test_mistakes_end_at_composition(composed, override, message):
 def test_broken_plugin_is_told_when_chosen(composed, plugin_folder):
     plugin_folder("import does_not_exist_anywhere", broken="Broken")
     assert composed().placement.depth == 2
-    with pytest.raises(HydraException, match=r"placement 'broken' .* cannot be imported: No module named"):
+    with pytest.raises(
+        HydraException, match=r"placement 'broken' .* cannot be imported: ModuleNotFoundError: No module named"
+    ):
         composed("placement=broken")
 
 

@@ -55,6 +55,20 @@ def message(error: BaseException) -> str | None:
         return one_line(error)  # raised by hand where an optional dependency is missing: it names the extra
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
         return f"out of memory: {one_line(error) or 'use fewer views or a smaller size'}"
+    return of_plugin(error)
+
+
+def of_plugin(error: BaseException) -> str | None:
+    """What to tell of an error that went through the code of a plugin, which its contract may say more about."""
+    from anystyle.registry.catalog import catalog, place_in
+
+    for plugin in catalog():
+        place = "" if plugin.origin == "anystyle" else place_in(error, plugin.target.partition(":")[0])
+        if place:
+            return (
+                f"{plugin} ended in {type(error).__name__}: {one_line(error)}{place}; `anystyle plugins check "
+                f"{plugin.kind} {plugin.name}` says what it has to keep, ANYSTYLE_TRACEBACK=1 shows the way there"
+            )
     return None
 
 

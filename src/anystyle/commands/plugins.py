@@ -23,8 +23,8 @@ def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle plugins``."""
     words = argparse.ArgumentParser(
         prog="anystyle plugins",
-        description="Without arguments: every plugin by name. With a KIND: what each is, and its options. With a NAME: "
-        "one plugin in full; only this imports it.",
+        description="Without arguments, or with list: every plugin by name. With a KIND: what each is, and its "
+        "options. With a NAME: one plugin in full; only this imports it.",
         epilog="anystyle plugins check KIND NAME runs a plugin's contract; anystyle plugins new KIND NAME begins one.",
         allow_abbrev=False,
     )
@@ -41,7 +41,7 @@ def main(words: Sequence[str] | None = None) -> None:
         if status:
             sys.exit(status)
         return
-    arguments = parse(parser(), given)
+    arguments = parse(parser(), [] if given == ["list"] else given)
     known = catalog()
     if arguments.kind is None:
         lines = overview(known)

@@ -91,7 +91,8 @@ def _field(title: str, text: str) -> list[str]:
 
 def _summary(outcomes: Sequence["Outcome"], seconds: float) -> str:
     count = {status: [item for item in outcomes if item.status == status] for status in ("passed", "failed", "skipped")}
-    parts = [f"{len(count['passed'])} promises kept"]
+    kept = len(count["passed"])
+    parts = [f"{kept} promise{'s' * (kept != 1)} kept"]
     if count["failed"]:
         parts.append(f"{len(count['failed'])} broken")
     if count["skipped"]:

@@ -96,10 +96,12 @@ def _plot(
     lines: Sequence[report.Line], names: Sequence[str], scenes: Sequence[str], better: dict[str, str], path: Path
 ) -> None:
     groups: dict[str, dict[str, float]] = {}
-    colors: dict[str, str] = {}
+    colors: dict[tuple[str, str], str] = {}
     directions: dict[str, str] = {}
+    notes: dict[str, str] = {}
     for line in lines:
-        title = line.title + {"stand-in": f"\n{STAND_IN}", "published": "\npublished"}.get(line.origin, "")
+        # What stands in is said below the panels, not by rows of its own: a figure of a run is either.
+        title = line.title + ("\npublished" if line.origin == "published" else "")
         title += f"\n{line.state}" if line.state else ""
         for scene in scenes:
             for name in names:
@@ -109,10 +111,12 @@ def _plot(
                 group = groups.setdefault(title, {})
                 # One method may have rows from several papers.
                 group[panel] = group.get(panel, value) if value != value else value
-        colors[title] = _COLORS[line.origin]
+                if value == value:
+                    colors[title, panel] = _COLORS[line.origin]
+                    notes |= {panel: STAND_IN} if line.origin == "stand-in" else {}
     panels = list(dict.fromkeys(panel for group in groups.values() for panel, value in group.items() if value == value))
     if panels:
-        plots.bars(groups, panels, path, better=directions, colors=colors, notes={})
+        plots.bars(groups, panels, path, better=directions, colors=colors, notes=notes)
 
 
 def _ungrouped(line: report.Line) -> bool:

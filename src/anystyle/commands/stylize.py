@@ -7,7 +7,7 @@ import re
 import sys
 import unicodedata
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -34,7 +34,9 @@ from anystyle.registry.build import build
 from anystyle.results import Path3D, render_each, write_cameras, write_colmap, write_report, write_scene, write_sheet
 from anystyle.sheet import Cell, to_pil
 from anystyle.stylizer import Stylizer
-from anystyle.types import Cameras, Scene, StyleEmbedding, Views
+from anystyle.testing.check import ContractError
+from anystyle.testing.comparing import conform
+from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, StyleEmbedding, Views
 
 LONGEST_TEXT = 2000
 
@@ -173,10 +175,24 @@ def place_cameras(
 
 
 def encoder(config: DictConfig, stylizer: Stylizer) -> Callable[[Views], Scene]:
-    """How views are encoded: in the single pass, or with cameras refined after it."""
-    if not config.refine:
-        return stylizer.encode
-    return lambda views: refine(stylizer.encode(views), stylizer.backbone.adapter)
+    """How views are encoded: in the single pass, or with cameras refined after it.
+
+    What comes of it has the shapes that its types say: a plugin's mistake is told here, not by what trips over it.
+    """
+
+    def encode(views: Views) -> Scene:
+        scene = stylizer.encode(views)
+        batch, number, _, height, width = views.images.shape
+        sizes = {"B": batch, "V": number, "H": height, "W": width}
+        try:
+            conform(scene.geometry, Geometry, "the backbone's `geometry_head`", **sizes)
+            conform(scene.cameras, Cameras, "the backbone's `geometry_head`", **sizes)
+            conform(scene.attributes, Attributes, "the backbone's `gaussian_head`", **sizes)
+        except ContractError as error:
+            raise ValueError(f"{error}; `anystyle plugins check backbone NAME` says all") from error
+        return refine(scene, stylizer.backbone.adapter) if config.refine else scene
+
+    return encode
 
 
 def named_styles(arguments: argparse.Namespace, config: DictConfig, stylizer: Stylizer) -> list[NamedStyle]:
@@ -212,6 +228,24 @@ def mixed(styles: Sequence[NamedStyle], amounts: Sequence[float]) -> list[NamedS
     ]
 
 
+def checked(gaussians: Gaussians, what: str) -> Gaussians:
+    """The Gaussians themselves, if all their numbers are finite: a scene of NaN is written like any other.
+
+    Raises:
+        ValueError: They are not.
+    """
+    for item in fields(gaussians):
+        values: Tensor = getattr(gaussians, item.name)
+        lost = values.numel() - int(values.isfinite().sum())
+        if lost:
+            raise ValueError(
+                f"{lost} of {values.numel()} numbers of the {item.name} of {what} are NaN or infinite; expected finite "
+                "ones. `anystyle plugins check backbone NAME` says where a backbone of your own makes them; trained "
+                "weights may need precision=fp32"
+            )
+    return gaussians
+
+
 def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Run the command."""
     amounts = check_arguments(arguments, config)
@@ -241,7 +275,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
         names = _unique([slug(source.name, 80) for source in sources])
         path = Path3D(frames=config.video.frames, fps=config.video.fps, scale=config.video.scale)
         with stages("render", "the unstyled scene"):
-            plain = capture.gaussians(stylizer.unstyled)
+            plain = checked(capture.gaussians(stylizer.unstyled), "the unstyled scene")
             unstyled = [to_pil(image) for image in render_each(stylizer, plain, capture.cameras)]
         columns: list[tuple[str, Cell, Sequence[Cell]]] = [("unstyled", None, unstyled)]
         report: dict[str, object] = {}
@@ -249,6 +283,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
             folder = out if len(styles) == 1 else out / f"{place + 1:02d}-{style.name}"
             with stages("restyle", f"{place + 1}/{len(styles)}: {' '.join(style.title.split())[:70]}"):
                 gaussians = capture.gaussians(functools.partial(stylizer.restyle, embedding=style.embedding))
+                gaussians = checked(gaussians, f"the scene in the style {style.title}")
             with stages("write", "scene, renders and video"):
                 renders = write_scene(
                     folder,

@@ -115,7 +115,7 @@ def bars(
     path: Path,
     *,
     better: Mapping[str, str],
-    colors: Mapping[str, str],
+    colors: Mapping[tuple[str, str], str],
     notes: Mapping[str, str],
 ) -> None:
     """Draw a panel for each figure, in it a bar for each row of a table.
@@ -125,7 +125,7 @@ def bars(
         names: Which figures.
         path: A PNG.
         better: ``higher`` or ``lower`` by figure.
-        colors: Of each row.
+        colors: Of each bar, by row and figure.
         notes: Written below a panel, by figure.
 
     Raises:
@@ -138,7 +138,7 @@ def bars(
     for place, name in enumerate(names):
         axis = axes[place // columns][place % columns]
         values = [groups[title].get(name, math.nan) for title in groups]
-        axis.barh(range(len(groups)), values, color=[colors[title] for title in groups], height=0.66)
+        axis.barh(range(len(groups)), values, color=[colors.get((title, name), OURS) for title in groups], height=0.66)
         known = [value for value in values if not math.isnan(value)]
         for level, value in enumerate(values):
             text = "–" if math.isnan(value) else number(value)

@@ -113,7 +113,9 @@ def figures_of(lines: Sequence[Line], wanted: Sequence[str] = ()) -> list[str]:
         raise ValueError(f"no run has the figure {unknown[0]!r}; there are {', '.join(known) or 'none'}")
     if wanted:
         return list(wanted)
-    return [name for name in _PREFERRED if name in known] + [name for name in known if name not in _PREFERRED]
+    # A protocol may tell figures of texts from those of images: `art_fid_text` is one of `art_fid`.
+    first = [name for start in _PREFERRED for name in known if name == start or name.startswith(f"{start}_")]
+    return first + [name for name in known if name not in first]
 
 
 def scenes_of(lines: Sequence[Line], names: Sequence[str]) -> list[str]:

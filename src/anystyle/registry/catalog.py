@@ -10,6 +10,7 @@ import importlib
 import logging
 import os
 import sys
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
@@ -85,6 +86,17 @@ class Plugin:
         return loaded
 
 
+def place_in(error: BaseException, module: str) -> str:
+    """`` (FILE, line N)``: where in the top-level package of a module an error came from; empty if it did not."""
+    own = module.partition(".")[0]
+    frames = [
+        (frame.f_code.co_filename, line)
+        for frame, line in traceback.walk_tb(error.__traceback__)
+        if str(frame.f_globals.get("__name__")).partition(".")[0] == own
+    ]
+    return f" ({Path(frames[-1][0]).name}, line {frames[-1][1]})" if frames else ""
+
+
 def base_of(kind: str) -> type:
     """Import the contract of a kind."""
     module, _, name = kind_named(kind).base.partition(":")
@@ -102,8 +114,9 @@ def _import(plugin: Plugin) -> Any:
         value: Any = module
         for name in qualified.split("."):
             value = getattr(value, name)
-    except Exception as error:
-        raise PluginError(f"{plugin} cannot be imported: {one_line(error) or type(error).__name__}") from error
+    except (Exception, SystemExit) as error:
+        told = f"{type(error).__name__}: {one_line(error)}".rstrip(": ")
+        raise PluginError(f"{plugin} cannot be imported: {told}{place_in(error, module_name)}") from error
     if plugin.root is not None:
         found = [Path(place).resolve() for place in (module.__file__, *getattr(module, "__path__", ())) if place]
         if not any(place.is_relative_to(plugin.root) for place in found):
@@ -296,4 +309,4 @@ def plugin(kind: str, name: str) -> Callable[[_Class], _Class]:
     return add
 
 
-__all__ = ["Catalog", "Plugin", "PluginError", "base_of", "catalog", "kind_named", "plugin"]
+__all__ = ["Catalog", "Plugin", "PluginError", "base_of", "catalog", "kind_named", "place_in", "plugin"]

@@ -132,7 +132,7 @@ def _nearest(*errors: BaseException | None) -> str:
             keys = [str(key) for key in error.parent_node if key not in ("_target_", "hydra")]
             if error.key is not None and error.key not in keys:
                 near = did_you_mean(str(error.key), keys)
-                return f".{near}" if near else f". There are: {', '.join(keys)}"
+                return f".{near}" if near else f". There are: {', '.join(keys) or 'none'}"
     return ""
 
 

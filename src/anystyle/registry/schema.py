@@ -80,7 +80,10 @@ def options(plugin: Plugin) -> tuple[Option, ...]:
         if parameter.name in runtime:
             continue
         if parameter.annotation is parameter.empty:
-            raise PluginError(f"{plugin} does not annotate '{parameter.name}'; a config cannot check it")
+            raise PluginError(
+                f"{plugin} does not annotate '{parameter.name}'; give it a type, as in '{parameter.name}: int = 2', by "
+                "which a config is checked"
+            )
         found.append(Option(parameter.name, hints[parameter.name], parameter.default))
     return tuple(found)
 

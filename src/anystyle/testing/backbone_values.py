@@ -203,11 +203,15 @@ def attributes_carry_gradients(plugin: Plugin) -> None:
     total.backward()
     for name in ("opacity", "scale", "rotation", "color"):
         gradient = getattr(leaves, name).grad
+        used = f"use `attributes.{name}` in the adapter, without detaching it"
+        finite = gradient is None or bool(gradient.isfinite().all())
         expect(
-            gradient is not None and bool(gradient.any()) and bool(gradient.isfinite().all()),
+            gradient is not None and bool(gradient.any()) and finite,
             given=f"the gradient in `attributes.{name}` is {_describe_gradient(gradient)}",
             expected="finite numbers that are not all 0",
-            change=f"use `attributes.{name}` in the adapter, without detaching it",
+            change=used
+            if finite
+            else "look in the adapter, and in the geometry that it is given, for what is no number",
         )
 
 

@@ -1,7 +1,6 @@
 """What every plugin promises before it is built: that a configuration can name it and check its options."""
 
 import tempfile
-import traceback
 from dataclasses import dataclass
 from functools import cached_property
 from inspect import getdoc
@@ -69,18 +68,10 @@ def class_can_be_imported(declared: Declaration) -> None:
     except PluginError as error:
         base = base_of(declared.kind)
         raise ContractError(
-            given=f"{error}{_place_of(error.__cause__, declared.plugin.target)}",
+            given=str(error),
             expected=f"a class that can be imported and inherits from {base.__module__}.{base.__qualname__}",
             change="mend the import, the name behind the ':' or the base class",
         ) from error
-
-
-def _place_of(error: BaseException | None, target: str) -> str:
-    """The line of the plugin's own module or package that an import failed in; empty where it is in neither."""
-    own = target.partition(":")[0].partition(".")[0]
-    frames = traceback.extract_tb(error.__traceback__) if error else []
-    inside = [frame for frame in frames if own in Path(frame.filename).with_suffix("").parts]
-    return f" ({Path(inside[-1].filename).name}, line {inside[-1].lineno})" if inside else ""
 
 
 def every_method_is_there(declared: Declaration) -> None:

@@ -174,9 +174,11 @@ def objective(config: DictConfig) -> dict[str, Any]:
     Raises:
         PluginError: What is left out is no loss.
     """
-    for name in config.without:
+    # One name needs no brackets, so that a sweep may leave out one term a job: `without=style,content`.
+    without = [config.without] if isinstance(config.without, str) else list(config.without)
+    for name in without:
         catalog().find("loss", name)
-    return {name: node for name, node in (config.loss or {}).items() if name not in config.without}
+    return {name: node for name, node in (config.loss or {}).items() if name not in without}
 
 
 def _weighted(config: DictConfig, part: str, module: nn.Module) -> nn.Module:

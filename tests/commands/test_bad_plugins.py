@@ -1,0 +1,133 @@
+"""Bad plugins in use, by the program as people start it: one line that says what is wrong with which, and status 2."""
+
+import os
+import re
+from textwrap import dedent
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from docs_program import Program
+
+TOY = """
+from dataclasses import replace
+
+import torch
+
+from anystyle.testing.toy.backbone import *
+
+class Head(ToyGeometryHead):
+    def forward(self, features, size):
+        given = super().forward(features, size)
+        return {result}
+
+class Mine(ToyBackbone):
+    "A backbone."
+    def __init__(self, *, dim: int = 12) -> None:
+        super().__init__(dim=dim, depth=2, patch_size=4)
+        self.geometry_head = Head(dim=dim, patch_size=4)
+"""
+CHECK = "; `anystyle plugins check backbone mine` says what it has to keep, ANYSTYLE_TRACEBACK=1 shows the way there"
+BAD = {
+    "unannotated": (
+        "from anystyle.contracts import Backbone\nclass Mine(Backbone):\n    def __init__(self, *, depth=3): ...",
+        "does not annotate 'depth'; give it a type, as in 'depth: int = 2'",
+    ),
+    "keywords": (
+        "from anystyle.contracts import Backbone\nclass Mine(Backbone):\n    def __init__(self, **options): ...",
+        "takes '**options'; name and annotate every option",
+    ),
+    "wrong_base": ("class Mine: ...", "must inherit from anystyle.contracts.Backbone"),
+    "import_error": (
+        "import torch\nimport does_not_exist\nclass Mine: ...",
+        "cannot be imported: ModuleNotFoundError: No module named 'does_not_exist' (bad_import_error.py, line 2)",
+    ),
+    "constructor": (
+        TOY.format(result="given").replace("super().__init__(dim=dim, depth=2, patch_size=4)", "{}['sizes']"),
+        "ended in KeyError: 'sizes' (bad_constructor.py, line 16)" + CHECK,
+    ),
+    "wrong_shape": (
+        TOY.format(result="replace(given, depth=given.depth[:, :, None])"),
+        "given the backbone's `geometry_head`: Geometry.depth is float32 of shape [1, 1, 1, 56, 72]; expected "
+        "floating-point numbers of shape [B=1, V=1, H=56, W=72]",
+    ),
+    "wrong_dtype": (
+        TOY.format(result="replace(given, depth=given.depth.int())"),
+        "given the backbone's `geometry_head`: Geometry.depth is int32 of shape [1, 1, 56, 72]; expected floating-",
+    ),
+    "no_numbers": (
+        TOY.format(result="replace(given, depth=given.depth * float('nan'))"),
+        "numbers of the means of the unstyled scene are NaN or infinite; expected finite ones",
+    ),
+    "one_view": (
+        TOY.format(result="replace(given, depth=given.depth + given.depth[:, 1, None])"),
+        "ended in IndexError: ",
+    ),
+    "not_square": (
+        TOY.format(result="replace(given, depth=given.depth + 0 * given.depth.mT)"),
+        "ended in RuntimeError: The size of tensor a (72) must match the size of tensor b (56)",
+    ),
+}  # fmt: skip
+"""Code, and what is said of it."""
+
+
+@pytest.fixture(scope="module")
+def use(tmp_path_factory):
+    """Run commands in a folder with a photograph, where ``ANYSTYLE_PLUGINS`` is a folder of one plugin."""
+    program, root = Program(), tmp_path_factory.mktemp("bad")
+    Image.fromarray(np.random.default_rng(0).integers(0, 255, (56, 72, 3), dtype=np.uint8)).save(root / "photo.png")
+
+    def run(name, code, *words, twice=False):
+        for number in range(1 + twice):
+            folder = root / name / str(number)
+            folder.mkdir(parents=True, exist_ok=True)
+            (folder / f"bad_{name}.py").write_text(dedent(code))
+            line = f'mine = "bad_{name}:Mine"'
+            (folder / "pyproject.toml").write_text(f'[project.entry-points."anystyle.backbone"]\n{line}\n')
+        environment = {**os.environ, "OMP_NUM_THREADS": "1", "ANYSTYLE_PLUGINS": str(root / name)}
+        environment.pop("ANYSTYLE_TRACEBACK", None)
+        return program(list(words), folder=root, environment=environment)
+
+    yield run
+    program.close()
+
+
+WORDS = ("stylize", "photo.png", "--text", "dots", "~model", "backbone=mine", "views.short_side=56", "video.frames=2")
+
+
+def one_line(done):
+    """The only line that a failed command leaves, but for its stages."""
+    assert done.status == 2, done.err
+    (line,) = (line for line in done.err.splitlines() if not line.endswith("…"))
+    assert line.startswith("anystyle: error: ")
+    return line
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_a_bad_backbone_ends_in_one_line_about_it(name, use):
+    code, told = BAD[name]
+    line = one_line(use(name, code, *WORDS))
+    assert told in line
+    if " ended in " in told:
+        assert f"backbone 'mine' (bad_{name}:Mine, declared by " in line
+        assert re.search(rf" \(bad_{name}\.py, line \d+\)", line)
+        assert line.endswith(CHECK)
+
+
+def test_two_of_one_name_end_in_one_line(use):
+    line = one_line(use("twins", TOY.format(result="given"), *WORDS, twice=True))
+    assert "backbone 'mine' is declared more than once: " in line
+    assert line.endswith("; rename one")
+
+
+def test_a_sweep_over_an_option_that_does_not_exist_ends_in_one_line(use):
+    good = TOY.format(result="given")
+    line = one_line(use("good", good, *WORDS, "-m", "backbone.dmi=8,12"))
+    assert "Key 'dmi' not in 'Mine'. Did you mean 'dim'?" in line
+
+
+def test_a_good_one_is_used(use):
+    """What makes the bad ones end is what is bad of them."""
+    done = use("good", TOY.format(result="given"), *WORDS)
+    assert (done.status, "look at out/sheet.png" in done.out) == (0, True), done.err
