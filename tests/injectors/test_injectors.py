@@ -253,6 +253,14 @@ def test_fit_takes_nothing_from_what_is_not_known():
     assert all(torch.equal(value, before[name]) for name, value in injector.state_dict().items())
 
 
+def test_where_tokens_are_no_colours_nothing_is_fitted_and_everything_learns():
+    injector = RampTexture(dim=DIM, style_dim=STYLE, fitted=True)
+    before = {name: value.clone() for name, value in injector.state_dict().items()}
+    injector.fit(torch.randn(4, 1, STYLE), Style(image=torch.rand(4, 3, 8, 8), pattern=torch.rand(4, 64, 64)))
+    assert all(torch.equal(value, before[name]) for name, value in injector.state_dict().items())
+    assert all(value.requires_grad for value in injector.parameters())
+
+
 def test_weights_of_knots_are_linear_interpolation_and_lead_back_from_beyond():
     place = torch.tensor([[0.0, 0.1, 0.5, 1.0, 1.5]], dtype=torch.float64, requires_grad=True)
     weights = between_knots(place, 5)

@@ -37,6 +37,7 @@ class RampTexture(Injector):
         width: Of the small network's hidden layers.
         fitted: Whether ramp, texture, ``dark`` and gate stay as :meth:`fit` makes them and only the reading of light
             learns. Where a text leaves colours open, gradients draw ramps and gate to what lies between all of them.
+            At sites of other than 3 channels, which are no colours, everything learns nevertheless.
         gain: Of the embedding and of the gate. A unit vector's entries shrink with its dimensions, and with them what
             a style changes at first; the root of ``style_dim`` makes up for it where training is short.
 
@@ -73,9 +74,9 @@ class RampTexture(Injector):
         self.gate = nn.Parameter(torch.zeros(dim))
         nn.init.zeros_(self.texture.weight)
         nn.init.zeros_(self.texture.bias)
-        self.fitted = fitted
+        self.fitted = fitted and dim == 3
         for part in (self.ramp, self.texture, self.dark, self.gate):
-            part.requires_grad_(not fitted)
+            part.requires_grad_(not self.fitted)
 
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
         """Put the tokens onto the style's ramp; special ones stay, and without places there is no texture."""
@@ -95,15 +96,17 @@ class RampTexture(Injector):
 
     @torch.no_grad()
     def fit(self, embeddings: Float[Tensor, "N K D"], examples: Style) -> None:
-        """Solve for the ramp, where tokens are colours as harmonics of degree 0, and for the texture.
+        """Solve for the ramp and the texture, where tokens are colours, as harmonics of degree 0.
 
         Both are linear in the embedding, so that least squares give at once what steps of gradients are long in
         finding: the embedding's directions differ in length by orders of magnitude. The gate is opened if it is not
         to learn.
         """
+        if self.channels != 3:
+            return
         rows = torch.ones(len(embeddings), dtype=torch.bool) if examples.has_image is None else examples.has_image
         code = self.gain * embeddings
-        if examples.image is not None and self.channels == 3:
+        if examples.image is not None:
             colors = constant_from_rgb(ramp(examples.image[rows], self.knots))
             solve(self.ramp, code[rows], colors.flatten(1))
             self.dark.copy_(constant_from_rgb(torch.zeros_like(self.dark)))

@@ -164,14 +164,17 @@ class StylizationTraining(Training):
         return self._source
 
     def begin(self) -> None:
-        """Show the injectors some examples of styles, as images and as texts."""
-        if not self.examples:
+        """Show injectors that want them some examples of styles, as images and as texts."""
+        injectors = [
+            injector for injector in self.stylizer.branch.injectors.children() if isinstance(injector, Injector)
+        ]
+        curious = [injector for injector in injectors if type(injector).fit is not Injector.fit]
+        if not self.examples or not curious:
             return
         styles = required(self._styles, "styles")
         shown = stack_styles([styles.read(style) for style in range(min(self.examples, len(styles)))])
         ways = [style_vectors(self.stylizer, shown, as_text=as_text) for as_text in (False, True)]
-        for injector in self.stylizer.branch.injectors.children():
-            assert isinstance(injector, Injector)
+        for injector in curious:
             injector.fit(torch.stack(ways, dim=1), shown)
 
     def exports(self) -> Mapping[str, nn.Module]:
