@@ -8,6 +8,7 @@ import pytest
 import torch
 from scipy import ndimage
 from scipy.special import expit, softmax
+from scipy.stats import rankdata
 
 from anystyle.contracts import Injector
 from anystyle.injectors.ada_ln import AdaLN
@@ -187,9 +188,9 @@ def test_ramp_texture_is_the_formula():
         texture = injector.texture(vector).detach().numpy().reshape(size, size)
         across = (_mirrored(places[scene].numpy()) + 1) * size / 2 - 0.5  # in samples; x, then y
         laid = ndimage.map_coordinates(texture, [across[..., 1], across[..., 0]], order=1, mode="nearest")
-        place = 0.5 + light[..., 0] + laid
-        inside = np.clip(place, 0, 1)
-        along = (inside + 0.01 * (place - inside)) * (knots - 1)
+        place = light[..., 0] + laid
+        ranks = (rankdata(place).reshape(place.shape) - 1) / place.size
+        along = ranks * (knots - 1)
         share = np.maximum(1 - np.abs(along[..., None] - np.arange(knots)), 0)
         colors = share @ injector.ramp(vector).detach().numpy().reshape(knots, DIM)
         dark = injector.dark.detach().numpy()
@@ -261,14 +262,23 @@ def test_where_tokens_are_no_colours_nothing_is_fitted_and_everything_learns():
     assert all(value.requires_grad for value in injector.parameters())
 
 
-def test_weights_of_knots_are_linear_interpolation_and_lead_back_from_beyond():
-    place = torch.tensor([[0.0, 0.1, 0.5, 1.0, 1.5]], dtype=torch.float64, requires_grad=True)
-    weights = between_knots(place, 5)
-    expected = [[1, 0, 0, 0, 0], [0.6, 0.4, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 0, 1], [0, 0, 0, 0, 0.98]]
-    torch.testing.assert_close(weights[0], torch.tensor(expected, dtype=torch.float64))
-    (weights[0, 4, 4]).backward()
-    assert place.grad is not None
-    assert place.grad[0, 4] < 0
+def test_weights_of_knots_are_linear_interpolation():
+    place = torch.tensor([[0.0, 0.1, 0.5, 1.0]], dtype=torch.float64)
+    expected = [[1, 0, 0, 0, 0], [0.6, 0.4, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 0, 1]]
+    torch.testing.assert_close(between_knots(place, 5)[0], torch.tensor(expected, dtype=torch.float64))
+
+
+def test_every_colour_of_the_ramp_has_its_share():
+    injector = _trained(RampTexture, knots=2, size=3, fitted=False)
+    with torch.no_grad():
+        injector.gate.fill_(1.0)
+        injector.light[-1].weight[1] = 0  # no shade
+        injector.light[-1].bias[1] = 0
+    tokens, style = _tokens(batch=1, special=0).to(torch.float64), _style(1).double()
+    made = injector(_placed(tokens, torch.rand(1, 3, 6, 2, dtype=torch.float64)), style).patches[0].flatten(0, 1)
+    first, last = injector.ramp(style).detach().view(2, DIM)
+    along = ((made.detach() - first) @ (last - first) / (last - first).square().sum()).sort().values
+    torch.testing.assert_close(along, torch.arange(18, dtype=torch.float64) / 18)
 
 
 @pytest.mark.parametrize(

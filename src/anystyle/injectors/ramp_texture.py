@@ -10,22 +10,23 @@ from torch import Tensor, nn
 from anystyle.contracts import Injector
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.geometry.texture import sample_texture
-from anystyle.perception.ramps import ramp
+from anystyle.perception.ramps import ramp, shares
 from anystyle.types import Style, Tokens
 
-REACH = 0.8
-"""How far of the ramp the drawn pattern moves a token, from its dark to its light, before anything is learnt."""
+REACH = 0.65
+"""How much lighter the fitted texture makes a token where the pattern is light than where it is dark."""
 
 
 class RampTexture(Injector):
-    """Put tokens onto the style's ramp: ``x + gate * (dark + shade(x) * (ramp(z)[light(x) + texture(z)] - dark) - x)``.
+    """Put tokens onto the style's ramp: ``x + gate * (dark + shade(x) * (ramp(z)[rank(light(x) + texture(z))] - dark) - x)``.
 
     The style gives ``knots`` tokens, its ramp, and a texture; both are linear in the embedding, so that half of the
     way between two styles is half of each. The texture is laid over the scene from the first camera (projective
     texture mapping, Segal et al., "Fast shadows and lighting effects using texture mapping", 1992, section 2), so a
-    point has the same place in it in every view. Where a token lies on the ramp is how light it is among the scene's
-    tokens plus what the texture has there; a small network, the same for all styles, reads the former off the token
-    itself and off ``(token - mean) / deviation`` over views and places, and how far from ``dark`` it is to be with it.
+    point has the same place in it in every view. How light a token is, plus what the texture has there, puts the
+    tokens of a scene in an order, and the n-th of them takes the n-th of the ramp's colours: each colour has its share.
+    A small network, the same for all styles, reads how light a token is, and how far from ``dark`` it is to be with it,
+    off the token itself and off ``(token - mean) / deviation`` over views and places.
 
     Meant for the colours of pixels: what they show is a gradient map with a pattern in it.
 
@@ -85,12 +86,14 @@ class RampTexture(Injector):
         rows = patches.flatten(1, 2)  # B (V p) C
         variance, mean = torch.var_mean(rows, dim=1, correction=0, keepdim=True)
         read = self.light(torch.cat([rows, (rows - mean) / (variance + 1e-3).sqrt()], dim=-1))
-        place = 0.5 + read[..., 0]
+        place = read[..., 0]
         if tokens.places is not None:
             texture = self.texture(code).unflatten(-1, (1, self.size, self.size))
             place = place + sample_texture(texture, tokens.places.to(texture.dtype)).flatten(1)
         ramp = self.ramp(code).unflatten(-1, (self.knots, -1))
-        colors = torch.bmm(between_knots(place, self.knots), ramp)
+        # A rank is flat between its steps; what is ranked has the gradient (straight-through: Bengio et al. 2013).
+        share = shares(place.detach())
+        colors = torch.bmm(between_knots(share + place - place.detach(), self.knots), ramp)
         made = torch.lerp(self.dark, colors, 1 + read[..., 1:])
         return tokens.with_patches(torch.lerp(rows, made, self.gain * self.gate).view_as(patches))
 
@@ -128,11 +131,6 @@ def solve(layer: nn.Linear, inputs: Float[Tensor, "N K D"], outputs: Float[Tenso
 
 
 def between_knots(place: Float[Tensor, "B N"], knots: int) -> Float[Tensor, "B N knots"]:
-    """How much of each knot there is at each place of [0, 1]: of the two beside it, and 1 in all.
-
-    Beyond the ends the weight of the end falls and that of its neighbour stays 0, by a hundredth of the way: too
-    little to be seen, but the gradient leads back.
-    """
-    inside = place.clamp(0, 1)
-    along = (inside + 0.01 * (place - inside))[..., None] * (knots - 1)
+    """How much of each knot there is at each place of [0, 1]: of the two beside it, and 1 in all."""
+    along = place[..., None] * (knots - 1)
     return F.relu(1 - (along - torch.arange(knots, device=place.device, dtype=place.dtype)).abs())
