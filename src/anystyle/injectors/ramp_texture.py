@@ -18,13 +18,13 @@ REACH = 0.65
 
 
 class RampTexture(Injector):
-    """Put tokens onto the style's ramp: ``x + gate * (dark + shade(x) * (ramp(z)[rank(light(x) + texture(z))] - dark) - x)``.
+    """Put tokens onto the style's ramp: ``x + gate * (dark + shade(x) * (ramp(z)[rank] - dark) - x)``.
 
     The style gives ``knots`` tokens, its ramp, and a texture; both are linear in the embedding, so that half of the
     way between two styles is half of each. The texture is laid over the scene from the first camera (projective
     texture mapping, Segal et al., "Fast shadows and lighting effects using texture mapping", 1992, section 2), so a
-    point has the same place in it in every view. How light a token is, plus what the texture has there, puts the
-    tokens of a scene in an order, and the n-th of them takes the n-th of the ramp's colours: each colour has its share.
+    point has the same place in it in every view. How light a token is, plus what the texture has there, ranks
+    the tokens of a scene, and the n-th of them takes the n-th of the ramp's colours: each colour has its share.
     A small network, the same for all styles, reads how light a token is, and how far from ``dark`` it is to be with it,
     off the token itself and off ``(token - mean) / deviation`` over views and places.
 
