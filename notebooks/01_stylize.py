@@ -66,7 +66,12 @@ contact_sheet(
 # Only the style branch runs, for all texts together.
 
 # %%
-texts = ["purple and pink dots", "green and cream brush strokes", "orange and navy waves", "red and white stripes"]
+texts = [
+    "large purple and pink dots",
+    "green and cream mosaic",
+    "diagonal orange and navy stripes",
+    "black and white hatching",
+]
 start = time.perf_counter()
 gaussians = stylizer.restyle(scene, stylizer.embed(text=texts))
 restyling = time.perf_counter() - start
