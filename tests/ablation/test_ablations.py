@@ -43,6 +43,8 @@ FEW_STEPS = (
     *SMALL, "experiment=tiny_style", "weights.backbone=null", "trainer.max_steps=2", "scenes.size=28",
     "scenes.num_scenes=2", "styles.num_styles=1", "styles.size=28", "training.batch_size=1", "training.pool=2",
     "training.cache_scenes=2", "training.warmup=1", "training.preview_every=0", "hydra.sweep.dir=sweep",
+    # Rows that style geometry differ only where style enters before the attributes part.
+    "backbone.styled_direct=true",
 )  # fmt: skip
 
 
