@@ -285,7 +285,8 @@ class Geometry(Value):
         """
         height, width = self.depth.shape[-2:]
         first = self.cameras.world_from_camera[:, :1, None, None]  # B 1 1 1 4 4
-        seen = ((self.points() - first[..., :3, 3])[..., None, :] @ first[..., :3, :3])[..., 0, :]
+        # Summed by hand, for a matrix product would be rounded under autocast.
+        seen = ((self.points() - first[..., :3, 3])[..., :, None] * first[..., :3, :3]).sum(-2)
         # What lies behind the first camera has a place too, if none that it could see.
         away = seen[..., 2].abs().clamp_min(1e-6)
         intrinsics = self.cameras.intrinsics[:, :1, None, None]  # B 1 1 1 3 3
