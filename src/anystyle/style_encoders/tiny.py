@@ -16,9 +16,13 @@ from anystyle.style_encoders.words import hash_words
 TAPS = ("relu1_2", "relu2_2", "relu3_2", "relu4_1")
 TAP_CHANNELS = (32, 64, 96, 128)
 SIDE = 64
+"""Shorter side of the images that textures are read off."""
+COLORED_SIDE = 96
+"""Shorter side, at most, of those that colours are read off: a smaller copy mixes what lies side by side, and its ramp is
+2 % of the variance off that of the image."""
 COLORS = 32
 """Colours of the ramp that the image tower reads."""
-KNOTS = 8
+KNOTS = 12
 """Colours of the ramp that an embedding gives back."""
 
 
@@ -63,7 +67,7 @@ class Tiny(StyleEncoder):
         self.register_buffer("whitening", torch.eye(dim))
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """See :meth:`StyleEncoder.embed_images`; the shorter side is brought to 64 pixels first."""
+        """See :meth:`StyleEncoder.embed_images`; textures and colours are read off copies of 64 and 96 pixels."""
         return self.from_image_tower(self.image_tower(images))
 
     def from_image_tower(self, raw: Float[Tensor, "M D"]) -> Float[Tensor, "M D"]:
@@ -75,7 +79,7 @@ class Tiny(StyleEncoder):
         return self._whiten(self.text_tower(texts), self.text_mean)
 
     def palette(self, vectors: Float[Tensor, "M D"]) -> Float[Tensor, "M colors 3"]:
-        """Eight sRGB colours from dark to light, each for an eighth of the pixels, that an embedding stands for.
+        """Twelve sRGB colours from dark to light, each for a twelfth of the pixels, that an embedding stands for.
 
         They are linear in the embedding, and so may lie a little outside [0, 1].
         """
@@ -120,8 +124,7 @@ class ImageTower(nn.Module):
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """Embed images of any size."""
-        images = shorter_side(images, SIDE)
-        return self.join(self.textures(images), ramp(images, COLORS))
+        return self.join(self.textures(shorter_side(images, SIDE)), colors(images))
 
     def textures(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M C"]:
         """Mean and deviation of the texture network's features at four scales, of images of the right size."""
@@ -203,6 +206,11 @@ class Block(nn.Module):
         mixed = F.scaled_dot_product_attention(q, k, v, attn_mask=present[:, None, None, :])
         tokens = tokens + self.proj(mixed.transpose(1, 2).flatten(2))
         return tokens + self.mlp(self.norm2(tokens))
+
+
+def colors(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M knots 3"]:
+    """The ramps that the image tower reads, of images of any size."""
+    return ramp(shorter_side(images, min(COLORED_SIDE, *images.shape[-2:])), COLORS)
 
 
 def shorter_side(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "M 3 h w"]:

@@ -11,8 +11,7 @@ from torch import Tensor, nn
 
 from anystyle import perception
 from anystyle.contracts import SceneSource, StyleSource
-from anystyle.perception.ramps import ramp
-from anystyle.style_encoders.tiny import COLORS, KNOTS, SIDE, Tiny, shorter_side
+from anystyle.style_encoders.tiny import KNOTS, SIDE, Tiny, colors, shorter_side
 from anystyle.training.contract import Training
 from anystyle.training.optim import decayed_groups, scheduled
 from anystyle.training.styles import StyleBatch, StyleBatches, TraitHeads
@@ -130,9 +129,9 @@ class EmbeddingTraining(Training):
         styles = len(batch.texts)
         images = torch.cat([batch.images, batch.photos])
         if self.tune_texture:
-            raw, colors = self.varied_pictures(images)
+            raw, ramps = self.varied_pictures(images)
         else:
-            raw, colors = self.known_pictures(images, batch.keys)
+            raw, ramps = self.known_pictures(images, batch.keys)
         pictures = self.style_encoder.from_image_tower(raw)
         captions = self.style_encoder.embed_texts(
             [_noisy(text, self.noise_words) for text in batch.texts + batch.photo_texts]
@@ -141,7 +140,7 @@ class EmbeddingTraining(Training):
         for name, vectors in (("image", pictures), ("text", captions)):
             named = self.traits.losses(self._scaled(vectors[:styles]), batch.traits)
             terms[f"{name}_names"] = torch.stack([*named.values()]).sum()
-            terms[f"{name}_palette"] = self.palette_error(vectors, colors)
+            terms[f"{name}_palette"] = self.palette_error(vectors, ramps)
             terms[f"{name}_pattern"] = self.pattern_error(vectors[:styles], batch.patterns)
         weights = {
             "contrast": 1.0,
@@ -154,9 +153,9 @@ class EmbeddingTraining(Training):
         self.log_dict({f"train/{name}": value for name, value in terms.items()}, batch_size=styles)
         return total
 
-    def palette_error(self, vectors: Float[Tensor, "M D"], colors: Float[Tensor, "M knots 3"]) -> Float[Tensor, ""]:
+    def palette_error(self, vectors: Float[Tensor, "M D"], ramps: Float[Tensor, "M knots 3"]) -> Float[Tensor, ""]:
         """How far the ramps that embeddings give back are off, as a share of what colours of any kind vary."""
-        wanted = F.adaptive_avg_pool1d(colors.mT, KNOTS).mT
+        wanted = F.adaptive_avg_pool1d(ramps.mT, KNOTS).mT
         return 12 * (self.style_encoder.palette(vectors) - wanted).square().mean()
 
     def pattern_error(self, vectors: Float[Tensor, "M D"], patterns: Float[Tensor, "M r c"]) -> Float[Tensor, ""]:
@@ -169,27 +168,28 @@ class EmbeddingTraining(Training):
     ) -> tuple[Float[Tensor, "M D"], Float[Tensor, "M knots 3"]]:
         """What the image tower says of varied pictures, and their ramps; all of it learns."""
         tower = self.style_encoder.image_tower
-        small = shorter_side(varied(images), SIDE).contiguous(memory_format=torch.channels_last)
+        images = varied(images)
+        small = shorter_side(images, SIDE).contiguous(memory_format=torch.channels_last)
         with torch.autocast(images.device.type, torch.bfloat16, enabled=self.bf16):
             textures = tower.textures(small)
-        colors = ramp(small, COLORS)
-        return tower.join(textures.float(), colors), colors
+        ramps = colors(images)
+        return tower.join(textures.float(), ramps), ramps
 
     def known_pictures(
         self, images: Float[Tensor, "M 3 H W"], keys: tuple[int, ...]
     ) -> tuple[Float[Tensor, "M D"], Float[Tensor, "M knots 3"]]:
         """What the image tower says of pictures whose textures and ramps are remembered; only what follows learns."""
-        tower, small = self.style_encoder.image_tower, shorter_side(images, SIDE)
+        tower = self.style_encoder.image_tower
         with torch.no_grad():
             for place, key in enumerate(keys):
                 if key not in self._known:
                     # One by one, so that a picture's features do not depend on its company.
-                    one = small[place : place + 1]
-                    self._known[key] = tower.textures(one)[0], ramp(one, COLORS)[0]
+                    one = images[place : place + 1]
+                    self._known[key] = tower.textures(shorter_side(one, SIDE))[0], colors(one)[0]
         textures = torch.stack([self._known[key][0] for key in keys])
-        colors = torch.stack([self._known[key][1] for key in keys])
+        ramps = torch.stack([self._known[key][1] for key in keys])
         textures = textures * (1 + self.feature_noise * torch.randn_like(textures))
-        return tower.join(textures, colors), colors
+        return tower.join(textures, ramps), ramps
 
     def contrast(
         self, pictures: Float[Tensor, "M D"], captions: Float[Tensor, "M D"], photos: int
@@ -213,7 +213,7 @@ class EmbeddingTraining(Training):
         captions = self.style_encoder.embed_texts(batch.texts)
         similarity = pictures @ captions.T
         own = torch.arange(len(captions), device=similarity.device)
-        colors = ramp(shorter_side(batch.images, SIDE), COLORS)
+        ramps = colors(batch.images)
         found = {
             "retrieval_image_to_text": (similarity.argmax(1) == own).float().mean(),
             "retrieval_text_to_image": (similarity.argmax(0) == own).float().mean(),
@@ -221,7 +221,7 @@ class EmbeddingTraining(Training):
         for name, vectors in (("image", pictures), ("text", captions)):
             named = self.traits.accuracies(self._scaled(vectors), batch.traits)
             found |= {f"{name}_{trait}": value for trait, value in named.items()}
-            found[f"{name}_palette_error"] = self.palette_error(vectors, colors)
+            found[f"{name}_palette_error"] = self.palette_error(vectors, ramps)
             found[f"{name}_pattern_error"] = self.pattern_error(vectors, batch.patterns)
         self.log_dict({f"val/{name}": value for name, value in found.items()}, batch_size=len(captions))
 
