@@ -18,8 +18,8 @@ TAP_CHANNELS = (32, 64, 96, 128)
 SIDE = 64
 """Shorter side of the images that textures are read off."""
 COLORED_SIDE = 96
-"""Shorter side, at most, of those that colours are read off: a smaller copy mixes what lies side by side, and its ramp is
-2 % of the variance off that of the image."""
+"""Shorter side, at most, of those that colours are read off. A smaller copy mixes what lies side by side: the ramp of
+one of 64 pixels is 2 % of the variance off."""
 COLORS = 32
 """Colours of the ramp that the image tower reads."""
 KNOTS = 12

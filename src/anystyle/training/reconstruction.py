@@ -51,6 +51,8 @@ class ReconstructionTraining(Training):
         correlation_weight: Of the matches of a backbone that makes them itself.
         render_weight: Of the squared error of renders.
         ssim_weight: Of their structural dissimilarity.
+        own_weight: Of both for a context view drawn from the predicted cameras, as AnySplat is trained (arXiv
+            2505.23716): how well views agree that are not quite where they should be, as at test time; 0 draws none.
         render_every: Steps from one with renders to the next.
         render_scenes: So many scenes of the batch are rendered then: the target views and one context view each.
     """
@@ -79,6 +81,7 @@ class ReconstructionTraining(Training):
         correlation_weight: float = 0.3,
         render_weight: float = 5.0,
         ssim_weight: float = 0.2,
+        own_weight: float = 0.0,
         render_every: int = 4,
         render_scenes: int = 4,
     ) -> None:
@@ -90,6 +93,7 @@ class ReconstructionTraining(Training):
         self.view_power, self.heights, self.warmup = view_power, heights, warmup
         self.render_every, self.render_scenes = render_every, render_scenes
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
+        self.own_weight = own_weight
         self.weights = {
             "depth": depth_weight,
             "camera": camera_weight,
@@ -102,6 +106,8 @@ class ReconstructionTraining(Training):
             "correlation": correlation_weight,
             "render": render_weight,
             "ssim": ssim_weight,
+            "own_render": own_weight * render_weight,
+            "own_ssim": own_weight * ssim_weight,
         }
 
     @classmethod
@@ -190,16 +196,21 @@ class ReconstructionTraining(Training):
             features: Of the context views.
             geometry: As predicted.
             views: Context and target views in the canonical frame.
-            drawn: Which of them are rendered, from their true cameras.
+            drawn: Which of them are rendered, from their true cameras; the first, a context view, from its predicted
+                one too.
         """
         context = geometry.depth.shape[1]
-        attributes = self.backbone.gaussian_head(features, views.images[:, :context])
-        assert views.cameras is not None
+        attributes = self.backbone.gaussian_head(features, views.images[:, :context]).to(torch.float32)
+        aims = views.select(list(drawn))
+        assert views.cameras is not None and aims.cameras is not None
         with self.exact():
-            gaussians = self.gaussians_at(attributes.to(torch.float32), geometry, views.cameras.select(slice(context)))
-            aims = views.select(list(drawn))
-            assert aims.cameras is not None
-            return photometric(self.renderer(gaussians, aims.cameras), aims.images)
+            gaussians = self.gaussians_at(attributes, geometry, views.cameras.select(slice(context)))
+            losses = photometric(self.renderer(gaussians, aims.cameras), aims.images)
+            if self.own_weight:
+                own = self.gaussians_at(attributes, geometry, geometry.cameras)
+                seen = self.renderer(own, geometry.cameras.select([drawn[0]]))
+                losses |= {f"own_{name}": loss for name, loss in photometric(seen, aims.images[:, :1]).items()}
+            return losses
 
     def gaussians_at(self, attributes: Attributes, geometry: Geometry, cameras: Cameras) -> Gaussians:
         """The Gaussians as if the cameras were these."""
