@@ -13,7 +13,7 @@ from anystyle.geometry.texture import sample_texture
 from anystyle.perception.ramps import ramp, shares
 from anystyle.types import Style, Tokens
 
-REACH = 0.65
+REACH = 0.58
 """How much lighter the fitted texture makes a token where the pattern is light than where it is dark."""
 
 
