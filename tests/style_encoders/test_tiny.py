@@ -4,7 +4,8 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from anystyle.style_encoders.tiny import Tiny, shorter_side
+from anystyle.perception.ramps import ramp
+from anystyle.style_encoders.tiny import COLORS, KNOTS, Tiny, colors, shorter_side
 from oracle import smooth_image
 
 TEXTS = ("red dots", "thick swirling strokes in deep blue and gold, very large", "a photo", "a")
@@ -93,7 +94,7 @@ def test_whitening_levels_the_spectrum_and_centres_both_modalities() -> None:
 def test_the_palette_of_a_mixture_is_the_mixture_of_the_palettes(encoder: Tiny) -> None:
     vectors = encoder.embed_texts(TEXTS)
     palette = encoder.palette(vectors)
-    assert palette.shape == (4, 8, 3)
+    assert palette.shape == (4, KNOTS, 3)
     torch.testing.assert_close(
         encoder.palette(vectors.lerp(vectors.roll(1, 0), 0.3)), palette.lerp(palette.roll(1, 0), 0.3)
     )
@@ -104,3 +105,13 @@ def test_bad_texts_are_refused(encoder: Tiny) -> None:
         encoder.embed_texts(["red", ""])
     with pytest.raises(ValueError, match="reads 64; shorten it"):
         encoder.embed_texts(["red " * 65])
+
+
+def test_colours_are_read_off_more_pixels_than_textures(encoder: Tiny) -> None:
+    """Lines of one pixel survive at 96 pixels and are grey at 64: the ramp is that of the image."""
+    lines = torch.zeros(1, 3, 96, 96)
+    lines[..., ::2] = 1
+    read = colors(lines)[0, :, 0]
+    torch.testing.assert_close(read, (torch.arange(len(read)) >= len(read) // 2).float())
+    small = torch.rand(1, 3, 20, 30, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(colors(small), ramp(small, COLORS))
