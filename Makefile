@@ -20,9 +20,9 @@ setup: .venv/.ready
 DEMO := scenes=procedural scenes.split=heldout scenes.size=112 scene=11 styles=procedural styles.split=heldout
 demo: export OMP_NUM_THREADS = 2
 demo: setup
-	$(BIN)/anystyle stylize $(DEMO) "style=[4,19]" --text "diagonal orange and navy stripes" \
-		--text "large red and white dots" --text "black and white hatching" --out out/demo
-	$(BIN)/anystyle stylize $(DEMO) --text "diagonal orange and navy stripes" --text "large purple and pink dots" \
+	$(BIN)/anystyle stylize $(DEMO) "style=[4,19]" --text "bold blue and yellow swirls" \
+		--text "large red and white dots" --text "orange and navy checkerboard" --out out/demo
+	$(BIN)/anystyle stylize $(DEMO) --text "bold blue and yellow swirls" --text "large red and white dots" \
 		--mix 0,0.25,0.5,0.75,1 --out out/demo/strip
 	@echo "the results are in out/demo: look at out/demo/sheet.png and out/demo/strip/sheet.png"
 

@@ -69,8 +69,8 @@ contact_sheet(
 texts = [
     "large purple and pink dots",
     "green and cream mosaic",
-    "diagonal orange and navy stripes",
-    "black and white hatching",
+    "orange and navy checkerboard",
+    "bold blue and yellow swirls",
 ]
 start = time.perf_counter()
 gaussians = stylizer.restyle(scene, stylizer.embed(text=texts))
