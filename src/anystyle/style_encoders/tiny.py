@@ -27,7 +27,7 @@ KNOTS = 12
 
 
 class Tiny(StyleEncoder):
-    """Images and texts in a space of textures and palettes; 0.9 M parameters, no download.
+    """Images and texts in a space of textures and palettes; 1.2 M parameters, no download.
 
     Images go through the convolutions of the texture network, pooled to mean and deviation at every scale, beside the
     ramp of their colours from dark to light. Texts go through hashed words and a small transformer. Each modality is
