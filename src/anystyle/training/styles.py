@@ -82,7 +82,7 @@ class MadeStyles(Protocol):
 class StyleBatches:
     """Batches of styles with their traits, and of photographs of scenes.
 
-    What is made is kept in memory: 64 kB for each style of the pool at 96 pixels, pictures as bytes, patterns as they are.
+    What is made is kept in memory, 64 kB for each style at 96 pixels: pictures as bytes, patterns as floats.
 
     Args:
         styles: Styles with traits, all of one size.
