@@ -25,9 +25,8 @@ from torch import nn
 
 import anystyle
 from anystyle import contracts
-from anystyle.data.procedural.scenes import ProceduralScenes
 from anystyle.geometry.cameras import orbit
-from anystyle.sheet import contact_sheet, to_pil
+from anystyle.io.sheet import contact_sheet, to_pil
 from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Site, Tokens, untouched
 
 # %% [markdown]
@@ -95,7 +94,7 @@ class BrightIsNear(contracts.GeometryHead):
 
 # %% [markdown]
 # ## 4. The Gaussian head: what each pixel's Gaussian looks like
-# The style branch is always a copy of this part, so it has a site too. Colours start from the photograph's.
+# A style branch copies this part too when style enters it. Colours start from the photograph's.
 
 # %%
 HARMONIC_0 = 0.28209479177387814  # the constant spherical harmonic
@@ -204,7 +203,8 @@ print(report(run("backbone", Mistaken)))
 # By name, like any other; options are typed and checked.
 
 # %%
-stylizer = anystyle.load("tiny", ["~model", "backbone=relief", "backbone.depth=3", "renderer=cpu"])
+stylizer = anystyle.load("painter", ["backbone=relief", "backbone.depth=3", "renderer=cpu"])
+ProceduralScenes = anystyle.catalog().find("scenes", "procedural").load()
 views = ProceduralScenes(split="heldout", size=112).read(11, [0])
 scene = stylizer.encode(views)
 gaussians = stylizer.unstyled(scene)
@@ -216,7 +216,7 @@ contact_sheet([[to_pil(views.images[0, 0]), *map(to_pil, around)]], column_title
 
 # %%
 try:
-    anystyle.load("tiny", ["~model", "backbone=relief", "backbone.dpeth=3"])
+    anystyle.load(overrides=["backbone=relief", "backbone.dpeth=3"])
 except ValueError as error:
     print(error)
 

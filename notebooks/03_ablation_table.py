@@ -25,7 +25,7 @@ from IPython.display import Image, Markdown
 
 from anystyle.paths import CONF
 
-STEPS = 4
+STEPS = 2
 
 # %% [markdown]
 # ## What a row changes
@@ -41,7 +41,7 @@ Markdown("\n".join(f"**{row}**\n```yaml\n{(CONF / 'ablation' / f'{row}.yaml').re
 # others alone.
 
 # %%
-short = f"trainer.max_steps={STEPS} training.pool=2 scenes.num_scenes=2 training.warmup=2"
+short = f"trainer.max_steps={STEPS} training.pool=2 scenes.num_scenes=2 training.warmup=1"
 # !anystyle train -m experiment=tiny_ablation ablation={",".join(rows)} {short} hydra.sweep.dir=table 2>train.log
 
 # %% [markdown]
@@ -51,7 +51,7 @@ short = f"trainer.max_steps={STEPS} training.pool=2 scenes.num_scenes=2 training
 
 # %%
 scenes = "scenes=procedural scenes.split=heldout scenes.size=112 protocol.num_scenes=1 protocol.num_views=2"
-styles = "styles=procedural styles.split=heldout styles.size=96 protocol.num_styles=3"
+styles = "styles=procedural styles.split=heldout styles.size=96 protocol.num_styles=2"
 # !anystyle evaluate --run table protocol=guides {scenes} {styles} metric=[clip_style,depth_agreement] >judge.log 2>&1
 
 # %% [markdown]

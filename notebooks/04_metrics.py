@@ -30,9 +30,7 @@ from PIL import Image
 import anystyle
 from anystyle.correspondences.dis import DIS
 from anystyle.correspondences.rendered_depth import RenderedDepth
-from anystyle.data.procedural.scenes import ProceduralScenes
-from anystyle.data.procedural.styles import ProceduralStyles
-from anystyle.sheet import contact_sheet, to_pil
+from anystyle.io.sheet import contact_sheet, to_pil
 from anystyle.types import Frames
 
 # %% [markdown]
@@ -41,7 +39,9 @@ from anystyle.types import Frames
 # made them, by whatever method, is judged alike.
 
 # %%
-stylizer = anystyle.load("tiny")
+ProceduralScenes = anystyle.catalog().find("scenes", "procedural").load()
+ProceduralStyles = anystyle.catalog().find("styles", "procedural").load()
+stylizer = anystyle.load()
 scenes, styles = ProceduralScenes(split="heldout", size=112), ProceduralStyles(split="heldout", size=112)
 views = scenes.read(11, [0, 1])
 scene = stylizer.encode(views)

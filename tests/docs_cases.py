@@ -31,6 +31,13 @@ ADDED = (
     (r"anystyle train .*=tiny_(style|ablation)", "training.batch_size=1 styles.num_styles=1 styles.size=28"),
     (r"anystyle train .*=tiny_(style|ablation)", "training.pool=2 training.cache_scenes=2 training.preview_every=0"),
     (r"anystyle train .*=tiny_reconstruction", "training.batch_size=1 training.context_views=[2,2] validation_steps=1"),
+    (
+        r"anystyle train .*=tiny_paper",
+        "training.pool=2 training.cache_scenes=2 training.preview_every=0 styles.num_styles=1",
+    ),
+    (r"anystyle train .*=tiny_paper", "training.batch_size=1 loss.clip_patch.crop_size=16 styles.size=28"),
+    (r"anystyle train .*=magenta_text", "trainer.max_steps=2 training.warmup=1 training.batch_size=8 training.pool=16"),
+    (r"anystyle train .*=magenta_text", "training.axes_on=8 styles.size=32 validation_styles.size=32"),
     (r"anystyle train (?!.*(paper|depth_anything|--cfg|--info))", _BACKBONE),
     (r"anystyle train -m (?!.*(sweep.dir|hydra/launcher))", "hydra.sweep.dir=multirun/DATE/TIME"),
     (r"anystyle benchmark(?!.*model)", "--views 2 --repeat 1 --size 56x56"),
@@ -61,11 +68,18 @@ INSTEAD = {
 }
 """Commands with places to fill in, filled in."""
 FEWER = {
-    "docs/ablation.md": {"seed=0,1,2": "seed=0", "hydra/launcher=joblib": None, "hydra.launcher.n_jobs=2": None},
-    "docs/clusters.md": {"seed=0,1,2": "seed=0,1", "placement=head,full": "placement=full"},
+    "docs/ablation.md": {
+        "seed=0,1,2": "seed=0",
+        "ablation=base,all_geometry,no_clip_loss,no_style_loss,no_text": "ablation=base,no_text",
+        "placement=aggregator,full": "placement=full",
+        "hydra/launcher=joblib": None,
+        "hydra.launcher.n_jobs=2": None,
+    },
+    "docs/clusters.md": {"seed=0,1,2": "seed=0", "placement=head,full": "placement=full"},
+    "README.md": {"placement=head,aggregator,full": "placement=head,full"},
 }
-"""Words of sweeps that are other or none on a page that shows more jobs than a test can train. With several jobs the
-launchers are run by ``ablation/test_ablations.py``."""
+"""Words of sweeps that are other or none on a page that shows more jobs than a test can train. All rows and placements
+are trained by ``ablation/test_ablations.py``."""
 ENDS = {
     r"anystyle weights download ": "cannot be fetched",
     r"anystyle data caption ": "captions need transformers",
@@ -82,7 +96,6 @@ TELLS = {
 }
 """What the commands that begin so say, by which it is seen that they did their work."""
 NOT_RUN = {
-    r"git clone ": "needs a network",
     r"pip install ": "needs a network",
     r"make (demo|setup|lint|test|test-slow)$": "sets up an environment from a network",
     r"make docs$": "tests/docs/test_site.py does what it does",
@@ -90,12 +103,16 @@ NOT_RUN = {
     r"torchrun ": "needs several graphics cards, or machines",
     r"srun ": "needs a cluster",
     r"anystyle train -m hydra/launcher=submitit_slurm ": "needs a cluster",
+    r"anystyle train -m hydra/launcher=(joblib|submitit_local) ": "ablation/test_ablations.py runs both launchers",
     r"anystyle train experiment=paper_(?!.*model=tiny)": "needs graphics cards, the data sets and published weights",
-    r"anystyle train -m hydra/launcher=joblib seed=0,1,2$": "as the one above it, and published weights",
     r"PYTHONPATH=tests python tests/full_size.py (make|load) ": "gigabytes; `make test-slow` runs it",
     r"(OMP_NUM_THREADS=2 )?python tests/step_(cost|count).py ": "minutes; training/test_step_cost.py has a small one",
     r"python tests/evaluation_cost.py ": "hours; evaluation/test_cost.py has a small one, for `make test-slow`",
     r"python tests/evaluation_units.py": "minutes",
+    r"anystyle (data check ROOT|evaluate protocol=table|report .?T2)": "evaluation/test_paper_layout.py does, small",
+    r"anystyle train experiment=tiny_all$": "hours; training/test_pipeline.py runs a small one",
+    r"python tests/style_(quality|grid).py": "minutes, and pictures that do not travel with the project",
+    r"anystyle evaluate protocol=captures ": "minutes; evaluation/test_captures.py runs a small one",
     r"anystyle study 'design\|form\|analyze\|power'$": "four commands in a line; docs/user_study.md shows each",
 }
 """Commands that no test machine can run, and why. They are parsed and composed by ``test_docs.py``."""

@@ -14,8 +14,13 @@ from typing import NamedTuple
 
 LIBRARIES = (
     *("torch", "lightning", "hydra", "torchmetrics", "kornia", "scipy.optimize", "scipy.stats", "matplotlib.pyplot"),
-    *("anystyle.assemble", "anystyle.training.run", "anystyle.evaluation.judge", "anystyle.evaluation.plots"),
-    *("anystyle.testing.run", "anystyle.renderers.cpu", "anystyle.export", "anystyle.study.analysis"),
+    *(
+        "anystyle.inference.assemble",
+        "anystyle.training.run",
+        "anystyle.evaluation.runner",
+        "anystyle.evaluation.plots",
+    ),
+    *("anystyle.testing.run", "anystyle.renderers.cpu", "anystyle.io.video", "anystyle.study.analysis"),
 )
 
 

@@ -33,13 +33,12 @@ from torch import Tensor
 from anystyle.commands.evaluate import make_metrics
 from anystyle.contracts import Metric
 from anystyle.evaluation.folders import Cell, pair, read
-from anystyle.evaluation.parts import judge_pairing
+from anystyle.evaluation.resume import judge_pairing
 from anystyle.geometry.warp import backward_warp, softmax_splat
 from anystyle.metrics.art_fid import ArtFID
-from anystyle.perception import correlations, pictures, raft
+from anystyle.perception import correlations, preprocess, raft
+from anystyle.perception.feature_cache import CACHE
 from anystyle.perception.histogram import hellinger, rgb_uv_histogram
-from anystyle.perception.memo import MEMO
-from anystyle.perception.winograd import Conv3x3
 from anystyle.registry.compose import compose
 from judging_cases import filled_folder
 from oracle import smooth_image
@@ -79,7 +78,7 @@ def make(variant: str) -> dict[str, Metric]:
 
 def in_one_pass(root: Path, variant: str) -> tuple[dict[str, float], dict[str, float]]:
     """Figures, and the seconds of each metric; what is read and decoded is counted as ``reading``."""
-    MEMO.clear()
+    CACHE.clear()
     metrics = make(variant)
     seconds = dict.fromkeys(metrics, 0.0)
     for name, metric in metrics.items():
@@ -109,9 +108,9 @@ def pair_by_pair(root: Path) -> tuple[dict[str, float], dict[str, float]]:
     """The same, as scripts do that know one pair at a time."""
     metrics = make("reference")
     for metric in metrics.values():
-        # The published networks' own convolutions; RAFT is a part of no metric's.
-        use_direct(metric)
-    use_direct(metrics["warp_consistency"].correspondence.network)
+        as_published(metric)
+    # RAFT is no sub-module of the metric.
+    as_published(metrics["warp_consistency"].correspondence.network)
     cells = pair(root / "content", root / "style", root / "stylized").cells
     ways = {
         "art_score": _art_score, "art_fid": _art_fid, "lpips_gray": _lpips_gray, "cfsd": _cfsd,
@@ -126,12 +125,9 @@ def pair_by_pair(root: Path) -> tuple[dict[str, float], dict[str, float]]:
     return figures, seconds
 
 
-def use_direct(network: Network) -> Network:
-    """Let a network convolve as the published ones do."""
-    for module in network.modules():
-        if isinstance(module, Conv3x3):
-            module.direct = True
-    return network
+def as_published(network: Network) -> Network:
+    """A network with its weights laid out in memory as PyTorch's defaults are; changed in place."""
+    return network.to(memory_format=torch.contiguous_format)
 
 
 def _triples(cells: tuple[Cell, ...]) -> list[tuple[Path, Path, Path]]:
@@ -143,7 +139,7 @@ def _triples(cells: tuple[Cell, ...]) -> list[tuple[Path, Path, Path]]:
 
 
 def _at(path: Path, size: int) -> Tensor:
-    return pictures.resized(read(path)[None], size, rounded=True)
+    return preprocess.resized(read(path)[None], size, rounded=True)
 
 
 def _art_score(metric, cells) -> dict[str, float]:
@@ -163,7 +159,7 @@ def _art_fid(metric: ArtFID, cells) -> dict[str, float]:
 
 def _lpips_gray(metric, cells) -> dict[str, float]:
     def look(path: Path) -> Tensor:
-        return pictures.gray(_at(path, 512), rounded=True)
+        return preprocess.gray(_at(path, 512), rounded=True)
 
     return {"lpips_gray": _mean(metric.network(look(one), look(other)) for one, other, _ in _triples(cells))}
 
@@ -218,14 +214,14 @@ def published_flow(network: raft.Raft, first: Tensor, second: Tensor, iterations
     one, other = network.describe(first), network.describe(second)
     state, context = network.cnet(2 * first - 1).split(128, dim=1)
     state, context = state.tanh(), context.relu()
-    pyramid = correlations.correlations(one, other)
+    pyramid = correlations.correlation_pyramid(one, other)
     height, width = one.shape[-2:]
     y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     start = torch.stack([x, y])[None].float()
     place, update = start, network.update_block
     fine = start
     for _ in range(iterations):
-        motion = update.encoder(correlations.sample(pyramid, place), place - start)
+        motion = update.encoder(correlations.look_up(pyramid, place), place - start)
         for half in (1, 2):
             conv = [getattr(update.gru, f"conv{gate}{half}") for gate in "zrq"]
             known = torch.cat([state, context, motion], dim=1)
@@ -233,7 +229,7 @@ def published_flow(network: raft.Raft, first: Tensor, second: Tensor, iterations
             proposed = conv[2](torch.cat([reset * state, context, motion], dim=1)).tanh()
             state = (1 - keep) * state + keep * proposed
         place = place + update.flow_head(state)
-        fine = published_upsampling(place - start, update.weights_of(state))
+        fine = published_upsampling(place - start, update.upsampling_logits(state))
     return fine
 
 

@@ -20,11 +20,10 @@ from torch import Tensor
 
 from anystyle.metrics.cfsd import structural_distance
 from anystyle.metrics.warp_consistency import corrected_warp, reference_warp
-from anystyle.perception import art_score, lpips, raft, vectors
+from anystyle.perception import art_score, embeddings, lpips, raft
 from anystyle.perception import load as load_features
 from anystyle.perception.histogram import rgb_uv_histogram
-from anystyle.perception.winograd import quicken
-from evaluation_cost import FRAMES, STYLES, published_flow, use_direct
+from evaluation_cost import FRAMES, STYLES, as_published, published_flow
 from judging_cases import filled_folder
 from oracle import smooth_image
 
@@ -33,6 +32,9 @@ PAIRS = (FRAMES - 1 + FRAMES - 7) / FRAMES
 
 Work = Callable[[], object]
 
+CHANGES = (lambda network: network, as_published)
+"""What is done to a network that is loaded: nothing, and what makes it the published one."""
+
 
 def units(size: int) -> dict[str, tuple[Work | None, Work | None, tuple[float, float, float]]]:
     """By name: as published, as here, and how often a stylized frame needs it: published, reference, corrected."""
@@ -40,37 +42,37 @@ def units(size: int) -> dict[str, tuple[Work | None, Work | None, tuple[float, f
     large, small = smooth_image(3, [1, 3, 512, 512]), smooth_image(3, [1, 3, 299, 299])
     flow = 4 * smooth_image(4, [1, 2, size, size])
     seen = torch.ones(1, size, size, dtype=torch.bool)
-    inception = vectors.load_art_inception("published")
-    alex, usual = lpips.load("alex", "published"), use_direct(lpips.load("alex", "published"))
-    judge = art_score.load()
-    fast, slow = lpips.load("vgg", "published"), use_direct(lpips.load("vgg", "published"))
-    vgg, plain = quicken(load_features("vgg19")), load_features("vgg19")
-    network, published = raft.load(), use_direct(raft.load())
+    inception, plain_inception = (change(embeddings.load_art_inception("published")) for change in CHANGES)
+    alex, plain_alex = (change(lpips.load("alex", "published")) for change in CHANGES)
+    art, plain_art = (change(art_score.load()) for change in CHANGES)
+    vgg16, plain_vgg16 = (change(lpips.load("vgg", "published")) for change in CHANGES)
+    vgg19, plain_vgg19 = (change(load_features("vgg19")) for change in CHANGES)
+    network, plain_network = (change(raft.load()) for change in CHANGES)
     described, context = network.describe(one), network.context(one)
 
     def similar() -> Tensor:
         # Filled weights make similarities flat; eight times as large they are not.
-        maps = [8 * plain(image, ("relu3_1",))[0][0].flatten(1).T for image in (one, other)]
+        maps = [8 * plain_vgg19(image, ("relu3_1",))[0][0].flatten(1).T for image in (one, other)]
         first, second = ((places / places.shape[1]) @ (places / places.shape[1]).T for places in maps)
         return F.kl_div(first.log_softmax(-1)[None], second.softmax(-1)[None], reduction="batchmean")
 
     shared, once = 1 / STYLES, 1 / FRAMES
-    features = [8 * vgg(image, ("relu3_1",))[0][0] for image in (one, other)]
+    features = [8 * vgg19(image, ("relu3_1",))[0][0] for image in (one, other)]
     return {
-        "inception at 512": (lambda: inception(large), lambda: inception(large), (2, 1 + once, 0)),
+        "inception at 512": (lambda: plain_inception(large), lambda: inception(large), (2, 1 + once, 0)),
         "inception at 299": (None, lambda: inception(small), (0, 0, 1 + once)),
         "alexnet at 512": (
-            lambda: usual.describe(large), lambda: alex.describe(large), (4, 2 + 2 * shared, 2 + 2 * shared)
+            lambda: plain_alex.describe(large), lambda: alex.describe(large), (4, 2 + 2 * shared, 2 + 2 * shared)
         ),
-        "art_score at 224": (lambda: judge(small[..., :224, :224]), lambda: judge(small[..., :224, :224]), (1, 1, 1)),
+        "art_score at 224": (lambda: plain_art(small[..., :224, :224]), lambda: art(small[..., :224, :224]), (1, 1, 1)),
         "histogram": (lambda: rgb_uv_histogram(one), lambda: rgb_uv_histogram(one), (2, 1 + once, 1 + once)),
         "cfsd, as published": (similar, None, (1, 0, 0)),
-        "cfsd, features": (None, lambda: vgg(one, ("relu3_1",)), (0, 1 + shared, 1 + shared)),
+        "cfsd, features": (None, lambda: vgg19(one, ("relu3_1",)), (0, 1 + shared, 1 + shared)),
         "cfsd, similarities": (None, lambda: structural_distance(*features), (0, 1, 1)),
-        "raft, as published": (lambda: published_flow(published, one, other), None, (PAIRS, 0, 0)),
+        "raft, as published": (lambda: published_flow(plain_network, one, other), None, (PAIRS, 0, 0)),
         "raft, frame": (None, lambda: (network.describe(one), network.context(one)), (0, 1, shared)),
         "raft, pair": (None, lambda: network.flow(described, described, context), (0, PAIRS, 2 * PAIRS * shared)),
-        "lpips of warped frames": (lambda: slow(one, other), lambda: fast(one, other), (PAIRS, PAIRS, PAIRS)),
+        "lpips of warped frames": (lambda: plain_vgg16(one, other), lambda: vgg16(one, other), (PAIRS, PAIRS, PAIRS)),
         "warp": (
             lambda: reference_warp(one, other, flow), lambda: reference_warp(one, other, flow), (PAIRS, PAIRS, 0)
         ),

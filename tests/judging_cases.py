@@ -39,7 +39,7 @@ def filled_folder() -> Path:
 
 
 def _write(folder: Path, name: str, state: dict[str, Tensor]) -> None:
-    torch.save(state, folder / weights.FILES[name].file)
+    torch.save(state, folder / weights.row(name).file)
 
 
 def eight_bit_pictures(seed: int, height: int, width: int, power: float) -> Tensor:

@@ -19,6 +19,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from anystyle import perception
 from anystyle.branch import StyleBranch
+from anystyle.inference.memory import PeakMemory
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.losses import clip_patch, content, style
 from anystyle.losses.clip_directional import ClipDirectional
@@ -26,8 +27,7 @@ from anystyle.losses.clip_patch import ClipPatch
 from anystyle.losses.content import Content
 from anystyle.losses.depth_consistency import DepthConsistency
 from anystyle.losses.style import Style as StyleLoss
-from anystyle.memory import _Followed
-from anystyle.perception.early import differentiated
+from anystyle.perception.eager_backward import differentiated
 from anystyle.style_encoders.long_clip import LongClip
 from anystyle.types import Cameras, Gaussians, Renders, Style, StyleEmbedding, Stylization, Views
 from anystyle_anysplat.backbone import AnySplat
@@ -81,7 +81,7 @@ def count(*, size: tuple[int, int], views: int, straightforward: bool) -> tuple[
         images = torch.empty(1, views, 3, *size)
         vector = torch.empty(1, 512)
         weights = [*step.parameters(), *step.buffers()]
-        with _Followed(weights) as followed, FlopCounterMode(display=False) as flops:
+        with PeakMemory(weights) as followed, FlopCounterMode(display=False) as flops:
             with torch.set_grad_enabled(straightforward):
                 scene = step.backbone.encode(Views(images))
             attributes = scene.attributes.with_(step.branch(scene, StyleEmbedding(vector, vector)), step.branch.styled)

@@ -7,9 +7,9 @@ from pathlib import Path
 from tempfile import mkdtemp
 
 import torch
-from safetensors.torch import save_file
 from torch import Tensor
 
+from anystyle.perception import weights
 from anystyle.perception.vgg import VGG19
 from anystyle.types import (
     Attributes,
@@ -32,11 +32,11 @@ VGG_RULES = [[r"\.weight$", {"scale": 2**0.5}]]
 
 @cache
 def filled_vgg_file() -> Path:
-    """A file with the goldens' VGG-19, under the published keys."""
+    """A file with the goldens' VGG-19, under the published name and keys."""
     folder = mkdtemp(prefix="anystyle-vgg-")
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    path = Path(folder) / "vgg19.safetensors"
-    save_file(fill_named(VGG19().state_dict(), VGG_RULES), path)
+    path = Path(folder) / weights.row("vgg19").file
+    torch.save(fill_named(VGG19().state_dict(), VGG_RULES), path)
     return path
 
 

@@ -6,7 +6,7 @@ from safetensors import safe_open
 from safetensors.torch import save_file
 from torch import nn
 
-from anystyle.checkpoint import Header, load_part, load_strictly, read_header, save_part, sha256
+from anystyle.io.checkpoint import FORMAT, Header, load_part, load_strictly, read_header, save_part, sha256
 
 
 def network(width=4):
@@ -35,7 +35,7 @@ def test_what_a_header_omits_stays_as_the_module_has_it(tmp_path):
     assert load_part(tmp_path / "a.safetensors", other, "branch").omitted == ("1",)
     assert torch.equal(other[0].weight, network()[0].weight) and bool((other[1].weight == 7).all())
     save_part(tmp_path / "less.safetensors", network()[:1], Header("branch"))
-    with pytest.raises(ValueError, match="missing 5"):
+    with pytest.raises(ValueError, match="5 missing"):
         load_part(tmp_path / "less.safetensors", other, "branch")
 
 
@@ -60,8 +60,8 @@ def test_differences_are_named_up_to_five_of_a_kind():
     with pytest.raises(ValueError, match="does not fit this Sequential") as caught:
         load_strictly(target, state, source="file.safetensors")
     message = str(caught.value)
-    assert "missing 1 (0.bias)" in message and "0.weight is [9, 9], not [4, 3]" in message
-    assert "unexpected 7 (extra.0, extra.1, extra.2, extra.3, extra.4, …)" in message
+    assert "1 missing (0.bias)" in message and "0.weight is [9, 9], not [4, 3]" in message
+    assert "7 unexpected (extra.0, extra.1, extra.2, extra.3, extra.4, …)" in message
     assert all(torch.equal(tensor, before[key]) for key, tensor in target.state_dict().items())
 
 
@@ -83,6 +83,26 @@ def test_files_that_are_not_ours_are_refused(tmp_path):
 def test_a_digest_is_that_of_the_bytes(tmp_path):
     (tmp_path / "a").write_bytes(b"abc")
     assert sha256(tmp_path / "a") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("config", '{"backbone": {"depth": "${oc.env:SECRET}"}}', "holds an interpolation"),
+        ("config", "{", "is damaged"),
+        ("base", "null", "is damaged"),
+        ("omitted", "3", "is damaged"),
+    ],
+)
+def test_a_header_of_another_form_is_one_line(tmp_path, monkeypatch, name, value, message):
+    monkeypatch.setenv("SECRET", "whispered")
+    plain = {"format": FORMAT, "part": "branch", "config": "{}", "base": "{}", "provenance": "{}"}
+    save_file({"weight": torch.zeros(1)}, tmp_path / "whole.safetensors", plain)
+    assert read_header(tmp_path / "whole.safetensors").part == "branch"
+    save_file({"weight": torch.zeros(1)}, tmp_path / "a.safetensors", plain | {name: value})
+    with pytest.raises(ValueError, match=message) as caught:
+        read_header(tmp_path / "a.safetensors")
+    assert "a.safetensors" in str(caught.value) and "whispered" not in str(caught.value)
 
 
 def test_headers_are_plain_json(tmp_path):

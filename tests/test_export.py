@@ -2,7 +2,7 @@ import av
 import pytest
 import torch
 
-from anystyle.export import write_video
+from anystyle.io.video import write_video
 
 
 def test_a_video_has_every_frame_in_its_colours(tmp_path):

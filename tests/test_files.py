@@ -1,6 +1,10 @@
+import subprocess
+import sys
+
 import pytest
 
-from anystyle.files import atomic_directory, atomic_path
+from anystyle.io.atomic import atomic_directory, atomic_path
+from anystyle.io.lock import folder_lock
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):
@@ -40,4 +44,24 @@ def test_a_failed_directory_leaves_nothing(tmp_path):
 def test_a_file_is_no_directory(tmp_path):
     (tmp_path / "f").touch()
     with pytest.raises(ValueError, match="is a file"), atomic_directory(tmp_path / "f"):
+        pass
+
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from anystyle.io.lock import folder_lock
+with folder_lock(Path(sys.argv[1]), "taken"):
+    print("held", flush=True)
+    time.sleep(600)
+"""
+
+
+def test_a_folder_is_locked_against_other_processes_until_its_holder_ends_however_it_ends(tmp_path):
+    with subprocess.Popen([sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None and holder.stdout.readline() == "held\n"
+        with pytest.raises(ValueError, match="another run is in it"), folder_lock(tmp_path, "another run is in it"):
+            pass
+        holder.kill()
+    with folder_lock(tmp_path, "taken"):
         pass

@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from anystyle.geometry import harmonics
-from anystyle.geometry.alignment import Similarity
 from anystyle.geometry.rotations import matrix_from_wxyz
-from anystyle.groups import composed, encode_groups, inverse, moved, split, with_cameras
+from anystyle.geometry.similarity import Similarity
+from anystyle.inference.groups import encode_groups, split
+from anystyle.inference.known_cameras import with_cameras
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.types import Gaussians, Geometry, Scene, Views
 
@@ -41,7 +42,7 @@ def test_groups_that_cannot_be(size, overlap):
 
 
 def test_a_change_of_frame_and_its_inverse_cancel():
-    both = composed(inverse(change()), change())
+    both = change().inverse().after(change())
     torch.testing.assert_close(both.scale, torch.tensor(1.0))
     torch.testing.assert_close(both.rotation, torch.eye(3), atol=1e-5, rtol=0)
     torch.testing.assert_close(both.translation, torch.zeros(3), atol=1e-5, rtol=0)
@@ -57,7 +58,7 @@ def test_moved_gaussians_look_the_same_from_moved_directions():
         harmonics=torch.randn(1, 6, 9, 3, generator=generator),
     )
     where = change()
-    after = moved(scene, where)
+    after = where.gaussians(scene)
     torch.testing.assert_close(after.means, where.scale * scene.means @ where.rotation.mT + where.translation)
     expected = where.rotation @ matrix_from_wxyz(scene.rotations)
     torch.testing.assert_close(matrix_from_wxyz(after.rotations), expected, atol=1e-5, rtol=1e-4)
@@ -94,22 +95,22 @@ def test_a_group_in_another_frame_and_unit_is_brought_back():
             whole.geometry.cameras.select(own), whole.geometry.depth[:, own], whole.geometry.confidence[:, own]
         )
         if first:
-            pose = other.moved(geometry.cameras.world_from_camera[0])[None]
+            pose = other.poses(geometry.cameras.world_from_camera[0])[None]
             cameras = replace(geometry.cameras, world_from_camera=pose)
             geometry = replace(geometry, cameras=cameras, depth=geometry.depth * other.scale)
         attributes = whole.attributes.map(lambda tensor: tensor[:, own])
         return Scene(some, whole.stem, whole.features, geometry, attributes, None)
 
     capture = encode_groups(encode, views(6), size=4, overlap=2)
-    assert [group.own for group in capture.groups] == [4, 2]
-    found, wanted = capture.groups[1].change, inverse(other)
-    assert found is not None
-    torch.testing.assert_close(found.rotation, wanted.rotation, atol=1e-5, rtol=0)
-    torch.testing.assert_close(found.scale, wanted.scale)
+    assert [group.num_new for group in capture.groups] == [4, 2]
+    result, expected = capture.groups[1].capture_from_group, other.inverse()
+    assert result is not None
+    torch.testing.assert_close(result.rotation, expected.rotation, atol=1e-5, rtol=0)
+    torch.testing.assert_close(result.scale, expected.scale)
     torch.testing.assert_close(capture.cameras.world_from_camera, whole.cameras.world_from_camera, atol=1e-4, rtol=1e-4)
     with torch.no_grad():
-        made = capture.gaussians(lambda one: backbone.adapter(one.attributes, one.geometry, None))
-    assert made.means.shape[1] == 6 * 16 * 16
+        gaussians = capture.gaussians(lambda one: backbone.adapter(one.attributes, one.geometry, None))
+    assert gaussians.means.shape[1] == 6 * 16 * 16
 
 
 def test_known_cameras_come_back_in_their_own_frame():
@@ -124,10 +125,10 @@ def test_known_cameras_come_back_in_their_own_frame():
         geometry = type(scene.geometry)(moved_apart, scene.geometry.depth, scene.geometry.confidence)
         scene = type(scene)(scene.views, scene.stem, scene.features, geometry, scene.attributes, scene.clusters)
         capture = type(capture)((type(capture.groups[0])(scene, (0, 1, 2, 3), None, 4),))
-        known = type(predicted)(change().moved(spread[0])[None], predicted.intrinsics, predicted.size)
-        placed, way = with_cameras(capture, known, backbone)
+        known = type(predicted)(change().poses(spread[0])[None], predicted.intrinsics, predicted.size)
+        placed, way = with_cameras(capture, known, backbone.adapter)
     torch.testing.assert_close(placed.cameras.world_from_camera, spread, atol=1e-4, rtol=1e-3)
     torch.testing.assert_close(way.scale, 1 / change().scale, atol=1e-4, rtol=1e-4)
     flipped = type(predicted)(known.world_from_camera[:, [3, 2, 1, 0]], known.intrinsics, known.size)
     with pytest.raises(ValueError, match="do not match the images"):
-        with_cameras(capture, flipped, backbone)
+        with_cameras(capture, flipped, backbone.adapter)

@@ -1,9 +1,14 @@
 """What a pass takes, said before it is run."""
 
+import subprocess
+import sys
+import time
+
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 
-from anystyle import memory
+from anystyle.inference import memory
 from anystyle.testing.toy.backbone import ToyAggregator, ToyBackbone
 from anystyle.types import untouched
 
@@ -31,7 +36,7 @@ def test_too_many_views_are_refused_before_anything_runs(monkeypatch):
     backbone = ToyBackbone()
     estimate = memory.encoding(backbone, (32, 32))
     assert estimate is not None
-    monkeypatch.setattr(memory, "available", lambda device: int(estimate(10) / memory.SHARE) + 1)
+    monkeypatch.setattr(memory, "available", lambda device: int(estimate(10) / memory.USABLE) + 1)
     memory.check(backbone, 9, (32, 32), torch.device("cpu"))
     with pytest.raises(ValueError, match=r"12 views of 32x32 need .* set views.max_views=(9|10) "):
         memory.check(backbone, 12, (32, 32), torch.device("cpu"))
@@ -81,3 +86,35 @@ def test_what_is_broken_is_not_taken_for_unknown(error):
 def test_free_memory_is_known_here():
     free = memory.available(torch.device("cpu"))
     assert free is None or free > 0
+
+
+def test_the_sampled_peak_is_of_the_processs_own_memory():
+    """In a process of its own: one that freed memory before takes new blocks from that."""
+    script = """
+import time
+import torch
+from anystyle.inference import memory
+
+def block():
+    held = torch.ones(64 * 2**20, dtype=torch.uint8)
+    time.sleep(0.1)
+    return held
+
+before = memory.sampled_peak(lambda: None)
+print(memory.sampled_peak(block) - before)
+"""
+    run = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert int(run.stdout) > 48 * 2**20
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="memory of files is told apart on Linux")
+def test_pages_of_a_file_are_not_the_processs_own(tmp_path):
+    save_file({"a": torch.ones(64 * 2**20, dtype=torch.uint8)}, tmp_path / "a.safetensors")
+    before = memory.sampled_peak(lambda: None)
+
+    def mapped():
+        tensor = load_file(tmp_path / "a.safetensors")["a"]
+        assert int(tensor.max()) == 1
+        time.sleep(0.1)
+
+    assert memory.sampled_peak(mapped) - before < 16 * 2**20

@@ -5,7 +5,7 @@ from plyfile import PlyData
 
 from anystyle.geometry.harmonics import basis
 from anystyle.geometry.rotations import matrix_from_wxyz
-from anystyle.ply import read, write
+from anystyle.geometry.similarity import y_up_from_opencv
 from anystyle.types import Gaussians
 
 
@@ -23,8 +23,8 @@ def random_gaussians(count=50, coefficients=4):
 @pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
 def test_what_is_written_is_read_back(tmp_path, coefficients):
     gaussians = random_gaussians(coefficients=coefficients)
-    write(gaussians, tmp_path / "scene.ply")
-    back = read(tmp_path / "scene.ply")
+    gaussians.save(tmp_path / "scene.ply")
+    back = Gaussians.load(tmp_path / "scene.ply")
     for name in ("means", "scales", "opacities", "harmonics"):
         torch.testing.assert_close(getattr(back, name), getattr(gaussians, name), rtol=1e-5, atol=1e-6)
     unit = torch.nn.functional.normalize(gaussians.rotations, dim=-1)
@@ -33,7 +33,7 @@ def test_what_is_written_is_read_back(tmp_path, coefficients):
 
 def test_the_layout_is_that_of_3dgs(tmp_path):
     gaussians = random_gaussians(count=3, coefficients=4)
-    write(gaussians, tmp_path / "scene.ply")
+    gaussians.save(tmp_path / "scene.ply")
     vertex = PlyData.read(tmp_path / "scene.ply")["vertex"]
     assert [item.name for item in vertex.properties] == [
         *["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"],
@@ -52,7 +52,7 @@ def test_extremes_stay_finite_and_padding_is_left_out(tmp_path):
     gaussians = random_gaussians(count=4, coefficients=1)
     gaussians.opacities[0] = torch.tensor([0.0, 1.0, 1e-9, 0.5])
     gaussians.scales[0, 1] = 0.0
-    write(gaussians, tmp_path / "scene.ply")
+    gaussians.save(tmp_path / "scene.ply")
     vertex = PlyData.read(tmp_path / "scene.ply")["vertex"]
     assert vertex.count == 3
     assert all(np.isfinite(vertex[item.name]).all() for item in vertex.properties)
@@ -60,8 +60,8 @@ def test_extremes_stay_finite_and_padding_is_left_out(tmp_path):
 
 def test_y_up_turns_positions_orientations_and_colours_together(tmp_path):
     gaussians = random_gaussians(coefficients=16)
-    write(gaussians, tmp_path / "scene.ply", y_up=True)
-    turned = read(tmp_path / "scene.ply")
+    y_up_from_opencv(gaussians.means).gaussians(gaussians).save(tmp_path / "scene.ply")
+    turned = Gaussians.load(tmp_path / "scene.ply")
     flip = torch.tensor([1.0, -1.0, -1.0])
     torch.testing.assert_close(turned.means, gaussians.means * flip)
     before, after = matrix_from_wxyz(gaussians.rotations), matrix_from_wxyz(turned.rotations)
@@ -73,41 +73,41 @@ def test_y_up_turns_positions_orientations_and_colours_together(tmp_path):
 
 
 def test_coefficients_that_no_viewer_reads_are_left_out(tmp_path):
-    write(random_gaussians(coefficients=25), tmp_path / "scene.ply")
-    assert read(tmp_path / "scene.ply").harmonics.shape[2] == 16
+    random_gaussians(coefficients=25).save(tmp_path / "scene.ply")
+    assert Gaussians.load(tmp_path / "scene.ply").harmonics.shape[2] == 16
 
 
 def test_other_files_are_refused(tmp_path):
     (tmp_path / "text.ply").write_text("no ply")
     with pytest.raises(ValueError, match="is no PLY file of Gaussians"):
-        read(tmp_path / "text.ply")
-    write(random_gaussians(), tmp_path / "scene.ply")
+        Gaussians.load(tmp_path / "text.ply")
+    random_gaussians().save(tmp_path / "scene.ply")
     data = (tmp_path / "scene.ply").read_bytes().replace(b"property float opacity", b"property float opulence")
     (tmp_path / "other.ply").write_bytes(data)
     with pytest.raises(ValueError, match="without the properties opacity"):
-        read(tmp_path / "other.ply")
+        Gaussians.load(tmp_path / "other.ply")
 
 
 def test_what_is_read_is_written_back_the_same(tmp_path):
-    write(random_gaussians(coefficients=9), tmp_path / "first.ply")
-    write(read(tmp_path / "first.ply"), tmp_path / "second.ply")
+    random_gaussians(coefficients=9).save(tmp_path / "first.ply")
+    Gaussians.load(tmp_path / "first.ply").save(tmp_path / "second.ply")
     first, second = (PlyData.read(tmp_path / f"{name}.ply")["vertex"].data for name in ("first", "second"))
     for name in first.dtype.names:
         np.testing.assert_allclose(second[name], first[name], rtol=1e-4, atol=1e-4, err_msg=name)
 
 
 def test_a_truncated_file_is_refused(tmp_path):
-    write(random_gaussians(), tmp_path / "scene.ply")
+    random_gaussians().save(tmp_path / "scene.ply")
     data = (tmp_path / "scene.ply").read_bytes()
     (tmp_path / "half.ply").write_bytes(data[: len(data) // 2])
     with pytest.raises(ValueError, match="is no PLY file of Gaussians"):
-        read(tmp_path / "half.ply")
+        Gaussians.load(tmp_path / "half.ply")
 
 
 @pytest.mark.parametrize("broken", [float("nan"), float("inf")])
 def test_values_that_are_no_numbers_are_refused(tmp_path, broken):
     gaussians = random_gaussians()
     gaussians.means[0, 3, 1] = broken
-    write(gaussians, tmp_path / "scene.ply")
+    gaussians.save(tmp_path / "scene.ply")
     with pytest.raises(ValueError, match="infinite or no numbers"):
-        read(tmp_path / "scene.ply")
+        Gaussians.load(tmp_path / "scene.ply")

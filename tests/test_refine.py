@@ -7,13 +7,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.data.procedural.scenes import ProceduralScenes
-from anystyle.evaluation.heldout_geometry import pose_errors
 from anystyle.geometry.bundle import Bundle, Tracks, adjust
 from anystyle.geometry.matching import describe_points, grid_points, match_points
-from anystyle.refine import refine
+from anystyle.inference.refine import refine
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.types import Geometry, Scene, Views
+from anystyle_tiny.evaluation.geometry import pose_errors
+from anystyle_tiny.procedural.scenes import ProceduralScenes
 
 
 def turned(pose: Float[Tensor, "V 4 4"], amount: float, seed: int) -> Float[Tensor, "V 4 4"]:
@@ -103,7 +103,7 @@ def test_adjustment_finds_exact_cameras_of_exact_tracks():
         log_depth=depth.log(),
         point=torch.arange(60),
         target=torch.ones(60, dtype=torch.long),
-        place=seen[:, :2] / seen[:, 2:],
+        observed=seen[:, :2] / seen[:, 2:],
         target_log_depth=seen[:, 2].log(),
         weight=torch.ones(60),
     )
@@ -120,8 +120,8 @@ def test_a_shifted_picture_is_matched_where_it_went():
     images = torch.cat([wide[..., :88], wide[..., 8:96]])  # what is at x is at x - 8 in the second
     cells = grid_points((96, 88), 2)
     known = describe_points(images, 2)
-    found = match_points(known[0] @ known[1].mT, cells, cells, cells, columns=44, reach=20.0)
-    moved = found.place - cells[found.source]
+    found = match_points(known[0] @ known[1].mT, cells, cells, cells, num_columns=44, radius=20.0)
+    moved = found.pixel - cells[found.source]
     inside = (cells[found.source, 0] > 24) & (cells[found.source, 0] < 70)
     assert int(inside.sum()) > 500
     assert torch.allclose(moved[inside].median(0).values, torch.tensor([-8.0, 0.0]), atol=0.3)

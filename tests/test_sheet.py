@@ -3,7 +3,7 @@ import pytest
 import torch
 from PIL import Image, ImageFont
 
-from anystyle.sheet import TextCard, contact_sheet, to_pil, wrap
+from anystyle.io.sheet import TextCard, contact_sheet, to_pil, wrap
 
 
 def test_pixels_are_rounded_to_nearest():

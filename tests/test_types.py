@@ -1,7 +1,7 @@
 import torch
 from scipy.spatial.transform import Rotation
 
-from anystyle.types import Attributes, Cameras, Geometry, StyleEmbedding, Tokens, Views
+from anystyle.types import Attributes, Cameras, Geometry, Scene, StyleEmbedding, Tokens, Views
 
 
 def cameras(batch=2, views=3, size=(6, 8)):
@@ -19,28 +19,6 @@ def test_the_inverse_pose_is_the_inverse_matrix_under_autocast_too():
     torch.testing.assert_close(given.camera_from_world, expected, rtol=1e-5, atol=1e-5)
     with torch.autocast("cpu", dtype=torch.bfloat16):
         torch.testing.assert_close(given.camera_from_world, expected, rtol=1e-5, atol=1e-5)
-
-
-def test_places_of_the_first_view_are_its_own_pixels_and_a_point_has_one_place_in_all_views():
-    given = cameras()
-    depth = torch.rand(2, 3, 6, 8) + 0.5
-    geometry = Geometry(given, depth, depth)
-    with torch.autocast("cpu", dtype=torch.bfloat16):
-        places = geometry.places((6, 8))
-    x, y = (torch.arange(8) + 0.5) / 4 - 1, (torch.arange(6) + 0.5) / 3 - 1
-    own = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1).flatten(0, 1).expand(2, -1, -1)
-    torch.testing.assert_close(places[:, 0], own, rtol=1e-4, atol=1e-4)
-    # Points of the other views in the first camera's axes, by its matrix and its lens.
-    points = geometry.points().flatten(2, 3).double()
-    seen = points @ given.camera_from_world[:, :1, :3, :3].double().mT + given.camera_from_world[:, :1, None, :3, 3]
-    image = seen @ given.intrinsics[:, :1].double().mT / seen[..., 2:].abs()
-    front = seen[..., 2] > 0.1
-    expected = image[..., :2] / torch.tensor([4.0, 3.0]) - 1
-    assert front[:, 1:].any()
-    torch.testing.assert_close(places[front].double(), expected[front], rtol=1e-3, atol=1e-3)
-    coarse = geometry.places((2, 4)).unflatten(2, (2, 4))
-    whole = places.unflatten(2, (6, 8))
-    torch.testing.assert_close(coarse[:, :, 1, 2], whole[:, :, 3:, 4:6].mean((2, 3)), rtol=1e-4, atol=1e-4)
 
 
 def test_points_project_back_to_their_pixels():
@@ -100,3 +78,32 @@ def test_patches_change_and_special_tokens_stay():
     changed = tokens.with_patches(tokens.patches + 1)
     assert torch.equal(changed.data[:, :, :3], tokens.data[:, :, :3])
     assert torch.equal(changed.patches, tokens.patches + 1)
+
+
+def test_values_are_joined_along_an_axis_field_by_field():
+    first, second = cameras(2, 3), cameras(2, 2)
+    both = Cameras.cat([first, second], dim=1)
+    assert both.size == first.size
+    assert torch.equal(both.world_from_camera[:, :3], first.world_from_camera)
+    assert torch.equal(both.intrinsics[:, 3:], second.intrinsics)
+    assert Cameras.cat([first]) is first
+
+
+def test_joined_scenes_hold_what_each_held():
+    """Values inside values, mappings and fields that are absent."""
+
+    def scene(fill):
+        data = torch.full((1, 2, 4, 3), fill)
+        tokens = Tokens(data, grid=(2, 2))
+        pixels = torch.full((1, 2, 6, 8), fill)
+        attributes = Attributes(
+            pixels, data.new_zeros(1, 2, 6, 8, 3), data.new_zeros(1, 2, 6, 8, 4), data.new_zeros(1, 2, 6, 8, 3, 1)
+        )
+        views = Views(torch.full((1, 2, 3, 6, 8), fill), names=("a", "b"))
+        return Scene(views, tokens, {4: tokens}, Geometry(cameras(1, 2), pixels, pixels), attributes, None)
+
+    both = Scene.cat([scene(1.0), scene(2.0)])
+    assert both.batch == 2 and both.clusters is None and both.views.names == ("a", "b") and both.stem.grid == (2, 2)
+    for row, expected in enumerate((1.0, 2.0)):
+        assert torch.equal(both.features[4].data[row], torch.full((2, 4, 3), expected))
+        assert torch.equal(both.geometry.depth[row], torch.full((2, 6, 8), expected))

@@ -37,7 +37,17 @@ def environment(wheel, tmp_path_factory):
 
 def test_it_carries_configurations_plugins_and_weights(wheel):
     names = zipfile.ZipFile(wheel).namelist()
-    for part in ("conf/stylize.yaml", "plugins/anysplat/pyproject.toml", "conf/model/tiny.yaml"):
+    for part in (
+        "conf/stylize.yaml",
+        "plugins/anysplat/pyproject.toml",
+        "plugins/tiny/anystyle_tiny/conf/model/tiny.yaml",
+        "plugins/tiny/anystyle_tiny/procedural/phrases.toml",
+        "plugins/magenta/LICENSE",
+        "plugins/magenta/NOTICE",
+        "plugins/magenta/anystyle_magenta/assets/descriptions.txt",
+        "plugins/magenta/anystyle_magenta/assets/magenta_text.safetensors",
+        "plugins/magenta/anystyle_magenta/conf/model/painter.yaml",
+    ):
         assert f"anystyle/_shared/{part}" in names
     assert any(name.startswith("anystyle/assets/") and name.endswith(".safetensors") for name in names)
     assert not [name for name in names if "__pycache__" in name or name.endswith((".nbi", ".nbc"))]

@@ -9,6 +9,7 @@ from anystyle.registry.compose import compose
 
 BACKBONE = (
     "backbone=anysplat_tiny",
+    "weights.backbone=null",
     "backbone.resolution=28",
     "backbone.native_resolution=28",
     "backbone.dim=16",
@@ -31,7 +32,7 @@ RUN = (
     "name=test",
     "fast_dev_run=false",
 )
-SCENES = ("scenes.size=28", "scenes.num_scenes=4", "scenes.samples=1")
+SCENES = ("scenes=procedural", "scenes.size=28", "scenes.num_scenes=4", "scenes.samples=1")
 RECONSTRUCTION = (
     *BACKBONE,
     *RUN,

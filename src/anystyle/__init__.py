@@ -1,6 +1,7 @@
 """Single-pass stylization of 3D Gaussian scenes, guided by text and images.
 
-``stylizer = anystyle.load("tiny")``, ``scene = stylizer.encode(views)``,
+``anystyle.stylize("photos/", "thick swirling strokes in deep blue", out="out/")`` does all of it. Step by step:
+``stylizer = anystyle.load()``, ``scene = stylizer.encode(views)``,
 ``gaussians = stylizer.restyle(scene, stylizer.embed(text="..."))``,
 ``renders = stylizer.render(gaussians, scene.cameras)``, ``gaussians.save("scene.ply")``.
 
@@ -8,50 +9,30 @@ Names are imported when they are first asked for, so that ``import anystyle`` co
 """
 
 import importlib
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from anystyle import types, weights
+    from anystyle import api, types
+    from anystyle.api import load, stylize
+    from anystyle.inference import weights
     from anystyle.registry.build import build
     from anystyle.registry.catalog import catalog, plugin
     from anystyle.stylizer import Stylizer
 
+_MODULES = {"api": "anystyle.api", "types": "anystyle.types", "weights": "anystyle.inference.weights"}
 _HOMES = {
     "Stylizer": "anystyle.stylizer",
     "build": "anystyle.registry.build",
     "catalog": "anystyle.registry.catalog",
+    "load": "anystyle.api",
     "plugin": "anystyle.registry.catalog",
+    "stylize": "anystyle.api",
 }
 
 
-def load(model: str = "tiny", overrides: Sequence[str] = ()) -> "Stylizer":
-    """Build a stylizer with its weights, ready for use: in ``eval`` mode, without gradients.
-
-    Weights that are read from a file without a copy occupy memory only while their part of the network runs; see
-    :func:`anystyle.paging.thrifty`.
-
-    Args:
-        model: A preset of ``conf/model``.
-        overrides: In Hydra's grammar, as ``anystyle stylize`` takes them, such as ``renderer=gsplat``.
-
-    Raises:
-        ValueError: The preset or an override is unknown, or weights do not fit.
-        FileNotFoundError: A file of weights is missing.
-    """
-    from anystyle.assemble import assemble
-    from anystyle.paging import thrifty
-    from anystyle.registry.compose import compose
-
-    stylizer, _ = assemble(compose("stylize", [f"model={model}", *overrides]))
-    stylizer = stylizer.requires_grad_(False).eval()
-    thrifty(stylizer.stages)
-    return stylizer
-
-
 def __getattr__(name: str) -> Any:
-    if name in ("types", "weights"):
-        return importlib.import_module(f"anystyle.{name}")
+    if name in _MODULES:
+        return importlib.import_module(_MODULES[name])
     if name == "__version__":
         from importlib.metadata import version
 
@@ -67,4 +48,4 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-__all__ = ["Stylizer", "build", "catalog", "load", "plugin", "types", "weights"]
+__all__ = ["Stylizer", "api", "build", "catalog", "load", "plugin", "stylize", "types", "weights"]

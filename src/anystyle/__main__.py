@@ -22,13 +22,13 @@ Shell completion: eval "$(anystyle -sc install=bash)"  (or zsh, fish)
 
 def available() -> dict[str, str]:
     """Every command with the first line that describes it, none of them imported."""
-    found: dict[str, str] = {}
+    described: dict[str, str] = {}
     for name in COMMANDS:
         file = PACKAGE / "commands" / f"{name}.py"
         if file.is_file():
             text = ast.get_docstring(ast.parse(file.read_bytes())) or ""
-            found[name] = text.partition("\n")[0]
-    return found
+            described[name] = text.partition("\n")[0]
+    return described
 
 
 def main() -> None:

@@ -7,21 +7,35 @@ from dataclasses import replace
 from torch import nn
 
 from anystyle.contracts import Backbone, Injector
-from anystyle.types import Attributes, Scene, Site, StyleEmbedding, Tokens
+from anystyle.perception.sources import Source
+from anystyle.types import Attributes, Scene, Site, StyleEmbedding, Tokens, contiguous
 
 ATTRIBUTES = ("opacity", "scale", "rotation", "color")
+COLOR = "color"
+"""The site that every branch offers: the colour coefficients of all pixels as the Gaussian head gives them."""
+
+
+def sites_of(backbone: Backbone, sh_degree: int = 0) -> tuple[Site, ...]:
+    """Where style may enter, in the order of the computation: the backbone's own sites, then :data:`COLOR`.
+
+    Args:
+        backbone: The network that is styled.
+        sh_degree: Of the styled colours; at ``COLOR`` a token is a pixel, with its coefficients up to this degree.
+    """
+    return (*backbone.sites, Site(COLOR, 3 * (sh_degree + 1) ** 2))
 
 
 class StyleBranch(nn.Module):
-    """Predicts styled attributes for an encoded scene (paper section 3.2).
+    """Predicts styled attributes for an encoded scene (paper, equations 5 and 6).
 
-    The Gaussian head is always copied; the aggregator only if one of its sites is chosen, for otherwise its features
-    are those of the scene. At initialisation every injector is the identity and the copies compute what the originals
-    do, so a stylized scene equals the unstyled one bit for bit.
+    The aggregator is copied if one of its sites is chosen, for otherwise its features are those of the scene; the
+    Gaussian head if one of the aggregator's or its own is. With :data:`COLOR` alone nothing is copied, and a further
+    style costs the injector alone. At initialisation every injector is the identity and the copies compute what the
+    originals do, so a stylized scene equals the unstyled one bit for bit.
 
     Args:
         backbone: The network to copy from; left as it is.
-        sites: Where style enters.
+        sites: Where style enters, of :func:`sites_of`.
         make_injector: Builds the injector of a site.
         styled: The attributes taken from this branch, of ``opacity, scale, rotation, color``; the paper styles
             rotation and colour, its ablation "all geometry" all four.
@@ -45,29 +59,35 @@ class StyleBranch(nn.Module):
         if unknown or len(set(styled)) != len(styled):
             raise ValueError(f"styled attributes are {list(styled)}; choose each once from {', '.join(ATTRIBUTES)}")
         chosen = {site.name for site in sites}
-        copies_aggregator = any(site.name in chosen for site in backbone.aggregator.sites)
+        in_aggregator = any(site.name in chosen for site in backbone.aggregator.sites)
+        in_head = any(site.name in chosen for site in backbone.gaussian_head.sites)
         self.styled = tuple(styled)
         self.sh_degree = sh_degree
-        self.aggregator = copy.deepcopy(backbone.aggregator).requires_grad_() if copies_aggregator else None
-        self.gaussian_head = copy.deepcopy(backbone.gaussian_head).requires_grad_()
+        self.aggregator = copy.deepcopy(backbone.aggregator).requires_grad_() if in_aggregator else None
+        self.gaussian_head = (
+            copy.deepcopy(backbone.gaussian_head).requires_grad_() if in_aggregator or in_head else None
+        )
         self.injectors = nn.ModuleDict({site.name: make_injector(site) for site in sites})
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """The published weights that injectors started from, each once."""
+        injectors = (injector for injector in self.injectors.values() if isinstance(injector, Injector))
+        return tuple(dict.fromkeys(source for injector in injectors for source in injector.sources))
 
     def forward(self, scene: Scene, embedding: StyleEmbedding) -> Attributes:
         """The attributes of ``scene`` in each style; scenes and styles are paired row by row."""
 
         def inject(site: str, tokens: Tokens) -> Tokens:
-            if site not in self.injectors:
-                return tokens
-            injector = self.injectors[site]
-            return injector(placed(tokens, scene) if injector.reads_places else tokens, embedding.vector)
+            return self.injectors[site](tokens, embedding.vector) if site in self.injectors else tokens
 
-        features = scene.features if self.aggregator is None else self.aggregator(scene.stem, inject)
-        return self.gaussian_head(features, scene.views.images, inject).with_degree(self.sh_degree)
-
-
-def placed(tokens: Tokens, scene: Scene) -> Tokens:
-    """Tokens that know where the first camera sees what they show."""
-    places = scene.geometry.places(tokens.grid)
-    if tokens.order is not None:
-        places = places.gather(1, tokens.order[..., None, None].expand_as(places))
-    return replace(tokens, places=places)
+        attributes = scene.attributes
+        if self.gaussian_head is not None:
+            features = scene.features if self.aggregator is None else contiguous(self.aggregator(scene.stem, inject))
+            attributes = self.gaussian_head(features, scene.views.images, inject)
+        attributes = attributes.with_degree(self.sh_degree)
+        if COLOR not in self.injectors:
+            return attributes
+        color = attributes.color  # B V H W 3 K
+        pixels = Tokens(color.flatten(4).flatten(2, 3), grid=(color.shape[2], color.shape[3]))
+        return replace(attributes, color=inject(COLOR, pixels).data.reshape(color.shape))

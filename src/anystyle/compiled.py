@@ -1,21 +1,29 @@
 """How numeric kernels are compiled."""
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any
 
 from numba import njit
 
 logger = logging.getLogger(__name__)
 
+CONTRACT = frozenset({"contract", "nsz"})
+"""LLVM's fast-math flags that fuse a product and a sum and ignore the sign of zero: no sum changes its order."""
 
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+
+def compiled(function: Callable[..., Any], *, fastmath: Collection[str] = ()) -> Callable[..., Any]:
     """Compile a kernel on its first call, without the interpreter's lock and with C's division.
 
     The machine code is kept on disk, unless no folder for it can be written.
+
+    Args:
+        function: What numba can compile.
+        fastmath: LLVM's flags for what floating-point arithmetic may be rewritten.
     """
+    options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": set(fastmath)}
     try:
-        return njit(cache=True, nogil=True, error_model="numpy")(function)
+        return njit(cache=True, **options)(function)
     except RuntimeError:
         logger.info("compiled kernels cannot be kept on disk here: every process compiles them anew")
-        return njit(nogil=True, error_model="numpy")(function)
+        return njit(**options)(function)

@@ -9,7 +9,7 @@ study's socket, :class:`anystyle.study.contract.StudyTest`, needs no torch and l
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import Any, ClassVar, Protocol, final, runtime_checkable
+from typing import Any, ClassVar, final
 
 import torch
 import torchmetrics
@@ -17,6 +17,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.perception.sources import Source
+from anystyle.published import Published, PublishedEncoder
 from anystyle.registry.socket import Socket
 from anystyle.types import (
     Attributes,
@@ -34,8 +35,10 @@ from anystyle.types import (
     Site,
     Style,
     Stylization,
+    TextMatch,
     Tokens,
     Views,
+    contiguous,
     untouched,
 )
 
@@ -70,7 +73,7 @@ class GeometryHead(nn.Module, ABC):
 
 
 class GaussianHead(nn.Module, ABC):
-    """One raw Gaussian a pixel from features; the part of which the style branch is always a copy."""
+    """One raw Gaussian a pixel from features; copied when style enters it or the aggregator."""
 
     @property
     @abstractmethod
@@ -94,47 +97,6 @@ class Adapter(nn.Module, ABC):
         """Activate and fuse. Differentiable in ``attributes``; linear work only in the number of Gaussians."""
 
 
-@runtime_checkable
-class Published(Protocol):
-    """The checkpoints that others published for a network: how they are told apart, and how they load.
-
-    Usually a module of a backbone's package with these functions. A state dict has the original names, with or without
-    the prefixes of its file. Functions raise a ValueError of one line where a state dict is of another network.
-    """
-
-    def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The state dict with names as here, whichever of the files it comes from."""
-        ...
-
-    def placement(self, state: Mapping[str, Tensor]) -> str | None:
-        """The placement that the style branch in it was trained with; ``None`` if it holds none."""
-        ...
-
-    def options(self, state: Mapping[str, Tensor]) -> dict[str, object]:
-        """Options of the backbone whose weights these are, as far as shapes tell."""
-        ...
-
-    def injector_options(self, state: Mapping[str, Tensor], sites: Sequence[Site]) -> dict[str, dict[str, int]]:
-        """For each site, options of the injector whose weights these are; empty without a style branch."""
-        ...
-
-    def load_backbone(self, backbone: nn.Module, state: Mapping[str, Tensor]) -> None:
-        """Load the reconstruction network, strictly; a module on the meta device takes the tensors themselves."""
-        ...
-
-    def load_branch(self, branch: nn.Module, state: Mapping[str, Tensor]) -> None:
-        """Load the style branch, strictly."""
-        ...
-
-    def text_adapter(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """What a style encoder that the branch was trained with adds to its own weights; empty if nothing."""
-        ...
-
-    def complete(self, state: Mapping[str, Tensor]) -> bool:
-        """Whether the state dict holds all of the reconstruction network, or is an initialisation of parts of it."""
-        ...
-
-
 class Backbone(Socket, nn.Module, ABC):
     """A feed-forward reconstruction network in five parts.
 
@@ -156,14 +118,16 @@ class Backbone(Socket, nn.Module, ABC):
     @property
     @final
     def sites(self) -> tuple[Site, ...]:
-        """Every place where style may enter."""
+        """Where style may enter; a style branch offers one more, :data:`anystyle.branch.COLOR`."""
         return self.aggregator.sites + self.gaussian_head.sites
 
     @final
     def encode(self, views: Views) -> Scene:
         """Compute all that does not depend on style."""
-        stem = self.embedder(views.images)
-        features = self.aggregator(stem)
+        # A product of a tensor that is not contiguous is rounded in one way with weights that learn, as a style branch
+        # has them, and in another with frozen ones.
+        stem = self.embedder(views.images).contiguous()
+        features = contiguous(self.aggregator(stem))
         geometry = self.geometry_head(features, views.images)
         attributes = self.gaussian_head(features, views.images)
         clusters = self.adapter.cluster(geometry, attributes)
@@ -181,19 +145,6 @@ class Backbone(Socket, nn.Module, ABC):
         return super().train(mode and not self.frozen)
 
 
-@runtime_checkable
-class PublishedEncoder(Protocol):
-    """How a style encoder's weights load that others published."""
-
-    def load(self, encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
-        """Load original names, strictly; a module on the meta device takes the tensors themselves."""
-        ...
-
-    def load_text_adapter(self, encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
-        """Load what a style branch was trained with on top of them; see :meth:`Published.text_adapter`."""
-        ...
-
-
 class StyleEncoder(Socket, nn.Module, ABC):
     """Images and texts in one space.
 
@@ -202,20 +153,30 @@ class StyleEncoder(Socket, nn.Module, ABC):
 
     dim: int
     neutral: str
+    unit_norm: bool = True
+    """Whether all embeddings have norm 1."""
+    reads_texts: bool = True
+    """Whether it embeds any text; where not, only the neutral prompt, and others raise a ValueError."""
+    sources: tuple[Source, ...] = ()
+    """The published weights that the constructor filled it with, where it does."""
     published: ClassVar[PublishedEncoder | None] = None
     """How checkpoints in the original layout load, where there are any."""
 
     @abstractmethod
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """Unit vectors of sRGB images in [0, 1] of any size; differentiable in the images."""
+        """Embeddings of sRGB images in [0, 1] of any size; differentiable in the images."""
 
     @abstractmethod
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        """Unit vectors of texts.
+        """Embeddings of texts.
 
         Raises:
             ValueError: A text is empty or longer than the encoder reads.
         """
+
+    def match_text(self, text: str) -> TextMatch | None:
+        """What it knows that comes nearest to a text, and the words it does not know; ``None`` if it cannot say."""
+        return None
 
 
 class Injector(Socket, nn.Module, ABC):
@@ -225,24 +186,16 @@ class Injector(Socket, nn.Module, ABC):
     the identity, bit for bit; it is equivariant to the order of views.
     """
 
-    reads_places: ClassVar[bool] = False
-    """Whether it reads :attr:`Tokens.places`, which cost a projection of all points."""
+    sources: tuple[Source, ...] = ()
+    """The published weights that the constructor filled it with, where it does."""
 
     @abstractmethod
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
         """Tokens of the same shape, grid and kind."""
 
-    def fit(self, embeddings: Float[Tensor, "N K D"], examples: Style) -> None:
-        """Take from examples of styles what has a closed form, once and before training; nothing unless overridden.
-
-        Args:
-            embeddings: ``K`` of each example, such as its image's and its text's.
-            examples: ``N`` styles.
-        """
-
 
 class Placement(Socket, ABC):
-    """Which of a backbone's sites style enters."""
+    """Which sites style enters, of a backbone's and :data:`anystyle.branch.COLOR`."""
 
     @abstractmethod
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
@@ -265,6 +218,8 @@ class Loss(Socket, nn.Module, ABC):
     """One unweighted term of the objective. The framework may pass ``style_encoder`` to the constructor."""
 
     weight: float
+    needs_unstyled: bool = False
+    """Set by an instance that compares with renders of the unstyled scene, which the training then makes as well."""
 
     @abstractmethod
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
@@ -377,8 +332,6 @@ __all__ = [
     "Loss",
     "Metric",
     "Placement",
-    "Published",
-    "PublishedEncoder",
     "Renderer",
     "SceneSource",
     "StyleEncoder",

@@ -10,7 +10,10 @@ from torch import Tensor, nn
 
 from anystyle.branch import StyleBranch
 from anystyle.contracts import Backbone, Renderer, StyleEncoder, neutral_embedding
-from anystyle.types import Cameras, Gaussians, Renders, Scene, StyleEmbedding, Views
+from anystyle.geometry.harmonics import rgb_from_constant
+from anystyle.reconstructions.colors import FitColors, checked_steps, color_gaussians
+from anystyle.reconstructions.colors_alone import colors_alone
+from anystyle.types import Attributes, Cameras, Gaussians, Renders, Scene, StyleEmbedding, Views
 
 PRECISIONS = ("fp32", "bf16", "reference")
 
@@ -20,21 +23,35 @@ class Stylizer(nn.Module):
 
     The backbone and the style encoder are frozen; the style branch is what learns.
 
+    Args:
+        backbone: The reconstruction network.
+        style_encoder: From images and texts to embeddings.
+        branch: Predicts styled attributes.
+        renderer: Shows scenes, and colours those whose Gaussians are not the backbone's.
+        fit_colors: How these are coloured; see :func:`~anystyle.reconstructions.colors.color_gaussians`.
+
     Example:
-        >>> stylizer = anystyle.load("tiny")
+        >>> stylizer = anystyle.load()
         >>> scene = stylizer.encode(views)
         >>> gaussians = stylizer.restyle(scene, stylizer.embed(text="thick swirling strokes in deep blue"))
         >>> renders = stylizer.render(gaussians, scene.cameras)
     """
 
     def __init__(
-        self, *, backbone: Backbone, style_encoder: StyleEncoder, branch: StyleBranch, renderer: Renderer
+        self,
+        *,
+        backbone: Backbone,
+        style_encoder: StyleEncoder,
+        branch: StyleBranch,
+        renderer: Renderer,
+        fit_colors: FitColors = 2,
     ) -> None:
         super().__init__()
         self.backbone = backbone.freeze()
         self.style_encoder = style_encoder.requires_grad_(False).eval()
         self.branch = branch
         self.renderer = renderer
+        self.fit_colors: FitColors = checked_steps(fit_colors)
         self.mixed = False
 
     def train(self, mode: bool = True) -> "Stylizer":
@@ -54,16 +71,15 @@ class Stylizer(nn.Module):
         Raises:
             ValueError: There is no such precision.
         """
-        for module in lowered(precision, self.backbone, self.branch):
+        for module in modules_in_bf16(precision, self.backbone, self.branch):
             module.to(torch.bfloat16)
         self.mixed = precision == "reference"
         return self
 
     @property
-    def stages(self) -> tuple[nn.Module, ...]:
-        """What a pass calls one after another, each as a whole."""
-        backbone = self.backbone
-        return backbone.embedder, backbone.aggregator, backbone.geometry_head, backbone.gaussian_head, self.branch
+    def device(self) -> torch.device:
+        """Where it computes."""
+        return next(self.parameters()).device
 
     @contextlib.contextmanager
     def _precision(self, device: torch.device) -> Iterator[None]:
@@ -76,6 +92,19 @@ class Stylizer(nn.Module):
         """Compute, once a scene, all that does not depend on style."""
         with self._precision(views.images.device):
             return self.backbone.encode(views)
+
+    def encode_colors(self, views: Views) -> Scene:
+        """What a branch needs that styles colours alone: the photographs' own colours, without any network.
+
+        Args:
+            views: With cameras.
+
+        Raises:
+            ValueError: Cameras are missing, or the branch reads more than colours.
+        """
+        if views.cameras is None or self.branch.gaussian_head is not None:
+            raise ValueError("colours alone are encoded of views with cameras, for a style branch at placement=color")
+        return colors_alone(views, views.cameras)
 
     @torch.no_grad()
     def embed(
@@ -109,11 +138,27 @@ class Stylizer(nn.Module):
         scene = _paired(scene, embedding)
         with self._precision(scene.views.images.device):
             styled = self.branch(scene, embedding)
+        if scene.gaussians is not None:
+            return self._recolored(scene, scene.gaussians, styled)
         attributes = scene.attributes.with_(styled, self.branch.styled)
         return self.backbone.adapter(attributes, scene.geometry, scene.clusters)
 
+    def _recolored(self, scene: Scene, gaussians: Gaussians, styled: Attributes) -> Gaussians:
+        """Gaussians that are none of the backbone's, in the styled colours of pixels."""
+        targets = rgb_from_constant(styled.color[..., 0]).clamp(0, 1).movedim(-1, 2).float()  # B V 3 H W
+        rows: list[Gaussians] = []
+        for row in range(len(targets)):
+            given = gaussians.map(lambda tensor: tensor[row : row + 1])  # noqa: B023
+            cameras = scene.cameras.map(lambda tensor: tensor[row : row + 1])  # noqa: B023
+            origins = None if scene.origins is None else scene.origins[row]
+            with torch.enable_grad():
+                rows.append(color_gaussians(given, cameras, targets[row], self.renderer, origins, self.fit_colors))
+        return Gaussians.cat(rows).detach()
+
     def unstyled(self, scene: Scene) -> Gaussians:
         """The reconstruction itself, with colours of the degree that styled ones have."""
+        if scene.gaussians is not None:
+            return scene.gaussians
         attributes = scene.attributes.with_degree(self.branch.sh_degree)
         return self.backbone.adapter(attributes, scene.geometry, scene.clusters)
 
@@ -129,8 +174,8 @@ class Stylizer(nn.Module):
         return self.restyle(self.encode(views), embedding)
 
 
-def lowered(precision: str, backbone: Backbone, branch: StyleBranch | None = None) -> list[nn.Module]:
-    """The parts whose weights a precision keeps in bf16.
+def modules_in_bf16(precision: str, backbone: Backbone, branch: StyleBranch | None = None) -> list[nn.Module]:
+    """The modules whose weights a precision keeps in bf16.
 
     Raises:
         ValueError: There is no such precision.

@@ -20,6 +20,7 @@ from anystyle.types import Attributes, Gaussians, Scene, Site, StyleEmbedding, T
 from anystyle_anysplat import AnySplat, keys
 from oracle import assert_matches, fill_named, golden, smooth_image
 
+CHECKPOINTS = keys.Checkpoints()
 PLACEMENTS = {"head": Head(), "agg": Full()}
 STYLED = {
     "none": ("color",),
@@ -82,10 +83,10 @@ def build(
     backbone.load_reference(state)
     # The head's branch has no use for the style aggregator, and a strict loader says so.
     with pytest.raises(ValueError, match="unexpected"):
-        keys.load_branch(branches["head"], state)
-    keys.load_branch(branches["agg"], state)
+        CHECKPOINTS.load_branch(branches["head"], state)
+    CHECKPOINTS.load_branch(branches["agg"], state)
     head = {name: tensor for name, tensor in state.items() if not name.startswith("aggregator_injection.")}
-    keys.load_branch(branches["head"], head)
+    CHECKPOINTS.load_branch(branches["head"], head)
     return Network(record, backbone.freeze(), branches, state)
 
 
@@ -274,8 +275,8 @@ def silent(tiny: Network) -> Iterator[Network]:
 
 def load(network: Network, state: Mapping[str, Tensor]) -> None:
     head = {name: tensor for name, tensor in state.items() if not name.startswith("aggregator_injection.")}
-    keys.load_branch(network.branches["agg"], state)
-    keys.load_branch(network.branches["head"], head)
+    CHECKPOINTS.load_branch(network.branches["agg"], state)
+    CHECKPOINTS.load_branch(network.branches["head"], head)
 
 
 @pytest.mark.parametrize("placement", PLACEMENTS)

@@ -21,6 +21,7 @@ PUBLISHED = {
     "depth_head": (62, 32_654_562),
     "gaussian_param_head": (64, 32_794_964),
 }
+CHECKPOINTS = keys.Checkpoints()
 MASK = {"aggregator": (1, 1024)}
 
 
@@ -119,10 +120,10 @@ def test_a_style_checkpoint_holds_backbone_branch_and_text_adapter(small: AnySpl
     adapter = {f"model.encoder.text_adapter.mlp.{place}.weight": torch.full((2, 2), place) for place in (0, 2)}
     state = checkpoint(small, "model.encoder.") | adapter
     state |= as_published(source, keys.branch_names(source.state_dict()), "model.encoder.")
-    assert keys.placement(state) == ("full" if isinstance(placement, Full) else "head")
-    assert set(keys.text_adapter(state)) == {"mlp.0.weight", "mlp.2.weight"}
+    assert CHECKPOINTS.placement(state) == ("full" if isinstance(placement, Full) else "head")
+    assert set(CHECKPOINTS.text_adapter(state)) == {"mlp.0.weight", "mlp.2.weight"}
     branch = small_branch(small, placement)
-    keys.load_branch(branch, state)
+    CHECKPOINTS.load_branch(branch, state)
     for key, tensor in source.state_dict().items():
         assert torch.equal(branch.state_dict()[key], tensor), key
     small.load_reference(state)
@@ -132,14 +133,14 @@ def test_the_head_checkpoint_does_not_load_into_a_full_branch_nor_the_other_way(
     head, full = (small_branch(small, placement) for placement in (Head(), Full()))
     of_head, of_full = (as_published(branch, keys.branch_names(branch.state_dict())) for branch in (head, full))
     with pytest.raises(ValueError, match=r"style branch: \d+ missing \(aggregator_injection"):
-        keys.load_branch(full, of_head)
+        CHECKPOINTS.load_branch(full, of_head)
     with pytest.raises(ValueError, match=r"style branch: \d+ unexpected \(aggregator_injection"):
-        keys.load_branch(head, of_full)
+        CHECKPOINTS.load_branch(head, of_full)
 
 
 def test_a_checkpoint_without_style_has_no_placement(small: AnySplat) -> None:
-    assert keys.placement(checkpoint(small)) is None
-    assert keys.text_adapter(checkpoint(small)) == {}
+    assert CHECKPOINTS.placement(checkpoint(small)) is None
+    assert CHECKPOINTS.text_adapter(checkpoint(small)) == {}
 
 
 def test_up_to_five_differences_of_a_kind_are_named(small: AnySplat) -> None:
@@ -160,7 +161,7 @@ def test_up_to_five_differences_of_a_kind_are_named(small: AnySplat) -> None:
 
 
 def test_foreign_files_are_named_as_such(small: AnySplat) -> None:
-    with pytest.raises(ValueError, match=r"1 keys that are neither AnySplat's nor AnyStyle's \(visual\.proj\)"):
+    with pytest.raises(ValueError, match=r"1 keys that are not AnySplat's or AnyStyle's \(visual\.proj\)"):
         small.load_reference({"visual.proj": torch.zeros(1)})
 
 

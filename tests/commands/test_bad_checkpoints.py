@@ -10,11 +10,11 @@ from omegaconf import OmegaConf
 from PIL import Image
 from safetensors.torch import save_file
 
-from anystyle import memory
 from anystyle.commands._compose import main
 from anystyle.commands.stylize import parser, stylize
+from anystyle.inference import memory
+from anystyle.inference.weights import reference_config
 from anystyle.registry.compose import override
-from anystyle.weights import reference_config
 from weights_cases import small_checkpoint, training_checkpoint
 
 ENCODER = {"text_width": 64, "text_layers": 1, "image_width": 64, "image_layers": 1}
@@ -69,7 +69,7 @@ def test_files_that_are_not_the_checkpoint(
     (tmp_path / "half.ckpt").write_bytes((tmp_path / "head.ckpt").read_bytes()[:20000])
     torch.save({"state_dict": small_checkpoint("head"), "callbacks": Code()}, tmp_path / "code.ckpt")
     for name, told in (
-        ("other.safetensors", "neither AnySplat's nor AnyStyle's (visual.proj)"),
+        ("other.safetensors", "not AnySplat's or AnyStyle's (visual.proj)"),
         ("half.ckpt", "is truncated or no file of weights"),
         ("code.ckpt", "is damaged or holds more than tensors"),
     ):

@@ -103,7 +103,7 @@ def test_listing_is_as_quick_as_importing_hydra():
 
     lists = (["--help"], ["plugins"], ["plugins", "loss"])
     rounds = [
-        (seconds("-c", "import hydra"), *(seconds("-m", "anystyle", *words) for words in lists)) for _ in range(5)
+        (seconds("-c", "import hydra"), *(seconds("-m", "anystyle", *words) for words in lists)) for _ in range(3)
     ]
     for place in range(len(lists)):
         assert statistics.median(times[place + 1] / times[0] for times in rounds) < 1.5
@@ -234,7 +234,7 @@ def test_interruption(command):
 def test_help_and_configuration(command):
     status, out, _ = command("--help")
     assert status == 0
-    assert "--text" in out and "--multirun" in out and "placement: aggregator, full, head" in out
+    assert "--text" in out and "--multirun" in out and "placement: aggregator, color, full, head" in out
     for words in (["--cfg", "job", "placement=full"], ["placement=full", "--cfg", "job", "seed=3"]):
         status, out, _ = command(*words)
         assert status == 0

@@ -16,8 +16,8 @@ from PIL import Image
 
 from anystyle.commands import evaluate as command
 from anystyle.commands import plugins_new
-from anystyle.evaluation import parts
-from anystyle.evaluation.judge import judge_row
+from anystyle.evaluation import resume
+from anystyle.evaluation.runner import judge_row
 from anystyle.evaluation.tables import STAND_IN
 from anystyle.registry.compose import compose
 from evaluation_cases import folders, picture
@@ -85,7 +85,7 @@ def test_the_same_again_computes_nothing_anew(tmp_path, monkeypatch):
     given = flags(*folders(tmp_path / "in"))
     run(*given, *TOY, "--out", "out")
     before = metrics("out")
-    monkeypatch.setattr("anystyle.evaluation.parts.judge_row", None)
+    monkeypatch.setattr("anystyle.evaluation.resume.judge_row", None)
     run(*given, *TOY, "--out", "out")
     again = metrics("out")
     for found in (before, again):
@@ -96,15 +96,15 @@ def test_the_same_again_computes_nothing_anew(tmp_path, monkeypatch):
 KILLED = """
 import os, signal, sys
 from anystyle.commands import evaluate
-from anystyle.evaluation import parts
+from anystyle.evaluation import resume
 
-judged, judge = [], parts.judge_row
+judged, judge = [], resume.judge_row
 def dying(*given):
     judged.append(given[0])
     if len(judged) == 4:
         os.kill(os.getpid(), signal.SIGKILL)
     return judge(*given)
-parts.judge_row = dying
+resume.judge_row = dying
 evaluate.main(sys.argv[1:])
 """
 
@@ -117,7 +117,7 @@ def test_a_killed_evaluation_ends_with_the_same_figures(tmp_path, monkeypatch):
     assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
     assert not Path("out/metrics.json").exists()
     judged = []
-    monkeypatch.setattr(parts, "judge_row", lambda *given: judged.append(given[0]) or judge_row(*given))
+    monkeypatch.setattr(resume, "judge_row", lambda *given: judged.append(given[0]) or judge_row(*given))
     run(*words, "--out", "out")
     assert len(judged) == 1
     whole, again = metrics("whole"), metrics("out")
@@ -135,7 +135,7 @@ def test_a_model_on_a_protocol_resumes_and_is_bound_to_its_configuration(tmp_pat
     run(*words, "--out", "out")
     found = metrics("out")
     assert math.isfinite(found["change"]) and found["provenance"]["n"] == 4
-    assert set(found["provenance"]["weights"]) == {"backbone", "style_encoder", "branch"}
+    assert set(found["provenance"]["weights"]) == {"backbone", "style_encoder", "style_encoder/magenta_text", "branch"}
     assert all(len(row["sha256"]) == 64 for row in found["provenance"]["weights"].values())
     (scene,) = Path("out/images/stylized").iterdir()
     kept = sorted(path for path in scene.iterdir() if path.suffix == ".jpg")
@@ -162,12 +162,12 @@ def test_figures_of_stand_in_networks_say_so_in_every_table(tmp_path, capsys):
 
 
 def test_a_trained_run_is_judged_with_its_own_weights(tmp_path):
-    from anystyle.assemble import weights_file
+    from anystyle.inference.assemble import weights_file
 
     for number in range(2):
         folder = tmp_path / "sweep" / str(number)
         folder.mkdir(parents=True)
-        shutil.copy(weights_file("tiny_head"), folder / "branch.safetensors")
+        shutil.copy(weights_file("tiny_branch"), folder / "branch.safetensors")
         bound = {"weights.backbone": "tiny_backbone", "weights.style_encoder": "tiny_style_encoder", "seed": 0}
         (folder / "bound.json").write_text(json.dumps(bound))
     words = ["protocol.num_styles=1", "protocol.num_scenes=1", "protocol.frames=1", *TOY]
@@ -214,9 +214,9 @@ def test_what_cannot_be_judged_is_one_line_and_leaves_nothing(tmp_path, capsys):
 
 
 def test_two_evaluations_do_not_share_a_folder(tmp_path, capsys):
-    from anystyle.evaluation.binding import alone
+    from anystyle.io.lock import folder_lock
 
     given = flags(*folders(tmp_path / "in"))
     Path("out").mkdir()
-    with alone(Path("out")):
+    with folder_lock(Path("out"), "taken"):
         assert "another evaluation is at work in out" in fails(capsys, *given, *TOY, "--out", "out")

@@ -11,8 +11,8 @@ from anystyle.commands.plugins import main
 from anystyle.contracts import Placement
 from anystyle.registry.builtin import BUILTIN, KINDS
 from anystyle.registry.catalog import Plugin, PluginError, catalog, plugin
-from anystyle.registry.peek import peek
 from anystyle.registry.schema import options
+from anystyle.registry.source_docs import peek
 
 PACKAGE = """
 from .model import Deep as Renamed

@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 from textwrap import dedent
 
@@ -207,14 +206,14 @@ class Mine(ToyBackbone):
 }
 
 RUN = """
-import contextlib, io, json, sys, time
+import contextlib, io, json, sys
 from anystyle.commands import plugins_check
 found = {}
 for kind, name in json.loads(sys.argv[1]):
-    out, start = io.StringIO(), time.perf_counter()
+    out = io.StringIO()
     with contextlib.redirect_stdout(out):
         status = plugins_check.main([kind, name])
-    found[name] = {"status": status, "text": out.getvalue(), "seconds": time.perf_counter() - start}
+    found[name] = {"status": status, "text": out.getvalue()}
 json.dump(found, sys.stdout)
 """
 
@@ -263,10 +262,6 @@ def test_two_plugins_of_one_name(found):
     assert "rename one of them in its pyproject.toml" in text
 
 
-def test_no_check_takes_long(found):
-    assert max(report["seconds"] for report in found.values()) < 30
-
-
 def test_nothing_is_checked_after_what_is_needed(found):
     text = found["wrong_base"]["text"]
     assert text.rstrip().splitlines()[-1].startswith("1 promise kept, 1 broken, ")
@@ -289,9 +284,7 @@ def test_hints_show_the_promise_and_code_that_keeps_it(tmp_path, monkeypatch, ca
 
 
 def test_a_good_plugin_ends_with_0(capsys):
-    start = time.perf_counter()
     assert plugins_check.main(["placement", "head"]) == 0
-    assert time.perf_counter() - start < 30
     shown = capsys.readouterr().out
     assert shown.startswith("placement 'head' (anystyle.placements.head:Head, declared by anystyle)\n")
     assert "BROKEN" not in shown

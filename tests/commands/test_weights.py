@@ -13,9 +13,9 @@ from torch import Tensor
 
 from anystyle.commands import weights as command
 from anystyle.commands._run import run
+from anystyle.inference.weights import load_reference
 from anystyle.perception import weights
 from anystyle.perception.clip import Clip
-from anystyle.weights import load_reference
 from weights_cases import small_checkpoint, training_checkpoint
 
 Cli = Callable[..., tuple[int, str, str]]
@@ -63,7 +63,7 @@ def test_the_table_says_all_of_every_file(cli: Cli, tmp_path: Path, monkeypatch:
     assert f"  file     {tmp_path / 'longclip-B-32.pt'}" in blocks["longclip_b32"]
     assert blocks["anysplat"].startswith("anysplat: missing, 4.76 GB")
     assert f"  looked   {tmp_path / 'anysplat.safetensors'}" in blocks["anysplat"]
-    assert blocks["tiny_head"].startswith("tiny_head: found")
+    assert blocks["tiny_branch"].startswith("tiny_branch: found")
     assert "ANYSTYLE_WEIGHTS" in out
 
 
@@ -108,7 +108,7 @@ def test_clips_and_our_own_files_are_recognised(cli: Cli, tmp_path: Path) -> Non
     clip = Clip(context=77, vocabulary=30, text_width=64, text_layers=1, image_width=64, image_layers=2, dim=8)
     torch.save({**clip.state_dict(), "logit_scale": torch.ones(())}, tmp_path / "clip.pt")
     assert "CLIP or Long-CLIP" in cli("verify", tmp_path / "clip.pt")[1]
-    assert "branch that anystyle wrote" in cli("verify", "tiny_head")[1]
+    assert "branch that anystyle wrote" in cli("verify", "tiny_branch")[1]
     assert "LPIPS" in cli("verify", "lpips_alex")[1]
     broken = {key: tensor for key, tensor in clip.state_dict().items() if key != "ln_final.weight"}
     torch.save(broken, tmp_path / "broken.pt")
@@ -224,7 +224,7 @@ def test_conversions_that_make_no_sense_are_refused(cli: Cli, tmp_path: Path) ->
     before = (tmp_path / "it.safetensors").read_bytes()
     refused(cli, "convert", tmp_path / "it.safetensors", tmp_path / "it.pt", told=r"end in \.safetensors")
     refused(cli, "convert", tmp_path / "it.safetensors", tmp_path / "it.safetensors", told="is the file that is read")
-    refused(cli, "convert", "tiny_head", tmp_path / "o.safetensors", told="nothing to convert")
+    refused(cli, "convert", "tiny_branch", tmp_path / "o.safetensors", told="nothing to convert")
     assert (tmp_path / "it.safetensors").read_bytes() == before
 
 
@@ -234,8 +234,8 @@ def test_conversions_that_make_no_sense_are_refused(cli: Cli, tmp_path: Path) ->
 def test_what_no_hub_has_says_where_to_get_it(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(weights.FOLDERS, str(tmp_path))
     refused(cli, "download", "anystyle_head", told=r"anystyle_head\.ckpt from https://zenodo\.org/records/18816747")
-    status, out, _ = cli("download", "tiny_head")
-    assert status == 0 and Path(out.strip()) == weights.find("tiny_head")
+    status, out, _ = cli("download", "tiny_branch")
+    assert status == 0 and Path(out.strip()) == weights.find("tiny_branch")
 
 
 def test_the_extra_is_named(cli: Cli, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

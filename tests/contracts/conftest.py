@@ -26,7 +26,7 @@ def untrained_weights(tmp_path_factory) -> Path:
         if _is_there(name):
             continue
         torch.manual_seed(0)
-        file = folder / weights.FILES[name].file
+        file = folder / weights.row(name).file
         state = make().state_dict()
         save_file(state, file) if file.suffix == ".safetensors" else torch.save(state, file)
     return folder

@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from anystyle import colmap
 from anystyle.data.poses import read_poses
+from anystyle.io import colmap
 
 
 def model():

@@ -6,10 +6,9 @@ import pytest
 import torch
 from PIL import Image
 
-from anystyle.data import video
 from anystyle.data.folder import read_views
-from anystyle.data.video import read_frames
-from anystyle.export import write_video
+from anystyle.io import video
+from anystyle.io.video import read_frames, write_video
 from real_data import real
 
 

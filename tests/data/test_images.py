@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 from anystyle.data.images import MAX_PIXELS, image_size, open_image, read_image
+from anystyle.study.pictures import read_picture
 
 
 def gradient(height=20, width=30):
@@ -75,6 +76,18 @@ def test_what_is_no_picture_is_refused_in_one_line(tmp_path):
         with pytest.raises(ValueError, match=words) as caught:
             open_image(tmp_path / name)
         assert "\n" not in str(caught.value) and name in str(caught.value)
+
+
+def test_only_formats_that_are_meant_are_decoded(tmp_path, monkeypatch):
+    """A drawing in PostScript, whatever its name says, would start another program."""
+    Image.fromarray(gradient()).save(tmp_path / "drawing.eps")
+    drawing = (tmp_path / "drawing.eps").rename(tmp_path / "drawing.png")
+    with Image.open(drawing) as image:
+        assert image.format == "EPS"
+    monkeypatch.setattr("subprocess.check_call", lambda *words, **options: pytest.fail("a program was started"))
+    for read in (open_image, image_size, read_picture):
+        with pytest.raises(ValueError, match=r"drawing\.png"):
+            read(drawing)
 
 
 def test_a_bomb_is_refused_before_it_is_decoded(tmp_path):

@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from anystyle.data.folder import read_views
-from anystyle.known_cameras import from_files, from_views
+from anystyle.inference.known_cameras import from_files, from_views
 from anystyle.types import Cameras
 
 
@@ -34,7 +34,7 @@ def sources(capture, count):
 
 def test_cameras_above_the_photographs_are_matched_and_scaled(capture):
     known = from_files(sources(capture, 2))
-    assert known.places == (0, 1) and known.names == ("0", "1", "2")
+    assert known.indices == (0, 1) and known.names == ("0", "1", "2")
     assert known.targets.intrinsics.shape[1] == 3
     scale = known.views.size[0] / 480
     torch.testing.assert_close(known.views.intrinsics[0, 0, 0, 0], torch.tensor(500 * scale))
@@ -48,9 +48,9 @@ def test_targets_are_placed_among_predicted_cameras(capture):
     pose = known.targets.world_from_camera.clone()
     pose[..., :3, 3] *= 2.5
     predicted = Cameras(turn @ pose, known.targets.intrinsics, known.targets.size)
-    placed, change = known.placed(predicted)
-    torch.testing.assert_close(placed.world_from_camera, predicted.world_from_camera, atol=1e-5, rtol=1e-4)
-    torch.testing.assert_close(change.scale, torch.tensor(2.5))
+    targets, similarity = known.targets_in_scene(predicted)
+    torch.testing.assert_close(targets.world_from_camera, predicted.world_from_camera, atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(similarity.scale, torch.tensor(2.5))
 
 
 def test_poses_that_do_not_match_are_refused(capture, tmp_path):

@@ -172,6 +172,24 @@ def test_bad_scene_folders(tmp_path, capture):
         scenes.num_views(2)
 
 
+def test_a_clip_of_any_name_is_written_nowhere(tmp_path, monkeypatch):
+    data, inside = tmp_path / "data", tmp_path / "temporary" / "deep"
+    data.mkdir()
+    inside.mkdir(parents=True)
+    monkeypatch.setattr("tempfile.tempdir", str(inside))
+    Re10kScenes.example(data)
+    key = "../../outside"
+    clips = torch.load(data / "train" / "0.torch", weights_only=True)
+    torch.save([clips[0] | {"key": key}], data / "train" / "0.torch")
+    (data / "train" / "index.json").write_text(json.dumps({key: "0.torch"}))
+    before = set(tmp_path.rglob("*"))
+    assert Re10kScenes(root=str(data), short_side=28).read(0, [0, 1]).names == (
+        "______outside_00000",
+        "______outside_00001",
+    )
+    assert set(tmp_path.rglob("*")) == before
+
+
 def test_re10k_chunks(tmp_path):
     folder = tmp_path / "train"
     folder.mkdir()

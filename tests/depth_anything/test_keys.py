@@ -10,10 +10,10 @@ from torch import Tensor, nn
 
 import depth_anything_reference as reference
 from anystyle.contracts import Backbone
+from anystyle.inference.weights import load_reference
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
 from anystyle.types import Views
-from anystyle.weights import load_reference
 from anystyle_depth_anything import DepthAnything, keys
 from oracle import smooth_image
 
@@ -25,6 +25,7 @@ PUBLISHED = {
     "large": ((407, 304_373_760), (162, 47_229_438), (64, 50_927_616), (10, 8_411_145)),
     "giant": ((675, 1_136_489_216), (162, 50_115_070), (64, 114_533_376), (10, 18_908_169), (66, 35_628_486)),
 }
+CHECKPOINTS = keys.Checkpoints()
 NORM = 2 * 32
 """Parameters of the second chain's norm; one module serves four levels, and has a name in each."""
 ALL = {"small": 34_299_463, "base": 135_366_599, "large": 410_941_767, "giant": 1_355_674_125}
@@ -77,7 +78,7 @@ def test_checkpoints_load_with_any_prefix(prefix: str) -> None:
     state = {prefix + name: tensor for name, tensor in reference.tiny_weights().items()}
     if "da3" in prefix:
         state["model.da3_metric.head.projects.0.weight"] = torch.zeros(1)
-    assert keys.complete(state) and keys.placement(state) is None
+    assert CHECKPOINTS.complete(state) and CHECKPOINTS.placement(state) is None
     backbone = fresh()
     backbone.load_reference(state)
     own = backbone.state_dict()
@@ -91,7 +92,7 @@ def without_gaussians() -> dict[str, Tensor]:
 
 def test_without_a_gaussian_head_ours_stays_as_it_was() -> None:
     backbone, before = fresh(), fresh()
-    assert not keys.complete(without_gaussians())
+    assert not CHECKPOINTS.complete(without_gaussians())
     backbone.load_reference(without_gaussians())
     for key, tensor in before.gaussian_head.state_dict().items():
         assert torch.equal(backbone.gaussian_head.state_dict()[key], tensor), key
@@ -159,7 +160,7 @@ def shapes_of(backbone: DepthAnything, *, gaussians: bool) -> dict[str, Tensor]:
 
 @pytest.mark.parametrize("name", PUBLISHED)
 def test_options_read_off_shapes_are_those_of_the_preset(name: str) -> None:
-    found = keys.options(shapes_of(preset(name), gaussians=name == "giant"))
+    found = CHECKPOINTS.options(shapes_of(preset(name), gaussians=name == "giant"))
     node = compose("stylize", [f"backbone=depth_anything_{name}"]).backbone
     for option, value in found.items():
         chosen = getattr(node[option], "name", node[option])  # a choice is an enum in a typed configuration
@@ -173,10 +174,10 @@ def test_options_need_whole_files() -> None:
     state = dict(reference.tiny_weights())
     del state["backbone.pretrained.pos_embed"]
     with pytest.raises(ValueError, match=re.escape("has no backbone.pretrained.pos_embed")):
-        keys.options(state)
+        CHECKPOINTS.options(state)
     state = reference.tiny_weights() | {"backbone.pretrained.patch_embed.proj.weight": torch.zeros(4)}
     with pytest.raises(ValueError, match=r"proj\.weight is \[4\]"):
-        keys.options(state)
+        CHECKPOINTS.options(state)
 
 
 @pytest.mark.parametrize("head", [True, False])
@@ -196,9 +197,9 @@ def test_a_checkpoint_becomes_a_stylizer_by_one_call(tmp_path: Path, head: bool)
 
 def test_there_is_no_published_style_branch() -> None:
     state = reference.tiny_weights()
-    assert keys.injector_options(state, fresh().sites) == {} and keys.text_adapter(state) == {}
+    assert CHECKPOINTS.injector_options(state, fresh().sites) == {} and CHECKPOINTS.text_adapter(state) == {}
     with pytest.raises(ValueError, match="no style branch"):
-        keys.load_branch(nn.Linear(1, 1), state)
+        CHECKPOINTS.load_branch(nn.Linear(1, 1), state)
 
 
 def test_the_example_is_small() -> None:

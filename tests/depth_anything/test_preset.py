@@ -6,9 +6,9 @@ import pytest
 import torch
 
 import training_cases
-from anystyle.assemble import assemble
-from anystyle.checkpoint import load_part
 from anystyle.contracts import Backbone
+from anystyle.inference.assemble import assemble
+from anystyle.io.checkpoint import load_part
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
 from anystyle.training.run import train
@@ -82,7 +82,14 @@ def test_the_reconstruction_recipe_trains_it(tmp_path: Path) -> None:
 
 
 def test_a_sentence_restyles_what_it_encodes() -> None:
-    words = ["backbone=depth_anything_tiny", *SMALLER, "placement=full", "weights.backbone=null", "weights.branch=null"]
+    words = [
+        "model=tiny",
+        "backbone=depth_anything_tiny",
+        *SMALLER,
+        "placement=full",
+        "weights.backbone=null",
+        "weights.branch=null",
+    ]
     stylizer, _ = assemble(compose("stylize", [*words, "weights.style_encoder=null"]))
     views = Views(smooth_image(1, (1, 2, 3, 28, 42)))
     with torch.no_grad():

@@ -96,7 +96,7 @@ class Reader:
                     ) as reply:
                         assert reply.status == 200
         process.send_signal(signal.SIGINT)
-        out, err = process.communicate(timeout=30)
+        out, err = process.communicate(timeout=300)
         return Done(process.returncode, first + out, err, 0.0)
 
 

@@ -37,8 +37,8 @@ def test_every_page_is_built_and_found_in_the_navigation(tmp_path):
             assert (tmp_path / "site" / page / "index.html").is_file()
             assert f'href="{page}/"' in navigation, page
     assert 'class="mermaid"' in (tmp_path / "site" / "design" / "index.html").read_text()
-    # What lies outside of the pages is linked where it is read.
-    assert "/anystyle/blob/main/notebooks/01_stylize.py" in first
+    # What lies outside of the pages is named by its path.
+    assert "01_stylize (<code>notebooks/01_stylize.py</code>)" in first
     assert not (tmp_path / "site" / "site").exists()
 
 

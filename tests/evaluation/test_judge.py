@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from anystyle.evaluation.folders import Reader, pair
-from anystyle.evaluation.judge import judge, mean
-from anystyle.evaluation.parts import judge_pairing
+from anystyle.evaluation.resume import judge_pairing
+from anystyle.evaluation.runner import judge, mean
 from anystyle.testing.samples import comparison
 from anystyle.testing.toy.metric import ToyMetric
 from anystyle.types import Comparison
@@ -70,11 +70,11 @@ def row_of(given: Comparison, row: int, style: str = "style") -> Comparison:
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
-@pytest.mark.parametrize("what", ["content", "stylized"])
-def test_images_that_are_no_numbers_are_refused(value, what):
+@pytest.mark.parametrize(("what", "name"), [("content", "photographs"), ("stylized", "stylized images")])
+def test_images_that_are_no_numbers_are_refused(value, what, name):
     given = row_of(comparison(1, 2), 0)
     getattr(given, what)[0, 1, 0, 3, 3] = value
-    with pytest.raises(ValueError, match=f"scene_0 in style style: the {what} images hold NaN or infinity"):
+    with pytest.raises(ValueError, match=f"scene_0 in style style: the {name} hold 1 values that are NaN or infinite"):
         judge({"toy": ToyMetric()}, [given])
 
 
@@ -84,7 +84,9 @@ def test_nothing_and_sizes_that_differ_are_refused():
     given = row_of(comparison(1, 3), 0)
     # As it can be made where no test's hook checks shapes.
     object.__setattr__(given, "content", given.content[:, :2])
-    with pytest.raises(ValueError, match=r"scene_0 in style style: photographs are 2 of 80x64 .* 3 of 80x64 pixels"):
+    with pytest.raises(
+        ValueError, match=r"scene_0 in style style: photographs are 1 x 2 of 80x64 .* 1 x 3 of 80x64 pixels"
+    ):
         judge({"toy": ToyMetric()}, [given])
 
 
@@ -147,7 +149,7 @@ def test_a_damaged_part_is_computed_again(tmp_path):
     first = judge_pairing({"mean": Mean()}, pairing, tmp_path, silent)
     parts = sorted((tmp_path / "parts").iterdir())
     parts[0].write_text(parts[0].read_text()[:50])
-    parts[1].write_text(json.dumps({"seal": "another"}))
+    parts[1].write_text(json.dumps({"digest": "another"}))
     assert judge_pairing({"mean": Mean()}, pairing, tmp_path, silent) == first
 
 

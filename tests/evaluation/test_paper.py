@@ -8,7 +8,8 @@ import torch
 from PIL import Image
 
 from anystyle.contracts import StyleSource
-from anystyle.evaluation.protocols.paper import Paper, middle_square
+from anystyle.evaluation.model_renders import middle_square
+from anystyle.evaluation.protocols.paper import Paper
 from anystyle.testing.inputs import cameras, images
 from anystyle.testing.protocol import _parts
 from anystyle.testing.toy.scenes import ToyScenes
@@ -57,7 +58,9 @@ def test_what_is_written_and_judged(parts, tmp_path):
     assert found.n == 2 * 3 * 2
     assert [(row.scene, row.style) for row in found.rows][:2] == [("wall_0000", "00"), ("wall_0000", "01")]
     assert found.provenance["variant"] == "reference"
-    assert found.provenance["seconds_a_style"] > 0
+    # The reference shows the model all four views, of which two are judged.
+    assert found.times["time_s"] == pytest.approx(found.provenance["seconds_a_style"] / 4)
+    assert "input images" in found.provenance["time_s"]
     assert found.rows[0].pictures["result"] == kept / "stylized" / "wall_0000" / "00_001.jpg"
 
 

@@ -3,12 +3,14 @@
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
 from anystyle.geometry.rotations import (
+    cross_matrix,
+    matrix_from_vector,
     matrix_from_wxyz,
     multiply,
-    slerp,
+    nearest_rotation,
     wxyz_from_matrix,
     wxyz_from_xyzw,
     xyzw_from_wxyz,
@@ -62,21 +64,23 @@ def test_products() -> None:
     torch.testing.assert_close(product, torch.from_numpy((left * right).as_matrix()))
 
 
-@pytest.mark.parametrize("share", [0.0, 0.25, 0.5, 1.0])
-def test_slerp(share: float) -> None:
-    start, end = rotations(30, 1), rotations(30, 2)
-    ways = [Slerp([0, 1], Rotation.concatenate([a, b]))(share) for a, b in zip(start, end, strict=True)]
-    expected = torch.from_numpy(Rotation.concatenate(ways).as_matrix())
-    for sign in (1, -1):
-        torch.testing.assert_close(matrix_from_wxyz(slerp(2 * wxyz(start), sign * wxyz(end), share)), expected)
-    amounts = torch.full((30,), share, dtype=torch.float64)
-    torch.testing.assert_close(matrix_from_wxyz(slerp(wxyz(start), wxyz(end), amounts)), expected)
+def test_matrices_of_rotation_vectors() -> None:
+    vectors = np.concatenate([rotations(30).as_rotvec(), np.zeros((1, 3)), [[1e-9, 0, 0]]])
+    expected = torch.from_numpy(Rotation.from_rotvec(vectors).as_matrix())
+    torch.testing.assert_close(matrix_from_vector(torch.from_numpy(vectors)), expected)
 
 
-def test_slerp_between_equals_has_a_gradient() -> None:
-    start = torch.tensor([1.0, 0.2, -0.3, 0.5], requires_grad=True)
-    between = slerp(start, start.detach(), 0.5)
-    torch.testing.assert_close(between, start.detach() / start.detach().norm())
-    between.sum().backward()
-    assert start.grad is not None
-    assert start.grad.isfinite().all()
+def test_cross_matrices() -> None:
+    left, right = torch.randn(2, 10, 3, dtype=torch.float64)
+    expected = torch.linalg.cross(left, right)
+    torch.testing.assert_close((cross_matrix(left) @ right[..., None])[..., 0], expected)
+
+
+def test_the_nearest_rotation_is_the_one_of_scipy() -> None:
+    """Of noisy correspondences, reflections among them, for which the nearest orthogonal matrix is no rotation."""
+    random = np.random.default_rng(3)
+    for _ in range(20):
+        source, target = random.normal(size=(2, 4, 3))
+        expected, _ = Rotation.align_vectors(target, source)
+        result = nearest_rotation(torch.from_numpy(target.T @ source))
+        torch.testing.assert_close(result, torch.from_numpy(expected.as_matrix()), rtol=0, atol=1e-9)

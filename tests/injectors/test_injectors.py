@@ -1,26 +1,22 @@
 """What each injector computes, against its paper's formula written out; what all share is in their contract."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from scipy import ndimage
 from scipy.special import expit, softmax
-from scipy.stats import rankdata
 
 from anystyle.contracts import Injector
 from anystyle.injectors.ada_ln import AdaLN
 from anystyle.injectors.cross_attention import CrossAttention
 from anystyle.injectors.film import FiLM
-from anystyle.injectors.hypernetwork import HyperNetwork
 from anystyle.injectors.lora import LoRA
-from anystyle.injectors.ramp_texture import REACH, RampTexture, between_knots
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.registry.catalog import catalog
 from anystyle.testing import assert_contract
-from anystyle.types import Style, Tokens
+from anystyle.types import Tokens
+from anystyle_tiny.hypernetwork import HyperNetwork
 
 DIM, STYLE = 12, 5
 ALL = [AdaLN, CrossAttention, FiLM, HyperNetwork, LoRA, ZeroConv]
@@ -75,11 +71,11 @@ def _expected(cls, injector, tokens, style):
         coded = coded * weights["style_norm.weight"] + weights["style_norm.bias"]
         query = linear("query", normalised(x, 1e-5) * weights["norm.weight"] + weights["norm.bias"])
         keys, values = linear("key", coded), linear("value", coded)
-        found = []
+        attended = []
         for head in np.split(np.arange(query.size), injector.heads):
-            share = softmax(keys[:, head] @ query[head] / math.sqrt(head.size))
-            found.append(share @ values[:, head])
-        return x + linear("zero_proj", np.concatenate(found))
+            weight = softmax(keys[:, head] @ query[head] / math.sqrt(head.size))
+            attended.append(weight @ values[:, head])
+        return x + linear("zero_proj", np.concatenate(attended))
 
     formula = {FiLM: film, AdaLN: ada_ln, LoRA: lora, CrossAttention: cross_attention}[cls]
     return np.array(
@@ -140,7 +136,7 @@ def test_low_rank_update_is_one_of_the_weights_that_read_the_tokens():
 
 
 @pytest.mark.parametrize("special", [False, True])
-def test_made_network_is_the_formula(special):
+def test_network_of_a_style_is_the_formula(special):
     injector = _trained(HyperNetwork, width=3, hidden=7, special_tokens=special)
     tokens, style = _tokens().to(torch.float64), _style().double()
     start = 0 if special else tokens.special
@@ -164,123 +160,6 @@ def test_attention_does_different_things_to_different_tokens_and_a_shift_does_no
         assert (bool((added.std(dim=(1, 2)) > 1e-3).any())) is varies
 
 
-def _placed(tokens: Tokens, places: torch.Tensor) -> Tokens:
-    return replace(tokens, places=places)
-
-
-def _mirrored(places: np.ndarray) -> np.ndarray:
-    """What lies beyond [-1, 1] folded back."""
-    return 1 - np.abs((places + 1) % 4 - 2)
-
-
-def test_ramp_texture_is_the_formula():
-    knots, size = 5, 6
-    injector = _trained(RampTexture, knots=knots, size=size, width=7)
-    tokens, style = _tokens().to(torch.float64), _style().double()
-    # Far beyond the border too, but away from it, where neighbours are cut off.
-    places = 1.6 * torch.randn(2, 3, 6, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
-    given = injector(_placed(tokens, places), style).data.detach().numpy()
-    np.testing.assert_array_equal(given[:, :, :2], tokens.data.numpy()[:, :, :2])
-    for scene, vector in enumerate(style):
-        x = tokens.patches[scene].numpy()
-        normed = (x - x.mean((0, 1))) / np.sqrt(x.var((0, 1)) + 1e-3)
-        light = injector.light(torch.from_numpy(np.concatenate([x, normed], -1))).detach().numpy()
-        texture = injector.texture(vector).detach().numpy().reshape(size, size)
-        across = (_mirrored(places[scene].numpy()) + 1) * size / 2 - 0.5  # in samples; x, then y
-        laid = ndimage.map_coordinates(texture, [across[..., 1], across[..., 0]], order=1, mode="nearest")
-        place = light[..., 0] + laid
-        ranks = (rankdata(place).reshape(place.shape) - 1) / place.size
-        along = ranks * (knots - 1)
-        share = np.maximum(1 - np.abs(along[..., None] - np.arange(knots)), 0)
-        colors = share @ injector.ramp(vector).detach().numpy().reshape(knots, DIM)
-        dark = injector.dark.detach().numpy()
-        made = dark + (1 + light[..., 1:]) * (colors - dark)
-        expected = x + injector.gate.detach().numpy() * (made - x)
-        np.testing.assert_allclose(given[scene, :, 2:], expected, rtol=1e-9, atol=1e-9)
-
-
-def test_between_two_styles_the_ramp_and_the_texture_are_between_theirs():
-    injector = _trained(RampTexture, knots=4, size=3)
-    with torch.no_grad():
-        injector.texture.weight.zero_()  # places of tokens stay, and so colours are linear in the style
-    tokens, style = _tokens(batch=1).to(torch.float64), _style().double()
-    ends = [injector(tokens, one[None]).data for one in style]
-    middle = injector(tokens, style.mean(0, keepdim=True)).data
-    torch.testing.assert_close(middle, (ends[0] + ends[1]) / 2)
-
-
-def test_without_places_there_is_no_texture():
-    injector = _trained(RampTexture, size=3)
-    tokens, style = _tokens().to(torch.float64), _style().double()
-    bare = injector(tokens, style).data
-    with torch.no_grad():
-        injector.texture.weight.zero_()
-        injector.texture.bias.zero_()
-    laid = injector(_placed(tokens, torch.zeros(2, 3, 6, 2, dtype=torch.float64)), style).data
-    torch.testing.assert_close(bare, laid)
-
-
-@pytest.mark.parametrize("fitted", [False, True])
-def test_fit_is_least_squares_of_both_modalities(fitted):
-    generator = torch.Generator().manual_seed(4)
-    count, knots, size = 60, 4, 3
-    embeddings = torch.randn(count, 2, STYLE, generator=generator)
-    images = torch.rand(count, 3, 1, 1, generator=generator).expand(-1, -1, 4, 4).clone()  # one colour each
-    patterns = torch.rand(count, 6, 6, generator=generator)
-    has_image = torch.arange(count) % 3 > 0
-    injector = RampTexture(dim=3, style_dim=STYLE, knots=knots, size=size, fitted=fitted, gain=2.0)
-    injector.fit(embeddings, Style(image=images, has_image=has_image, pattern=patterns))
-
-    design = np.concatenate([2 * embeddings.numpy(), np.ones((count, 2, 1))], -1)
-    blocks = patterns.numpy().reshape(count, 3, 2, 3, 2).mean((2, 4)).reshape(count, -1)
-    colors = (images[:, :, 0, 0].numpy() - 0.5) * 2 * math.sqrt(math.pi)
-    for layer, rows, wanted in (
-        (injector.ramp, has_image.numpy(), np.tile(colors, knots)),
-        (injector.texture, np.full(count, True), REACH * (blocks - 0.5)),
-    ):
-        found, *_ = np.linalg.lstsq(design[rows].reshape(-1, STYLE + 1), np.repeat(wanted[rows], 2, axis=0), rcond=None)
-        given = torch.cat([layer.weight, layer.bias[:, None]], 1).detach().numpy().T
-        np.testing.assert_allclose(given, found, atol=1e-4)
-    learning = {name.split(".")[0] for name, value in injector.named_parameters() if value.requires_grad}
-    assert learning == ({"light"} if fitted else {"light", "gate", "dark", "ramp", "texture"})
-    np.testing.assert_allclose(injector.dark.detach(), -math.sqrt(math.pi), rtol=1e-6)
-    torch.testing.assert_close(2 * injector.gate.detach(), torch.full((3,), float(fitted)))
-
-
-def test_fit_takes_nothing_from_what_is_not_known():
-    injector = RampTexture(dim=3, style_dim=STYLE)
-    before = {name: value.clone() for name, value in injector.state_dict().items()}
-    injector.fit(torch.randn(4, 1, STYLE), Style(text=("a", "b", "c", "d")))
-    assert all(torch.equal(value, before[name]) for name, value in injector.state_dict().items())
-
-
-def test_where_tokens_are_no_colours_nothing_is_fitted_and_everything_learns():
-    injector = RampTexture(dim=DIM, style_dim=STYLE, fitted=True)
-    before = {name: value.clone() for name, value in injector.state_dict().items()}
-    injector.fit(torch.randn(4, 1, STYLE), Style(image=torch.rand(4, 3, 8, 8), pattern=torch.rand(4, 64, 64)))
-    assert all(torch.equal(value, before[name]) for name, value in injector.state_dict().items())
-    assert all(value.requires_grad for value in injector.parameters())
-
-
-def test_weights_of_knots_are_linear_interpolation():
-    place = torch.tensor([[0.0, 0.1, 0.5, 1.0]], dtype=torch.float64)
-    expected = [[1, 0, 0, 0, 0], [0.6, 0.4, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 0, 1]]
-    torch.testing.assert_close(between_knots(place, 5)[0], torch.tensor(expected, dtype=torch.float64))
-
-
-def test_every_colour_of_the_ramp_has_its_share():
-    injector = _trained(RampTexture, knots=2, size=3, fitted=False)
-    with torch.no_grad():
-        injector.gate.fill_(1.0)
-        injector.light[-1].weight[1] = 0  # no shade
-        injector.light[-1].bias[1] = 0
-    tokens, style = _tokens(batch=1, special=0).to(torch.float64), _style(1).double()
-    made = injector(_placed(tokens, torch.rand(1, 3, 6, 2, dtype=torch.float64)), style).patches[0].flatten(0, 1)
-    first, last = injector.ramp(style).detach().view(2, DIM)
-    along = ((made.detach() - first) @ (last - first) / (last - first).square().sum()).sort().values
-    torch.testing.assert_close(along, torch.arange(18, dtype=torch.float64) / 18)
-
-
 @pytest.mark.parametrize(
     ("name", "options"),
     [
@@ -290,7 +169,6 @@ def test_every_colour_of_the_ramp_has_its_share():
         ("hypernetwork", {"width": 1, "hidden": 4, "special_tokens": True}),
         ("lora", {"rank": 1, "special_tokens": True}),
         ("lora", {"rank": 500}),
-        ("ramp_texture", {"knots": 2, "size": 2, "width": 4, "gain": 11.3}),
     ],
 )
 def test_contract_with_other_options(name, options):
@@ -312,7 +190,6 @@ def test_contract_with_other_options(name, options):
         (lambda: LoRA(dim=4, style_dim=4, rank=0), r"injector\.rank is 0; give at least 1"),
         (lambda: CrossAttention(dim=4, style_dim=4, num_tokens=1), r"num_tokens=1.* give at least 2, 1 and 1"),
         (lambda: CrossAttention(dim=4, style_dim=4, heads=0), "heads=0"),
-        (lambda: RampTexture(dim=4, style_dim=4, knots=1), r"knots=1, size=64 and width=32 are too few"),
     ],
 )
 def test_bad_options_are_refused(make, told):

@@ -11,7 +11,7 @@ from anystyle.losses.content import Content
 from anystyle.losses.gram import Gram
 from anystyle.losses.nnfm import NNFM
 from anystyle.losses.sliced_wasserstein import SlicedWasserstein
-from anystyle.losses.style import Style
+from anystyle.losses.style import StyleLoss
 from oracle import assert_matches, golden, smooth_image
 from style_cases import filled_vgg_file, stylization
 
@@ -29,7 +29,7 @@ def vgg() -> perception.FeatureNetwork:
 def test_style_and_content_match_the_reference() -> None:
     expected = golden("golden_metrics")["style_content_loss"]
     rendered = RENDERED.clone().requires_grad_()
-    style, content = Style(), Content()
+    style, content = StyleLoss(), Content()
     with torch.no_grad():
         everywhere = style.weight * style(stylization(rendered, PHOTOGRAPHS, STYLES))
     assert everywhere.item() == pytest.approx(expected["mask_none"]["style"], rel=1e-4)
@@ -41,7 +41,7 @@ def test_style_and_content_match_the_reference() -> None:
     assert_matches(rendered.grad, expected["mask_1_0"]["grad_pred"], rtol=2e-3, atol=2e-8)
 
 
-@pytest.mark.parametrize("build", [Style, Gram, SlicedWasserstein])
+@pytest.mark.parametrize("build", [StyleLoss, Gram, SlicedWasserstein])
 def test_a_style_without_an_image_adds_nothing(build: type[Loss]) -> None:
     loss = build(network="vgg19", **SMALL)
     images, photographs = RENDERED[:, :, :, :40, :40], PHOTOGRAPHS[:, :, :, :40, :40]
@@ -54,7 +54,7 @@ def test_a_style_without_an_image_adds_nothing(build: type[Loss]) -> None:
     assert loss(stylization(images, photographs)) == 0
 
 
-@pytest.mark.parametrize("build", [Style, Gram, SlicedWasserstein, NNFM])
+@pytest.mark.parametrize("build", [StyleLoss, Gram, SlicedWasserstein, NNFM])
 def test_a_render_that_is_the_style_image_is_perfect(build: type[Loss]) -> None:
     image = STYLES[:1, :, :48, :48]
     loss = build(network="vgg19", size=None, layers=("relu2_1",))
@@ -78,7 +78,7 @@ def test_gram_is_its_equation(vgg: perception.FeatureNetwork) -> None:
 
 
 def test_relative_losses_are_one_at_the_photograph_and_shrink_on_the_way() -> None:
-    for build in (Style, Gram, SlicedWasserstein):
+    for build in (StyleLoss, Gram, SlicedWasserstein):
         loss = build(network="vgg19", relative=True, **SMALL)
         photographs, styles = PHOTOGRAPHS[:1, :1, :, :32, :32], STYLES[:1, :, :32, :32]
         at_start = loss(stylization(photographs, photographs, styles))
@@ -92,10 +92,10 @@ def test_relative_losses_are_the_root_of_the_ratio_of_each_layer() -> None:
     styles = STYLES[:1, :, :40, :40]
     ratios = []
     for layer in ("relu1_1", "relu2_1"):
-        loss = Style(size=None, layers=(layer,))
+        loss = StyleLoss(size=None, layers=(layer,))
         ratio = loss(stylization(rendered, photographs, styles)) / loss(stylization(photographs, photographs, styles))
         ratios.append((ratio + 1e-3).sqrt())
-    found = Style(relative=True, **SMALL)(stylization(rendered, photographs, styles))
+    found = StyleLoss(relative=True, **SMALL)(stylization(rendered, photographs, styles))
     torch.testing.assert_close(found, torch.stack(ratios).mean(), rtol=1e-4, atol=0)
 
 
@@ -138,5 +138,5 @@ def test_a_palette_loss_tells_two_colours_from_their_mean() -> None:
 
 
 def test_no_loss_repeats_the_weights_of_its_network() -> None:
-    assert Style().state_dict() == {}
-    assert list(Style().parameters())  # it has some, frozen
+    assert StyleLoss().state_dict() == {}
+    assert list(StyleLoss().parameters())  # it has some, frozen

@@ -55,20 +55,20 @@ def test_matches_a_literal_transcription() -> None:
             spread_style = (wanted[0].flatten(1).var(1) + 1e-5).sqrt()
             value = ((mean - mean_style) ** 2).mean() + ((spread - spread_style) ** 2).mean()
             total += share * value.item() / 2
-    loss = Style3D(layers=("relu1_1", "relu2_1"), shares=(4.0, 1.0), voxel_size=0.3)
+    loss = Style3D(layers=("relu1_1", "relu2_1"), layer_weights=(4.0, 1.0), voxel_size=0.3)
     assert loss(stylization(rendered, rendered, styles, geometry=geometry)).item() == pytest.approx(total, rel=1e-4)
 
 
 def test_views_that_agree_count_once() -> None:
     """A view seen twice changes nothing, for its features fall in the same voxels."""
     image, styles = smooth_image(5, [1, 1, 3, 35, 42]), smooth_image(7, [1, 3, 49, 28])
-    loss = Style3D(layers=("relu1_1", "relu2_1"), shares=(4.0, 1.0))
+    loss = Style3D(layers=("relu1_1", "relu2_1"), layer_weights=(4.0, 1.0))
     once = loss(stylization(image, image, styles))
     twice = loss(stylization(image.expand(1, 2, -1, -1, -1), image.expand(1, 2, -1, -1, -1), styles))
     torch.testing.assert_close(once, twice, rtol=1e-4, atol=1e-6)
     assert loss(stylization(image, image)) == 0
 
 
-def test_shares_match_layers() -> None:
-    with pytest.raises(ValueError, match="2 layers and 5 shares"):
+def test_layer_weights_match_layers() -> None:
+    with pytest.raises(ValueError, match="2 layers and 5 layer_weights"):
         Style3D(layers=("relu1_1", "relu2_1"))

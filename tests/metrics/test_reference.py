@@ -101,7 +101,7 @@ def test_structural_distance():
 def test_structural_distance_does_not_depend_on_its_parts(monkeypatch):
     first, second = hashed(1, (16, 20, 24), 0, 3), hashed(2, (16, 20, 24), 0, 3)
     whole = structural_distance(first, second)
-    monkeypatch.setattr("anystyle.metrics.cfsd.CHUNK", 480 * 7)
+    monkeypatch.setattr("anystyle.metrics.cfsd.MAX_SIMILARITIES", 480 * 7)
     np.testing.assert_allclose(float(structural_distance(first, second)), float(whole), rtol=1e-6)
 
 
@@ -115,7 +115,7 @@ def test_structural_distance_where_the_softmax_is_not_flat(tmp_path, monkeypatch
     # The same file with a first convolution eight times as strong.
     from anystyle.perception import weights
 
-    name = weights.FILES["vgg19"].file
+    name = weights.row("vgg19").file
     state = torch.load(filled_folder() / name, weights_only=True)
     state["features.0.weight"] *= 8
     torch.save(state, tmp_path / name)

@@ -7,10 +7,11 @@ import torch
 import torch.nn.functional as F
 
 from anystyle.nn.aligner import Aligner
-from anystyle.nn.matcher import STRIDE, Matcher
+from anystyle.nn.matcher import Matcher
 from anystyle.types import Cameras
 
 SIZE = (64, 64)
+STRIDE = 4
 CELLS = SIZE[0] // STRIDE
 FOCAL = 60.0
 

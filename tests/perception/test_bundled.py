@@ -4,12 +4,12 @@ import pytest
 import torch
 
 from anystyle import perception
-from anystyle.checkpoint import read_header
-from anystyle.data.procedural.patterns import PATTERNS
-from anystyle.data.procedural.styles import ProceduralStyles
+from anystyle.io.checkpoint import read_header
 from anystyle.perception import weights
 from anystyle.perception.statistics import gram, pooled_moments
 from anystyle.perception.texture import Texture
+from anystyle_tiny.procedural.patterns import PATTERNS
+from anystyle_tiny.procedural.styles import ProceduralStyles
 
 LAYERS = ("relu2_2", "relu3_2", "relu4_1")
 

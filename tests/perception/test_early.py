@@ -4,7 +4,7 @@ import weakref
 
 import torch
 
-from anystyle.perception.early import differentiated
+from anystyle.perception.eager_backward import differentiated
 from oracle import hashed
 
 IMAGES = hashed(1, (3, 3, 8, 10))

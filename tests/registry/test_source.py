@@ -1,5 +1,7 @@
 """The catalog seen through Hydra."""
 
+from itertools import count
+
 import pytest
 from hydra import compose, initialize_config_dir
 from hydra.core.config_search_path import ConfigSearchPath
@@ -11,6 +13,8 @@ from anystyle.contracts import Placement
 from anystyle.registry.build import build
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import choices
+from anystyle.registry.packages import groups, package_presets
 from anystyle.registry.source import PluginSource, register
 
 PLACEMENTS = """
@@ -122,12 +126,49 @@ def test_a_target_of_ones_own_builds_nothing(composed):
 def test_source_lists_the_catalog(composed):
     source = PluginSource("test", "anystyle://")
     assert source.available()
-    assert source.list("", None) == source.list("", ObjectType.GROUP) == sorted(KINDS)
+    assert source.list("", None) == source.list("", ObjectType.GROUP) == sorted(groups())
+    assert set(KINDS) < set(groups())
     assert source.list("", ObjectType.CONFIG) == []
-    assert source.list("placement", ObjectType.CONFIG) == catalog().names("placement")
+    assert source.list("placement", ObjectType.CONFIG) == sorted(
+        {*catalog().names("placement"), *package_presets("placement")}
+    )
     assert source.list("placement", ObjectType.GROUP) == []
     assert source.is_group("loss") and not source.is_group("lost") and not source.is_group("loss/one")
     assert source.is_config("loss/one") and source.is_config("loss/one.yaml") and not source.is_config("loss")
+
+
+@pytest.fixture
+def package(plugin_folder):
+    """A plugin package with a preset beside its module: ``package("placement/shallow.yaml", text)``."""
+    numbers = count()
+
+    def make(path: str, text: str) -> None:
+        file = plugin_folder(PLACEMENTS, **{f"of_package_{next(numbers)}": "Deep"}) / "conf" / path
+        file.parent.mkdir(parents=True)
+        file.write_text(text)
+
+    return make
+
+
+def test_packages_serve_presets(composed, package):
+    package("placement/shallow.yaml", "# One layer.\ndefaults: [deep, _self_]\ndepth: 1\n")
+    config = composed("placement=shallow", "placement.attention=math")
+    assert build(Placement, config.placement).depth == 1
+    assert "shallow" in choices("placement") and "shallow" in PluginSource("x", "anystyle://").list("placement", None)
+
+
+def test_a_preset_of_a_package_may_be_global_and_start_a_group(composed, package):
+    package("flavour/sweet.yaml", "# @package _global_\ndefaults: [{override /placement: deeper}]\nseed: 7\n")
+    config = composed("+flavour=sweet")
+    assert (config.seed, config.placement.depth) == (7, 9)
+    assert "flavour" in groups()
+
+
+def test_a_preset_of_two_packages_is_refused_when_chosen(composed, package):
+    for depth in (1, 2):
+        package("placement/shallow.yaml", f"defaults: [deep, _self_]\ndepth: {depth}\n")
+    with pytest.raises(HydraException, match="placement=shallow is declared more than once"):
+        composed("placement=shallow")
 
 
 def test_composed_configurations_can_be_written(composed):

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from anystyle.renderers.auto import AutoRenderer
-from anystyle.renderers.cpu import CpuRenderer
+from anystyle.renderers.cpu.renderer import CpuRenderer
 from anystyle.renderers.torch import TorchRenderer
 from renderers.scenes import cameras, gaussians
 

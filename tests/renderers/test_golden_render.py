@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from anystyle.geometry.harmonics import constant_from_rgb
-from anystyle.renderers.cpu import CpuRenderer
+from anystyle.renderers.cpu.renderer import CpuRenderer
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
 from oracle import assert_matches, golden, hashed

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from anystyle.renderers import _raster, _sorting
-from anystyle.renderers._compiled import compiled
+from anystyle.renderers.cpu import raster, sorting
+from anystyle.renderers.cpu.compiled import compiled
 
 
 def function_without_a_file() -> Any:
@@ -25,10 +25,10 @@ def test_compiles_where_nothing_can_be_written() -> None:
 
 def test_falloff_is_exp() -> None:
     sigma = np.concatenate([np.linspace(0, 6, 5001), np.linspace(6, 80, 500)]).astype(np.float32)
-    actual = np.array([_raster.falloff(value) for value in sigma], np.float64)
+    actual = np.array([raster.falloff(value) for value in sigma], np.float64)
     np.testing.assert_allclose(actual, np.exp(-sigma.astype(np.float64)), rtol=4e-6)
     np.testing.assert_allclose(actual[:5001], np.exp(-sigma[:5001].astype(np.float64)), rtol=8e-7)
-    assert _raster.falloff(np.float32(np.inf)) < 1e-30
+    assert raster.falloff(np.float32(np.inf)) < 1e-30
 
 
 def test_sorting_is_stable() -> None:
@@ -36,5 +36,5 @@ def test_sorting_is_stable() -> None:
     splats = np.zeros((5000, 12), np.float32)
     splats[:, 9] = np.exp(rng.normal(size=5000) * 10).round(3) + np.float32(1e-10)
     rows = np.flatnonzero(rng.random(5000) < 0.7)
-    order = _sorting.nearest_first(splats, rows)
+    order = sorting.nearest_first(splats, rows)
     assert np.array_equal(order, np.argsort(splats[rows, 9], kind="stable"))

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from anystyle.geometry.harmonics import rotate
 from anystyle.geometry.rotations import matrix_from_wxyz, multiply
-from anystyle.renderers.cpu import CpuRenderer
+from anystyle.renderers.cpu.renderer import CpuRenderer
 from anystyle.renderers.gsplat import GsplatRenderer
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians, Renders
@@ -370,7 +370,7 @@ def test_memory_is_bounded(number: int, size: int, views: int) -> None:
 import resource, sys
 sys.path.insert(0, {str(Path(__file__).parents[1])!r})
 from renderers.scenes import cameras, gaussians
-from anystyle.renderers.cpu import CpuRenderer
+from anystyle.renderers.cpu.renderer import CpuRenderer
 scene = gaussians(1, {number}).map(lambda tensor: tensor.requires_grad_())
 CpuRenderer()(scene, cameras(1, {views}, ({size}, {size}))).color.mean().backward()
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)

@@ -79,7 +79,7 @@ class Page:
             raise AssertionError(f"{script}: {found['exceptionDetails']}")
         return found["result"].get("value")
 
-    def wait(self, condition: str, seconds: float = 20) -> None:
+    def wait(self, condition: str, seconds: float = 120) -> None:
         """Wait until a JavaScript expression is true."""
         until = time.monotonic() + seconds
         while time.monotonic() < until:
@@ -179,7 +179,7 @@ def _end(process: int, seconds: float = 5) -> None:
         os.killpg(process, signal.SIGKILL)  # helpers that outlive it
 
 
-def until(condition: Callable[[], Any], seconds: float = 10) -> Any:
+def until(condition: Callable[[], Any], seconds: float = 120) -> Any:
     """Wait for something outside the browser."""
     end = time.monotonic() + seconds
     while time.monotonic() < end:

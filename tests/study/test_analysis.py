@@ -236,19 +236,16 @@ def test_errors_are_one_line_and_leave_nothing(tmp_path, words, told, monkeypatc
     assert not (tmp_path / "out").exists()
 
 
-def test_a_hundred_thousand_answers_are_quick_and_small(tmp_path):
-    rows = answer_rows(people=1000, items=50, questions=("style", "content"))
-    write_csv(tmp_path / "r.csv", rows)
+def test_a_hundred_thousand_answers_fit_into_little_memory(tmp_path):
+    write_csv(tmp_path / "r.csv", answer_rows(people=1000, items=50, questions=("style", "content")))
     # A process of its own counts one child: this one's children include those of every test before.
     count = (
         "import resource, subprocess, sys; subprocess.run(sys.argv[1:], check=True);"
-        "used = resource.getrusage(resource.RUSAGE_CHILDREN); print(used.ru_utime + used.ru_stime, used.ru_maxrss)"
+        "print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss)"
     )
-    analyze_it = [sys.executable, "-m", "anystyle", "study", "analyze", "r.csv", "--out", "out", "--no-report"]
+    command = [sys.executable, "-m", "anystyle", "study", "analyze", "r.csv", "--out", "out", "--no-report"]
     counted = subprocess.run(
-        [sys.executable, "-c", count, *analyze_it], cwd=tmp_path, capture_output=True, text=True, check=True
+        [sys.executable, "-c", count, *command], cwd=tmp_path, capture_output=True, text=True, check=True
     )
-    used, peak = map(float, counted.stdout.split()[-2:])
-    # Processor time, since others may share the machine.
-    assert used < 10, f"{used:.1f} s for {len(rows)} answers"
+    peak = int(counted.stdout.split()[-1])
     assert peak < 1_000_000, f"{peak / 1e6:.2f} GB"

@@ -1,5 +1,7 @@
 """Seeds, averages and guards, against closed forms."""
 
+import os
+import signal
 from unittest.mock import Mock
 
 import lightning.pytorch as pl
@@ -8,9 +10,9 @@ import pytest
 import torch
 from torch import nn
 
-from anystyle.training.callbacks import Average, StepSeed
-from anystyle.training.guards import SkipOutliers, gradient_norm
+from anystyle.training.callbacks import Average, LastCheckpoint, StepSeed
 from anystyle.training.optim import decayed_groups, learning_rate, scheduled, trainable
+from anystyle.training.safeguards import SkipOutliers, gradient_norm
 
 
 class Module(pl.LightningModule):
@@ -60,6 +62,22 @@ def test_the_average_is_the_one_of_its_definition():
     again = Average(0.9)
     again.load_state_dict(average.state_dict())
     assert torch.equal(again.weights["weight"], average.weights["weight"])
+
+
+def test_a_checkpoint_is_written_between_steps_and_once_a_step(tmp_path):
+    keeper, steps = LastCheckpoint(tmp_path / "last.ckpt", every_steps=2), []
+    trainer = at()
+    trainer.strategy.reduce_boolean_decision.side_effect = lambda decision, all: decision
+    trainer.save_checkpoint.side_effect = lambda path: steps.append(trainer.global_step) or path.write_bytes(b"")
+    keeper.on_train_start(trainer, Module())
+    # Two batches a step, whose gradients are accumulated.
+    for batch, step in enumerate([0, 1, 1, 2, 2, 3]):
+        trainer.global_step = step
+        if batch == 4:
+            os.kill(os.getpid(), signal.SIGTERM)
+        keeper.on_train_batch_end(trainer, Module(), None, None, batch)
+    keeper.on_train_end(trainer, Module())
+    assert steps == [2, 3] and keeper.stopped_by == "SIGTERM"
 
 
 def test_losses_far_above_the_usual_hardly_count():

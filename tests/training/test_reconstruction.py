@@ -6,11 +6,11 @@ import pytest
 import torch
 
 from anystyle.contracts import Backbone, Renderer
-from anystyle.data.procedural.scenes import ProceduralScenes
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
 from anystyle.training.reconstruction import ReconstructionTraining
 from anystyle.training.supervision import canonical
+from anystyle_tiny.procedural.scenes import ProceduralScenes
 from training_cases import RECONSTRUCTION
 
 
@@ -18,7 +18,7 @@ from training_cases import RECONSTRUCTION
 def training() -> ReconstructionTraining:
     config = compose("train", list(RECONSTRUCTION))
     backbone, renderer = build(Backbone, config.backbone), build(Renderer, config.renderer)
-    return ReconstructionTraining(backbone=backbone, renderer=renderer, own_weight=2.0)
+    return ReconstructionTraining(backbone=backbone, renderer=renderer, predicted_camera_weight=2.0)
 
 
 def test_renders_from_predicted_cameras_are_those_from_true_ones_where_both_agree(training):
@@ -28,19 +28,21 @@ def test_renders_from_predicted_cameras_are_those_from_true_ones_where_both_agre
     assert views.cameras is not None and inputs.cameras is not None
     exact = replace(scene.geometry, cameras=inputs.cameras)
     right = training.render_losses(scene.features, exact, views, [1])
-    torch.testing.assert_close(right["own_render"], right["render"])
-    torch.testing.assert_close(right["own_ssim"], right["ssim"])
+    torch.testing.assert_close(right["predicted_render"], right["render"])
+    torch.testing.assert_close(right["predicted_ssim"], right["ssim"])
     pose = inputs.cameras.world_from_camera.clone()
     pose[:, 1, 0, 3] += 0.2
     wrong = replace(exact, cameras=replace(inputs.cameras, world_from_camera=pose))
     losses = training.render_losses(scene.features, wrong, views, [1])
     torch.testing.assert_close(losses["render"], right["render"])
-    assert float(losses["own_render"].detach()) != pytest.approx(float(right["own_render"].detach()), rel=1e-3)
-    assert training.weights["own_render"] == 2 * training.weights["render"]
+    assert float(losses["predicted_render"].detach()) != pytest.approx(
+        float(right["predicted_render"].detach()), rel=1e-3
+    )
+    assert training.weights["predicted_render"] == 2 * training.weights["render"]
 
 
 def test_without_a_weight_nothing_is_drawn_from_predicted_cameras(training, monkeypatch):
-    monkeypatch.setattr(training, "own_weight", 0.0)
+    monkeypatch.setattr(training, "predicted_camera_weight", 0.0)
     views = canonical(ProceduralScenes(size=28, num_scenes=1).read(0, [0, 1]), 2)
     scene = training.backbone.encode(views)
     assert set(training.render_losses(scene.features, scene.geometry, views, [0])) == {"render", "ssim"}

@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from anystyle.contracts import SceneSource, StyleSource
+from anystyle.training.collate import fit_views, mirror_views, stack_styles, stack_views
 from anystyle.training.data import SceneBatches
-from anystyle.training.fitting import fit_views, mirror_views, stack_styles, stack_views
 from anystyle.training.sampling import batch_rows, bounded_views, gap_bounds, generator, view_probabilities
 from anystyle.training.supervision import project
 from anystyle.types import Cameras, Style, Views

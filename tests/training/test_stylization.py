@@ -3,10 +3,10 @@
 import pytest
 import torch
 
+from anystyle.training.collate import stack_styles
 from anystyle.training.data import Batch
-from anystyle.training.fitting import stack_styles
 from anystyle.training.run import make_data, make_training
-from anystyle.training.scene_cache import stack_scenes
+from anystyle.training.scene_cache import EncodedScenes, stack_scenes
 from anystyle.training.stylization import StylizationTraining, branch_groups, style_vectors
 from anystyle.types import Scene, Style
 from oracle import hashed
@@ -91,9 +91,7 @@ def test_remembered_scenes_change_nothing(tmp_path):
     again = Batch(batch.views, batch.context, batch.style, batch.keys)
     first = training.encoded(batch.inputs, batch.keys)
     remembered = training.encoded(again.inputs, again.keys)
-    training.encoded.limit = 0
-    training.encoded._kept.clear()
-    fresh = training.encoded(batch.inputs, batch.keys)
+    fresh = EncodedScenes(training.encoded.encode, 0)(batch.inputs, batch.keys)
     for scene in (remembered, fresh):
         assert torch.equal(scene.geometry.depth, first.geometry.depth)
         assert torch.equal(scene.attributes.color, first.attributes.color)

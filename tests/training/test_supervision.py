@@ -6,10 +6,9 @@ from dataclasses import replace
 import pytest
 import torch
 
-from anystyle.training.matching import patch_matches
 from anystyle.training.reconstruction import geometry_errors, psnr
 from anystyle.training.supervision import (
-    _thinned,
+    _subsample,
     camera_loss,
     canonical,
     depth_loss,
@@ -19,6 +18,7 @@ from anystyle.training.supervision import (
     transfer_loss,
 )
 from anystyle.types import Cameras, Geometry, Views
+from anystyle_tiny.training.match_supervision import patch_matches
 from oracle import hashed
 
 SIZE = 24
@@ -104,10 +104,10 @@ def test_transfer_and_point_losses_know_the_truth_and_how_far_a_camera_moved():
 
 
 @pytest.mark.parametrize("stride", [2, 3, 4])
-def test_thinned_pixels_keep_their_points(stride):
+def test_subsample_pixels_keep_their_points(stride):
     views = wall(moved(0), moved(0.3, 0, 0.1))
     views = replace(views, depth=1 + hashed(4, (1, 2, SIZE, SIZE)))
-    small, depth = _thinned(views.cameras, views.depth, stride)
+    small, depth = _subsample(views.cameras, views.depth, stride)
     points = Geometry(views.cameras, views.depth, views.depth).points()
     start = stride // 2
     torch.testing.assert_close(

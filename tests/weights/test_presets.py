@@ -1,5 +1,6 @@
 """The published sizes as presets: built without memory, filled from the file; and other precisions."""
 
+import sys
 from pathlib import Path
 
 import pytest
@@ -9,12 +10,12 @@ from safetensors.torch import save_file
 
 import anystyle
 import full_size
-from anystyle.assemble import assemble, put_together
+from anystyle.inference.assemble import assemble, build_and_load
+from anystyle.inference.weights import load_reference, reference_config
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose, override
 from anystyle.stylizer import Stylizer
 from anystyle.types import StyleEmbedding, Views
-from anystyle.weights import load_reference, reference_config
 from oracle import smooth_image
 from weights_cases import STYLE_DIM, small_checkpoint, training_checkpoint
 
@@ -29,7 +30,7 @@ WITHIN = 1.15
 def test_presets_have_the_published_size(name: str) -> None:
     config = compose("stylize", [f"model={name}", "style_encoder=long_clip"])
     with torch.device("meta"):
-        stylizer, _ = put_together(config, {}, {})
+        stylizer, _ = build_and_load(config, {}, {})
     count = sum(parameter.numel() for parameter in stylizer.backbone.parameters()) + MASK_TOKEN
     if config.weights.branch is not None:
         count += sum(parameter.numel() for parameter in stylizer.branch.parameters()) + TEXT_ADAPTER
@@ -51,7 +52,7 @@ def grown(file: Path, width: int, dtype: torch.dtype) -> None:
     save_file({f"encoder.{name}": torch.full(shape, 0.1, dtype=dtype) for name, shape in shapes.items()}, file)
 
 
-@pytest.mark.skipif(not Path("/proc/self/pagemap").is_file(), reason="pages are counted by the Linux kernel")
+@pytest.mark.skipif(sys.platform != "linux", reason="memory of files is told apart on Linux")
 @pytest.mark.parametrize(("stored", "precision"), [(torch.bfloat16, "fp32"), (torch.float32, "bf16")])
 def test_loading_holds_no_second_copy(tmp_path: Path, stored: torch.dtype, precision: str) -> None:
     """Not even where every tensor changes its type; on files of 250 and 500 MB, in a process of its own."""

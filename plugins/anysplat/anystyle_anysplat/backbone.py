@@ -1,5 +1,6 @@
 """The network: five parts, and every option that its weights fix."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -9,13 +10,15 @@ from torch import Tensor
 from anystyle import contracts
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.dpt import Dpt
-from anystyle_anysplat import keys
+from anystyle.nn.scratch import FIELD_OF_VIEW, PIXELS
+from anystyle.published import Published
 from anystyle_anysplat.adapter import Adapter
 from anystyle_anysplat.aggregator import Aggregator
 from anystyle_anysplat.camera_head import CameraHead
 from anystyle_anysplat.embedder import Embedder
 from anystyle_anysplat.gaussian_head import GaussianHead
 from anystyle_anysplat.geometry_head import GeometryHead
+from anystyle_anysplat.keys import Checkpoints
 from anystyle_anysplat.scratch import start_from_scratch
 
 
@@ -51,9 +54,6 @@ class AnySplat(contracts.Backbone):
         gaussian_features: Channels of the Gaussian head's decoder.
         gaussian_channels: Channels of its four levels.
         gaussian_hidden: Channels of its last hidden layer.
-        styled_levels: Levels of the Gaussian head that are sites, of the four (published: all).
-        styled_direct: Whether its features of pixels are a site (published: yes).
-        styled_color: Whether the Gaussian head's colours are a site too (published: no).
         sh_degree: Of its harmonics.
         sh_mode: ``reference`` reproduces a side effect of the published code on styled colours; see
             :class:`anystyle_anysplat.adapter.Adapter`.
@@ -66,13 +66,13 @@ class AnySplat(contracts.Backbone):
         checkpointing: Whether training recomputes blocks of the aggregator to save memory.
         init: ``published``: initial values as DINOv2's, VGGT's and AnySplat's; ``scratch``: values from which
             photographs are reproduced on a plane at depth 1, for training without pretrained weights (see
-            :func:`anystyle_anysplat.scratch.start_from_scratch`). The computation is the same.
+            :mod:`anystyle_anysplat.scratch`). The computation is the same.
 
     Raises:
         ValueError: Options contradict each other.
     """
 
-    published: ClassVar[contracts.Published | None] = keys
+    published: ClassVar[Published | None] = Checkpoints()
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -126,9 +126,6 @@ class AnySplat(contracts.Backbone):
         gaussian_features: int = 256,
         gaussian_channels: Sequence[int] = (256, 512, 1024, 1024),
         gaussian_hidden: int = 128,
-        styled_levels: Sequence[int] = (0, 1, 2, 3),
-        styled_direct: bool = True,
-        styled_color: bool = False,
         sh_degree: int = 4,
         sh_mode: Literal["reference", "dc_only"] = "reference",
         pixel_center: float = 0.0,
@@ -141,11 +138,8 @@ class AnySplat(contracts.Backbone):
         init: Literal["published", "scratch"] = "published",
     ) -> None:
         super().__init__()
-        _check(dim=dim, heads=heads, depth=depth, camera_heads=camera_heads, taps=taps)
-        if chunk < 1:
-            raise ValueError(f"chunk is {chunk}; at least 1 view is decoded at a time")
-        self.patch_size = patch_size
-        self.resolution = resolution
+        _check(dim=dim, heads=heads, depth=depth, camera_heads=camera_heads, taps=taps, chunk=chunk)
+        self.patch_size, self.resolution = patch_size, resolution
         self.embedder = Embedder(
             embed=embed,
             dim=dim,
@@ -166,15 +160,16 @@ class AnySplat(contracts.Backbone):
             taps=taps,
             checkpointing=checkpointing,
         )
+        camera = CameraHead(
+            dim=2 * dim,
+            depth=camera_depth,
+            heads=camera_heads,
+            mlp_ratio=mlp_ratio,
+            layer_scale=layer_scale,
+            iterations=camera_iterations,
+        )
         self.geometry_head = GeometryHead(
-            camera=CameraHead(
-                dim=2 * dim,
-                depth=camera_depth,
-                heads=camera_heads,
-                mlp_ratio=mlp_ratio,
-                layer_scale=layer_scale,
-                iterations=camera_iterations,
-            ),
+            camera=camera,
             depth=Dpt(dim=2 * dim, features=depth_features, channels=depth_channels, hidden=depth_hidden, outputs=2),
             taps=taps,
             chunk=2 * chunk,
@@ -188,9 +183,6 @@ class AnySplat(contracts.Backbone):
             hidden=gaussian_hidden,
             sh_degree=sh_degree,
             taps=taps,
-            styled_levels=styled_levels,
-            styled_direct=styled_direct,
-            styled_color=styled_color,
             chunk=chunk,
         )
         self.adapter = Adapter(
@@ -203,14 +195,8 @@ class AnySplat(contracts.Backbone):
             scale_max=scale_max,
         )
         if init == "scratch":
-            start_from_scratch(
-                self.embedder,
-                self.geometry_head,
-                self.gaussian_head,
-                resolution=resolution,
-                focal_epsilon=focal_epsilon,
-                scale_unit=scale_unit,
-            )
+            footprint = 2 * (math.tan(FIELD_OF_VIEW / 2) + focal_epsilon) / resolution  # of a pixel at depth 1
+            start_from_scratch(self, scale=PIXELS * footprint / scale_unit)
 
     def load_reference(self, state: Mapping[str, Tensor]) -> None:
         """Load the published weights: the state dict of AnySplat's file, or of an AnyStyle checkpoint.
@@ -218,10 +204,12 @@ class AnySplat(contracts.Backbone):
         Raises:
             ValueError: They do not fit; up to five missing, unexpected and misshapen keys are named.
         """
-        keys.load_backbone(self, state)
+        Checkpoints().load_backbone(self, state)
 
 
-def _check(*, dim: int, heads: int, depth: int, camera_heads: int, taps: Sequence[int]) -> None:
+def _check(*, dim: int, heads: int, depth: int, camera_heads: int, taps: Sequence[int], chunk: int) -> None:
+    if chunk < 1:
+        raise ValueError(f"chunk is {chunk}; at least 1 view is decoded at a time")
     if dim % (4 * heads):
         raise ValueError(f"dim {dim} with {heads} heads; the channels of a head must be a multiple of 4")
     if 2 * dim % camera_heads:

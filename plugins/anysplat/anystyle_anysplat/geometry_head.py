@@ -62,8 +62,8 @@ class GeometryHead(contracts.GeometryHead):
         tokens = [features[layer] for layer in self.taps]
         batch, views = tokens[0].data.shape[:2]
 
-        def some(chosen: slice) -> Tensor:
+        def decode_chunk(chosen: slice) -> Tensor:
             levels = [self.depth.norm(level.patches[:, chosen].to(self.depth.dtype)).flatten(0, 1) for level in tokens]
             return self.depth.predict_(self.depth.decode(levels, tokens[0].grid, size)).unflatten(0, (batch, -1))
 
-        return by_views(some, views, max(1, self.chunk // batch)).movedim(-1, 2)
+        return by_views(decode_chunk, views, max(1, self.chunk // batch)).movedim(-1, 2)

@@ -1,53 +1,54 @@
-"""Initial values for training without pretrained weights."""
+"""Initial values for training without pretrained weights (see :mod:`anystyle.nn.scratch`).
+
+They are values alone; the published method starts from pretrained weights.
+"""
 
 import math
 
 import torch
 from torch import nn
 
+from anystyle.contracts import Backbone
 from anystyle.geometry.harmonics import CONSTANT
-from anystyle.nn.scratch import FIELD_OF_VIEW, OPACITY_LOGIT, PIXELS, SMALL, carriers, conv, start_small
+from anystyle.nn.scratch import FIELD_OF_VIEW, OPACITY_LOGIT, SMALL, carriers, conv, start_small
 from anystyle_anysplat.embedder import Embedder
 from anystyle_anysplat.gaussian_head import GaussianHead
 from anystyle_anysplat.geometry_head import GeometryHead
 
 
 @torch.no_grad()
-def start_from_scratch(
-    embedder: Embedder,
-    geometry_head: GeometryHead,
-    gaussian_head: GaussianHead,
-    *,
-    resolution: int,
-    focal_epsilon: float,
-    scale_unit: float,
-) -> None:
-    """Let the untrained network show its photographs on a plane, one Gaussian a pixel (see :mod:`anystyle.nn.scratch`).
+def start_from_scratch(backbone: Backbone, *, scale: float) -> None:
+    """Let the untrained network show its photographs on a plane.
 
-    This chooses values alone; the published method starts from pretrained weights.
+    Args:
+        backbone: What starts.
+        scale: Of its Gaussians, in the adapter's units.
     """
+    embedder, geometry_head, gaussian_head = backbone.embedder, backbone.geometry_head, backbone.gaussian_head
+    assert isinstance(embedder, Embedder) and isinstance(geometry_head, GeometryHead)
+    assert isinstance(gaussian_head, GaussianHead)
     for token in (embedder.camera_token, embedder.register_token):
         nn.init.normal_(token, std=0.02)  # else the layer norms of the first block see no difference between views
-    _start_cameras(geometry_head)
-    start_small(geometry_head.depth.output[2])
-    _start_gaussians(gaussian_head, resolution=resolution, focal_epsilon=focal_epsilon, scale_unit=scale_unit)
-    _pass_colors_on(gaussian_head)
+    _start_geometry(geometry_head)
+    _start_gaussians(gaussian_head, scale)
 
 
-def _start_cameras(head: GeometryHead) -> None:
+def _start_geometry(head: GeometryHead) -> None:
+    """Cameras at the origin and depth of about 1."""
     step = torch.tensor([0, 0, 0, 0, 0, 0, 1, FIELD_OF_VIEW, FIELD_OF_VIEW]) / head.camera.iterations
     last = head.camera.pose_branch.fc2
     nn.init.normal_(last.weight, std=0.1 * SMALL)
     last.bias.copy_(step)
+    start_small(head.depth.output[2])
 
 
-def _start_gaussians(head: GaussianHead, *, resolution: int, focal_epsilon: float, scale_unit: float) -> None:
+def _start_gaussians(head: GaussianHead, scale: float) -> None:
+    """Gaussians of their pixel's own colour, of opacity 0.9."""
     bias = start_small(head.dpt.output[2])
-    footprint = 2 * (math.tan(FIELD_OF_VIEW / 2) + focal_epsilon) / resolution  # of a pixel at depth 1
-    softplus = PIXELS * footprint / scale_unit
     bias[0] = OPACITY_LOGIT
-    bias[1:4] = softplus + math.log(-math.expm1(-softplus))
+    bias[1:4] = scale + math.log(-math.expm1(-scale))  # the inverse of softplus
     bias[7] = 1.0  # the real part of xyzw
+    _pass_colors_on(head)
 
 
 def _pass_colors_on(head: GaussianHead) -> None:

@@ -8,13 +8,14 @@ from torch import Tensor
 
 from anystyle import contracts
 from anystyle.nn.aligner import Aligner
-from anystyle_depth_anything import keys
+from anystyle.published import Published
 from anystyle_depth_anything.adapter import Adapter
 from anystyle_depth_anything.aggregator import Aggregator
 from anystyle_depth_anything.cameras import CameraEncoder
 from anystyle_depth_anything.embedder import Embedder
 from anystyle_depth_anything.gaussian_head import GaussianHead
 from anystyle_depth_anything.geometry_head import GeometryHead
+from anystyle_depth_anything.keys import Checkpoints
 from anystyle_depth_anything.scratch import start_from_scratch, start_gaussians
 
 
@@ -49,9 +50,6 @@ class DepthAnything(contracts.Backbone):
         depth_channels: Channels of its four levels.
         gaussian_features: Channels of the Gaussian head's decoder.
         gaussian_channels: Channels of its four levels.
-        styled_levels: Levels of the Gaussian head that are sites, of the four (published: all).
-        styled_direct: Whether its features of pixels are a site (published: yes).
-        styled_color: Whether the Gaussian head's colours are a site too (published: no).
         sh_degree: Of its harmonics.
         depth_along: How the adapter reads depth; see :class:`anystyle_depth_anything.adapter.Adapter`.
         rotations: How it reads quaternions.
@@ -67,7 +65,7 @@ class DepthAnything(contracts.Backbone):
         ValueError: Options contradict each other.
     """
 
-    published: ClassVar[contracts.Published | None] = keys
+    published: ClassVar[Published | None] = Checkpoints()
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -116,9 +114,6 @@ class DepthAnything(contracts.Backbone):
         depth_channels: Sequence[int] = (256, 512, 1024, 1024),
         gaussian_features: int = 256,
         gaussian_channels: Sequence[int] = (256, 512, 1024, 1024),
-        styled_levels: Sequence[int] = (0, 1, 2, 3),
-        styled_direct: bool = True,
-        styled_color: bool = False,
         sh_degree: int = 2,
         depth_along: Literal["ray", "z"] = "ray",
         rotations: Literal["published", "camera"] = "published",
@@ -179,9 +174,6 @@ class DepthAnything(contracts.Backbone):
             channels=gaussian_channels,
             sh_degree=sh_degree,
             taps=taps,
-            styled_levels=styled_levels,
-            styled_direct=styled_direct,
-            styled_color=styled_color,
             chunk=chunk,
         )
         self.adapter = Adapter(depth_along=depth_along, rotations=rotations, scale_min=scale_min, scale_max=scale_max)
@@ -197,7 +189,7 @@ class DepthAnything(contracts.Backbone):
         Raises:
             ValueError: They do not fit; up to five missing, unexpected and misshapen keys are named.
         """
-        keys.load_backbone(self, state)
+        Checkpoints().load_backbone(self, state)
 
 
 def _check(*, dim: int, heads: int, depth: int, alternate_from: int, taps: Sequence[int]) -> None:

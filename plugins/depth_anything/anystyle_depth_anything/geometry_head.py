@@ -83,8 +83,8 @@ class GeometryHead(contracts.GeometryHead):
         tokens = [features[layer] for layer in self.taps]
         batch, views = tokens[0].data.shape[:2]
 
-        def some(chosen: slice) -> Tensor:
+        def decode_chunk(chosen: slice) -> Tensor:
             patches = (level.patches[:, chosen].to(self.depth.dtype) for level in tokens)
             return decode([self.depth.norm(level).flatten(0, 1) for level in patches]).unflatten(0, (batch, -1))
 
-        return by_views(some, views, max(1, self.chunk // batch))
+        return by_views(decode_chunk, views, max(1, self.chunk // batch))

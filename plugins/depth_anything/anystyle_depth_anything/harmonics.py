@@ -26,16 +26,16 @@ def turning(rotations: Float[Tensor, "*batch 3 3"], degree: int) -> Float[Tensor
     """
     directions, inverse = (part.to(rotations.device) for part in _probe(degree))
     seen = basis(directions @ rotations.double(), degree)  # ... M K, in the axes of the camera
-    own = torch.arange((degree + 1) ** 2, device=rotations.device).sqrt().floor()  # degree of each coefficient
-    return (inverse @ seen * (own[:, None] == own)).to(rotations.dtype)
+    degrees = torch.arange((degree + 1) ** 2, device=rotations.device).sqrt().floor()  # degree of each coefficient
+    return (inverse @ seen * (degrees[:, None] == degrees)).to(rotations.dtype)
 
 
 @cache
 def _probe(degree: int) -> tuple[Float[Tensor, "M 3"], Float[Tensor, "K M"]]:
     """Unit vectors on a Fibonacci spiral, and what gives coefficients from values there."""
     count = 8 * (degree + 1) ** 2
-    place = torch.arange(count, dtype=torch.float64, device="cpu") + 0.5
-    z = 1 - 2 * place / count
-    angle, radius = place * (pi * (3 - 5**0.5)), (1 - z * z).sqrt()
+    index = torch.arange(count, dtype=torch.float64, device="cpu") + 0.5
+    z = 1 - 2 * index / count
+    angle, radius = index * (pi * (3 - 5**0.5)), (1 - z * z).sqrt()
     directions = torch.stack([radius * angle.cos(), radius * angle.sin(), z], dim=-1)
     return directions, torch.linalg.pinv(basis(directions, degree))

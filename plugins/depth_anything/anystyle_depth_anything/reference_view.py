@@ -37,8 +37,8 @@ def reference_view(tokens: Float[Tensor, "B V C"], strategy: Strategy) -> Int[Te
 
 def order_of(reference: Int[Tensor, " B"], views: int) -> Int[Tensor, "B V"]:
     """The order in which the reference comes first and all others stay as they were."""
-    place = torch.arange(views, device=reference.device).expand(len(reference), -1)
-    return torch.where(place == reference[:, None], -1, place).argsort(dim=1, stable=True)
+    index = torch.arange(views, device=reference.device).expand(len(reference), -1)
+    return torch.where(index == reference[:, None], -1, index).argsort(dim=1, stable=True)
 
 
 def in_order(data: Float[Tensor, "B V P C"], order: Int[Tensor, "B V"]) -> Float[Tensor, "B V P C"]:

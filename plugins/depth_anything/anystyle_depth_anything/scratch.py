@@ -43,8 +43,8 @@ def start_gaussians(head: GaussianHead, *, scale_min: float, scale_max: float) -
     """
     bias = start_small(head.dpt.output[2])
     # The adapter's unit is a tenth of two pixels.
-    share = (PIXELS / 0.2 - scale_min) / (scale_max - scale_min)
-    bias[2:5] = math.log(share / (1 - share))
+    fraction = (PIXELS / 0.2 - scale_min) / (scale_max - scale_min)
+    bias[2:5] = math.log(fraction / (1 - fraction))
     bias[8] = 1.0  # the real part of xyzw
     bias[-1] = OPACITY_LOGIT
     _pass_colors_on(head)

@@ -6,6 +6,8 @@ from math import isqrt
 
 from torch import Tensor
 
+from anystyle.nn.published import length, numbers
+
 TAPS = {12: (5, 7, 9, 11), 24: (11, 15, 19, 23), 40: (19, 27, 33, 39)}
 """The layers that heads read, by the published depth of the trunk: shapes do not tell them."""
 
@@ -26,33 +28,33 @@ def options(state: Mapping[str, Tensor]) -> dict[str, object]:
 
 def _trunk(state: Mapping[str, Tensor]) -> dict[str, object]:
     trunk = "backbone.pretrained."
-    dim, patch_size = (_size(state, f"{trunk}patch_embed.proj.weight", axis) for axis in (0, 3))
-    start = min(_numbers(state, rf"{re.escape(trunk)}blocks\.(\d+)\.attn\.q_norm\."), default=0)
-    depth = len(_numbers(state, rf"{re.escape(trunk)}blocks\.(\d+)\."))
-    head_dim = _size(state, f"{trunk}blocks.{start}.attn.q_norm.weight", 0)
+    dim, patch_size = (_length(state, f"{trunk}patch_embed.proj.weight", axis) for axis in (0, 3))
+    start = min(numbers(state, rf"{re.escape(trunk)}blocks\.(\d+)\.attn\.q_norm\."), default=0)
+    depth = len(numbers(state, rf"{re.escape(trunk)}blocks\.(\d+)\."))
+    head_dim = _length(state, f"{trunk}blocks.{start}.attn.q_norm.weight", 0)
     gated = f"{trunk}blocks.0.mlp.w12.weight" in state
-    found: dict[str, object] = {
+    options: dict[str, object] = {
         "patch_size": patch_size,
-        "native_resolution": patch_size * isqrt(_size(state, f"{trunk}pos_embed", 1) - 1),
+        "native_resolution": patch_size * isqrt(_length(state, f"{trunk}pos_embed", 1) - 1),
         "dim": dim,
         "depth": depth,
         "heads": dim // head_dim,
         "ffn": "swiglu" if gated else "mlp",
         "alternate_from": start,
-        "camera_encoder_depth": len(_numbers(state, r"cam_enc\.trunk\.(\d+)\.")),
+        "camera_encoder_depth": len(numbers(state, r"cam_enc\.trunk\.(\d+)\.")),
         "rays": "head.scratch.refinenet1_aux.out_conv.weight" in state,
     }
     if not gated:
-        found["mlp_ratio"] = _size(state, f"{trunk}blocks.0.mlp.fc1.weight", 0) / dim
+        options["mlp_ratio"] = _length(state, f"{trunk}blocks.0.mlp.fc1.weight", 0) / dim
     if depth in TAPS:
-        found["taps"] = TAPS[depth]
-    return found
+        options["taps"] = TAPS[depth]
+    return options
 
 
 def _decoder(state: Mapping[str, Tensor], part: str, name: str) -> dict[str, object]:
     return {
-        f"{name}_features": _size(state, f"{part}.scratch.output_conv1.weight", 1),
-        f"{name}_channels": tuple(_size(state, f"{part}.projects.{level}.weight", 0) for level in range(4)),
+        f"{name}_features": _length(state, f"{part}.scratch.output_conv1.weight", 1),
+        f"{name}_channels": tuple(_length(state, f"{part}.projects.{level}.weight", 0) for level in range(4)),
     }
 
 
@@ -61,18 +63,9 @@ def _gaussians(state: Mapping[str, Tensor]) -> dict[str, object]:
     if outputs not in state:
         untrained = {"depth_along": "z", "rotations": "camera", "init": "scratch"}
         return _decoder(state, "head", "gaussian") | untrained
-    degree = isqrt((_size(state, outputs, 0) - 11) // 3) - 1
+    degree = isqrt((_length(state, outputs, 0) - 11) // 3) - 1
     return {"sh_degree": degree} | _decoder(state, "gs_head", "gaussian")
 
 
-def _size(state: Mapping[str, Tensor], name: str, axis: int) -> int:
-    if name not in state:
-        raise ValueError(f"the checkpoint has no {name}, which tells its size; give a whole file of Depth Anything 3")
-    shape = state[name].shape
-    if axis >= len(shape) or not shape[axis]:
-        raise ValueError(f"the checkpoint's {name} is {list(shape)}, which no such network has; get the file again")
-    return shape[axis]
-
-
-def _numbers(state: Mapping[str, Tensor], pattern: str) -> set[int]:
-    return {int(found[1]) for name in state if (found := re.match(pattern, name))}
+def _length(state: Mapping[str, Tensor], name: str, axis: int) -> int:
+    return length(state, name, axis, publisher="Depth Anything 3's")

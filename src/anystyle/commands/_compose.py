@@ -16,8 +16,8 @@ from omegaconf import DictConfig
 from anystyle import paths
 from anystyle.commands._flags import EPILOG, split
 from anystyle.commands._run import run, wants_traceback, words_of
-from anystyle.registry.builtin import KINDS
 from anystyle.registry.compose import VERSION_BASE, check_words, choices, compose, explain, override
+from anystyle.registry.packages import groups
 from anystyle.registry.source import register
 
 
@@ -48,15 +48,9 @@ def main(
 
 def describe(parser: argparse.ArgumentParser) -> None:
     """Let a parser's help say what Hydra takes, and what there is to choose from."""
-    groups = "".join(f"  {kind}: {', '.join(choices(kind))}\n" for kind in configured())
+    listing = "".join(f"  {group}: {', '.join(choices(group))}\n" for group in groups())
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = "\n".join(filter(None, [parser.epilog, EPILOG, f"Groups:\n{groups}"]))
-
-
-def configured() -> list[str]:
-    """Every configuration group: the kinds of plugins and the folders of ``conf/``."""
-    folders = [path.name for path in sorted(paths.CONF.iterdir()) if path.is_dir()] if paths.CONF.is_dir() else []
-    return [*KINDS, *(name for name in folders if name not in KINDS)]
+    parser.epilog = "\n".join(filter(None, [parser.epilog, EPILOG, f"Groups:\n{listing}"]))
 
 
 def launch(config_name: str, function: Callable[[DictConfig], Any], words: Sequence[str]) -> None:
@@ -102,9 +96,9 @@ def _raising() -> Iterator[None]:
 
     The processes that a training starts inherit that; who asked for no traceback here asked for none there.
     """
-    wanted = {"HYDRA_FULL_ERROR": "1"} | ({} if wants_traceback() else {"ANYSTYLE_TRACEBACK": "0"})
-    before = {name: os.environ.get(name) for name in wanted}
-    os.environ.update(wanted)
+    variables = {"HYDRA_FULL_ERROR": "1"} | ({} if wants_traceback() else {"ANYSTYLE_TRACEBACK": "0"})
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
     try:
         yield
     finally:

@@ -41,36 +41,36 @@ def split(parser: argparse.ArgumentParser, words: Sequence[str]) -> tuple[argpar
         UserError: A flag is unknown or lacks its value.
     """
     actions = parser._option_string_actions
-    own: list[str] = []
+    ours: list[str] = []
     hydra: list[str] = []
     overrides: list[str] = []
-    place = 0
-    while place < len(words):
-        word = words[place]
+    index = 0
+    while index < len(words):
+        word = words[index]
         flag, has_value = word.partition("=")[0], "=" in word
-        place += 1
+        index += 1
         if word == "--":
-            own.extend(words[place - 1 :])
+            ours.extend(words[index - 1 :])
             break
         if flag in actions:
-            own.append(word)
-            if not has_value and actions[flag].nargs != 0 and place < len(words):
-                own.append(words[place])
-                place += 1
+            ours.append(word)
+            if not has_value and actions[flag].nargs != 0 and index < len(words):
+                ours.append(words[index])
+                index += 1
         elif flag in HYDRA:
             follow = 0 if has_value else HYDRA[flag]
-            if flag in ("-i", "--info") and place < len(words) and re.fullmatch(r"[a-z-]+", words[place]):
+            if flag in ("-i", "--info") and index < len(words) and re.fullmatch(r"[a-z-]+", words[index]):
                 follow = 1
-            hydra.extend(words[place - 1 : place + follow])
-            place += follow
+            hydra.extend(words[index - 1 : index + follow])
+            index += follow
             if flag in ("-c", "--cfg") and hydra[-1].removeprefix(f"{flag}=") not in CONFIGURATIONS:
                 raise UserError(f"--cfg takes one of {', '.join(CONFIGURATIONS)}")
         elif is_override(word):
             overrides.append(word)
         else:
-            own.append(word)
+            ours.append(word)
     # Hydra reads overrides in one row only.
-    return parse(parser, own), [*overrides, *hydra]
+    return parse(parser, ours), [*overrides, *hydra]
 
 
 def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:

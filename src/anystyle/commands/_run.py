@@ -28,10 +28,10 @@ def run(command: Callable[[], Any]) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except Exception as error:
-        told = message(error)
-        if told is None or wants_traceback():
+        text = message(error)
+        if text is None or wants_traceback():
             raise
-        print(f"anystyle: error: {told}", file=sys.stderr)
+        print(f"anystyle: error: {text}", file=sys.stderr)
         sys.exit(FAILED)
 
 
@@ -60,13 +60,13 @@ def message(error: BaseException) -> str | None:
 
 def of_plugin(error: BaseException) -> str | None:
     """What to tell of an error that went through the code of a plugin, which its contract may say more about."""
-    from anystyle.registry.catalog import catalog, place_in
+    from anystyle.registry.catalog import catalog, location_in
 
     for plugin in catalog():
-        place = "" if plugin.origin == "anystyle" else place_in(error, plugin.target.partition(":")[0])
-        if place:
+        location = "" if plugin.origin == "anystyle" else location_in(error, plugin.target.partition(":")[0])
+        if location:
             return (
-                f"{plugin} ended in {type(error).__name__}: {one_line(error)}{place}; `anystyle plugins check "
+                f"{plugin} ended in {type(error).__name__}: {one_line(error)}{location}; `anystyle plugins check "
                 f"{plugin.kind} {plugin.name}` says what it has to keep, ANYSTYLE_TRACEBACK=1 shows the way there"
             )
     return None

@@ -52,8 +52,8 @@ def build_tests(names: Sequence[str], overrides: Sequence[str]) -> dict[str, Stu
     chosen = list(dict.fromkeys(names)) or catalog().names("study_test")
     options: dict[str, dict[str, Any]] = {name: {} for name in chosen}
     for word in overrides:
-        place, equals, value = word.partition("=")
-        test, dot, option = place.removeprefix("study_test.").partition(".")
+        key, equals, value = word.partition("=")
+        test, dot, option = key.removeprefix("study_test.").partition(".")
         if not (equals and dot and option):
             raise UserError(f"{word!r} sets no option; expected TEST.OPTION=VALUE, such as wilcoxon.zero_method=pratt")
         if test not in options:

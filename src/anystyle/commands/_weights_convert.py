@@ -36,8 +36,8 @@ def main(words: Sequence[str]) -> int:
     out: Path = arguments.out
     if out.suffix != ".safetensors":
         raise ValueError(f"the result is called {out}; let its name end in .safetensors")
-    from anystyle.checkpoint import save_tensors, sha256
     from anystyle.commands._weights_file import existing, recognise
+    from anystyle.io.checkpoint import save_tensors, sha256
 
     path = existing(arguments.file)
     if out.exists() and out.samefile(path):

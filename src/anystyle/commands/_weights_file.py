@@ -7,14 +7,14 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from anystyle.assemble import published_by, put_together
-from anystyle.checkpoint import has_header, read_header, sha256
 from anystyle.contracts import Backbone
+from anystyle.inference.assemble import build_and_load, published_by
+from anystyle.inference.weights import reference_config
+from anystyle.io.checkpoint import has_header, read_header, sha256
 from anystyle.perception import weights
-from anystyle.perception.layouts import LAYOUTS, layout_of
+from anystyle.perception.state_dict_formats import LAYOUTS, layout_of
 from anystyle.registry.build import build
 from anystyle.registry.catalog import PluginError, catalog
-from anystyle.weights import reference_config
 
 State = Mapping[str, Tensor]
 
@@ -56,8 +56,10 @@ def recognise(path: Path) -> Known:
     if has_header(path):
         header = read_header(path)
         state = weights.read(path)
-        made = ", ".join(f"{key} {value}" for key, value in header.provenance.items())
-        return Known("anystyle", (f"{header.part} that anystyle wrote{f' ({made})' if made else ''}",), state)
+        provenance = ", ".join(f"{key} {value}" for key, value in header.provenance.items())
+        return Known(
+            "anystyle", (f"{header.part} that anystyle wrote{f' ({provenance})' if provenance else ''}",), state
+        )
     state = weights.read(path)
     name = layout_of(state)
     if name is not None:
@@ -67,9 +69,9 @@ def recognise(path: Path) -> Known:
         known = _of_backbone(backbone, state)
         if known is not None:
             return known
-    some = ", ".join(list(state)[:5])
+    names = ", ".join(list(state)[:5])
     raise ValueError(
-        f"{path} is of no known kind: {len(state)} tensors, such as {some}; known are {', '.join(LAYOUTS)} and the "
+        f"{path} is of no known kind: {len(state)} tensors, such as {names}; known are {', '.join(LAYOUTS)} and the "
         "checkpoints of backbones"
     )
 
@@ -89,7 +91,7 @@ def _of_backbone(name: str, state: State) -> Known | None:
     placement = published.placement(state)
     if published.complete(state):
         parts = {"backbone": state} | ({"branch": state} if placement else {})
-        put_together(config, {}, parts)
+        build_and_load(config, {}, parts)
     else:
         with torch.device("meta"):
             backbone = build(Backbone, config.backbone)

@@ -32,8 +32,8 @@ def main(words: Sequence[str]) -> int:
     from anystyle.perception import bpe, weights
 
     path = existing(arguments.file)
-    told = checksum(path)
-    if path.name == weights.FILES["clip_vocabulary"].file:
+    digest = checksum(path)
+    if path.name == weights.row("clip_vocabulary").file:
         tokens = len(bpe.load(path, 49408).ids) + 2
         lines = [f"a vocabulary of {tokens} tokens"]
     else:
@@ -41,5 +41,5 @@ def main(words: Sequence[str]) -> int:
     print(f"{path} is whole")
     for line in lines:
         print(f"  {line}")
-    print(f"  sha256 {told}")
+    print(f"  sha256 {digest}")
     return 0

@@ -13,18 +13,19 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 import anystyle
-from anystyle import memory
 from anystyle.commands._flags import split
 from anystyle.commands._run import run, words_of
-from anystyle.files import atomic_path
+from anystyle.inference import memory
+from anystyle.inference.assemble import default_device
+from anystyle.io.atomic import atomic_path
 from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, StyleEmbedding, Views
 
-PLACEMENTS = ("head", "full")
 RENDERERS = ("cpu", "torch", "gsplat")
 MEASURE_MEMORY = "--memory-of"
 ATTRIBUTES = ("means", "rotations", "scales", "opacities", "harmonics")
@@ -77,8 +78,8 @@ def best(function: Callable[[], object], repeat: int, device: torch.device) -> t
 
 
 def _wait(device: torch.device) -> None:
-    if device.type != "cpu":
-        torch.accelerator.synchronize()
+    if device.type == "cuda":
+        torch.cuda.synchronize()
 
 
 @dataclass(frozen=True)
@@ -110,11 +111,10 @@ class Case:
 
 
 def load(words: Sequence[str], views: int, size: tuple[int, int] | None) -> Case:
-    """Build a model with random views and a random style, on the accelerator if there is one."""
-    model = next((word.partition("=")[2] for word in words if word.startswith("model=")), "tiny")
+    """Build a model with random views and a random style, on a CUDA device if there is one."""
+    model = next((word.partition("=")[2] for word in words if word.startswith("model=")), None)
     others = [word for word in words if not word.startswith("model=")]
-    device = torch.accelerator.current_accelerator() if torch.accelerator.is_available() else None
-    device = device or torch.device("cpu")
+    device = default_device()
     stylizer = anystyle.load(model, others).to(device)
     backbone = stylizer.backbone
     side = backbone.resolution // backbone.patch_size * backbone.patch_size
@@ -126,21 +126,21 @@ def load(words: Sequence[str], views: int, size: tuple[int, int] | None) -> Case
 
 def passes(case: Case, repeat: int) -> list[Measured]:
     """Encode, restyle and single pass, one after the other as often as asked for, so that a slow hour meets all."""
-    kept: dict[str, Any] = {}
-    found: dict[str, list[tuple[float, float]]] = {"encode": [], "restyle": [], "single": []}
+    latest: dict[str, Any] = {}
+    times: dict[str, list[tuple[float, float]]] = {"encode": [], "restyle": [], "single": []}
     works: dict[str, Callable[[], object]] = {
         "encode": case.encode,
-        "restyle": lambda: case.restyle(kept["encode"]),
+        "restyle": lambda: case.restyle(latest["encode"]),
         "single": case.single_pass,
     }
     for _ in range(repeat):
         for name, work in works.items():
-            kept.pop(name, None)
-            found[name].append(timed(lambda work=work, name=name: kept.update({name: work()}), case.device))
-    encode, restyle, single = (min(seconds) for seconds in found.values())
-    same = all(torch.equal(getattr(kept["restyle"], name), getattr(kept["single"], name)) for name in ATTRIBUTES)
-    share = restyle[1] / max(single[1], 1e-9)
-    ratio = f"{share:.3f} of the single pass's CPU time; results {'equal' if same else 'DIFFER'}"
+            latest.pop(name, None)
+            times[name].append(timed(lambda work=work, name=name: latest.update({name: work()}), case.device))
+    encode, restyle, single = (min(seconds) for seconds in times.values())
+    same = all(torch.equal(getattr(latest["restyle"], name), getattr(latest["single"], name)) for name in ATTRIBUTES)
+    fraction = restyle[1] / max(single[1], 1e-9)
+    ratio = f"{fraction:.3f} of the single pass's CPU time; results {'equal' if same else 'DIFFER'}"
     return [
         Measured("encode", *encode, "once a scene"),
         Measured("single pass", *single, "what the published code pays for every style"),
@@ -168,7 +168,7 @@ def renderers(case: Case, repeat: int) -> list[Measured]:
 
 
 def peak_memory(words: Sequence[str], views: int, size: str | None) -> int:
-    """Peak resident bytes of a process that encodes and styles so many views once."""
+    """Peak bytes of a process that encodes and styles so many views once."""
     command = [sys.executable, "-m", "anystyle.commands.benchmark", MEASURE_MEMORY, str(views), *words]
     done = subprocess.run([*command, *(["--size", size] if size else [])], capture_output=True, text=True, check=False)
     if done.returncode:
@@ -176,29 +176,28 @@ def peak_memory(words: Sequence[str], views: int, size: str | None) -> int:
     return int(done.stdout.split()[-1])
 
 
-def own_peak(case: Case) -> int:
-    """Peak bytes after one encoding and one style: of the accelerator, or of this process."""
-    case.restyle(case.encode())
-    if case.device.type != "cpu":
-        return int(torch.accelerator.max_memory_allocated())
-    import resource
+def own_peak(make: Callable[[], Case]) -> int:
+    """Peak bytes of building a case, encoding it and styling it once: of the graphics card, or of the process."""
 
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
+    def work() -> None:
+        case = make()
+        case.restyle(case.encode())
+
+    if torch.cuda.is_available():
+        work()
+        return torch.cuda.max_memory_allocated()
+    return memory.sampled_peak(work)
 
 
 def slope(peaks: Mapping[int, int]) -> float:
     """Bytes a view, by least squares."""
-    count = len(peaks)
-    mean_views, mean_bytes = sum(peaks) / count, sum(peaks.values()) / count
-    spread = sum((views - mean_views) ** 2 for views in peaks)
-    return sum((views - mean_views) * (size - mean_bytes) for views, size in peaks.items()) / spread if spread else 0.0
+    return float(np.polyfit(list(peaks), list(peaks.values()), 1)[0]) if len(peaks) > 1 else 0.0
 
 
 def off_line(peaks: Mapping[int, int]) -> float:
     """The most bytes that a peak lies beside the line through all of them."""
-    steepness, count = slope(peaks), len(peaks)
-    start = (sum(peaks.values()) - steepness * sum(peaks)) / count
-    return max(abs(size - start - steepness * views) for views, size in peaks.items())
+    line = np.polyfit(list(peaks), list(peaks.values()), 1)
+    return float(np.abs(np.polyval(line, list(peaks)) - list(peaks.values())).max())
 
 
 class Results:
@@ -230,7 +229,7 @@ def benchmark(words: Sequence[str]) -> None:
     arguments, overrides = split(parser(), words)
     size = _size(arguments.size)
     if arguments.memory_of is not None:
-        print(own_peak(load(overrides, arguments.memory_of, size)))
+        print(own_peak(lambda: load(overrides, arguments.memory_of, size)))
         return
     counts = _counts(arguments.views)
     if arguments.repeat < 1:
@@ -245,15 +244,9 @@ def benchmark(words: Sequence[str]) -> None:
         "repeat": arguments.repeat,
     }
     results = Results(Path(arguments.out), setting)
-    rows: list[dict[str, Any]] = []
-    default = [] if any(word.startswith(("placement=", "model=")) for word in overrides) else PLACEMENTS
-    for placement in default or ("",):
-        chosen = [*overrides]
-        if placement and placement != "head":
-            chosen += [f"placement={placement}", "weights.branch=null"]
-        label = f"{placement or 'model'}, {counts[0]} views"
-        found = results.get(label, lambda chosen=chosen: passes(load(chosen, counts[0], size), arguments.repeat))
-        rows += [row | {"name": f"{row['name']} ({label})"} for row in found]
+    label = f"{counts[0]} views"
+    measured = results.get(label, lambda: passes(load(overrides, counts[0], size), arguments.repeat))
+    rows = [row | {"name": f"{row['name']} ({label})"} for row in measured]
     rows += results.get("renderers", lambda: renderers(load(overrides, counts[0], size), arguments.repeat))
     peaks: dict[int, int] = {}
     for count in counts:

@@ -8,12 +8,13 @@ from pathlib import Path
 
 from anystyle.commands._flags import parse
 from anystyle.commands._run import run, words_of
-from anystyle.data.captioning import PROMPT, caption_folder, transformers_captioner
+from anystyle.data.captioning import DEFAULT_MODEL, PROMPT, caption_folder, transformers_captioner
 from anystyle.data.checking import Report, check
 from anystyle.data.images import SUFFIXES
 from anystyle.data.likeness import same_pictures
 from anystyle.errors import UserError, did_you_mean
-from anystyle.files import atomic_path
+from anystyle.evaluation.layout import Layout, is_layout
+from anystyle.io.atomic import atomic_path
 
 SUBCOMMANDS = {
     "check": "what a folder of scenes or styles holds, and what in it is missing or broken",
@@ -45,7 +46,7 @@ def check_parser() -> argparse.ArgumentParser:
     words.add_argument(
         "--as",
         dest="layout",
-        choices=("scenes", "re10k", "styles", "wikiart"),
+        choices=("scenes", "re10k", "styles", "wikiart", "tables"),
         help="how to read it (default: by itself)",
     )
     words.add_argument("--min-views", type=int, default=2, help="a scene needs so many (default: %(default)s)")
@@ -61,6 +62,9 @@ def check_command(arguments: argparse.Namespace) -> None:
     Raises:
         ValueError: The folder holds nothing that can be used.
     """
+    if arguments.layout == "tables" or (arguments.layout is None and is_layout(arguments.path)):
+        _check_tables(arguments.path)
+        return
     start = time.perf_counter()
     report = check(arguments.path, layout=arguments.layout, min_views=arguments.min_views, decode=not arguments.headers)
     tell(report)
@@ -95,6 +99,27 @@ def tell(report: Report) -> None:
         print(f"          {line}")
 
 
+def _check_tables(root: Path) -> None:
+    """Say what a folder of ``protocol=table2`` holds.
+
+    Raises:
+        UserError: It lacks something.
+    """
+    layout = Layout(root)
+    print("layout    tables")
+    for scene in layout.scene_names:
+        print(f"content   {scene}: {len(layout.photographs(scene))} of {layout.frames} photographs")
+    print(f"styles    {len(layout.style_files)} of {layout.num_styles}")
+    print(f"methods   {', '.join(layout.methods) or 'none'}")
+    problems = layout.problems()
+    print(f"problems  {len(problems)}")
+    for line in problems:
+        print(f"          {line}")
+    if problems:
+        raise UserError(f"{root} is not complete for the paper's tables: {problems[0]}")
+    print(f"to judge it: anystyle evaluate protocol=table2 root={root}")
+
+
 def _overlap(root: Path, tests: Path, write: Path | None) -> None:
     pictures = [
         sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES) for folder in (root, tests)
@@ -117,7 +142,7 @@ def caption_parser() -> argparse.ArgumentParser:
     )
     words.add_argument("path", type=Path, help="a folder, walked to any depth")
     words.add_argument(
-        "--model", default="openbmb/MiniCPM-V-4_5", help="of the image-text-to-text pipeline (default: %(default)s)"
+        "--model", default=DEFAULT_MODEL, help="of the image-text-to-text pipeline (default: %(default)s)"
     )
     words.add_argument("--device", default="cpu", help="where it runs, such as cuda:0 (default: %(default)s)")
     words.add_argument("--out", type=Path, help="the file (default: captions.jsonl in the folder)")

@@ -13,16 +13,16 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.assemble import assemble, weights_file
-from anystyle.checkpoint import load_part
 from anystyle.commands._bars import Bar
 from anystyle.commands._compose import describe, launch, override, run, split
 from anystyle.commands._run import words_of
 from anystyle.contracts import Correspondence, Metric, SceneSource, StyleEncoder, StyleSource
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
-from anystyle.evaluation.binding import bind
+from anystyle.evaluation.config_lock import bind
 from anystyle.evaluation.contract import Evaluation, Protocol
+from anystyle.inference.assemble import assemble_frozen, default_device, weights_file
+from anystyle.io.checkpoint import load_part
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
 from anystyle.registry.schema import runtime_arguments
@@ -40,7 +40,7 @@ def parser() -> argparse.ArgumentParser:
     )
     flags.add_argument("--content", metavar="DIR", help="photographs: SCENE/FRAME.png")
     flags.add_argument("--style", metavar="DIR", help="style images: STYLE.png")
-    flags.add_argument("--stylized", metavar="DIR", help="results: SCENE/STYLE_FRAME.png, or STYLE_FRAME.png")
+    flags.add_argument("--stylized", metavar="DIR", help="results: SCENE/STYLE_FRAME.png or SCENE/STYLE/FRAME.png")
     flags.add_argument("--depth", metavar="DIR", help="depth: SCENE/FRAME.npy, and SCENE/cameras.npz if known")
     flags.add_argument("--run", metavar="DIR", dest="trained", help="judge what a training run, or multirun, made")
     flags.add_argument("--out", default=None, help="where the results go (default: evaluation, or in the run)")
@@ -69,7 +69,7 @@ def folder_words(arguments: argparse.Namespace) -> list[str]:
 
 
 def evaluate(config: DictConfig, out: Path) -> Evaluation:
-    """Run a protocol, and write what it found.
+    """Run a protocol, and write what it returns.
 
     Args:
         config: What ``conf/evaluate.yaml`` composes.
@@ -91,11 +91,11 @@ def evaluate(config: DictConfig, out: Path) -> Evaluation:
     judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
     with bind(config, weights, out, named, judges):
         with Bar() as progress:
-            found = protocol.run(out, progress)
+            evaluation = protocol.run(out, progress)
         provenance = {
             "protocol": plugin.name,
             "variant": str(config.variant),
-            "weights": {**weights, **{f"metric {name}": found for name, found in judges.items() if found}},
+            "weights": {**weights, **{f"metric {name}": files for name, files in judges.items() if files}},
             "seconds": round(time.perf_counter() - start, 3),
             "machine": machine(),
             "command": shlex.join(["anystyle", "evaluate", *sys.argv[1:]]),
@@ -103,18 +103,18 @@ def evaluate(config: DictConfig, out: Path) -> Evaluation:
             "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True),
             "versions": {name: version(name) for name in ("anystyle", "torch", "numpy")},
         }
-        table = record.write(found, out, provenance)
-    draw(found, out, f"{plugin.name}, {config.variant}; n = {found.n}")
+        table = record.write(evaluation, out, provenance)
+    draw(evaluation, out, f"{plugin.name}, {config.variant}; n = {evaluation.n}")
     print(table.markdown(), end="")
     print(f"\nin {out}: {', '.join(path.name for path in sorted(out.iterdir()) if path.is_file())}")
-    return found
+    return evaluation
 
 
-def draw(found: Evaluation, out: Path, caption: str) -> None:
+def draw(evaluation: Evaluation, out: Path, caption: str) -> None:
     """Write the pictures of an evaluation, as far as what they need is installed."""
-    plots.examples(found, out / "examples.png")
+    plots.examples(evaluation, out / "examples.png")
     try:
-        plots.spread(found, out / "spread.png", caption=caption)
+        plots.spread(evaluation, out / "spread.png", caption=caption)
     except ImportError as error:
         print(f"no plot: {error}", file=sys.stderr)
 
@@ -123,11 +123,11 @@ def make_parts(config: DictConfig, named: Mapping[str, bool]) -> tuple[dict[str,
     """The parts that a protocol's constructor names, and the weights that were loaded for them."""
     parts: dict[str, Any] = {}
     weights: dict[str, Any] = {}
-    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    device = default_device()
     encoder: StyleEncoder | None = None
     if "stylizer" in named:
-        stylizer, weights = assemble(config)
-        parts["stylizer"] = stylizer.requires_grad_(False).eval().to(device)
+        stylizer, weights = assemble_frozen(config)
+        parts["stylizer"] = stylizer.to(device)
         encoder = stylizer.style_encoder
     if "metrics" in named:
         parts["metrics"] = {name: metric.to(device) for name, metric in make_metrics(config, encoder, device).items()}
@@ -141,13 +141,13 @@ def make_metrics(config: DictConfig, encoder: StyleEncoder | None, device: torch
     """The metrics that are chosen, with what their constructors name."""
     # A variant sets options of metrics that may not be among those chosen.
     chosen = {str(name): node for name, node in config.metric.items() if node is not None and "_target_" in node}
-    wanted = {
+    needed = {
         name for node in chosen.values() for name in runtime_arguments(catalog().owner("metric", str(node["_target_"])))
     }
     runtime: dict[str, Any] = {}
-    if "style_encoder" in wanted:
+    if "style_encoder" in needed:
         runtime["style_encoder"] = encoder or _style_encoder(config).to(device)
-    if "correspondence" in wanted and config.correspondence is not None:
+    if "correspondence" in needed and config.correspondence is not None:
         runtime["correspondence"] = build(Correspondence, config.correspondence)
     return build_all(Metric, chosen, **runtime)
 
@@ -169,7 +169,7 @@ def main(words: Sequence[str] | None = None) -> None:
     """Be the command: with ``--run``, once for each run that is found."""
 
     def command() -> None:
-        from anystyle.evaluation.trained import trained_runs
+        from anystyle.evaluation.training_runs import trained_runs
 
         flags = parser()
         describe(flags)

@@ -14,7 +14,8 @@ from anystyle.commands._flags import parse
 from anystyle.commands._run import run, words_of
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import Catalog, Plugin, catalog, kind_named
-from anystyle.registry.peek import peek
+from anystyle.registry.packages import presets
+from anystyle.registry.source_docs import peek
 
 SUBCOMMANDS = ("check", "new")
 
@@ -89,7 +90,7 @@ def of_kind(known: Catalog, kind: str) -> Iterator[str]:
 
 def _presets(kind: str, names: Sequence[str]) -> Iterator[str]:
     """The presets of a kind, with the comment that each begins with."""
-    files = [file for file in sorted((paths.CONF / kind).glob("*.yaml")) if file.stem not in names]
+    files = [file for name, file in presets(kind).items() if name not in names]
     column = max((len(file.stem) for file in files), default=0) + 2
     if files:
         yield ""
@@ -115,13 +116,13 @@ def in_full(plugin: Plugin) -> Iterator[str]:
         yield "It takes no options."
         return
     yield "Options:"
-    told = _arguments(documentation)
+    described = _arguments(documentation)
     prefix = f"{plugin.kind}.{plugin.name}" if KINDS[plugin.kind].many else plugin.kind
     for option in known:
         default = "  (must be given)" if option.required else f" = {option.default!r}"
         yield f"  {prefix}.{option.name}: {_hint(option.hint)}{default}"
-        if option.name in told:
-            yield from _hanging(" " * 6, told[option.name])
+        if option.name in described:
+            yield from _hanging(" " * 6, described[option.name])
 
 
 def _hint(hint: object) -> str:
@@ -132,13 +133,13 @@ def _hint(hint: object) -> str:
 def _arguments(documentation: str) -> dict[str, str]:
     """The ``Args`` section of a docstring, by argument."""
     section = re.search(r"^Args:\n((?:[ \t]+.*\n?|\n)*)", documentation, re.MULTILINE)
-    found: dict[str, str] = {}
+    described: dict[str, str] = {}
     for entry in re.split(
         r"\n(?=    \w)", "\n" + textwrap.dedent(section[1] if section else "").replace("\n", "\n    ")
     ):
         name, _, text = entry.strip().partition(":")
-        found[name.partition(" ")[0]] = " ".join(text.split())
-    return found
+        described[name.partition(" ")[0]] = " ".join(text.split())
+    return described
 
 
 def _hanging(lead: str, text: str, hang: int = 0) -> list[str]:

@@ -15,9 +15,10 @@ from anystyle import paths
 from anystyle.commands._flags import parse
 from anystyle.commands._run import run, words_of
 from anystyle.errors import UserError
-from anystyle.files import atomic_directory
+from anystyle.io.atomic import atomic_directory
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import VARIABLE, catalog, kind_named
+from anystyle.registry.packages import presets
 
 TOYS = paths.PACKAGE / "testing" / "toy"
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
@@ -54,8 +55,8 @@ def test_contract() -> None:
 README = """\
 # {cls}
 
-{Article} {words} for [anystyle](https://github.com/anystyle/anystyle). The class is in `{module}.py`; the last lines
-of `pyproject.toml` declare it. It works as it is, on trivial maths: replace that by yours, one method at a time.
+{Article} {words} for anystyle. The class is in `{module}.py`; the last lines of `pyproject.toml` declare it. It works
+as it is, on trivial maths: replace that by yours, one method at a time.
 
 ## Check it
 
@@ -105,8 +106,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     folder = write(arguments.kind, arguments.name, arguments.into)
     module = f"anystyle_{arguments.name}"
     print(f"wrote {folder}: {module}.py, pyproject.toml, test_{module}.py, README.md")
-    found = arguments.into.resolve() == paths.PLUGINS.resolve() or str(arguments.into.absolute()) in _listed()
-    where = "" if found else f"{VARIABLE}={arguments.into.absolute()} "
+    listed = arguments.into.resolve() == paths.PLUGINS.resolve() or str(arguments.into.absolute()) in _listed()
+    where = "" if listed else f"{VARIABLE}={arguments.into.absolute()} "
     print(f"next:  {where}anystyle plugins check {arguments.kind} {arguments.name}")
     return 0
 
@@ -167,7 +168,7 @@ def _refuse(kind: str, name: str, module: str) -> None:
     if name in known.names(kind):
         owners = ", ".join(row.origin for row in known.declarations(kind, name))
         raise UserError(f"{kind} '{name}' is declared already by {owners}; choose another name")
-    if (paths.CONF / kind / f"{name}.yaml").is_file():
+    if name in presets(kind):
         raise UserError(f"'{name}' is a preset of {kind} already; choose another name")
     taken = [row for row in known if row.target.partition(":")[0].partition(".")[0] == module]
     if taken:
@@ -190,12 +191,12 @@ def _renamed(source: str, kind: str, cls: str) -> str:
     words = kind.replace("_", " ")
     body = f'"""{cls}, {"an" if words[0] in "aeiou" else "a"} {words} for anystyle."""\n' + source.partition("\n")[2]
     # In one pass: the plugin's own name may begin as the toys' do.
-    body = re.sub(r"\bToy[A-Z]\w*", lambda found: cls + ("" if found[0] == toy else found[0][3:]), body)
+    body = re.sub(r"\bToy[A-Z]\w*", lambda match: cls + ("" if match[0] == toy else match[0][3:]), body)
     return re.sub(r'( *)"""See :meth:`(anystyle[\w.]+)`([^"]*)\."""', _documented, body)
 
 
-def _documented(found: re.Match[str]) -> str:
-    indent, name, more = found[1], found[2], found[3]
+def _documented(match: re.Match[str]) -> str:
+    indent, name, more = match[1], match[2], match[3]
     *module, cls, method = name.split(".")
     file = paths.PACKAGE.parent.joinpath(*module).with_suffix(".py")
     tree = ast.parse(file.read_text(encoding="utf-8"))

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from anystyle.commands._study_options import build_tests
-from anystyle.files import atomic_directory
+from anystyle.io.atomic import atomic_directory
 from anystyle.study import figures, report
 from anystyle.study.analysis import Analysis, Settings, analyze
 from anystyle.study.analysis_json import as_json

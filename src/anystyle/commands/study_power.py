@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 
 from anystyle.commands._study_options import build_tests
-from anystyle.files import atomic_directory
+from anystyle.io.atomic import atomic_directory
 from anystyle.study import figures
 from anystyle.study.power import power_json, power_markdown, power_study
 from anystyle.study.power_figure import power

@@ -9,7 +9,7 @@ from omegaconf import DictConfig
 
 from anystyle.commands._compose import main
 from anystyle.paths import shown
-from anystyle.training.chain import forwarded, links, train_chain
+from anystyle.training.pipeline import forwarded, stages_of, train_pipeline
 from anystyle.training.run import train
 
 
@@ -21,8 +21,8 @@ def run(config: DictConfig) -> dict[str, float]:
         KeyboardInterrupt: A signal ended a job of a multirun; those that follow are left for the next start.
     """
     check_devices(config)
-    if config.chain is not None:
-        run_chain(config)
+    if config.pipeline is not None:
+        run_pipeline(config)
         return {}
     # Lightning tells what it does; the run's own lines say what matters.
     for name in ("lightning.pytorch", "lightning.fabric"):
@@ -39,11 +39,11 @@ def run(config: DictConfig) -> dict[str, float]:
     return dict(outcome.metrics)
 
 
-def run_chain(config: DictConfig) -> None:
-    """Run several trainings, each on top of what those before it made."""
-    chain = links({str(name): dict(made) for name, made in config.chain.items()})
-    made = train_chain(chain, forwarded(HydraConfig.get().overrides.task), Path(config.out))
-    print(f"{len(made)} trainings done; {', '.join(path.name for path in made)} in {shown(made[0].parent)}")
+def run_pipeline(config: DictConfig) -> None:
+    """Run several trainings, each of which starts from the weights that earlier ones exported."""
+    stages = stages_of({str(name): dict(exports) for name, exports in config.pipeline.items()})
+    files = train_pipeline(stages, forwarded(HydraConfig.get().overrides.task), Path(config.out))
+    print(f"{len(files)} trainings done; {', '.join(path.name for path in files)} in {shown(files[0].parent)}")
 
 
 def check_devices(config: DictConfig) -> None:

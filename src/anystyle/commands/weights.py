@@ -55,18 +55,18 @@ def listing(names: Sequence[str]) -> Iterator[str]:
             raise UserError(f"no weights are called '{name}'.{near} Available: {', '.join(known)}")
     for name in names or known:
         entry = known[name]
-        looked = list(weights.places(name))
-        found = next((place for place in looked if place.is_file()), None)
+        searched = list(weights.candidates(name))
+        path = next((path for path in searched if path.is_file()), None)
         size = "" if entry.size is None else f", {readable(entry.size)}"
-        yield f"{name}: {'found' if found else 'missing'}{size}"
+        yield f"{name}: {'found' if path else 'missing'}{size}"
         yield f"  for      {entry.purpose}"
         yield f"  licence  {entry.license}"
         yield f"  from     {entry.source}"
         if entry.sha256 is not None:
             yield f"  sha256   {entry.sha256}{'…' if len(entry.sha256) < 64 else ''}"
-        yield f"  file     {found or entry.file}"
-        if found is None:
-            yield f"  looked   {', '.join(map(str, looked))}"
+        yield f"  file     {path or entry.file}"
+        if path is None:
+            yield f"  looked   {', '.join(map(str, searched))}"
     yield ""
     yield from _where()
 

@@ -9,14 +9,14 @@ from torch import Tensor
 
 from anystyle.contracts import Correspondence
 from anystyle.geometry.warp import cycle_visible
-from anystyle.perception.pictures import gray
+from anystyle.perception.preprocess import gray
 from anystyle.types import Flow, Frames
 
 SMALLEST = 16
 
 
 class DIS(Correspondence):
-    """Dense inverse search (Kroeger et al., ECCV 2016), no weights; visible is what returns to its start.
+    """Dense inverse search (Kroeger et al., ECCV 2016), no weights; a pixel is visible if the flow back returns it.
 
     Needs the extra ``flow``.
 
@@ -56,8 +56,8 @@ class DIS(Correspondence):
         # A new search for each pair: one that is reused starts from the pair before.
         # OpenCV's own types ask for a flow to start from; none is right.
         searches: list[Any] = [cv2.DISOpticalFlow.create(self._preset) for _ in first]
-        found = [search.calc(one, other, None) for search, one, other in zip(searches, first, second, strict=True)]
-        return torch.from_numpy(np.stack(found)).permute(0, 3, 1, 2).contiguous()
+        flows = [search.calc(*pair, None) for search, *pair in zip(searches, first, second, strict=True)]
+        return torch.from_numpy(np.stack(flows)).permute(0, 3, 1, 2).contiguous()
 
 
 def _luma(images: Float[Tensor, "M 3 H W"]) -> UInt8[np.ndarray, "M H W"]:

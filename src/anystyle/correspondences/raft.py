@@ -12,15 +12,15 @@ from torch import Tensor
 from anystyle.contracts import Correspondence
 from anystyle.geometry.warp import cycle_visible
 from anystyle.perception import raft
+from anystyle.perception.feature_cache import CACHE
 from anystyle.perception.matching import match
-from anystyle.perception.memo import MEMO, fingerprints
 from anystyle.perception.sources import Source, Weights, locate, published
 from anystyle.types import Flow, Frames
 
 log = logging.getLogger(__name__)
 
-VOLUME = 1 << 29
-"""Bytes that the correlations of the pairs that are matched together may take."""
+MAX_VOLUME = 1 << 29
+"""Bytes that the correlation volumes of a batch of pairs may take."""
 
 
 class Raft(Correspondence):
@@ -31,9 +31,9 @@ class Raft(Correspondence):
 
     Args:
         checkpoint: Which published weights: the original's or torchvision's.
-        iterations: Of the update.
-        visibility: ``cycle`` calls visible what returns to its start by the flow back, at twice the cost; ``frame``
-            calls visible what stays in the frame, which suffices where visibility is not used.
+        iterations: Number of updates.
+        visibility: With ``cycle`` a pixel is visible if the flow back returns it to its start, at twice the cost; with
+            ``frame`` if it stays in the frame, which suffices where visibility is not used.
         weights: ``auto`` takes a search in windows as a stand-in where the weights are missing, and says so.
     """
 
@@ -63,8 +63,8 @@ class Raft(Correspondence):
     def __call__(self, source: Frames, target: Frames) -> Flow:
         """See :meth:`anystyle.contracts.Correspondence.__call__`."""
         forward = self.displacement(source, target)
-        # What both directions describe of a frame is computed once.
-        visible = cycle_visible(forward, self.displacement(target, source)) if self.cycle else _stays(forward)
+        # The features of a frame are computed once for both directions.
+        visible = cycle_visible(forward, self.displacement(target, source)) if self.cycle else _inside(forward)
         return Flow(forward, visible)
 
     @torch.no_grad()
@@ -76,26 +76,20 @@ class Raft(Correspondence):
             )
         height, width = source.images.shape[-2:]
         first, second = padded(source.images), padded(target.images)
-        marks = fingerprints(first), fingerprints(second)
-        count = max(1, VOLUME // (first.shape[-1] * first.shape[-2] // 64) ** 2 // 6)
-        parts = []
-        for start in range(0, first.shape[0], count):
-            part = slice(start, start + count)
-            parts.append(self._flow(first[part], second[part], marks[0][part], marks[1][part]))
-        return torch.cat(parts)[..., :height, :width]
+        batch_size = max(1, MAX_VOLUME // (first.shape[-1] * first.shape[-2] // 64) ** 2 // 6)
+        batches = zip(first.split(batch_size), second.split(batch_size), strict=True)
+        return torch.cat([self._flow(*batch) for batch in batches])[..., :height, :width]
 
-    def _flow(self, first: Tensor, second: Tensor, marks: list[str], others: list[str]) -> Tensor:
+    def _flow(self, source: Tensor, target: Tensor) -> Tensor:
         network = self.network
         if network is None:
-            return match(first, second)
-        network.to(first)
+            return match(source, target)
+        network.to(source)
         identity = self.sources[0].identity
-        described = MEMO.rows(
-            torch.cat([first, second]), [*marks, *others], ("raft", identity), lambda x: [network.describe(x)]
-        )[0]
-        state, reading = MEMO.rows(first, marks, ("raft context", identity), lambda x: list(network.context(x)))
-        one, other = described.chunk(2)
-        return network.flow(one, other, raft.Context(state, reading), self.iterations)
+        frames = torch.cat([source, target])
+        features = CACHE.features(frames, ("raft", identity), lambda images: [network.describe(images)])[0].chunk(2)
+        context = CACHE.features(source, ("raft context", identity), lambda images: list(network.context(images)))
+        return network.flow(features[0], features[1], raft.Context(*context), self.iterations)
 
 
 def padded(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 h w"]:
@@ -114,7 +108,7 @@ def padded(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 h w"]:
     return F.pad(images, (0, right, 0, below), mode="replicate") if below or right else images
 
 
-def _stays(flow: Float[Tensor, "M 2 H W"]) -> Bool[Tensor, "M H W"]:
+def _inside(flow: Float[Tensor, "M 2 H W"]) -> Bool[Tensor, "M H W"]:
     height, width = flow.shape[-2:]
     x = torch.arange(width, device=flow.device) + flow[:, 0]
     y = torch.arange(height, device=flow.device)[:, None] + flow[:, 1]

@@ -9,12 +9,15 @@ from PIL import Image
 
 from anystyle.data.captions import read_captions
 from anystyle.data.images import SUFFIXES, open_image
-from anystyle.files import atomic_path
+from anystyle.io.atomic import atomic_path
 
 PROMPT = (
     "Describe the artistic style of this painting in at most 300 characters: brushwork, palette, texture, composition. "
     "Say nothing of what it depicts."
 )
+DEFAULT_MODEL = "HuggingFaceTB/SmolVLM-Instruct"
+"""Part of the transformers library. MiniCPM-V 4.5, the paper's, is not: its page loads code from the hub and calls a
+method of its own, so its captions come from its page's script, and are read from a file here."""
 SIDE = 224
 LONGEST = 300
 """Characters of a description; what is longer is cut at a word."""
@@ -25,7 +28,7 @@ class Captioner(Protocol):
     """Turns pictures into texts."""
 
     def __call__(self, pictures: Sequence[Image.Image], prompt: str) -> Sequence[str]:
-        """One text for each picture; the prompt says what is wanted."""
+        """One text for each picture; the prompt says what to describe."""
         ...
 
 
@@ -50,7 +53,7 @@ def transformers_captioner(model: str, device: str) -> Captioner:
             [{"role": "user", "content": [{"type": "image", "image": picture}, {"type": "text", "text": prompt}]}]
             for picture in pictures
         ]
-        return [found[0]["generated_text"] for found in describe(text=asked, return_full_text=False)]
+        return [output[0]["generated_text"] for output in describe(text=asked, return_full_text=False)]
 
     return captions
 
@@ -102,10 +105,10 @@ def caption_folder(
             except (ValueError, OSError) as error:
                 failed[name] = str(error)
         if pictures:
-            found = list(captioner(list(pictures.values()), prompt))
-            if len(found) != len(pictures):
-                raise ValueError(f"the model gave {len(found)} texts for {len(pictures)} pictures")
-            texts |= {name: tidy(text) for name, text in zip(pictures, found, strict=True)}
+            answers = list(captioner(list(pictures.values()), prompt))
+            if len(answers) != len(pictures):
+                raise ValueError(f"the model gave {len(answers)} texts for {len(pictures)} pictures")
+            texts |= {name: tidy(text) for name, text in zip(pictures, answers, strict=True)}
             _write(out, texts)
         progress(len(names) - len(left) + min(start + batch, len(left)), len(names))
     return failed

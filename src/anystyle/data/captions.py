@@ -28,12 +28,12 @@ def read_captions(path: Path) -> dict[str, str]:
     return captions
 
 
-def _json_line(line: str, place: str) -> tuple[str, str]:
+def _json_line(line: str, line_name: str) -> tuple[str, str]:
     try:
         entry = json.loads(line)
         name, text = entry["image"], entry["text"]
     except (ValueError, KeyError, TypeError):
-        raise ValueError(f'{place} is not of the form {{"image": "...", "text": "..."}}') from None
+        raise ValueError(f'{line_name} is not of the form {{"image": "...", "text": "..."}}') from None
     if not isinstance(name, str) or not isinstance(text, str):
-        raise ValueError(f'{place} is not of the form {{"image": "...", "text": "..."}}')
+        raise ValueError(f'{line_name} is not of the form {{"image": "...", "text": "..."}}')
     return name, text

@@ -18,7 +18,7 @@ from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.wikiart import DESCRIPTIONS, TEST_FILES
 
 Layout = Literal["scenes", "re10k", "styles", "wikiart"]
-PLACES: dict[str, str | None] = {
+IMAGE_FOLDERS: dict[str, str | None] = {
     "images": None,
     "images_8": None,
     "images_4": None,
@@ -29,7 +29,7 @@ PLACES: dict[str, str | None] = {
 
 @dataclass
 class Report:
-    """What was found.
+    """What a folder holds.
 
     Args:
         layout: How the folder was read.
@@ -86,9 +86,11 @@ def guess(root: Path) -> Layout:
 
 def _scenes(root: Path, min_views: int, decode: bool) -> Report:
     index = "train_index.json" if (root / "train_index.json").is_file() else None
-    found = (name for name in PLACES if (root / name).is_dir() or next(root.glob(f"*/{name}/"), None) is not None)
-    images = next(found, None if index is None else _indexed(root, root / index)) or "images"
-    cameras = PLACES[images]
+    present = (
+        name for name in IMAGE_FOLDERS if (root / name).is_dir() or next(root.glob(f"*/{name}/"), None) is not None
+    )
+    images = next(present, None if index is None else _indexed(root, root / index)) or "images"
+    cameras = IMAGE_FOLDERS[images]
     probe = FolderScenes(root=str(root), index=index, images=images, cameras=cameras)
     report = Report("scenes", _words(root, images, cameras, index))
     if index is not None:
@@ -114,7 +116,7 @@ def _indexed(root: Path, index: Path) -> str | None:
     """Where the photographs of the first scene of an index lie that is there."""
     folders = FolderScenes(root=str(root), index=index.name).folders
     first = next((folder for folder in folders if folder.is_dir()), root)
-    return next((name for name in PLACES if (first / name).is_dir()), None)
+    return next((name for name in IMAGE_FOLDERS if (first / name).is_dir()), None)
 
 
 def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_views: int, decode: bool) -> None:
@@ -215,12 +217,12 @@ def _look(paths: Sequence[Path], report: Report, decode: bool, problems: list[st
     """Those images that can be read; the others are problems, of the report where no other list is given."""
     good = []
     with ThreadPoolExecutor(4) as pool:
-        for path, found in zip(paths, pool.map(_open if decode else _measure, paths), strict=True):
-            if isinstance(found, str):
-                (report.problems if problems is None else problems).append(found)
+        for path, result in zip(paths, pool.map(_open if decode else _measure, paths), strict=True):
+            if isinstance(result, str):
+                (report.problems if problems is None else problems).append(result)
             else:
                 report.images += 1
-                report.sizes[found] += 1
+                report.sizes[result] += 1
                 good.append(path)
     return good
 

@@ -14,8 +14,9 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.data import images, video
-from anystyle.types import Views
+from anystyle.data import images
+from anystyle.io import video
+from anystyle.types import Cameras, Views
 
 MAX_ASPECT = 3.0
 """Longer panoramas lose their ends."""
@@ -49,18 +50,14 @@ class SourceImage:
     def source_intrinsics(self, intrinsics: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
         """Intrinsics in pixels of the view as intrinsics in pixels of the source."""
         left, top, right, bottom = self.box
-        height, width = self.view_size
-        x, y = (right - left) / width, (bottom - top) / height
-        source_from_view = intrinsics.new_tensor([[x, 0.0, left], [0.0, y, top], [0.0, 0.0, 1.0]])
-        return source_from_view @ intrinsics
+        x, y = (right - left) / self.view_size[1], (bottom - top) / self.view_size[0]
+        return intrinsics.new_tensor([[x, 0.0, left], [0.0, y, top], [0.0, 0.0, 1.0]]) @ intrinsics
 
     def view_intrinsics(self, intrinsics: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
         """Intrinsics in pixels of the source as intrinsics in pixels of the view."""
         left, top, right, bottom = self.box
-        height, width = self.view_size
-        x, y = width / (right - left), height / (bottom - top)
-        view_from_source = intrinsics.new_tensor([[x, 0.0, -left * x], [0.0, y, -top * y], [0.0, 0.0, 1.0]])
-        return view_from_source @ intrinsics
+        x, y = self.view_size[1] / (right - left), self.view_size[0] / (bottom - top)
+        return intrinsics.new_tensor([[x, 0.0, -left * x], [0.0, y, -top * y], [0.0, 0.0, 1.0]]) @ intrinsics
 
 
 def read_views(
@@ -83,23 +80,17 @@ def read_views(
     Raises:
         ValueError: Nothing can be read; the message says why.
     """
-    found = _find(inputs)
-    thinned = evenly(found, max_views)
-    if len(thinned) < len(found):
-        _log.warning("%d of %d photographs are taken, evenly spaced; views.take sets how many", max_views, len(found))
-    shots, problems = _open(thinned, max_views)
-    if not shots:
-        raise ValueError(f"no photograph can be read: {problems[0]}" + _more(len(problems) - 1))
+    shots, problems = _shots(inputs, max_views)
     sizes = [shot.size for shot in shots]
     if short_side is None:
         size = own_size(sizes, multiple=multiple)
     else:
         size = common_size(sizes, short_side=short_side, multiple=multiple)
     covered: list[tuple[Image.Image, SourceImage]] = []
-    for name, shot in zip(_distinct([shot.name for shot in shots]), shots, strict=True):
+    for name, shot in zip(distinct([shot.name for shot in shots]), shots, strict=True):
         try:
             covered.append(
-                read_picture(shot.path, name, size) if shot.frame is None else _cover(name, shot.frame, shot.size, size)
+                read_picture(shot.path, name, size) if shot.frame is None else cover(name, shot.frame, shot.size, size)
             )
         except ValueError as error:
             problems.append(str(error))
@@ -107,11 +98,64 @@ def read_views(
         _log.warning("left out: %s", problem)
     if not covered:
         raise ValueError(f"no photograph can be read: {problems[0]}" + _more(len(problems) - 1))
-    views = Views(
-        images=torch.stack([images.to_tensor(picture) for picture, _ in covered])[None],
-        names=tuple(source.name for _, source in covered),
+    return as_views(covered), [source for _, source in covered]
+
+
+def as_views(pictures: Sequence[tuple[Image.Image, SourceImage]], cameras: Cameras | None = None) -> Views:
+    """Pictures of one size, with the sources that name them, as views of one scene."""
+    return Views(
+        images=torch.stack([images.to_tensor(picture) for picture, _ in pictures])[None],
+        cameras=cameras,
+        names=tuple(source.name for _, source in pictures),
     )
-    return views, [source for _, source in covered]
+
+
+class Original(NamedTuple):
+    """A photograph as it was taken, though maybe reduced.
+
+    Args:
+        name: Distinct among all that were read.
+        path: The file; ``None`` for a frame of a video.
+        size: Height and width of the upright source in pixels.
+        picture: Upright, of the source or a reduced copy of it.
+        exif: What the camera wrote of itself.
+    """
+
+    name: str
+    path: Path | None
+    size: tuple[int, int]
+    picture: Image.Image
+    exif: Image.Exif
+
+
+def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> list[Original]:
+    """Read photographs each at its own size, for what needs the whole picture; see :func:`read_views`.
+
+    Args:
+        inputs: As for :func:`read_views`.
+        longest: Larger photographs may be reduced to no less than this longer side.
+        max_views: Of more photographs, evenly spaced ones are taken.
+
+    Raises:
+        ValueError: Nothing can be read.
+    """
+    shots, problems = _shots(inputs, max_views)
+    originals: list[Original] = []
+    for name, shot in zip(distinct([shot.name for shot in shots]), shots, strict=True):
+        size = (shot.size[1], shot.size[0])
+        if shot.frame is not None:
+            originals.append(Original(name, None, size, shot.frame, Image.Exif()))
+            continue
+        try:
+            picture = images.open_image(shot.path, longest=longest)
+            originals.append(Original(name, shot.path, size, picture, images.read_exif(shot.path)))
+        except ValueError as error:
+            problems.append(str(error))
+    for problem in problems:
+        _log.warning("left out: %s", problem)
+    if not originals:
+        raise ValueError(f"no photograph can be read: {problems[0]}" + _more(len(problems) - 1))
+    return originals
 
 
 def read_picture(path: Path, name: str, size: tuple[int, int]) -> tuple[Image.Image, SourceImage]:
@@ -124,7 +168,7 @@ def read_picture(path: Path, name: str, size: tuple[int, int]) -> tuple[Image.Im
     scale = min(source[0] / size[1], source[1] / size[0])
     # Decoded at twice the size that is needed where the format can, which leaves the resampling its room.
     picture = images.open_image(path, longest=max(1, round(2 * max(source) / max(scale, 1.0))))
-    covered, shown = _cover(name, picture, source, size)
+    covered, shown = cover(name, picture, source, size)
     return covered, replace(shown, path=path)
 
 
@@ -142,13 +186,33 @@ def natural(name: str) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name.casefold()) if part]
 
 
+def image_files(folder: Path) -> list[Path]:
+    """The image files of a folder, in natural order of their names."""
+    files = (path for path in folder.iterdir() if path.suffix.lower() in images.SUFFIXES and path.is_file())
+    return sorted(files, key=lambda path: natural(path.name))
+
+
+def distinct(names: Sequence[str], separator: str = "_") -> list[str]:
+    """The same names, with a number behind those that occurred before, upper or lower case: ``1``, ``1_2``, ``1_3``."""
+    taken: set[str] = set()
+    result: list[str] = []
+    for name in names:
+        candidate, number = name, 1
+        while candidate.casefold() in taken:
+            number += 1
+            candidate = f"{name}{separator}{number}"
+        taken.add(candidate.casefold())
+        result.append(candidate)
+    return result
+
+
 def evenly(items: Sequence[Path], count: int) -> list[Path]:
     """At most ``count`` items, evenly spaced, the first and the last among them."""
     if len(items) <= count:
         return list(items)
     if count == 1:
         return [items[0]]
-    return [items[round(place * (len(items) - 1) / (count - 1))] for place in range(count)]
+    return [items[round(index * (len(items) - 1) / (count - 1))] for index in range(count)]
 
 
 def common_size(sizes: Sequence[tuple[int, int]], *, short_side: int, multiple: int) -> tuple[int, int]:
@@ -168,8 +232,8 @@ def own_size(sizes: Sequence[tuple[int, int]], *, multiple: int) -> tuple[int, i
     """
     different = sorted(set(sizes))
     if len(different) > 1:
-        some = ", ".join(f"{width}x{height}" for width, height in different[:5])
-        raise ValueError(f"the photographs have {len(different)} sizes ({some}); views.resize=true brings them to one")
+        shown = ", ".join(f"{width}x{height}" for width, height in different[:5])
+        raise ValueError(f"the photographs have {len(different)} sizes ({shown}); views.resize=true brings them to one")
     width, height = different[0]
     if width % multiple or height % multiple:
         raise ValueError(
@@ -181,28 +245,23 @@ def own_size(sizes: Sequence[tuple[int, int]], *, multiple: int) -> tuple[int, i
 
 def _find(inputs: Sequence[Path]) -> list[Path]:
     known = images.SUFFIXES | video.SUFFIXES
-    found: list[Path] = []
+    paths: list[Path] = []
     for item in inputs:
         if item.is_dir():
             # Captures with cameras keep their photographs in a folder of that name.
-            inside = _images(item) or (_images(item / "images") if (item / "images").is_dir() else [])
+            inside = image_files(item) or (image_files(item / "images") if (item / "images").is_dir() else [])
             if not inside:
                 raise ValueError(f"there are no images in the folder {item}")
-            found.extend(inside)
+            paths.extend(inside)
         elif item.is_file():
-            found.append(item)
+            paths.append(item)
         else:
             names = glob.glob(str(item))  # noqa: PTH207  (a pattern may be absolute)
             matches = [Path(name) for name in names if Path(name).suffix.lower() in known]
             if not matches:
                 raise ValueError(f"there is no folder, image or video {item}")
-            found.extend(sorted(matches, key=lambda path: natural(str(path))))
-    return found
-
-
-def _images(folder: Path) -> list[Path]:
-    found = (path for path in folder.iterdir() if path.is_file() and path.suffix.lower() in images.SUFFIXES)
-    return sorted(found, key=lambda path: natural(path.name))
+            paths.extend(sorted(matches, key=lambda path: natural(str(path))))
+    return paths
 
 
 class _Shot(NamedTuple):
@@ -214,15 +273,31 @@ class _Shot(NamedTuple):
     frame: Image.Image | None = None
 
 
+def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]]:
+    """What can be read of inputs, and what is wrong with the rest.
+
+    Raises:
+        ValueError: Nothing can be read.
+    """
+    paths = _find(inputs)
+    thinned = evenly(paths, max_views)
+    if len(thinned) < len(paths):
+        _log.warning("%d of %d photographs are taken, evenly spaced; views.take sets how many", max_views, len(paths))
+    shots, problems = _open(thinned, max_views)
+    if not shots:
+        raise ValueError(f"no photograph can be read: {problems[0]}" + _more(len(problems) - 1))
+    return shots, problems
+
+
 def _open(paths: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]]:
     """The headers of photographs and the frames of videos, and what is wrong with the others."""
     shots: list[_Shot] = []
     problems: list[str] = []
-    share = max(1, max_views // max(1, sum(path.suffix.lower() in video.SUFFIXES for path in paths)))
+    frames_each = max(1, max_views // max(1, sum(path.suffix.lower() in video.SUFFIXES for path in paths)))
     for path in paths:
         try:
             if path.suffix.lower() in video.SUFFIXES:
-                for number, frame in video.read_frames(path, share):
+                for number, frame in video.read_frames(path, frames_each):
                     shots.append(_Shot(path, f"{path.stem}_{number:06d}", frame.size, frame))
             else:
                 shots.append(_Shot(path, path.stem, images.image_size(path)))
@@ -231,21 +306,7 @@ def _open(paths: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]
     return shots, problems
 
 
-def _distinct(names: Sequence[str]) -> list[str]:
-    """The same names, with a number behind those that occurred before: two folders may hold a ``1.jpg`` each."""
-    taken: set[str] = set()
-    result: list[str] = []
-    for name in names:
-        other, number = name, 1
-        while other.casefold() in taken:
-            number += 1
-            other = f"{name}_{number}"
-        taken.add(other.casefold())
-        result.append(other)
-    return result
-
-
-def _cover(
+def cover(
     name: str, picture: Image.Image, source: tuple[int, int], size: tuple[int, int]
 ) -> tuple[Image.Image, SourceImage]:
     """A view of ``size`` from the middle of a picture, which may be a reduced copy of the source."""

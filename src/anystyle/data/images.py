@@ -11,6 +11,8 @@ from jaxtyping import Float
 from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
 from torch import Tensor
 
+from anystyle.io.images import formats
+
 MAX_PIXELS = 178_000_000
 """What an image may hold before it is decoded; more is taken for an attack, as Pillow does."""
 
@@ -32,6 +34,17 @@ def image_size(path: Path) -> tuple[int, int]:
     with _guarded(path) as image:
         width, height = image.size
         return (height, width) if image.getexif().get(ExifTags.Base.Orientation) in _TRANSPOSED else (width, height)
+
+
+def read_exif(path: Path) -> Image.Exif:
+    """What a camera wrote into an image file; empty where it wrote nothing.
+
+    Raises:
+        ValueError: It is no image, a damaged one, or too large.
+        OSError: It cannot be read.
+    """
+    with _guarded(path) as image:
+        return image.getexif()
 
 
 def open_image(path: Path, *, longest: int = 4096) -> Image.Image:
@@ -64,7 +77,7 @@ def _guarded(path: Path) -> Iterator[Image.Image]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            with Image.open(path) as image:
+            with Image.open(path, formats=formats()) as image:
                 if image.width * image.height > MAX_PIXELS:
                     raise _TooLarge
                 yield image

@@ -27,12 +27,12 @@ def fingerprint(path: Path) -> int:
 def same_pictures(paths: Iterable[Path], others: Iterable[Path]) -> Mapping[Path, Path]:
     """For each file that shows what one of ``others`` shows, the first such one; unreadable files match nothing."""
     known = [(print_, path) for path, print_ in _fingerprints(others)]
-    found: dict[Path, Path] = {}
+    matches: dict[Path, Path] = {}
     for path, print_ in _fingerprints(paths):
         match = next((other for known_print, other in known if (print_ ^ known_print).bit_count() <= SAME), None)
         if match is not None:
-            found[path] = match
-    return found
+            matches[path] = match
+    return matches
 
 
 def _fingerprints(paths: Iterable[Path]) -> list[tuple[Path, int]]:

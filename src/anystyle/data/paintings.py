@@ -38,8 +38,13 @@ def _opens(path: Path) -> bool:
     return True
 
 
-def read_square(path: Path, size: int) -> Float[Tensor, "1 3 H W"]:
-    """The middle square of a picture, its side scaled to ``size`` pixels.
+def read_square(path: Path, size: int, position: float = 0.5) -> Float[Tensor, "1 3 H W"]:
+    """A square of a picture, its side scaled to ``size`` pixels.
+
+    Args:
+        path: The picture.
+        size: In pixels.
+        position: Where along the longer side, from 0 to 1; 0.5 is the middle.
 
     Raises:
         ValueError: It is no image or a damaged one.
@@ -47,6 +52,6 @@ def read_square(path: Path, size: int) -> Float[Tensor, "1 3 H W"]:
     width, height = image_size(path)
     image = open_image(path, longest=2 * size * max(width, height) // min(width, height) + 1)
     side = min(image.size)
-    left, top = (image.width - side) / 2, (image.height - side) / 2
+    left, top = (image.width - side) * position, (image.height - side) * position
     square = image.resize((size, size), Image.Resampling.LANCZOS, box=(left, top, left + side, top + side))
     return to_tensor(square)[None]

@@ -8,10 +8,13 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from anystyle import colmap
+from anystyle.data.folder import SourceImage
+from anystyle.io import colmap
+from anystyle.types import Cameras
 
 _log = logging.getLogger(__name__)
 
@@ -36,6 +39,13 @@ class StoredCamera:
         return self.intrinsics * scale[:, None]
 
 
+def view_camera(camera: StoredCamera, source: SourceImage) -> Cameras:
+    """A stored camera as that of one view, for the part of its source that the view shows."""
+    intrinsics = source.view_intrinsics(torch.from_numpy(camera.for_size(*source.size)))
+    pose = torch.from_numpy(camera.world_from_camera)
+    return Cameras(pose.float()[None, None], intrinsics.float()[None, None], source.view_size)
+
+
 def read_poses(folder: Path, images: Sequence[str], stored_in: str | None = None) -> dict[str, StoredCamera]:
     """The cameras of a scene's images by file name; empty where none are stored.
 
@@ -50,22 +60,15 @@ def read_poses(folder: Path, images: Sequence[str], stored_in: str | None = None
     Raises:
         ValueError: A file is damaged or does not fit the images, or is not where it was said to be.
     """
-    if stored_in is not None:
-        return _read(folder / stored_in, images)
-    if (folder / "transforms.json").is_file():
-        stored = _transforms(folder / "transforms.json")
-        return _named(stored, images, folder / "transforms.json")
-    if (folder / "poses_bounds.npy").is_file():
-        return _llff(folder / "poses_bounds.npy", images)
-    if (sparse := colmap.find(folder)) is not None:
-        return _named(_colmap(sparse), images, sparse)
-    return {}
-
-
-def _read(path: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
-    """The cameras of one file or of one model."""
-    if path.is_dir() and (sparse := colmap.find(path)) is not None:
-        return _named(_colmap(sparse), images, sparse)
+    if stored_in is None:
+        files = (folder / name for name in ("transforms.json", "poses_bounds.npy"))
+        path = next((file for file in files if file.is_file()), None) or colmap.find(folder)
+        if path is None:
+            return {}
+    else:
+        path = colmap.find(folder / stored_in) or folder / stored_in
+    if path.is_dir() and colmap.find(path) is not None:
+        return _named(_colmap(path), images, path)
     if not path.is_file():
         raise ValueError(f"{path} is not there; cameras= names a file or a COLMAP model in the folder of every scene")
     return _llff(path, images) if path.suffix == ".npy" else _named(_transforms(path), images, path)
@@ -82,22 +85,21 @@ def _named(stored: Mapping[str, StoredCamera], images: Sequence[str], path: Path
 
 def _colmap(folder: Path) -> dict[str, StoredCamera]:
     model = colmap.read(folder)
-    fisheye = sorted({lens.model for lens in model.cameras.values() if "FISHEYE" in lens.model or lens.model == "FOV"})
+    models = {camera.model for camera in model.cameras.values()}
+    fisheye = sorted(name for name in models if "FISHEYE" in name or name == "FOV")
     if fisheye:
         raise ValueError(f"{folder} has {fisheye[0]} cameras; undistort the images (colmap image_undistorter) first")
-    strongest = max((abs(value) for lens in model.cameras.values() for value in lens.distortion), default=0.0)
-    if strongest > 1e-6:
-        _log.warning(
-            "%s has distorted images (up to %.3g), which is not undone; undistort them first", folder, strongest
-        )
+    largest = max((abs(value) for camera in model.cameras.values() for value in camera.distortion), default=0.0)
+    if largest > 1e-6:
+        _log.warning("%s has distorted images (up to %.3g), which is not undone; undistort them first", folder, largest)
     cameras = {}
     for photograph in model.photographs.values():
         w, x, y, z = photograph.rotation
         pose = np.eye(4)
         pose[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix().T
         pose[:3, 3] = -pose[:3, :3] @ np.array(photograph.translation)
-        lens = model.cameras[photograph.camera]
-        cameras[PurePosixPath(photograph.name).name] = StoredCamera(pose, lens.intrinsics, lens.size)
+        camera = model.cameras[photograph.camera]
+        cameras[PurePosixPath(photograph.name).name] = StoredCamera(pose, camera.intrinsics, camera.size)
     return cameras
 
 
@@ -118,10 +120,11 @@ def _frame(entry: Mapping[str, Any]) -> StoredCamera:
         raise ValueError(f"an image of {width}x{height} pixels")
     fx = entry["fl_x"] if "fl_x" in entry else 0.5 * width / np.tan(0.5 * float(entry["camera_angle_x"]))
     fy = entry.get("fl_y", fx)
-    lens = np.array([[fx, 0, entry.get("cx", width / 2)], [0, fy, entry.get("cy", height / 2)], [0, 0, 1]], np.float64)
+    cx, cy = entry.get("cx", width / 2), entry.get("cy", height / 2)
+    intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
     # OpenGL's camera looks along -z with y up.
     pose = _rigid(np.array(entry["transform_matrix"], dtype=np.float64)[:3] @ np.diag([1.0, -1.0, -1.0, 1.0]))
-    return StoredCamera(pose, lens, (height, width))
+    return StoredCamera(pose, intrinsics, (height, width))
 
 
 def _llff(path: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
@@ -141,8 +144,8 @@ def _llff(path: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
             raise ValueError(f"{path} has a camera of {width:g}x{height:g} pixels and focal length {focal:g}")
         # Stored axes are down, right, back.
         axes = np.stack([matrix[:, 1], matrix[:, 0], -matrix[:, 2], matrix[:, 3]], axis=1)
-        lens = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-        cameras[name] = StoredCamera(_rigid(axes), lens, (round(height), round(width)))
+        intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
+        cameras[name] = StoredCamera(_rigid(axes), intrinsics, (round(height), round(width)))
     return cameras
 
 

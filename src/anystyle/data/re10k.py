@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,10 +13,10 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
+from anystyle.caching import LRUCache
 from anystyle.contracts import SceneSource
-from anystyle.data.folder import SourceImage, common_size, read_picture
-from anystyle.data.images import image_size, to_tensor
-from anystyle.data.latest import Latest
+from anystyle.data.folder import SourceImage, as_views, common_size, read_picture
+from anystyle.data.images import image_size
 from anystyle.types import Cameras, Views
 
 
@@ -51,7 +52,7 @@ class Re10kScenes(SceneSource):
         self.multiple = multiple
         self.index = _read_index(self.folder / "index.json")
         self.keys = sorted(self.index)
-        self._chunk = Latest(self._load, 2)
+        self._chunks: LRUCache[str, Mapping[str, Mapping[str, Any]]] = LRUCache(2)
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -90,28 +91,23 @@ class Re10kScenes(SceneSource):
             raise ValueError(
                 f"views {views} of {self.name(scene)}: give at least one of 0 to {len(clip['images']) - 1}"
             )
-        pictures, sources = [], []
+        pictures: list[tuple[Image.Image, SourceImage]] = []
+        # A clip may be called anything, and must not be written anywhere.
+        name = re.sub(r"[^\w-]", "_", self.name(scene))
         with tempfile.TemporaryDirectory() as folder:
             for view in views:
-                path = Path(folder) / f"{self.name(scene)}_{view:05d}"
+                path = Path(folder) / f"{name}_{view:05d}"
                 path.write_bytes(clip["images"][view].numpy().tobytes())
                 size = common_size([image_size(path)], short_side=self.short_side, multiple=self.multiple)
-                picture, source = read_picture(path, path.name, size)
-                pictures.append(to_tensor(picture))
-                sources.append(source)
-        return Views(
-            images=torch.stack(pictures)[None],
-            cameras=_cameras(clip["cameras"][views].double(), sources),
-            names=tuple(source.name for source in sources),
-        )
+                pictures.append(read_picture(path, path.name, size))
+        return as_views(pictures, _cameras(clip["cameras"][views].double(), [source for _, source in pictures]))
 
     def _clip(self, scene: int) -> Mapping[str, Any]:
         key = self.name(scene)
-        clips = self._chunk(self.index[key])
+        chunk = self.index[key]
+        clips = self._chunks.get(chunk, lambda: self._load(chunk))
         if key not in clips:
-            raise ValueError(
-                f"{self.folder / self.index[key]} does not hold the clip {key} that the index says it does"
-            )
+            raise ValueError(f"{self.folder / chunk} does not hold the clip {key} that the index says it does")
         return clips[key]
 
     def _load(self, chunk: str) -> dict[str, Mapping[str, Any]]:

@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import torch
 from PIL import Image
 
+from anystyle.caching import LRUCache
 from anystyle.contracts import SceneSource
-from anystyle.data.folder import SourceImage, common_size, natural, read_picture
-from anystyle.data.images import SUFFIXES, image_size, to_tensor
-from anystyle.data.latest import Latest
+from anystyle.data.folder import SourceImage, as_views, common_size, image_files, natural, read_picture
+from anystyle.data.images import image_size
 from anystyle.data.paintings import readable
-from anystyle.data.poses import StoredCamera, read_poses
+from anystyle.data.poses import StoredCamera, read_poses, view_camera
 from anystyle.types import Cameras, Views
 
 logger = logging.getLogger(__name__)
@@ -74,7 +73,7 @@ class FolderScenes(SceneSource):
         self.folders = self._folders(index)
         if not self.folders:
             raise ValueError(f"root={root}: no scene lies there; expected folders with photographs")
-        self._shots = Latest(self._find, 256)
+        self._cache: LRUCache[int, Shots] = LRUCache(256)
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -109,17 +108,9 @@ class FolderScenes(SceneSource):
         views = list(views)
         if not views or not all(0 <= view < len(shots.paths) for view in views):
             raise ValueError(f"views {views} of {self.name(scene)}: give at least one of 0 to {len(shots.paths) - 1}")
-        pictures, sources = [], []
-        for view in views:
-            path = shots.paths[view]
-            picture, source = read_picture(path, path.stem, shots.size)
-            pictures.append(to_tensor(picture))
-            sources.append(source)
-        return Views(
-            images=torch.stack(pictures)[None],
-            cameras=_cameras([shots.cameras[view] for view in views], sources) if shots.cameras else None,
-            names=tuple(source.name for source in sources),
-        )
+        pictures = [read_picture(shots.paths[view], shots.paths[view].stem, shots.size) for view in views]
+        stored, sources = [shots.cameras[view] for view in views if shots.cameras], [source for _, source in pictures]
+        return as_views(pictures, _cameras(stored, sources) if stored else None)
 
     def _folder(self, scene: int) -> Path:
         if not 0 <= scene < len(self.folders):
@@ -153,11 +144,12 @@ class FolderScenes(SceneSource):
 
     def _photographs(self, folder: Path) -> list[Path]:
         inside = folder / self.images if (folder / self.images).is_dir() else folder
-        found = [path for path in inside.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
-        return sorted(found, key=lambda path: natural(path.name))
+        return image_files(inside)
 
-    def _find(self, scene: int) -> Shots:
-        folder = self._folder(scene)
+    def _shots(self, scene: int) -> Shots:
+        return self._cache.get(scene, lambda: self._read_shots(self._folder(scene)))
+
+    def _read_shots(self, folder: Path) -> Shots:
         paths = self._photographs(folder)
         if not paths:
             raise ValueError(f"there are no photographs in the scene {folder}")
@@ -176,9 +168,4 @@ class FolderScenes(SceneSource):
 
 
 def _cameras(stored: Sequence[StoredCamera], sources: Sequence[SourceImage]) -> Cameras:
-    poses = torch.stack([torch.from_numpy(camera.world_from_camera) for camera in stored])
-    lenses = []
-    for camera, source in zip(stored, sources, strict=True):
-        lens = torch.from_numpy(camera.for_size(*source.size))
-        lenses.append(source.view_intrinsics(lens))
-    return Cameras(poses.float()[None], torch.stack(lenses).float()[None], sources[0].view_size)
+    return Cameras.cat([view_camera(*pair) for pair in zip(stored, sources, strict=True)], dim=1)

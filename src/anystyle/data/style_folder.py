@@ -7,8 +7,7 @@ from PIL import Image
 
 from anystyle.contracts import StyleSource
 from anystyle.data.captions import read_captions
-from anystyle.data.folder import natural
-from anystyle.data.images import SUFFIXES
+from anystyle.data.folder import image_files
 from anystyle.data.paintings import listing, read_square, readable
 from anystyle.types import Style
 
@@ -36,8 +35,7 @@ class FolderStyles(StyleSource):
             raise ValueError(f"root={root}: there is no such folder of style images")
         if size < 1:
             raise ValueError(f"size={size}: give at least 1")
-        found = [path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file()]
-        self.paths = readable(sorted(found, key=lambda path: natural(path.name)))
+        self.paths = readable(image_files(folder))
         if not self.paths:
             raise ValueError(f"root={root}: there are no images in it")
         self.size = size

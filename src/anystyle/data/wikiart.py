@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
+import torch
 from PIL import Image
 
 from anystyle.contracts import StyleSource
@@ -37,6 +38,7 @@ class WikiArtStyles(StyleSource):
         split: ``train`` leaves the listed paintings out, ``test`` takes only them, ``all`` does not care.
         text_only: The most styles of text alone; they follow the paintings.
         size: Height and width in pixels.
+        crop: Which square of a painting is taken: the ``centre``, or a ``random`` one at every reading, as published.
 
     Raises:
         ValueError: There are no paintings, a file that was named cannot be read, or ``files`` names a painting for
@@ -54,7 +56,9 @@ class WikiArtStyles(StyleSource):
         split: Literal["train", "test", "all"] = "train",
         text_only: int = 15000,
         size: int = 256,
+        crop: Literal["centre", "random"] = "centre",
     ) -> None:
+        self.crop = crop
         self.root = Path(root)
         if not self.root.is_dir():
             raise ValueError(f"root={root}: there is no such folder of paintings")
@@ -71,14 +75,14 @@ class WikiArtStyles(StyleSource):
         present = set(names)
         chosen = [name for name in names if split == "all" or (name in listed) == (split == "test")]
         if files is not None:
-            wanted = _lines(Path(files), "files")
-            kept = sorted(name for name in wanted if _named(name, held) or (name in listed and split == "train"))
+            allowed = _lines(Path(files), "files")
+            kept = sorted(name for name in allowed if _named(name, held) or (name in listed and split == "train"))
             if kept:
                 raise ValueError(
                     f"files={files} and the test lists have {len(kept)} paintings in common: {listing(kept, 5)}; take "
                     f"them out of files"
                 )
-            chosen = [name for name in chosen if name in wanted]
+            chosen = [name for name in chosen if name in allowed]
         chosen = [name for name in chosen if not _named(name, held)]
         self.paths = readable([self.root / name for name in chosen])
         if not self.paths:
@@ -109,7 +113,8 @@ class WikiArtStyles(StyleSource):
             name = self.texts[style - len(self.paths)]
             return Style(text=(self.descriptions[name],), names=(Path(name).stem,))
         path = self.paths[style]
-        return Style(image=read_square(path, self.size), text=(self.description(path),), names=(path.stem,))
+        position = 0.5 if self.crop == "centre" else float(torch.rand(()))
+        return Style(image=read_square(path, self.size, position), text=(self.description(path),), names=(path.stem,))
 
     def description(self, path: Path) -> str:
         """What is written about a painting; the words of its folder's name where there is nothing."""

@@ -1,4 +1,4 @@
-"""What a protocol promises: figures of a model or of images, with all that they rest on."""
+"""Protocols and their results: figures of a model or of images, with all that they rest on."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
@@ -9,7 +9,11 @@ from typing import Any, TypeVar
 from anystyle.registry.socket import Socket
 
 Progress = Callable[[str, int, int], None]
-"""Called with a stage in a word or two, how much of it is done, and how much there is."""
+"""Called with the name of a stage, the number of its steps that are done, and that of all its steps."""
+
+
+SCENE = "scene "
+"""The names of groups that hold one scene's figures begin so."""
 
 
 @dataclass(frozen=True)
@@ -20,7 +24,7 @@ class Row:
         scene: Its name; empty where a row stands for a style over all scenes.
         style: Its name; empty where a row stands for a scene over all styles.
         figures: Value by name; ``nan`` where there was too little.
-        pictures: Images to look at, by what they show (``photograph``, ``style``, ``result``), as far as there are.
+        pictures: Images to show, by kind (``photograph``, ``style``, ``result``), as far as there are any.
     """
 
     scene: str
@@ -31,17 +35,18 @@ class Row:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What a protocol found.
+    """The result of a protocol.
 
     Args:
         figures: Value by name, over everything; ``nan`` where there was too little.
-        n: How many samples (images, unless ``provenance`` says otherwise) the figures rest on.
+        n: Number of samples (images, unless ``provenance`` says otherwise) behind the figures.
         better: ``higher`` or ``lower`` for figures of which one is better.
         groups: More figures by name under a name, such as those of ``baseline`` or of one scene.
         rows: Those of each scene in each style.
-        stand_ins: For each figure that a stand-in network computed, the network's name: not comparable with any
-            figure of the network it stands for.
-        provenance: What else the figures rest on, such as the variant; plain values that JSON can hold.
+        stand_ins: For each figure that a stand-in network computed, the network's name; not comparable with figures
+            of the network it stands for.
+        times: Seconds by name. They are measured, hence not the same twice; lower is better.
+        provenance: What else the figures rest on, such as the variant, in plain values that JSON can hold.
     """
 
     figures: Mapping[str, float]
@@ -50,7 +55,15 @@ class Evaluation:
     groups: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     rows: tuple[Row, ...] = ()
     stand_ins: Mapping[str, str] = field(default_factory=dict)
+    times: Mapping[str, float] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def scenes(self) -> dict[str, Mapping[str, float]]:
+        """The figures of each scene; those over all scenes where there is one."""
+        scenes = {name.removeprefix(SCENE): group for name, group in self.groups.items() if name.startswith(SCENE)}
+        names = self.provenance.get("scenes", [])
+        return scenes or ({str(names[0]): self.figures} if len(names) == 1 and names[0] else {})
 
     def with_facts(self, **facts: Any) -> "Evaluation":
         """This evaluation with more in its provenance."""
@@ -69,13 +82,13 @@ class Protocol(Socket, ABC):
     def run(self, out: Path, progress: Progress) -> Evaluation:
         """Compute the figures.
 
-        What takes long is written below ``out`` as it is finished, under its final name only when it is complete, and
-        taken from there the next time: an interrupted run goes on, and gives what an uninterrupted one gives. The
-        names ``metrics.*``, ``table.*`` and ``*.png`` in ``out`` itself are the command's.
+        Results that take long are written below ``out`` as they are finished, under their final name only when they
+        are complete, and read the next time: an interrupted run goes on, and ends with the figures of an uninterrupted
+        one. The names ``metrics.*``, ``table.*`` and ``*.png`` in ``out`` itself are the command's.
 
         Args:
             out: A folder that exists.
-            progress: Told of every step that takes a second or more.
+            progress: Called for every step that takes a second or more.
 
         Raises:
             ValueError: Something that the protocol needs is missing or does not fit.

@@ -2,10 +2,11 @@
 
 import json
 import logging
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -14,15 +15,17 @@ from torch import Tensor
 
 from anystyle.data.folder import natural
 from anystyle.data.images import SUFFIXES, open_image, to_tensor
-from anystyle.data.latest import Latest
 from anystyle.types import Cameras, Comparison, Style
 
 log = logging.getLogger(__name__)
 
 DEPTH_SUFFIXES = frozenset({".npy"})
 CAMERAS = "cameras.npz"
-_SHOWN = 8
-_WHOLE = 1 << 16
+_NUM_LISTED = 8
+_LONGEST = 1 << 16
+
+Files = dict[tuple[str, str], Path]
+"""Files by scene and stem."""
 
 
 @dataclass(frozen=True)
@@ -64,19 +67,29 @@ class Pairing:
 
     def scenes(self) -> dict[str, list[Cell]]:
         """The cells of each scene."""
-        found: dict[str, list[Cell]] = {}
+        scenes: dict[str, list[Cell]] = {}
         for cell in self.cells:
-            found.setdefault(cell.scene, []).append(cell)
-        return found
+            scenes.setdefault(cell.scene, []).append(cell)
+        return scenes
+
+
+class _Match(NamedTuple):
+    """A stylized image with what belongs to it."""
+
+    frame: str
+    content: Path
+    stylized: Path
+    reference: Path
+    depth: Path | None
 
 
 def pair(content: Path, style: Path, stylized: Path, depth: Path | None = None) -> Pairing:
     """Find the photograph and the style of each stylized image.
 
-    Stylized images are ``SCENE/STYLE_FRAME.png``, or ``STYLE_FRAME.png`` for one scene. Photographs are
-    ``SCENE/FRAME.png`` (or ``FRAME.png``), styles ``STYLE.png``; either may also lie under the stylized image's own
-    name, as published evaluations write them. Numbers are compared as numbers: frame ``3`` is frame ``003``. Depth is
-    ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` beside it where cameras are known.
+    Stylized images are ``SCENE/STYLE_FRAME.png`` or ``SCENE/STYLE/FRAME.png``, or ``STYLE_FRAME.png`` for one scene.
+    Photographs are ``SCENE/FRAME.png`` (or ``FRAME.png``), styles ``STYLE.png``; either may also lie under the stylized
+    image's own name, as published evaluations write them. Numbers are compared as numbers: frame ``3`` is frame
+    ``003``. Depth is ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` beside it where cameras are known.
 
     Args:
         content: A folder of photographs.
@@ -87,48 +100,47 @@ def pair(content: Path, style: Path, stylized: Path, depth: Path | None = None) 
     Raises:
         ValueError: A folder is missing or empty, or a stylized image has no partner; the message lists them.
     """
-    results = _images(stylized, "stylized")
-    photographs, references = _images(content, "content"), _images(style, "style")
+    results = _files(stylized, "stylized", SUFFIXES)
+    photographs, references = _files(content, "content", SUFFIXES), _files(style, "style", SUFFIXES)
     depths = {} if depth is None else _files(depth, "depth", DEPTH_SUFFIXES)
-    by_content, by_style = _index(photographs), _index(references)
-    by_depth = _index(depths)
-    rows: dict[tuple[str, str], list[tuple[str, Path, Path, Path, Path | None]]] = {}
-    lonely: list[str] = []
-    used: set[Path] = set()
-    for scene, stem in results:
-        found = _partners(scene, stem, by_content, by_style)
-        name = f"{scene}/{stem}".lstrip("/")
-        if isinstance(found, str):
-            lonely.append(f"{name} ({found})")
+    by_content, by_style, by_depth = _by_number(photographs), _by_number(references), _by_number(depths)
+    cells: dict[tuple[str, str], list[_Match]] = {}
+    unmatched: list[str] = []
+    for (scene, stem), path in results.items():
+        name, _, frame = stem.rpartition("_")
+        name, frame = (name, frame) if name else (stem, stem)
+        # Under the stylized image's own name first: a triple of equal names leaves nothing to guess.
+        photograph, reference = _lookup(by_content, scene, (stem, frame)), _lookup(by_style, scene, (stem, name))
+        depth_map = _lookup(by_depth, scene, (frame, stem))
+        if photograph is not None and reference is not None and (depth_map is not None or not depths):
+            match = _Match(frame, photograph, path, reference, depth_map)
+            cells.setdefault((scene, name), []).append(match)
             continue
-        style_name, frame, photograph, reference = found
-        far = _lookup(by_depth, scene, (frame, stem)) if depths else None
-        if depths and far is None:
-            lonely.append(f"{name} (no depth {frame})")
-            continue
-        used |= {photograph, reference}
-        rows.setdefault((scene, style_name), []).append((frame, photograph, reference, results[scene, stem], far))
-    if lonely:
-        raise ValueError(f"{len(lonely)} of {len(results)} stylized images have no partner: {_listed(lonely)}")
-    unused = [_named(path, content) for path in photographs.values() if path not in used]
-    unused += [_named(path, style) for path in references.values() if path not in used]
+        missing = [f"no content {frame}"] * (photograph is None) + [f"no style {name}"] * (reference is None)
+        unmatched.append(f"{scene}/{stem} ({', '.join(missing) or f'no depth {frame}'})".lstrip("/"))
+    if unmatched:
+        raise ValueError(f"{len(unmatched)} of {len(results)} stylized images have no partner: {_listed(unmatched)}")
+    matches = [match for rows in cells.values() for match in rows]
+    used = {match.content for match in matches} | {match.reference for match in matches}
+    unused = [_relative(path, content) for path in photographs.values() if path not in used]
+    unused += [_relative(path, style) for path in references.values() if path not in used]
     if unused:
         log.warning("%d images belong to no stylized image: %s", len(unused), _listed(unused))
-    cells = [_cell(scene, name, rows[scene, name], depth) for scene, name in sorted(rows, key=_natural_pair)]
-    return Pairing(tuple(cells), tuple(unused))
+    order = sorted(cells, key=lambda key: (natural(key[0]), natural(key[1])))
+    return Pairing(tuple(_cell(*key, cells[key], depth) for key in order), tuple(unused))
 
 
 class Reader:
-    """Reads cells as comparisons; the photographs of a scene are decoded once, and stay the same tensor.
+    """Reads cells as comparisons; the photographs of a scene are decoded once and stay the same tensor.
 
     Raises:
         ValueError: A file cannot be read, or sizes differ.
     """
 
     def __init__(self) -> None:
-        self._content = Latest(_read_stack, 1)
-        self._reference = Latest(read, 256)
-        self._depth = Latest(_read_depths, 1)
+        self._content = lru_cache(1)(_read_stack)
+        self._reference = lru_cache(256)(read)
+        self._depth = lru_cache(1)(_read_depths)
 
     def __call__(self, cell: Cell) -> Comparison:
         """Everything of one cell, as a batch of one."""
@@ -151,12 +163,12 @@ class Reader:
 
 
 def read(path: Path) -> Float[Tensor, "3 H W"]:
-    """An image as it is, sRGB in [0, 1].
+    """An image at its own size, sRGB in [0, 1].
 
     Raises:
         ValueError: It cannot be read.
     """
-    return to_tensor(open_image(path, longest=_WHOLE))
+    return to_tensor(open_image(path, longest=_LONGEST))
 
 
 def _read_stack(paths: tuple[Path, ...]) -> Float[Tensor, "1 V 3 H W"]:
@@ -171,7 +183,7 @@ def _read_stack(paths: tuple[Path, ...]) -> Float[Tensor, "1 V 3 H W"]:
 
 
 def _read_depths(paths: tuple[Path, ...]) -> Float[Tensor, "1 V H W"]:
-    found = []
+    maps = []
     for path in paths:
         try:
             values = np.load(path, allow_pickle=False)
@@ -179,8 +191,8 @@ def _read_depths(paths: tuple[Path, ...]) -> Float[Tensor, "1 V H W"]:
             raise ValueError(f"{path} is no array of depth ({str(error).splitlines()[0]})") from None
         if values.ndim != 2 or not np.isfinite(values).all():
             raise ValueError(f"{path} has shape {list(values.shape)}; expected finite depth of shape [H, W]")
-        found.append(torch.from_numpy(values.astype(np.float32)))
-    return torch.stack(found)[None]
+        maps.append(torch.from_numpy(values.astype(np.float32)))
+    return torch.stack(maps)[None]
 
 
 def _read_cameras(cell: Cell, size: tuple[int, int]) -> Cameras | None:
@@ -189,8 +201,8 @@ def _read_cameras(cell: Cell, size: tuple[int, int]) -> Cameras | None:
     try:
         with np.load(cell.cameras, allow_pickle=False) as stored:
             names = [str(name) for name in stored["frames"]]
-            poses, lenses = stored["world_from_camera"], stored["intrinsics"]
-            places = [names.index(frame) for frame in cell.frames]
+            poses, intrinsics = stored["world_from_camera"], stored["intrinsics"]
+            indices = [names.index(frame) for frame in cell.frames]
             height, width = (int(side) for side in stored["size"])
     except (OSError, ValueError, KeyError, EOFError) as error:
         raise ValueError(
@@ -198,27 +210,27 @@ def _read_cameras(cell: Cell, size: tuple[int, int]) -> Cameras | None:
             "(names), world_from_camera [V, 4, 4], intrinsics [V, 3, 3] in pixels and size (height, width)"
         ) from None
     cameras = Cameras(
-        torch.from_numpy(poses[places].astype(np.float32))[None],
-        torch.from_numpy(lenses[places].astype(np.float32))[None],
+        torch.from_numpy(poses[indices].astype(np.float32))[None],
+        torch.from_numpy(intrinsics[indices].astype(np.float32))[None],
         (height, width),
     )
     return cameras.resized(size)
 
 
-def mark(folder: Path, style: str) -> Path:
-    """The file that says that a scene's images in a style are complete, and how long they took."""
+def seconds_file(folder: Path, style: str) -> Path:
+    """The file with the seconds that a scene's images in a style took; written when they are complete."""
     return folder / f".{style}"
 
 
 def _read_seconds(cell: Cell) -> Float[Tensor, " B"] | None:
-    path = mark(cell.stylized[0].parent, cell.style)
+    path = seconds_file(cell.stylized[0].parent, cell.style)
     if not path.is_file():
         return None
     return torch.tensor([json.loads(path.read_text(encoding="utf-8"))["seconds"]], dtype=torch.float32)
 
 
 def write_cameras(path: Path, frames: Sequence[str], cameras: Cameras) -> None:
-    """Write the cameras of one scene so that :class:`Reader` finds them beside depth."""
+    """Write the cameras of one scene as :class:`Reader` reads them from beside depth maps."""
     with path.open("wb") as file:
         np.savez(
             file,
@@ -229,96 +241,67 @@ def write_cameras(path: Path, frames: Sequence[str], cameras: Cameras) -> None:
         )
 
 
-def _images(folder: Path, what: str) -> dict[tuple[str, str], Path]:
-    return _files(folder, what, SUFFIXES)
-
-
-def _files(folder: Path, what: str, suffixes: frozenset[str]) -> dict[tuple[str, str], Path]:
-    """Files by scene and stem, one level deep, in natural order."""
+def _files(folder: Path, what: str, suffixes: frozenset[str]) -> Files:
+    """Files by scene and stem, in natural order; ``SCENE/STYLE/FRAME.png`` has the stem ``STYLE_FRAME``."""
     if not folder.is_dir():
         raise ValueError(f"there is no {what} folder {folder}")
     paths = [path for path in folder.iterdir() if path.is_file()]
-    for inside in (path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")):
-        nested = inside / "images" if (inside / "images").is_dir() else inside
-        paths += [path for path in nested.iterdir() if path.is_file()]
-    found: dict[tuple[str, str], Path] = {}
+    for scene in (path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")):
+        inside = scene / "images" if (scene / "images").is_dir() else scene
+        paths += [path for path in inside.iterdir() if path.is_file()]
+        if what == "stylized":
+            paths += [path for path in inside.glob("*/*") if path.is_file() and not path.parent.name.startswith(".")]
+    files: Files = {}
     for path in sorted(paths, key=lambda path: natural(path.relative_to(folder).as_posix())):
         if path.suffix.lower() not in suffixes or path.name.startswith("."):
             continue
         parts = path.relative_to(folder).parts
-        key = (parts[0] if len(parts) > 1 and parts[0] != "images" else "", path.stem)
-        if key in found:
-            raise ValueError(f"{found[key]} and {path} are the same image of the {what} folder; keep one of them")
-        found[key] = path
-    if not found:
+        inner = [part for part in parts[:-1] if part != "images"]
+        key = (inner[0] if inner else "", "_".join([*inner[1:], path.stem]))
+        if key in files:
+            raise ValueError(f"{files[key]} and {path} are the same image of the {what} folder; keep one of them")
+        files[key] = path
+    if not files:
         raise ValueError(f"the {what} folder {folder} holds no {'depth (.npy)' if what == 'depth' else 'image'}")
-    return found
+    return files
 
 
 def _key(name: str) -> str:
-    return str(int(name)) if re.fullmatch(r"\d{1,9}", name) else name
+    return str(int(name)) if name.isascii() and name.isdecimal() and len(name) < 10 else name
 
 
-def _index(files: Mapping[tuple[str, str], Path]) -> dict[tuple[str, str], Path]:
+def _by_number(files: Files) -> Files:
     return {(scene, _key(stem)): path for (scene, stem), path in files.items()}
 
 
-def _lookup(index: Mapping[tuple[str, str], Path], scene: str, names: Iterable[str]) -> Path | None:
-    for name in names:
-        for place in (scene, ""):
-            if (place, _key(name)) in index:
-                return index[place, _key(name)]
-    return None
+def _lookup(files: Mapping[tuple[str, str], Path], scene: str, names: Iterable[str]) -> Path | None:
+    """The first file of one of these names, in the scene's own folder or in none."""
+    keys = [(folder, _key(name)) for name in names for folder in (scene, "")]
+    return next((files[key] for key in keys if key in files), None)
 
 
-def _partners(
-    scene: str,
-    stem: str,
-    content: Mapping[tuple[str, str], Path],
-    style: Mapping[tuple[str, str], Path],
-) -> tuple[str, str, Path, Path] | str:
-    """Style and frame by name, photograph and style image; or what is missing."""
-    name, _, frame = stem.rpartition("_")
-    if not name:
-        name = frame = stem
-    # Under the stylized image's own name first: a triple of equal names leaves nothing to guess.
-    photograph = _lookup(content, scene, (stem, frame))
-    reference = _lookup(style, scene, (stem, name))
-    if photograph is None and reference is None:
-        return f"no content {frame}, no style {name}"
-    if photograph is None:
-        return f"no content {frame}"
-    if reference is None:
-        return f"no style {name}"
-    return name, frame, photograph, reference
-
-
-def _cell(scene: str, style: str, rows: list[tuple[str, Path, Path, Path, Path | None]], depth: Path | None) -> Cell:
-    rows = sorted(rows, key=lambda row: natural(row[0]))
+def _cell(scene: str, style: str, matches: Sequence[_Match], depth: Path | None) -> Cell:
+    matches = sorted(matches, key=lambda match: natural(match.frame))
     cameras = None if depth is None else depth / scene / CAMERAS
     return Cell(
         scene=scene,
         style=style,
-        frames=tuple(row[0] for row in rows),
-        content=tuple(row[1] for row in rows),
-        stylized=tuple(row[3] for row in rows),
-        reference=rows[0][2],
-        depth=tuple(row[4] for row in rows if row[4] is not None),
+        frames=tuple(match.frame for match in matches),
+        content=tuple(match.content for match in matches),
+        stylized=tuple(match.stylized for match in matches),
+        reference=matches[0].reference,
+        depth=tuple(match.depth for match in matches if match.depth is not None),
         cameras=cameras if cameras is not None and cameras.is_file() else None,
     )
 
 
-def _natural_pair(key: tuple[str, str]) -> tuple[list[tuple[int, str]], list[tuple[int, str]]]:
-    return natural(key[0]), natural(key[1])
-
-
-def _named(path: Path, root: Path) -> str:
+def _relative(path: Path, root: Path) -> str:
     return f"{root.name}/{path.relative_to(root).as_posix()}"
 
 
 def _listed(names: Sequence[str]) -> str:
-    more = len(names) - _SHOWN
-    return ", ".join(names[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+    more = len(names) - _NUM_LISTED
+    return ", ".join(names[:_NUM_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _size(image: Tensor) -> str:

@@ -10,14 +10,14 @@ from PIL import Image
 from anystyle.data.images import open_image
 from anystyle.evaluation.contract import Evaluation, Row
 from anystyle.evaluation.tables import STAND_IN, number, titled
-from anystyle.files import atomic_path
-from anystyle.sheet import Cell, contact_sheet
+from anystyle.io.atomic import atomic_path
+from anystyle.io.sheet import Cell, contact_sheet
 
 OURS, STOOD_IN, PUBLISHED = "#2f5d8a", "#c0862b", "#8a8a92"
-"""Colours of what was computed with the weights that are named, with stand-ins, and of what others published."""
+"""Colours of figures computed with published weights or none, with stand-ins, and of published figures."""
 
 _INK, _RULE = "#1c1c1e", "#dcdce2"
-_EXAMPLES = 4
+_NUM_EXAMPLES = 4
 
 
 def plotting() -> Any:
@@ -33,13 +33,13 @@ def plotting() -> Any:
     return Figure
 
 
-def spread(found: Evaluation, path: Path, *, caption: str = "") -> bool:
-    """Draw, for each figure, a dot for each scene in each style, and a line at their mean.
+def spread(evaluation: Evaluation, path: Path, *, caption: str = "") -> bool:
+    """Draw a panel for each figure, in it a dot for each scene in each style and a line at each scene's mean.
 
     Args:
-        found: What a protocol returned.
+        evaluation: The result of a protocol.
         path: A PNG.
-        caption: A line under all.
+        caption: A line below all panels.
 
     Returns:
         Whether there was anything to draw.
@@ -47,62 +47,50 @@ def spread(found: Evaluation, path: Path, *, caption: str = "") -> bool:
     Raises:
         ImportError: matplotlib is not installed.
     """
-    names = [name for name in found.figures if len(_values(found.rows, name)) > 1]
+    names = [name for name in evaluation.figures if len(_values(evaluation.rows, name)) > 1]
     if not names:
         return False
-    columns = min(4, len(names))
-    lines = math.ceil(len(names) / columns)
-    scenes = list(dict.fromkeys(row.scene for row in found.rows))
-    height = 0.9 + 0.16 * len(scenes)
-    figure = plotting()(figsize=(3.1 * columns, lines * (height + 0.35) + 0.4), dpi=130)
-    axes = figure.subplots(lines, columns, squeeze=False)
-    for place, name in enumerate(names):
-        axis = axes[place // columns][place % columns]
-        color = STOOD_IN if name in found.stand_ins else OURS
+    scenes = list(dict.fromkeys(row.scene for row in evaluation.rows))
+    figure, axes = _panels(len(names), scenes, width=3.1, height=1.25 + 0.16 * len(scenes), margin=(0.0, 0.4))
+    for axis, name in zip(axes, names, strict=True):
+        color = STOOD_IN if name in evaluation.stand_ins else OURS
         for level, scene in enumerate(scenes):
-            values = _values([row for row in found.rows if row.scene == scene], name)
+            values = _values([row for row in evaluation.rows if row.scene == scene], name)
             axis.plot(values, [level] * len(values), "o", color=color, alpha=0.45, markersize=5, markeredgewidth=0)
             if values:
-                middle = sum(values) / len(values)
-                axis.plot([middle, middle], [level - 0.22, level + 0.22], color=_INK, linewidth=1.4)
-        axis.set_yticks(range(len(scenes)), scenes if place % columns == 0 else [""] * len(scenes), fontsize=7)
-        axis.set_ylim(len(scenes) - 0.5, -0.5)
+                mean = sum(values) / len(values)
+                axis.plot([mean, mean], [level - 0.22, level + 0.22], color=_INK, linewidth=1.4)
         axis.tick_params(axis="x", labelsize=7, color=_RULE)
         axis.xaxis.get_offset_text().set_fontsize(7)
-        axis.tick_params(axis="y", length=0)
         axis.locator_params(axis="x", nbins=4)
-        axis.set_title(titled(name, found.better), fontsize=8.5, color=_INK, loc="left")
-        if name in found.stand_ins:
-            axis.set_xlabel(STAND_IN, fontsize=7, color=STOOD_IN)
-        plain(axis)
-    for place in range(len(names), lines * columns):
-        axes[place // columns][place % columns].axis("off")
+        _label(axis, titled(name, evaluation.better), STAND_IN if name in evaluation.stand_ins else "")
     figure.supxlabel(caption, fontsize=7, color="#6e6e76") if caption else None
     save(figure, path)
     return True
 
 
-def examples(found: Evaluation, path: Path) -> bool:
-    """Lay out the best and the worst rows of the first figure that says which is better.
+def examples(evaluation: Evaluation, path: Path) -> bool:
+    """Lay out the best and the worst rows of the first figure that has a better direction.
 
     Args:
-        found: What a protocol returned.
+        evaluation: The result of a protocol.
         path: A PNG.
 
     Returns:
         Whether there were pictures to show.
     """
-    shown = [row for row in found.rows if row.pictures]
-    ranked = next((name for name in found.better if len(_values(shown, name)) == len(shown) > 1), None)
-    if ranked is None:
+    rows = [row for row in evaluation.rows if row.pictures]
+    figure = next((name for name in evaluation.better if len(_values(rows, name)) == len(rows) > 1), None)
+    if figure is None:
         return False
-    order = sorted(shown, key=lambda row: row.figures[ranked], reverse=found.better[ranked] == "higher")
-    count = min(_EXAMPLES, len(order) // 2)
-    chosen = [("best", row) for row in order[:count]] + [("worst", row) for row in order[-count:]]
+    better = evaluation.better[figure]
+    rows.sort(key=lambda row: row.figures[figure], reverse=better == "higher")
+    number_each = min(_NUM_EXAMPLES, len(rows) // 2)
+    chosen = [("best", row) for row in rows[:number_each]] + [("worst", row) for row in rows[-number_each:]]
     kinds = ("photograph", "style", "result")
-    titles = [f"{rank}: {number(row.figures[ranked])} {row.scene} {row.style}".strip() for rank, row in chosen]
+    titles = [f"{rank}: {number(row.figures[figure])} {row.scene} {row.style}".strip() for rank, row in chosen]
     cells: list[list[Cell]] = [[_picture(row, kind) for _, row in chosen] for kind in kinds]
-    note = f"by {ranked}, {found.better[ranked]} is better" + (f" ({STAND_IN})" if ranked in found.stand_ins else "")
+    note = f"by {figure}, {better} is better" + (f" ({STAND_IN})" if figure in evaluation.stand_ins else "")
     sheet = contact_sheet(cells, column_titles=titles, row_titles=kinds, footer=note, cell=(160, 160))
     with atomic_path(path) as temporary:
         sheet.save(temporary)
@@ -131,40 +119,54 @@ def bars(
     Raises:
         ImportError: matplotlib is not installed.
     """
-    columns = min(4, len(names))
-    lines = math.ceil(len(names) / columns)
-    figure = plotting()(figsize=(1.6 + 2.3 * columns, lines * (0.75 + 0.24 * len(groups)) + 0.1), dpi=130)
-    axes = figure.subplots(lines, columns, squeeze=False)
-    for place, name in enumerate(names):
-        axis = axes[place // columns][place % columns]
-        values = [groups[title].get(name, math.nan) for title in groups]
-        axis.barh(range(len(groups)), values, color=[colors.get((title, name), OURS) for title in groups], height=0.66)
-        known = [value for value in values if not math.isnan(value)]
+    titles = list(groups)
+    figure, axes = _panels(len(names), titles, width=2.3, height=0.75 + 0.24 * len(titles), margin=(1.6, 0.1))
+    for axis, name in zip(axes, names, strict=True):
+        values = [groups[title].get(name, math.nan) for title in titles]
+        axis.barh(range(len(titles)), values, color=[colors.get((title, name), OURS) for title in titles], height=0.66)
         for level, value in enumerate(values):
             text = "–" if math.isnan(value) else number(value)
             axis.text(0 if math.isnan(value) else value, level, f" {text}", va="center", fontsize=6.5, color=_INK)
+        known = [value for value in values if not math.isnan(value)]
         if known:
-            axis.set_xlim(
-                min(0, *known) * 1.3 if len(known) > 1 else min(0, known[0]) * 1.3, max(0, *known, 1e-9) * 1.3
-            )
-        axis.set_yticks(range(len(groups)), list(groups) if place % columns == 0 else [""] * len(groups), fontsize=7.5)
-        axis.set_ylim(len(groups) - 0.5, -0.5)
+            axis.set_xlim(1.3 * min(0, *known), 1.3 * max(0, *known, 1e-9))
         axis.set_xticks([])
-        axis.tick_params(axis="y", length=0)
-        axis.set_title(titled(name, better), fontsize=8.5, color=_INK, loc="left")
-        if name in notes:
-            axis.set_xlabel(notes[name], fontsize=7, color=STOOD_IN)
-        plain(axis)
-    for place in range(len(names), lines * columns):
-        axes[place // columns][place % columns].axis("off")
+        _label(axis, titled(name, better), notes.get(name, ""))
     save(figure, path)
 
 
-def plain(axis: Any) -> None:
-    """Leave out what carries nothing."""
-    for side in ("top", "right", "left"):
-        axis.spines[side].set_visible(False)
-    axis.spines["bottom"].set_color(_RULE)
+def _panels(
+    num_panels: int, titles: Sequence[str], *, width: float, height: float, margin: tuple[float, float]
+) -> tuple[Any, list[Any]]:
+    """A figure with panels in rows of four, and their axes; each has a level for every title, from above.
+
+    Args:
+        num_panels: At least 1.
+        titles: Written at the left of each row.
+        width: Of a panel, in inches.
+        height: Of a panel, in inches.
+        margin: Added to the width and the height of all panels.
+    """
+    num_columns = min(4, num_panels)
+    num_rows = math.ceil(num_panels / num_columns)
+    figure = plotting()(figsize=(margin[0] + num_columns * width, margin[1] + num_rows * height), dpi=130)
+    axes = list(figure.subplots(num_rows, num_columns, squeeze=False).flat)
+    for index, axis in enumerate(axes[:num_panels]):
+        axis.set_yticks(range(len(titles)), titles if index % num_columns == 0 else [""] * len(titles), fontsize=7)
+        axis.set_ylim(len(titles) - 0.5, -0.5)
+        axis.tick_params(axis="y", length=0)
+        for side in ("top", "right", "left"):
+            axis.spines[side].set_visible(False)
+        axis.spines["bottom"].set_color(_RULE)
+    for axis in axes[num_panels:]:
+        axis.axis("off")
+    return figure, axes[:num_panels]
+
+
+def _label(axis: Any, title: str, note: str) -> None:
+    axis.set_title(title, fontsize=8.5, color=_INK, loc="left")
+    if note:
+        axis.set_xlabel(note, fontsize=7, color=STOOD_IN)
 
 
 def save(figure: Any, path: Path) -> None:

@@ -1,44 +1,72 @@
-"""Figures that papers printed, and whether they agree with themselves."""
+"""Figures that papers printed, the tables they stand in, and whether they agree with themselves."""
 
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 BUNDLED = Path(__file__).with_name("published.json")
-TOLERANCE = 0.05
-"""How far a printed ArtFID may lie from its printed parts: what rounding of these explains."""
 
-FROM_PARTS = "art_fid_from_parts"
-
-BETTER = {
-    "art_score": "higher",
-    **dict.fromkeys(("art_fid", "fid", "lpips", "lpips_gray", "cfsd", "color_match"), "lower"),
-    **{f"warp_{what}_{span}": "lower" for span in ("short", "long") for what in ("lpips", "rmse")},
-}
-"""Which way the figures of the paper's tables are better."""
+_SECONDS = {"s": 1.0, "m": 60.0}
+_PROPERTIES = {"yes": 1.0, "no": 0.0}
 
 
 @dataclass(frozen=True)
 class PublishedFigure:
-    """One number of a paper's table.
+    """One cell of a paper's table.
 
     Args:
-        method: What it judges.
-        scene: On which scene.
+        method: What it judges, as the table calls it.
+        scene: On which scene; empty for all.
         figure: Its name, as metrics call it.
-        value: As printed.
+        value: As a number: times in seconds, properties 1 or 0.
+        printed: As printed.
         table: Where in the paper.
         source: Which paper, and how it was read.
+        known_as: The method's name in the paper's other tables, where it has another there.
+        origin: The kind of method, and where the paper says that its figure comes from.
+        mark: ``1st`` or ``2nd`` where the paper marks the cell so.
     """
 
     method: str
     scene: str
     figure: str
     value: float
+    printed: str
     table: str
     source: str
+    known_as: str = ""
+    origin: str = ""
+    mark: str = ""
+
+    @property
+    def half_unit(self) -> float:
+        """Half a unit of the last printed digit: how far the exact value may be off."""
+        return 0.5 * 10.0 ** -len(self.printed.partition(".")[2])
+
+
+@dataclass(frozen=True)
+class PublishedTable:
+    """The form of a paper's table.
+
+    Args:
+        name: As ``anystyle report --paper`` takes it.
+        title: What it shows.
+        source: The paper.
+        figures: Its figures, in order.
+        scenes: Its scenes, in order; none where a table is of methods alone.
+        notes: What its cells do not say.
+    """
+
+    name: str
+    title: str
+    source: str
+    figures: tuple[str, ...]
+    scenes: tuple[str, ...]
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -70,25 +98,44 @@ def load(more: Sequence[Path] = ()) -> list[PublishedFigure]:
     return [figure for path in (BUNDLED, *more) for figure in _read(path)]
 
 
-def disagreements(figures: Sequence[PublishedFigure], tolerance: float = TOLERANCE) -> list[Disagreement]:
-    """Recompute ArtFID from its parts wherever these are known, and list where the printed one differs.
+def tables() -> dict[str, PublishedTable]:
+    """The tables of the AnyStyle paper, by name."""
+    stored = _bundled()
+    return {
+        name: PublishedTable(
+            name, table["title"], stored["sources"][table["source"]], tuple(table["figures"]), tuple(table["scenes"]),
+            tuple(table["notes"]),
+        )
+        for name, table in stored["tables"].items()
+    }  # fmt: skip
+
+
+def better() -> dict[str, str]:
+    """``higher`` or ``lower`` for each figure of the tables that has a direction."""
+    return dict(_bundled()["better"])
+
+
+def disagreements(figures: Sequence[PublishedFigure]) -> list[Disagreement]:
+    """The printed ArtFID that differ from those of their parts by more than rounding to the printed digits explains.
 
     ArtFID is ``(1 + LPIPS)(1 + FID)`` (Wright and Ommer, 2022). Figures of one method, scene and paper belong together.
 
     Args:
         figures: Of any tables.
-        tolerance: What rounding may explain.
     """
-    rows: dict[tuple[str, str, str], dict[str, float]] = {}
+    rows: dict[tuple[str, str, str], dict[str, PublishedFigure]] = {}
     for item in figures:
-        rows.setdefault((item.method, item.scene, item.source), {})[item.figure] = item.value
-    found: list[Disagreement] = []
+        rows.setdefault((item.known_as or item.method, item.scene, item.source), {})[item.figure] = item
+    disagreements: list[Disagreement] = []
     for (method, scene, _), row in rows.items():
-        parts = row.get(FROM_PARTS, art_fid(row.get("lpips", math.nan), row.get("fid", math.nan)))
-        gap = abs(row.get("art_fid", math.nan) - parts)
-        if gap > tolerance:
-            found.append(Disagreement(method, scene, row["art_fid"], parts))
-    return found
+        if not {"art_fid", "lpips", "fid"} <= row.keys():
+            continue
+        printed, lpips, fid = row["art_fid"], row["lpips"], row["fid"]
+        low = art_fid(lpips.value - lpips.half_unit, fid.value - fid.half_unit) - printed.half_unit
+        high = art_fid(lpips.value + lpips.half_unit, fid.value + fid.half_unit) + printed.half_unit
+        if not low <= printed.value <= high:
+            disagreements.append(Disagreement(method, scene, printed.value, art_fid(lpips.value, fid.value)))
+    return disagreements
 
 
 def art_fid(lpips: float, fid: float) -> float:
@@ -96,18 +143,16 @@ def art_fid(lpips: float, fid: float) -> float:
     return (1 + lpips) * (1 + fid)
 
 
+@lru_cache(1)
+def _bundled() -> dict[str, Any]:
+    return json.loads(BUNDLED.read_text(encoding="utf-8"))
+
+
 def _read(path: Path) -> list[PublishedFigure]:
     try:
         stored = json.loads(path.read_text(encoding="utf-8"))
-        return [
-            PublishedFigure(
-                str(row["method"]), str(scene), str(figure), float(value), str(row["table"]),
-                str(stored["sources"][row["source"]]),
-            )
-            for row in stored["rows"]
-            for figure, values in row["figures"].items()
-            for scene, value in values.items()
-        ]  # fmt: skip
+        aliases = stored.get("aliases", {})
+        return [cell for row in stored["rows"] for cell in _cells(row, stored["sources"][row["source"]], aliases)]
     except OSError:
         raise
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -115,3 +160,26 @@ def _read(path: Path) -> list[PublishedFigure]:
             f"{path} holds no published figures ({type(error).__name__}: {error}); expected 'sources' and 'rows', "
             f"as in {BUNDLED.name}"
         ) from None
+
+
+def _cells(row: Mapping[str, Any], source: str, aliases: Mapping[str, str]) -> list[PublishedFigure]:
+    method, marks = str(row["method"]), row.get("marks", {})
+    origin = "; ".join(str(row[name]) for name in ("family", "origin") if name in row)
+    return [
+        PublishedFigure(
+            method, str(scene), str(figure), _value(str(printed)), str(printed), str(row["table"]), str(source),
+            aliases.get(method, method), origin, marks.get(figure, {}).get(scene, ""),
+        )
+        for figure, cells in row["figures"].items()
+        for scene, printed in cells.items()
+    ]  # fmt: skip
+
+
+def _value(printed: str) -> float:
+    if printed in _PROPERTIES:
+        return _PROPERTIES[printed]
+    seconds = _SECONDS.get(printed[-1:], 1.0)
+    value = float(printed.rstrip("sm ")) * seconds
+    if not math.isfinite(value):
+        raise ValueError(f"{printed} is no figure")
+    return value

@@ -2,80 +2,55 @@
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from anystyle.evaluation.contract import Evaluation, Row
+from anystyle.evaluation.contract import SCENE, Evaluation, Row
 from anystyle.evaluation.tables import STAND_IN, Table, figures_table
-from anystyle.files import atomic_path
+from anystyle.io.atomic import atomic_path
 
 FILE = "metrics.json"
-_SCENE = "scene "
 
 
-@dataclass(frozen=True)
-class Record:
-    """An evaluation as it lies on disk.
-
-    Args:
-        figures: Value by name.
-        groups: More of them by group.
-        provenance: What they rest on.
-    """
-
-    figures: Mapping[str, float]
-    groups: Mapping[str, Mapping[str, float]]
-    provenance: Mapping[str, Any]
-
-    @property
-    def stand_ins(self) -> dict[str, str]:
-        """The stand-in network behind a figure, where there is one."""
-        return dict(self.provenance.get("stand_ins", {}))
-
-    @property
-    def better(self) -> dict[str, str]:
-        """``higher`` or ``lower`` by figure."""
-        return dict(self.provenance.get("better", {}))
-
-    @property
-    def scenes(self) -> dict[str, Mapping[str, float]]:
-        """The figures of each scene; those of the only one are all there are."""
-        found = {name.removeprefix(_SCENE): group for name, group in self.groups.items() if name.startswith(_SCENE)}
-        only = self.provenance.get("scenes", [])
-        return found or ({str(only[0]): self.figures} if len(only) == 1 and only[0] else {})
-
-
-def write(found: Evaluation, out: Path, provenance: Mapping[str, Any]) -> Table:
+def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> Table:
     """Write ``metrics.json``, ``metrics.csv``, ``table.md`` and ``table.tex``.
 
     Args:
-        found: What a protocol returned.
+        evaluation: The result of a protocol.
         out: The folder.
-        provenance: What the command knows of it, such as weights and seconds.
+        provenance: What the command adds to the evaluation's, such as weights and seconds.
 
     Returns:
         The table.
     """
-    everything = {
-        **{key: value for key, value in found.provenance.items() if key not in provenance},
-        **provenance,
-        "n": found.n,
-        "better": dict(found.better),
-        "stand_ins": dict(found.stand_ins),
+    evaluation = _with_times(evaluation.with_facts(**provenance))
+    stored = {
+        **_plain(evaluation.figures),
+        **{name: _plain(group) for name, group in evaluation.groups.items()},
+        "provenance": {
+            **evaluation.provenance,
+            "n": evaluation.n,
+            "better": dict(evaluation.better),
+            "stand_ins": dict(evaluation.stand_ins),
+        },
     }
-    stored = {**_plain(found.figures), **{name: _plain(group) for name, group in found.groups.items()}}
-    _text(out / FILE, json.dumps({**stored, "provenance": everything}, indent=2, ensure_ascii=False) + "\n")
-    _text(out / "metrics.csv", rows_table(found.rows, found.stand_ins).csv())
-    table = summary(Record(found.figures, found.groups, everything))
-    _text(out / "table.md", table.markdown())
-    _text(out / "table.tex", table.latex())
+    table = summary(evaluation)
+    texts = {
+        FILE: json.dumps(stored, indent=2, ensure_ascii=False) + "\n",
+        "metrics.csv": rows_table(evaluation.rows, evaluation.stand_ins).csv(),
+        "table.md": table.markdown(),
+        "table.tex": table.latex(),
+    }
+    for name, text in texts.items():
+        with atomic_path(out / name) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     return table
 
 
-def read(folder: Path) -> Record | None:
-    """What :func:`write` wrote; ``None`` where there is no evaluation.
+def read(folder: Path) -> Evaluation | None:
+    """The evaluation in a folder, without its rows; ``None`` where there is none.
 
     Raises:
         ValueError: There is one that cannot be read.
@@ -96,33 +71,50 @@ def read(folder: Path) -> Record | None:
         for name, value in stored.items()
         if isinstance(value, dict)
     }
-    return Record(figures, groups, provenance)
+    return Evaluation(
+        figures=figures,
+        n=provenance.get("n", 0),
+        better=provenance.get("better", {}),
+        groups=groups,
+        stand_ins=provenance.get("stand_ins", {}),
+        provenance=provenance,
+    )
 
 
-def summary(record: Record) -> Table:
-    """The table of one evaluation: a row for each figure, a column for all and for each group."""
-    known = record.provenance
-    columns = {"all" if record.groups else "value": record.figures}
-    columns |= {name.removeprefix(_SCENE): group for name, group in record.groups.items()}
-    variant = f", {known['variant']}" if known.get("variant") else ""
-    notes = [f"n = {known.get('n')}, {known.get('seconds', 0):.0f} s on {known.get('machine', 'an unknown machine')}."]
-    if any(name.startswith(_SCENE) for name in record.groups):
+def summary(evaluation: Evaluation) -> Table:
+    """The table of one evaluation: a row for each figure, a column for all scenes and for each group."""
+    provenance, groups = evaluation.provenance, evaluation.groups
+    columns = {provenance.get("title", "all" if groups else "value"): evaluation.figures}
+    columns |= {name.removeprefix(SCENE): group for name, group in groups.items()}
+    variant = f", {provenance['variant']}" if provenance.get("variant") else ""
+    machine = provenance.get("machine", "an unknown machine")
+    notes = [f"n = {evaluation.n}, {provenance.get('seconds', 0):.0f} s on {machine}."]
+    if any(name.startswith(SCENE) for name in groups):
         notes.append("“all” is the mean of the scenes, each judged on its own.")
-    if record.stand_ins:
+    if evaluation.stand_ins:
         notes.append(
-            f"{STAND_IN[0].upper()}{STAND_IN[1:]}: these figures come from networks that stand in for published ones, "
-            "and agree with no published figure."
+            f"{STAND_IN.capitalize()}: these figures come from networks that stand in for published ones, and agree "
+            "with no published figure."
         )
-    notes += [f"Warning: {text}" for text in known.get("warnings", [])]
-    caption = f"{known.get('protocol', 'evaluation')}{variant}"
-    return figures_table(columns, record.better, record.stand_ins, caption=caption, notes=notes)
+    notes += [f"Warning: {text}" for text in provenance.get("warnings", [])]
+    caption = f"{provenance.get('protocol', 'evaluation')}{variant}"
+    return figures_table(columns, evaluation.better, evaluation.stand_ins, caption=caption, notes=notes)
 
 
-def rows_table(rows: tuple[Row, ...], stand_ins: Mapping[str, str]) -> Table:
-    """A row for each scene in each style; the last column names the figures of stand-in networks."""
+def _with_times(evaluation: Evaluation) -> Evaluation:
+    """Measured seconds as figures, which they are in every table and file."""
+    return replace(
+        evaluation,
+        figures={**evaluation.figures, **evaluation.times},
+        better={**evaluation.better, **dict.fromkeys(evaluation.times, "lower")},
+    )
+
+
+def rows_table(rows: Sequence[Row], stand_ins: Mapping[str, str]) -> Table:
+    """A row for each scene in each style; the last column names the figures of stand-in networks, if there are any."""
     names = list(dict.fromkeys(name for row in rows for name in row.figures))
-    said = [name for name in names if name in stand_ins]
-    note = [f"{STAND_IN}: {' '.join(said)}"] if said else []
+    from_stand_ins = [name for name in names if name in stand_ins]
+    note = [f"{STAND_IN}: {' '.join(from_stand_ins)}"] if from_stand_ins else []
     cells = [(row.scene, row.style, *(_full(row.figures.get(name)) for name in names), *note) for row in rows]
     return Table(("scene", "style", *names, *(["note"] if note else [])), tuple(cells))
 
@@ -132,14 +124,9 @@ def _full(value: float | None) -> str:
 
 
 def _plain(figures: Mapping[str, float]) -> dict[str, float | None]:
-    # JSON has no word for "not a number".
+    # JSON has no nan.
     return {name: None if math.isnan(value) else value for name, value in figures.items()}
 
 
 def _float(value: Any) -> float:
     return math.nan if value is None else float(value)
-
-
-def _text(path: Path, text: str) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")

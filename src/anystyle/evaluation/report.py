@@ -8,12 +8,16 @@ from typing import Literal
 
 from anystyle.data.folder import natural
 from anystyle.data.images import SUFFIXES, open_image
-from anystyle.evaluation.published import FROM_PARTS, PublishedFigure, disagreements
+from anystyle.evaluation.contract import Evaluation
+from anystyle.evaluation.published import PublishedFigure, PublishedTable, disagreements
 from anystyle.evaluation.runs import Run
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
-from anystyle.sheet import Cell, TextCard
+from anystyle.io.sheet import Cell, TextCard
 
 Origin = Literal["ours", "stand-in", "published", "none"]
+Column = tuple[str, str]
+"""A scene and the name of a figure."""
+
 ALL = ""
 """The scene of a figure that stands for all scenes."""
 
@@ -27,20 +31,22 @@ class Line:
     """One row of the table.
 
     Args:
-        title: What it is.
-        origin: Where its figures come from.
-        said: The same in words.
-        samples: The values of each figure by (scene, name): one a seed.
-        state: What to say instead of figures, where there are none.
+        title: Of the variant or the published method.
+        origin: Of its figures.
+        source: The origin in words.
+        samples: The values of each figure by (scene, name): one for each seed.
+        state: Written instead of figures, where there are none.
         runs: The runs behind it.
+        printed: The text of a figure that is shown as it was printed.
     """
 
     title: str
     origin: Origin
-    said: str
-    samples: Mapping[tuple[str, str], tuple[float, ...]] = field(default_factory=dict)
+    source: str
+    samples: Mapping[Column, tuple[float, ...]] = field(default_factory=dict)
     state: str = ""
     runs: tuple[Run, ...] = ()
+    printed: Mapping[Column, str] = field(default_factory=dict)
 
     def value(self, scene: str, name: str) -> float:
         """The mean over seeds; ``nan`` where there is no figure."""
@@ -61,89 +67,137 @@ def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
     lines: list[Line] = []
     better: dict[str, str] = {}
     for title, members in grouped.items():
-        records = [(run, run.record()) for run in members if run.state == "finished"]
-        for _, record in records:
+        finished = tuple(run for run in members if run.state == "finished")
+        records = [run.record() for run in finished]
+        for record in records:
             better.update(record.better)
         if not records:
             lines.append(Line(title, "none", "", state=members[0].state, runs=tuple(members)))
             continue
-        lost = len(members) - len(records)
-        suffix = f" ({lost} of {len(members)} seeds {'/'.join(sorted({run.state for run in members} - {'finished'}))})"
-        stood_in = {name for _, record in records for name in record.stand_ins}
-        for origin in ("ours", "stand-in"):
-            samples: dict[tuple[str, str], tuple[float, ...]] = {}
-            for _, record in records:
-                for folder, figures in {ALL: record.figures, **record.scenes}.items():
-                    scene = _SCENES.get(folder.casefold(), folder)
-                    for name, value in figures.items():
-                        if (name in stood_in) == (origin == "stand-in"):
-                            samples[scene, name] = (*samples.get((scene, name), ()), value)
-            if samples:
-                said = STAND_IN if origin == "stand-in" else "computed here"
-                lines.append(
-                    Line(title + (suffix if lost else ""), origin, said, samples, runs=tuple(run for run, _ in records))
-                )
+        states = "/".join(sorted({run.state for run in members} - {"finished"}))
+        suffix = f" ({len(members) - len(records)} of {len(members)} seeds {states})" if states else ""
+        samples = _samples(records)
+        stand_ins = {name for record in records for name in record.stand_ins}
+        ours = {key: values for key, values in samples.items() if key[1] not in stand_ins}
+        theirs = {key: values for key, values in samples.items() if key[1] in stand_ins}
+        if ours:
+            lines.append(Line(title + suffix, "ours", "computed here", ours, runs=finished))
+        if theirs:
+            lines.append(Line(title + suffix, "stand-in", STAND_IN, theirs, runs=finished))
     return lines, better
+
+
+def _samples(records: Sequence[Evaluation]) -> dict[tuple[str, str], tuple[float, ...]]:
+    """The values of every figure in all records, by (scene, name)."""
+    samples: dict[tuple[str, str], tuple[float, ...]] = {}
+    for record in records:
+        for folder, figures in {ALL: record.figures, **record.scenes}.items():
+            scene = _SCENES.get(folder.casefold(), folder)
+            for name, value in figures.items():
+                samples[scene, name] = (*samples.get((scene, name), ()), value)
+    return samples
 
 
 def published_lines(figures: Sequence[PublishedFigure]) -> tuple[list[Line], list[str]]:
     """Rows of published figures, one a method and source, and a note for each source."""
-    rows: dict[tuple[str, str], dict[tuple[str, str], tuple[float, ...]]] = {}
+    rows: dict[tuple[str, str], list[PublishedFigure]] = {}
     for item in figures:
-        if item.figure != FROM_PARTS:
-            rows.setdefault((item.method, item.source), {})[item.scene, item.figure] = (item.value,)
+        rows.setdefault((item.known_as or item.method, item.source), []).append(item)
     sources = list(dict.fromkeys(source for _, source in rows))
     lines = [
-        Line(method, "published", f"published [{sources.index(source) + 1}]", samples)
-        for (method, source), samples in rows.items()
+        _published_line(method, f"published [{sources.index(source) + 1}]", items)
+        for (method, source), items in rows.items()
     ]
-    return lines, [f"[{place}] {source}" for place, source in enumerate(sources, 1)]
+    return lines, [f"[{number}] {source}" for number, source in enumerate(sources, 1)]
 
 
-def figures_of(lines: Sequence[Line], wanted: Sequence[str] = ()) -> list[str]:
-    """The figures to show: those asked for, or all, with the paper's own first.
+def paper_table(
+    form: PublishedTable, figures: Sequence[PublishedFigure], ours: Sequence[Line], better: Mapping[str, str]
+) -> Table:
+    """A table of the paper as it is printed, our rows below it, with what does not add up in its notes.
+
+    Args:
+        form: Of the table.
+        figures: Of all tables: an ArtFID is recomputed from parts that another table has.
+        ours: Rows of runs.
+        better: ``higher`` or ``lower`` by figure.
+    """
+    paper = [item for item in figures if item.source == form.source]
+    cells: dict[str, list[PublishedFigure]] = {}
+    for item in paper:
+        if item.table == form.name:
+            cells.setdefault(item.method, []).append(item)
+    theirs = [_published_line(method, items[0].origin or "published", items) for method, items in cells.items()]
+    lines = [*theirs, *ours]
+    columns = columns_of(lines, form.figures, form.scenes)
+    shown = {(item.known_as, item.scene) for items in cells.values() for item in items}
+    parts = [item for item in paper if (item.known_as, item.scene) in shown]
+    notes = [*form.notes, *(consistency_notes(parts) if "art_fid" in form.figures else [])]
+    return table(lines, columns, better, caption=f"{form.title} ({form.source}, {form.name})", notes=notes)
+
+
+def _published_line(title: str, source: str, items: Sequence[PublishedFigure]) -> Line:
+    samples: dict[Column, tuple[float, ...]] = {}
+    printed: dict[Column, str] = {}
+    for item in items:
+        # A paper repeats rows in a later table, where it marks nothing.
+        samples.setdefault((item.scene, item.figure), (item.value,))
+        printed.setdefault((item.scene, item.figure), f"{item.printed} ({item.mark})" if item.mark else item.printed)
+    return Line(title, "published", source, samples, printed=printed)
+
+
+def figures_of(lines: Sequence[Line], requested: Sequence[str] = ()) -> list[str]:
+    """The names of the figures to show: the requested ones, or all, with the paper's own first.
 
     Raises:
-        ValueError: None of the runs has a figure that is asked for.
+        ValueError: None of the runs has a requested figure.
     """
     ours = [line for line in lines if line.origin != "published"]
     known = list(dict.fromkeys(name for line in ours or lines for _, name in line.samples))
-    unknown = [name for name in wanted if name not in known]
+    unknown = [name for name in requested if name not in known]
     if unknown:
         raise ValueError(f"no run has the figure {unknown[0]!r}; there are {', '.join(known) or 'none'}")
-    if wanted:
-        return list(wanted)
-    # A protocol may tell figures of texts from those of images: `art_fid_text` is one of `art_fid`.
-    first = [name for start in _PREFERRED for name in known if name == start or name.startswith(f"{start}_")]
+    if requested:
+        return list(requested)
+    # A protocol may have a figure for each guide: `art_fid_text` is one of `art_fid`.
+    first = [name for prefix in _PREFERRED for name in known if name == prefix or name.startswith(f"{prefix}_")]
     return first + [name for name in known if name not in first]
 
 
 def scenes_of(lines: Sequence[Line], names: Sequence[str]) -> list[str]:
-    """The scenes that any row has one of the figures of."""
+    """The scenes for which any row has one of these figures."""
     return list(dict.fromkeys(scene for line in lines for scene, name in line.samples if scene and name in names))
+
+
+def columns_of(lines: Sequence[Line], names: Sequence[str], scenes: Sequence[str]) -> list[Column]:
+    """The figures of each scene for which any row has a value, then those that exist over all scenes alone."""
+    known = {column for line in lines for column in line.samples}
+    columns = [(scene, name) for scene in scenes for name in names]
+    columns = [column for column in columns if column in known] or columns
+    shown = {name for scene, name in columns if scene != ALL}
+    return columns + [
+        (ALL, name) for name in names if name not in shown and (ALL, name) in known and (ALL, name) not in columns
+    ]
 
 
 def table(
     lines: Sequence[Line],
-    names: Sequence[str],
-    scenes: Sequence[str],
+    columns: Sequence[Column],
     better: Mapping[str, str],
     *,
     caption: str = "",
     notes: Sequence[str] = (),
 ) -> Table:
-    """A row for each line; columns of figures, each for each scene (or for all of them together)."""
-    places = [(scene, name) for scene in scenes for name in names]
-    places = [place for place in places if any(place in line.samples for line in lines)] or places
-    titles = [f"{scene} {titled(name, better)}".strip() for scene, name in places]
+    """A row for each line and a column for each figure of a scene, or of all scenes together."""
+    titles = [f"{scene} {titled(name, better)}".strip() for scene, name in columns]
     rows: list[tuple[str, ...]] = []
     for line in lines:
-        if line.origin == "published" and not any(place in line.samples for place in places):
+        if line.origin == "published" and not any(column in line.samples for column in columns):
             continue
-        cells = [line.state or _written(line, place) for place in places]
-        rows.append((line.title, line.said or line.state, *cells))
-    seeds = max((len(values) for line in lines for values in line.samples.values()), default=1)
-    more = [f"± is half the width of the 95 % t interval of the mean over {seeds} seeds."] if seeds > 1 else []
+        cells = [line.state or _cell(line, *column) for column in columns]
+        rows.append((line.title, line.source or line.state, *cells))
+    num_seeds = max((len(values) for line in lines for values in line.samples.values()), default=1)
+    more = [f"± is half the width of the 95 % t interval of the mean over {num_seeds} seeds."] if num_seeds > 1 else []
     return Table(("variant", "source", *titles), tuple(rows), caption, (*notes, *more))
 
 
@@ -151,10 +205,10 @@ def consistency_notes(figures: Sequence[PublishedFigure]) -> list[str]:
     """A line for each published method whose ArtFID does not agree with its own parts."""
     by_method: dict[str, list[str]] = {}
     for item in disagreements(figures):
-        by_method.setdefault(item.method, []).append(f"{item.scene} {item.printed:g}, not {item.recomputed:g}")
+        by_method.setdefault(item.method, []).append(f"{item.scene} {item.printed:g}, not {item.recomputed:.2f}")
     return [
-        f"{method}: printed ArtFID does not equal (1 + LPIPS)(1 + FID) of its own row: {'; '.join(found)}."
-        for method, found in by_method.items()
+        f"{method}: printed ArtFID does not equal (1 + LPIPS)(1 + FID) of its own row: {'; '.join(differences)}."
+        for method, differences in by_method.items()
     ]
 
 
@@ -178,8 +232,8 @@ def sheet_cells(lines: Sequence[Line], *, styles: int = 6) -> tuple[list[list[Ce
     head: list[Cell] = [_opened(references.get(name)) for name in names]
     rows: list[list[Cell]] = [head]
     for line in shown.values():
-        found = _stylized(line)
-        rows.append([_opened(found[name]) if name in found else TextCard(line.state or "no picture") for name in names])
+        files = _stylized(line)
+        rows.append([_opened(files[name]) if name in files else TextCard(line.state or "no picture") for name in names])
     return rows, ["style", *shown], [f"style {name}" for name in names]
 
 
@@ -192,25 +246,24 @@ def _title(run: Run, common: set[str]) -> str:
 
 def _short(words: Sequence[str]) -> list[str]:
     kept = [word for word in words if word.partition("=")[0] != _SEED]
-    # One word that differs needs no name in front of its value: `ablation=base` is `base`.
+    # A single word that differs needs no name before its value: `ablation=base` is `base`.
     return [kept[0].partition("=")[2] or kept[0]] if len(kept) == 1 else kept
 
 
-def _written(line: Line, place: tuple[str, str]) -> str:
-    values = [value for value in line.samples.get(place, ()) if not math.isnan(value)]
+def _cell(line: Line, scene: str, name: str) -> str:
+    if (scene, name) in line.printed:
+        return line.printed[scene, name]
+    values = [value for value in line.samples.get((scene, name), ()) if not math.isnan(value)]
     if len(values) < 2:
         return number(values[0] if values else None)
-    return f"{number(line.value(*place))} ± {number(half_width(values))}"
+    return f"{number(line.value(scene, name))} ± {number(half_width(values))}"
 
 
 def half_width(values: Sequence[float]) -> float:
     """Half the width of the 95 % interval of a mean, by Student's t."""
     from scipy import stats
 
-    count = len(values)
-    middle = math.fsum(values) / count
-    deviation = math.sqrt(math.fsum((value - middle) ** 2 for value in values) / (count - 1))
-    return float(stats.t.ppf(0.975, count - 1)) * deviation / math.sqrt(count)
+    return float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
 
 
 def _images(line: Line) -> Path | None:

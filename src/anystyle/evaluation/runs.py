@@ -10,7 +10,7 @@ from typing import Literal
 from omegaconf import OmegaConf
 
 from anystyle.evaluation import record
-from anystyle.evaluation.record import Record
+from anystyle.evaluation.contract import Evaluation
 
 OVERRIDES = Path(".hydra") / "overrides.yaml"
 SWEEP = "multirun.yaml"
@@ -37,10 +37,10 @@ class Run:
     evaluation: Path | None = None
     logged: Mapping[str, float] = field(default_factory=dict)
 
-    def record(self) -> Record:
+    def record(self) -> Evaluation:
         """Its figures: those of its evaluation, or else what it logged."""
-        found = None if self.evaluation is None else record.read(self.evaluation)
-        return found or Record(self.logged, {}, {})
+        stored = None if self.evaluation is None else record.read(self.evaluation)
+        return stored or Evaluation(self.logged, n=0)
 
 
 def find(folder: Path) -> list[Run]:
@@ -51,12 +51,12 @@ def find(folder: Path) -> list[Run]:
     """
     if not folder.is_dir():
         raise ValueError(f"there is no folder {folder}; name a run, a multirun or an evaluation")
-    found = [_run(folder)] if _is_run(folder) else sorted(_inside(folder), key=_place)
-    if not found:
+    runs = [_run(folder)] if _is_run(folder) else sorted(_inside(folder), key=_place)
+    if not runs:
         raise ValueError(
             f"{folder} holds no runs; expected an evaluation (metrics.json), a training, or a multirun with its jobs"
         )
-    return found
+    return runs
 
 
 def _inside(folder: Path) -> Iterator[Run]:

@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 STAND_IN = "stand-in, not comparable"
-"""What every table says of a figure that a stand-in network computed."""
+"""The note on every figure that a stand-in network computed."""
 
 _ARROWS = {"higher": "↑", "lower": "↓"}
-_FIGURES = "0123456789-+.–"
+_DIGITS = "0123456789-+.–"
 _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "↑": r"$\uparrow$", "↓": r"$\downarrow$", "×": r"$\times$",
@@ -21,12 +21,12 @@ _LATEX = {
 
 @dataclass(frozen=True)
 class Table:
-    """Words in rows and columns.
+    """Texts in rows and columns.
 
     Args:
         columns: Titles.
-        rows: As many words each.
-        caption: What it shows, in a line.
+        rows: With a text for each column.
+        caption: A line above.
         notes: Lines below it.
     """
 
@@ -36,35 +36,27 @@ class Table:
     notes: tuple[str, ...] = ()
 
     def markdown(self) -> str:
-        """As a table of GitHub's Markdown, the columns aligned for those who read it as text."""
-        cells = [[_md(word) for word in row] for row in (self.columns, *self.rows)]
-        widths = [max(3, *(len(row[place]) for row in cells)) for place in range(len(self.columns))]
-        lines = [
-            "| " + " | ".join(word.ljust(width) for word, width in zip(row, widths, strict=True)) + " |"
-            for row in cells
-        ]
-        rule = (
-            "|"
-            + "|".join(
-                "-" * (width + 1) + ":" if number else "-" * (width + 2)
-                for width, number in zip(widths, self._numbers(), strict=True)
-            )
-            + "|"
-        )
+        """As a table of GitHub's Markdown, with aligned columns."""
+        cells = [[_md(text) for text in row] for row in (self.columns, *self.rows)]
+        widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
+        rows = [" | ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in cells]
+        lines = [f"| {row} |" for row in rows]
+        ends = [":" if number else "-" for number in self._numbers()]
+        rule = "|".join("-" * (width + 1) + end for width, end in zip(widths, ends, strict=True))
         parts = [f"**{_md(self.caption)}**\n"] if self.caption else []
-        parts.append("\n".join([lines[0], rule, *lines[1:]]))
+        parts.append("\n".join([lines[0], f"|{rule}|", *lines[1:]]))
         parts += [f"\n{_md(note)}" for note in self.notes]
         return "\n".join(parts) + "\n"
 
     def csv(self) -> str:
-        """As comma-separated values; notes are left to the other forms."""
+        """As comma-separated values, without caption and notes."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
         writer.writerows([self.columns, *self.rows])
         return text.getvalue()
 
     def latex(self) -> str:
-        """As a ``tabular`` in booktabs' manner."""
+        """As a ``tabular`` with booktabs' rules."""
         body = [" & ".join(map(tex, row)) + r" \\" for row in self.rows]
         lines = [
             r"\begin{table}[t]",
@@ -83,18 +75,18 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def _numbers(self) -> list[bool]:
-        """Of each column but the first, whether it holds figures, which stand at the right; words stand at the left."""
-        columns = zip(*self.rows, strict=True) if self.rows else [()] * len(self.columns)
-        return [place > 0 and all(not word or word[0] in _FIGURES for word in c) for place, c in enumerate(columns)]
+        """For each column whether it holds numbers, which are aligned right; the first does not."""
+        columns = list(zip(*self.rows, strict=True)) if self.rows else [()] * len(self.columns)
+        return [index > 0 and all(not text or text[0] in _DIGITS for text in c) for index, c in enumerate(columns)]
 
 
 def tex(text: str) -> str:
-    """A text with what LaTeX would take for commands escaped."""
+    """A text with LaTeX's special characters escaped."""
     return "".join(_LATEX.get(letter, letter) for letter in text)
 
 
 def number(value: float | None) -> str:
-    """A figure in four digits; a dash where there is none."""
+    """A value in four significant digits; a dash for none."""
     if value is None or math.isnan(value):
         return "–"
     if value == 0 or 1e-3 <= abs(value) < 1e5:
@@ -103,7 +95,7 @@ def number(value: float | None) -> str:
 
 
 def titled(name: str, better: Mapping[str, str]) -> str:
-    """A figure's name with an arrow to where it is better."""
+    """A figure's name with an arrow in its better direction."""
     return f"{name} {_ARROWS[better[name]]}" if name in better else name
 
 
@@ -115,7 +107,7 @@ def figures_table(
     caption: str = "",
     notes: Sequence[str] = (),
 ) -> Table:
-    """A row for each figure, a column for each group of figures; stand-ins are called so in their own rows.
+    """A row for each figure and a column for each group of figures; figures of stand-ins have a note.
 
     Args:
         columns: Figures by name, by title of the column.
@@ -125,16 +117,14 @@ def figures_table(
         notes: Lines below.
     """
     names = list(dict.fromkeys(name for figures in columns.values() for name in figures))
-    note = [f"{STAND_IN} ({stand_ins[name]})" if name in stand_ins else "" for name in names]
+    remarks = [f"{STAND_IN} ({stand_ins[name]})" if name in stand_ins else "" for name in names]
     rows = [
-        (
-            titled(name, better),
-            *(number(figures.get(name)) for figures in columns.values()),
-            *([said] if any(note) else []),
-        )
-        for name, said in zip(names, note, strict=True)
+        (titled(name, better), *(number(figures.get(name)) for figures in columns.values()), remark)
+        for name, remark in zip(names, remarks, strict=True)
     ]
-    titles = ("figure", *columns, *(["note"] if any(note) else []))
+    titles = ("figure", *columns, "note")
+    if not any(remarks):
+        titles, rows = titles[:-1], [row[:-1] for row in rows]
     return Table(titles, tuple(rows), caption, tuple(notes))
 
 

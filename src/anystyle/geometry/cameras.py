@@ -12,14 +12,14 @@ from torch import Tensor
 from anystyle.types import Cameras
 
 KEY_CAMERAS = 6
-"""A path goes through at most so many of the cameras: more of them make it follow the shake of a hand."""
+"""The most cameras that a path goes through: through more of them it follows the shake of a hand."""
 
 
 def smooth_path(cameras: Cameras, frames: int) -> Cameras:
     """A smooth flight through the cameras of one scene, from the first to the last.
 
     Positions are interpolated without overshoot, rotations with a continuous angular velocity. A single camera sways
-    on a small circle around its place.
+    on a small circle around its position.
 
     Args:
         cameras: A batch of one scene.
@@ -32,22 +32,22 @@ def smooth_path(cameras: Cameras, frames: int) -> Cameras:
         raise ValueError(f"a path needs one scene and at least 1 frame, not {cameras.intrinsics.shape[0]} and {frames}")
     pose = cameras.world_from_camera[0].detach().double().cpu().numpy()
     intrinsics = cameras.intrinsics[0].detach().double().cpu().numpy()
-    count = len(pose)
-    if count == 1:
-        flown, lenses = _sway(pose[0], frames), np.repeat(intrinsics, frames, axis=0)
+    num_cameras = len(pose)
+    if num_cameras == 1:
+        path, path_intrinsics = _sway(pose[0], frames), np.repeat(intrinsics, frames, axis=0)
     else:
-        keys = np.unique(np.linspace(0, count - 1, min(count, KEY_CAMERAS)).round().astype(int))
-        times = np.linspace(0, 1, len(keys))
+        keys = np.unique(np.linspace(0, num_cameras - 1, min(num_cameras, KEY_CAMERAS)).round().astype(int))
+        key_times = np.linspace(0, 1, len(keys))
         # Slow at both ends, as a camera on a dolly.
-        when = 0.5 - 0.5 * np.cos(np.linspace(0, np.pi, frames)) if frames > 1 else np.zeros(1)
-        flown = np.tile(np.eye(4), (frames, 1, 1))
-        flown[:, :3, 3] = PchipInterpolator(times, pose[keys, :3, 3])(when)
-        flown[:, :3, :3] = RotationSpline(times, Rotation.from_matrix(pose[keys, :3, :3]))(when).as_matrix()
-        lenses = PchipInterpolator(times, intrinsics[keys])(when)
+        times = 0.5 - 0.5 * np.cos(np.linspace(0, np.pi, frames)) if frames > 1 else np.zeros(1)
+        path = np.tile(np.eye(4), (frames, 1, 1))
+        path[:, :3, 3] = PchipInterpolator(key_times, pose[keys, :3, 3])(times)
+        path[:, :3, :3] = RotationSpline(key_times, Rotation.from_matrix(pose[keys, :3, :3]))(times).as_matrix()
+        path_intrinsics = PchipInterpolator(key_times, intrinsics[keys])(times)
     like = cameras.intrinsics
     return Cameras(
-        world_from_camera=torch.as_tensor(flown, dtype=like.dtype, device=like.device)[None],
-        intrinsics=torch.as_tensor(lenses, dtype=like.dtype, device=like.device)[None],
+        world_from_camera=torch.as_tensor(path, dtype=like.dtype, device=like.device)[None],
+        intrinsics=torch.as_tensor(path_intrinsics, dtype=like.dtype, device=like.device)[None],
         size=cameras.size,
     )
 
@@ -58,9 +58,9 @@ def look_at(
     """World from camera of cameras at ``eye`` that look at ``target``; differentiable.
 
     Args:
-        eye: Places.
-        target: What lies on the optical axes.
-        up: What points up in the images; the world's -y unless it is given. It may not be along the axis.
+        eye: Camera centres.
+        target: Points on the optical axes.
+        up: Direction that points up in the images, not along an optical axis; the world's -y by default.
     """
     up = eye.new_tensor([0.0, -1.0, 0.0]) if up is None else up
     forward = torch.nn.functional.normalize(target - eye, dim=-1)
@@ -72,13 +72,13 @@ def look_at(
 
 
 def orbit(cameras: Cameras, frames: int, *, degrees: float = 360.0, distance: float = 1.0) -> Cameras:
-    """A turn of the middle camera of one scene around the point that it looks at, about its own vertical.
+    """An orbit of the middle camera of one scene around the point that it looks at, about its own vertical.
 
     Args:
         cameras: A batch of one scene.
-        frames: How many cameras to return, at least 1; a full turn does not repeat the first at its end.
-        degrees: How far; half of it to either side, a full turn starts at the camera.
-        distance: Of the point ahead of the camera.
+        frames: How many cameras to return, at least 1; a full circle does not repeat the first at its end.
+        degrees: Angle of the arc, half of it to either side; a full circle starts at the camera.
+        distance: From the camera to the point, in world units.
 
     Raises:
         ValueError: There are several scenes, or no frame is asked for.
@@ -90,8 +90,8 @@ def orbit(cameras: Cameras, frames: int, *, degrees: float = 360.0, distance: fl
     middle = cameras.intrinsics.shape[1] // 2
     pose = cameras.world_from_camera[0, middle]
     full = abs(degrees) >= 360
-    turn = torch.linspace(0.0, 1.0, frames + 1)[:-1] if full else torch.linspace(-0.5, 0.5, frames)
-    angle = (turn * math.radians(degrees)).to(pose)
+    fraction = torch.linspace(0.0, 1.0, frames + 1)[:-1] if full else torch.linspace(-0.5, 0.5, frames)
+    angle = (fraction * math.radians(degrees)).to(pose)
     zero = torch.zeros_like(angle)
     eye = distance * torch.stack([-angle.sin(), zero, 1 - angle.cos()], dim=-1)
     local = look_at(eye, eye.new_tensor([0.0, 0.0, distance]).expand_as(eye))
@@ -104,9 +104,9 @@ def orbit(cameras: Cameras, frames: int, *, degrees: float = 360.0, distance: fl
 
 def _sway(pose: np.ndarray, frames: int, radius: float = 0.06) -> np.ndarray:
     """Once around a circle in the image plane, looking at what is straight ahead at unit distance."""
-    turn = np.linspace(0, 2 * np.pi, frames, endpoint=False)
+    angle = np.linspace(0, 2 * np.pi, frames, endpoint=False)
     local = np.tile(np.eye(4), (frames, 1, 1))
-    offset = radius * np.stack([np.cos(turn), np.sin(turn), np.zeros(frames)], axis=1)
+    offset = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(frames)], axis=1)
     local[:, :3, 3] = offset
     local[:, :3, :3] = Rotation.from_euler(
         "xy", np.stack([np.arctan(offset[:, 1]), -np.arctan(offset[:, 0])], 1)

@@ -1,4 +1,4 @@
-"""Fusing points that share a voxel, as pure functions."""
+"""Fusion of points that share a voxel, as pure functions."""
 
 import math
 
@@ -10,7 +10,7 @@ from anystyle.types import Clusters
 
 
 def voxel_clusters(points: Float[Tensor, "B M 3"], confidence: Float[Tensor, "B M"], voxel_size: float) -> Clusters:
-    """Let the points of a voxel share it by the softmax of their confidences.
+    """Cluster points by voxel, each weighted by the softmax of the confidences in its voxel.
 
     Voxels lie around the multiples of ``voxel_size`` (ties to even) and are numbered in lexicographic order. A point's
     weight is ``exp(c - max c) / (sum exp(c - max c) + 1e-6)`` over its voxel, and the voxel's mean the weighted sum.
@@ -53,7 +53,7 @@ def fuse(values: Float[Tensor, "B M C"], clusters: Clusters) -> Float[Tensor, "B
 
 
 def lexicographic_ranks(cells: Int[Tensor, "M 3"]) -> Int[Tensor, " M"]:
-    """The place of each row among the distinct rows in lexicographic order."""
+    """The rank of each row among the distinct rows in lexicographic order."""
     lowest = cells.amin(dim=0)
     spans = [int(span) for span in cells.amax(dim=0) - lowest + 1]
     if math.prod(spans) < 2**63:
@@ -62,8 +62,8 @@ def lexicographic_ranks(cells: Int[Tensor, "M 3"]) -> Int[Tensor, " M"]:
     # So wide a range has no room in one integer: join columns by their ranks, of which there are at most M.
     ranks = torch.unique(cells[:, 0], return_inverse=True)[1]
     for column in cells.T[1:]:
-        distinct, places = torch.unique(column, return_inverse=True)
-        ranks = torch.unique(ranks * len(distinct) + places, return_inverse=True)[1]
+        distinct, column_ranks = torch.unique(column, return_inverse=True)
+        ranks = torch.unique(ranks * len(distinct) + column_ranks, return_inverse=True)[1]
     return ranks
 
 

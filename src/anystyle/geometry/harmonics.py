@@ -16,10 +16,10 @@ CONSTANT = 0.5 / sqrt(pi)
 
 
 def degree_of(coefficients: int) -> int:
-    """The degree that a number of coefficients belongs to.
+    """The degree of harmonics with a number of coefficients.
 
     Raises:
-        ValueError: It is no square.
+        ValueError: The number is no square.
     """
     degree = isqrt(max(coefficients, 1)) - 1
     if (degree + 1) ** 2 != coefficients:
@@ -66,7 +66,7 @@ def _legendre(z: Tensor, degree: int) -> dict[tuple[int, int], Tensor]:
 
 
 def colors(harmonics: Float[Tensor, "*batch K 3"], directions: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
-    """What 3DGS shows of coefficients, seen along unit vectors: ``max(sum_k Y_k harmonics_k + 0.5, 0)``."""
+    """The colours that 3DGS shows along unit vectors: ``max(sum_k Y_k harmonics_k + 0.5, 0)``."""
     degree = degree_of(harmonics.shape[-2])
     if degree == 0:
         return (CONSTANT * harmonics[..., 0, :] + 0.5).clamp_min(0)
@@ -85,22 +85,23 @@ def rgb_from_constant(constant: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*ba
 
 
 def rotate(harmonics: Float[Tensor, "*batch K 3"], rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "*batch K 3"]:
-    """The coefficients of the same colours after the world was turned by ``rotation``.
+    """The coefficients of the same colours after a rotation of the world.
 
-    Harmonics of one degree turn among themselves; how, follows from their values at more directions than they are.
+    A rotation mixes harmonics of one degree; the matrix is the least-squares fit of their values at more directions
+    than there are coefficients.
     """
     degree = degree_of(harmonics.shape[-2])
     directions = _spread(8 * (degree + 1) ** 2).to(harmonics.device)
-    turned = basis(directions, degree)  # M K, float64
-    straight = basis(directions @ rotation.double(), degree)  # seen in the axes of the unturned world
-    matrix = torch.linalg.lstsq(turned, straight).solution  # K K, block by block
+    rotated = basis(directions, degree)  # M K, float64
+    original = basis(directions @ rotation.double(), degree)  # in the axes of the world before the rotation
+    matrix = torch.linalg.lstsq(rotated, original).solution  # K K, block by block
     return torch.einsum("kj,...jc->...kc", matrix.to(harmonics.dtype), harmonics)
 
 
 def _spread(count: int) -> Float[Tensor, "M 3"]:
     """Unit vectors spread over the sphere, on a Fibonacci spiral."""
-    place = torch.arange(count, dtype=torch.float64) + 0.5
-    z = 1 - 2 * place / count
-    angle = place * (pi * (3 - sqrt(5)))
+    index = torch.arange(count, dtype=torch.float64) + 0.5
+    z = 1 - 2 * index / count
+    angle = index * (pi * (3 - sqrt(5)))
     radius = (1 - z * z).sqrt()
     return F.normalize(torch.stack([radius * angle.cos(), radius * angle.sin(), z], dim=-1), dim=-1)

@@ -1,4 +1,4 @@
-"""Where the pixels of one view lie in another, by depth and cameras."""
+"""Reprojection of the pixels of one view into another, by depth and cameras."""
 
 from typing import NamedTuple
 
@@ -41,31 +41,33 @@ def reproject(
     y, x = torch.meshgrid(y, x, indexing="ij")
     pixels = torch.stack([x, y, torch.ones_like(x)]).flatten(1)  # 3 HW
     points = torch.linalg.solve(source_intrinsics, pixels.expand(depth.shape[0], -1, -1)) * depth.flatten(1)[:, None]
-    moved = target_from_source[:, :3, :3] @ points + target_from_source[:, :3, 3:]
-    seen = target_intrinsics @ moved
-    place = seen[:, :2] / seen[:, 2:].clamp_min(1e-8)  # M 2 HW
-    limit = place.new_tensor([[width], [height]])
-    inside = ((place >= 0) & (place <= limit)).all(1) & (moved[:, 2] > 0) & (depth.flatten(1) > 0)
+    in_target = target_from_source[:, :3, :3] @ points + target_from_source[:, :3, 3:]
+    homogeneous = target_intrinsics @ in_target
+    projected = homogeneous[:, :2] / homogeneous[:, 2:].clamp_min(1e-8)  # M 2 HW
+    limit = projected.new_tensor([[width], [height]])
+    inside = ((projected >= 0) & (projected <= limit)).all(1) & (in_target[:, 2] > 0) & (depth.flatten(1) > 0)
     shape = (height, width)
     return Reprojected(
-        (place - pixels[:2]).unflatten(2, shape), moved[:, 2].unflatten(1, shape), inside.unflatten(1, shape)
+        (projected - pixels[:2]).unflatten(2, shape), in_target[:, 2].unflatten(1, shape), inside.unflatten(1, shape)
     )
 
 
 def depth_around(
     depth: Float[Tensor, "M H W"], displacement: Float[Tensor, "M 2 H W"]
 ) -> tuple[Float[Tensor, "M H W"], Float[Tensor, "M H W"]]:
-    """The nearest and the farthest of the four depths around each pixel's moved place; outside, those of the border.
+    """The least and the greatest of the four depths around each displaced pixel; outside the image, of its border.
 
     Interpolated depth would be that of neither side at an edge.
     """
     height, width = depth.shape[-2:]
     y = torch.arange(height, dtype=depth.dtype, device=depth.device)[:, None] + displacement[:, 1]
     x = torch.arange(width, dtype=depth.dtype, device=depth.device) + displacement[:, 0]
-    found = []
+    neighbours = []
     for down in (torch.floor, torch.ceil):
         for across in (torch.floor, torch.ceil):
             column, row = across(x).clamp(0, width - 1).long(), down(y).clamp(0, height - 1).long()
-            found.append(depth.flatten(1).gather(1, (row * width + column).flatten(1)).unflatten(1, (height, width)))
-    every = torch.stack(found)
-    return every.amin(0), every.amax(0)
+            neighbours.append(
+                depth.flatten(1).gather(1, (row * width + column).flatten(1)).unflatten(1, (height, width))
+            )
+    depths = torch.stack(neighbours)
+    return depths.amin(0), depths.amax(0)

@@ -66,24 +66,21 @@ def multiply(left: Float[Tensor, "*batch 4"], right: Float[Tensor, "*batch 4"]) 
     return torch.stack(products, dim=-1)
 
 
-def slerp(
-    start: Float[Tensor, "*batch 4"], end: Float[Tensor, "*batch 4"], amount: "float | Float[Tensor, '*batch']"
-) -> Float[Tensor, "*batch 4"]:
-    """The rotation at ``amount`` in [0, 1] of the shorter way from ``start`` to ``end``, at constant speed.
+def cross_matrix(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """The matrices that give cross products: ``cross_matrix(v) @ x`` is ``v`` cross ``x``."""
+    x, y, z = vectors.unbind(-1)
+    zero = torch.zeros_like(x)
+    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
 
-    Args:
-        start: Quaternions of any norm but 0.
-        end: The same; its sign does not matter.
-        amount: One for all, or one each.
-    """
-    start, end = F.normalize(start, dim=-1), F.normalize(end, dim=-1)
-    cosine = (start * end).sum(-1, keepdim=True)
-    end = torch.where(cosine < 0, -end, end)
-    # atan2 of chord lengths, where acos of the cosine would lose half of the digits of a small angle.
-    angle = 2 * torch.atan2((end - start).norm(dim=-1, keepdim=True), (end + start).norm(dim=-1, keepdim=True))
-    share = torch.as_tensor(amount, dtype=start.dtype, device=start.device).expand(start.shape[:-1])[..., None]
-    # sinc(x) is sin(pi x) / (pi x): sin(s angle) / sin(angle) without a division by 0 for equal rotations.
-    whole = torch.sinc(angle / torch.pi)
-    first = (1 - share) * torch.sinc((1 - share) * angle / torch.pi) / whole
-    second = share * torch.sinc(share * angle / torch.pi) / whole
-    return F.normalize(first * start + second * end, dim=-1)
+
+def matrix_from_vector(vectors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """Rotation matrices of rotation vectors: the axis times the angle in radians."""
+    return torch.linalg.matrix_exp(cross_matrix(vectors))
+
+
+def nearest_rotation(matrices: Float[Tensor, "*batch 3 3"]) -> Float[Tensor, "*batch 3 3"]:
+    """The rotation ``R`` with the largest ``trace(Rᵀ M)`` for each matrix (Kabsch 1976; orthogonal Procrustes)."""
+    u, _, vh = torch.linalg.svd(matrices)
+    sign = torch.ones_like(matrices[..., 0])
+    sign[..., 2] = torch.det(u @ vh)
+    return u @ (sign[..., None] * vh)

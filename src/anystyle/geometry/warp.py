@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 def backward_warp(image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"]) -> Float[Tensor, "M C H W"]:
-    """Sample ``image`` at each pixel's place moved by ``flow``; zero outside.
+    """Sample ``image`` at each pixel displaced by ``flow``; zero outside.
 
     The published evaluation's sampling, kept to the digit: the flow is scaled by ``2 / (size - 1)`` although the grid
     holds pixel centres, so long displacements are overshot by one part in ``size``.
@@ -28,7 +28,7 @@ def backward_warp(image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"
 
 
 def sample_at(image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"]) -> Float[Tensor, "M C H W"]:
-    """Sample ``image`` at each pixel's centre moved by ``flow`` pixels, exactly; zero outside."""
+    """Sample ``image`` at each pixel's centre displaced by ``flow`` pixels, exactly; zero outside."""
     height, width = image.shape[-2:]
     x = torch.arange(width, dtype=flow.dtype, device=flow.device) + 0.5
     y = torch.arange(height, dtype=flow.dtype, device=flow.device) + 0.5
@@ -40,8 +40,8 @@ class Splat(NamedTuple):
     """A forward-warped image.
 
     Args:
-        image: The weighted mean of what lands on each pixel; 0 where nothing does.
-        weight: How much landed there.
+        image: The weighted mean of the pixels splatted onto each pixel; 0 where there is none.
+        weight: The sum of their weights.
     """
 
     image: Float[Tensor, "M C H W"]
@@ -72,15 +72,15 @@ def softmax_splat(
     total = source.new_zeros(count, channels + 1, height * width)
     for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
         column, row = left + dx, top + dy
-        share = (1 - (x - column).abs()) * (1 - (y - row).abs())
+        bilinear = (1 - (x - column).abs()) * (1 - (y - row).abs())
         inside = finite & (column >= 0) & (column < width) & (row >= 0) & (row < height)
         index = (row.clamp(0, height - 1) * width + column.clamp(0, width - 1)).long().flatten(1)
-        moved = source * (share * inside).flatten(1)[:, None]
-        total.scatter_add_(2, index[:, None].expand_as(moved), moved)
-    moved_image, landed = total[:, :channels], total[:, channels:]
+        contribution = source * (bilinear * inside).flatten(1)[:, None]
+        total.scatter_add_(2, index[:, None].expand_as(contribution), contribution)
+    image_sum, weight_sum = total[:, :channels], total[:, channels:]
     return Splat(
-        image=(moved_image / (landed + 1e-7)).unflatten(2, (height, width)),
-        weight=landed.unflatten(2, (height, width)),
+        image=(image_sum / (weight_sum + 1e-7)).unflatten(2, (height, width)),
+        weight=weight_sum.unflatten(2, (height, width)),
     )
 
 
@@ -96,9 +96,9 @@ def cycle_visible(
         slack: Allowed squared error beside it, in squared pixels.
     """
     height, width = forward.shape[-2:]
-    back = sample_at(backward, forward)
-    error = (forward + back).square().sum(1)
-    allowed = relative * (forward.square().sum(1) + back.square().sum(1)) + slack
+    sampled = sample_at(backward, forward)
+    error = (forward + sampled).square().sum(1)
+    allowed = relative * (forward.square().sum(1) + sampled.square().sum(1)) + slack
     x = torch.arange(width, device=forward.device) + forward[:, 0]
     y = torch.arange(height, device=forward.device)[:, None] + forward[:, 1]
     inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)

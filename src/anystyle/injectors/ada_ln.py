@@ -3,11 +3,10 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.contracts import Injector
-from anystyle.types import Tokens
+from anystyle.injectors.base import TokenInjector
 
 
-class AdaLN(Injector):
+class AdaLN(TokenInjector):
     """Add tokens with other statistics: ``tokens + gate(z) * (norm(tokens) * (1 + scale(z)) + shift(z))``.
 
     The adaLN-Zero of Peebles and Xie, "Scalable Diffusion Models with Transformers", 2023 (arXiv:2212.09748, section
@@ -19,17 +18,14 @@ class AdaLN(Injector):
         dim: Channels at the site.
         style_dim: Dimensions of the style embedding.
         hidden: Width of the projection, at most twice ``dim``.
-        gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
-            at first; the root of ``style_dim`` makes up for it where training is short.
+        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
         special_tokens: Whether camera and register tokens are styled too.
     """
 
     def __init__(
         self, *, dim: int, style_dim: int, hidden: int = 1024, gain: float = 1.0, special_tokens: bool = False
     ) -> None:
-        super().__init__()
-        self.gain = gain
-        self.special_tokens = special_tokens
+        super().__init__(gain, special_tokens)
         width = min(hidden, 2 * dim)
         self.norm = nn.LayerNorm(dim, eps=1e-6, elementwise_affine=False)
         self.fc = nn.Sequential(nn.Linear(style_dim, width), nn.SiLU())
@@ -37,10 +33,7 @@ class AdaLN(Injector):
         nn.init.zeros_(self.modulation.weight)
         nn.init.zeros_(self.modulation.bias)
 
-    def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
+    def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         """Modulate the tokens by the style."""
-        coded = self.fc(self.gain * style.to(self.modulation.weight.dtype))
-        shift, scale, gate = self.modulation(coded)[:, None, None].chunk(3, dim=-1)
-        plain = tokens.data if self.special_tokens else tokens.patches
-        styled = plain + gate * (self.norm(plain) * (1 + scale) + shift)
-        return tokens.with_data(styled) if self.special_tokens else tokens.with_patches(styled)
+        shift, scale, gate = self.modulation(self.fc(style))[:, None, None].chunk(3, dim=-1)
+        return data + gate * (self.norm(data) * (1 + scale) + shift)

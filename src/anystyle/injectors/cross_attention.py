@@ -4,11 +4,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from anystyle.contracts import Injector
-from anystyle.types import Tokens
+from anystyle.injectors.base import TokenInjector
 
 
-class CrossAttention(Injector):
+class CrossAttention(TokenInjector):
     """Let tokens attend to the style: ``tokens + zero_proj(attention(norm(tokens), style tokens))``.
 
     Style enters by cross-attention in Stylos (arXiv:2509.26455) and Styl3R (arXiv:2505.21060), whose style tokens are
@@ -23,8 +22,7 @@ class CrossAttention(Injector):
         num_tokens: Style tokens that the vector becomes; at least 2, for with one there is nothing to choose from.
         heads: Of the attention.
         head_dim: Channels of each head.
-        gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
-            at first; the root of ``style_dim`` makes up for it where training is short.
+        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
         special_tokens: Whether camera and register tokens are styled too.
 
     Raises:
@@ -42,14 +40,12 @@ class CrossAttention(Injector):
         gain: float = 1.0,
         special_tokens: bool = False,
     ) -> None:
-        super().__init__()
+        super().__init__(gain, special_tokens)
         if num_tokens < 2 or heads < 1 or head_dim < 1:
             raise ValueError(
                 f"injector.num_tokens={num_tokens}, heads={heads} and head_dim={head_dim} leave nothing to attend to; "
                 "give at least 2, 1 and 1"
             )
-        self.gain = gain
-        self.special_tokens = special_tokens
         self.num_tokens, self.heads = num_tokens, heads
         width = heads * head_dim
         self.style_tokens = nn.Linear(style_dim, num_tokens * width)
@@ -63,18 +59,14 @@ class CrossAttention(Injector):
         nn.init.zeros_(self.zero_proj.weight)
         nn.init.zeros_(self.zero_proj.bias)
 
-    def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
+    def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         """Add to each token what it attends to in the style."""
-        plain = tokens.data if self.special_tokens else tokens.patches
-        coded = self.style_tokens(self.gain * style.to(self.zero_proj.weight.dtype))
-        coded = self.style_norm(coded.unflatten(-1, (self.num_tokens, -1)))  # B K W
-        query = self.query(self.norm(plain.flatten(1, 2)))  # B (V p) W
-        found = functional.scaled_dot_product_attention(
+        coded = self.style_norm(self.style_tokens(style).unflatten(-1, (self.num_tokens, -1)))  # B K W
+        query = self.query(self.norm(data.flatten(1, 2)))  # B (V P) W
+        attended = functional.scaled_dot_product_attention(
             self._split(query), self._split(self.key(coded)), self._split(self.value(coded))
         )
-        added = self.zero_proj(found.transpose(1, 2).flatten(-2)).reshape(plain.shape)
-        styled = plain + added
-        return tokens.with_data(styled) if self.special_tokens else tokens.with_patches(styled)
+        return data + self.zero_proj(attended.transpose(1, 2).flatten(-2)).reshape(data.shape)
 
     def _split(self, channels: Tensor) -> Tensor:
         return channels.unflatten(-1, (self.heads, -1)).transpose(1, 2)  # B heads rows head_dim

@@ -3,11 +3,10 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.contracts import Injector
-from anystyle.types import Tokens
+from anystyle.injectors.base import TokenInjector
 
 
-class FiLM(Injector):
+class FiLM(TokenInjector):
     """Scale and shift channels: ``tokens * (1 + scale(z)) + shift(z)``.
 
     Perez et al., "FiLM: Visual Reasoning with a General Conditioning Layer", 2018 (arXiv:1709.07871), Eq. 2, with the
@@ -18,8 +17,7 @@ class FiLM(Injector):
         style_dim: Dimensions of the style embedding.
         hidden: Width of the projection's hidden layer, at most ``expansion`` times ``dim``.
         expansion: See ``hidden``.
-        gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
-            at first; the root of ``style_dim`` makes up for it where training is short.
+        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
         special_tokens: Whether camera and register tokens are styled too.
     """
 
@@ -33,19 +31,14 @@ class FiLM(Injector):
         gain: float = 1.0,
         special_tokens: bool = False,
     ) -> None:
-        super().__init__()
-        self.gain = gain
-        self.special_tokens = special_tokens
+        super().__init__(gain, special_tokens)
         width = min(hidden, expansion * dim)
         self.fc = nn.Sequential(nn.Linear(style_dim, width), nn.ReLU(), nn.Linear(width, dim), nn.ReLU())
         self.modulation = nn.Linear(dim, 2 * dim)
         nn.init.zeros_(self.modulation.weight)
         nn.init.zeros_(self.modulation.bias)
 
-    def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
+    def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         """Modulate the tokens by the style."""
-        coded = self.fc(self.gain * style.to(self.modulation.weight.dtype))
-        scale, shift = self.modulation(coded)[:, None, None].chunk(2, dim=-1)
-        if self.special_tokens:
-            return tokens.with_data(tokens.data * (1 + scale) + shift)
-        return tokens.with_patches(tokens.patches * (1 + scale) + shift)
+        scale, shift = self.modulation(self.fc(style))[:, None, None].chunk(2, dim=-1)
+        return data * (1 + scale) + shift

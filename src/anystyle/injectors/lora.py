@@ -3,11 +3,10 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.contracts import Injector
-from anystyle.types import Tokens
+from anystyle.injectors.base import TokenInjector
 
 
-class LoRA(Injector):
+class LoRA(TokenInjector):
     """Change tokens within few directions: ``tokens + alpha / rank * up(strength(z) * down(tokens))``.
 
     Hu et al., "LoRA: Low-Rank Adaptation of Large Language Models", 2021 (arXiv:2106.09685, Eq. 3): ``down`` is random
@@ -24,8 +23,7 @@ class LoRA(Injector):
         style_dim: Dimensions of the style embedding.
         rank: Of the update, at most ``dim``.
         alpha: The update is scaled by ``alpha / rank``, so that another rank needs no other learning rate.
-        gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
-            at first; the root of ``style_dim`` makes up for it where training is short.
+        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
         special_tokens: Whether camera and register tokens are styled too.
 
     Raises:
@@ -42,21 +40,17 @@ class LoRA(Injector):
         gain: float = 1.0,
         special_tokens: bool = False,
     ) -> None:
-        super().__init__()
+        super().__init__(gain, special_tokens)
         if rank < 1:
             raise ValueError(f"injector.rank is {rank}; give at least 1")
         rank = min(rank, dim)
-        self.gain = gain
         self.factor = alpha / rank
-        self.special_tokens = special_tokens
         self.strength = nn.Linear(style_dim, rank)
         self.down = nn.Linear(dim, rank, bias=False)
         self.up = nn.Linear(rank, dim, bias=False)
         nn.init.zeros_(self.up.weight)
 
-    def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
+    def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         """Add the style's low-rank update."""
-        strength = self.factor * self.strength(self.gain * style.to(self.up.weight.dtype))[:, None, None]
-        plain = tokens.data if self.special_tokens else tokens.patches
-        styled = plain + self.up(strength * self.down(plain))
-        return tokens.with_data(styled) if self.special_tokens else tokens.with_patches(styled)
+        strength = self.factor * self.strength(style)[:, None, None]
+        return data + self.up(strength * self.down(data))

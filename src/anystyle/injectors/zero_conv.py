@@ -3,11 +3,10 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.contracts import Injector
-from anystyle.types import Tokens
+from anystyle.injectors.base import TokenInjector
 
 
-class ZeroConv(Injector):
+class ZeroConv(TokenInjector):
     """Add one vector to every patch token: ``tokens + zero_proj(fc(z))`` (paper Eq. 4; ControlNet's zero convolution).
 
     A 1x1 convolution of a map that is constant in space is one matrix-vector product, so the term is computed on the
@@ -18,8 +17,7 @@ class ZeroConv(Injector):
         style_dim: Dimensions of the style embedding.
         hidden: Width of the projection's hidden layer, at most twice ``dim`` (published: 1024 at token sites, 256 at
             the direct site's 128 channels).
-        gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
-            at first; the root of ``style_dim`` makes up for it where training is short (published: 1).
+        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector` (published: 1).
         special_tokens: Whether camera and register tokens are styled too; the paper says all tokens, the published
             weights were trained with patches only.
     """
@@ -27,18 +25,13 @@ class ZeroConv(Injector):
     def __init__(
         self, *, dim: int, style_dim: int, hidden: int = 1024, gain: float = 1.0, special_tokens: bool = False
     ) -> None:
-        super().__init__()
-        self.gain = gain
+        super().__init__(gain, special_tokens)
         width = min(hidden, 2 * dim)
-        self.special_tokens = special_tokens
         self.fc = nn.Sequential(nn.Linear(style_dim, width), nn.ReLU(), nn.Linear(width, dim))
         self.zero_proj = nn.Linear(dim, dim)
         nn.init.zeros_(self.zero_proj.weight)
         nn.init.zeros_(self.zero_proj.bias)
 
-    def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
+    def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         """Shift the tokens by the style's vector."""
-        shift = self.zero_proj(self.fc(self.gain * style.to(self.zero_proj.weight.dtype)))[:, None, None]
-        if self.special_tokens:
-            return tokens.with_data(tokens.data + shift)
-        return tokens.with_patches(tokens.patches + shift)
+        return data + self.zero_proj(self.fc(style))[:, None, None]

@@ -7,12 +7,13 @@ from kornia.geometry.transform import get_perspective_transform, warp_perspectiv
 from torch import Tensor
 
 from anystyle.contracts import Loss, StyleEncoder
-from anystyle.perception.early import differentiated
+from anystyle.losses._reference import Reference, reference_images
+from anystyle.perception.eager_backward import differentiated
 from anystyle.types import Stylization
 
 
 class ClipPatch(Loss):
-    """Move random crops of every view in the direction of the style (paper section 3.3; CLIPstyler, equation 5).
+    """Move random crops of every view in the direction of the style (paper, equation 10; CLIPstyler, equation 5).
 
     ``mean (1 - cos(E(warp(crop(render))) - E(photograph), d))``. In training, crops and warps are drawn on the CPU from
     the global generator, as dropout's are; out of training they are always the same.
@@ -21,12 +22,13 @@ class ClipPatch(Loss):
         style_encoder: The space; the framework passes the stylizer's own.
         crops: How many a view.
         crop_size: Side of a crop in pixels.
-        distortion: How far the corners move inwards at most, as a share of half a side.
+        distortion: How far the corners move inwards at most, as a fraction of half a side.
         shared_crop: One crop and one warp for all views and copies, as in the published code, where all crops of a
             view are therefore the same picture.
         size: Side that warped crops (bilinear) and photographs (bicubic) are resized to, as published; none leaves
             that to the encoder.
         batch: Patches embedded at a time; a matter of memory alone.
+        reference: What ``photograph`` stands for above: the photograph, as published, or the unstyled ``render``.
         weight: In the objective.
     """
 
@@ -40,6 +42,7 @@ class ClipPatch(Loss):
         shared_crop: bool = False,
         size: int | None = 224,
         batch: int = 16,
+        reference: Reference = "photograph",
         weight: float = 4.0,
     ) -> None:
         super().__init__()
@@ -47,13 +50,15 @@ class ClipPatch(Loss):
             if count < 1:
                 raise ValueError(f"loss.clip_patch.{name}={count}: give at least 1")
         if not 0 <= distortion <= 1:
-            raise ValueError(f"loss.clip_patch.distortion={distortion}: give a share between 0 and 1")
+            raise ValueError(f"loss.clip_patch.distortion={distortion}: give a fraction between 0 and 1")
         self._encoder = (style_encoder,)  # held, not owned
         self.crops = crops
         self.crop_size = crop_size
         self.distortion = distortion
         self.shared_crop = shared_crop
         self.size = size
+        self.reference: Reference = reference
+        self.needs_unstyled = reference == "render"
         self.batch = batch
         self.weight = weight
 
@@ -69,17 +74,17 @@ class ClipPatch(Loss):
         copies = 1 if self.shared_crop else self.crops
         patches = self._patches(color.repeat_interleave(copies, 0), generator)
         with torch.no_grad():
-            before = embed(_resized(result.views.images.flatten(0, 1), self.size, "bicubic"))
-        wanted = F.normalize(result.embedding.direction, dim=-1).repeat_interleave(result.renders.color.shape[1], 0)
+            before = embed(_resized(reference_images(result, self.reference).flatten(0, 1), self.size, "bicubic"))
+        target = F.normalize(result.embedding.direction, dim=-1).repeat_interleave(result.renders.color.shape[1], 0)
         total = color.new_zeros(())
-        for place in torch.arange(len(patches), device=before.device).split(self.batch):
-            view = place // copies
+        for index in torch.arange(len(patches), device=before.device).split(self.batch):
+            view = index // copies
 
-            def away(some: Tensor, before: Tensor = before[view], wanted: Tensor = wanted[view]) -> Tensor:
-                change = F.normalize(embed(_resized(some, self.size, "bilinear")) - before, dim=-1, eps=1e-4)
-                return (1 - (change * wanted).sum(-1)).sum()
+            def distance(batch: Tensor, before: Tensor = before[view], target: Tensor = target[view]) -> Tensor:
+                change = F.normalize(embed(_resized(batch, self.size, "bilinear")) - before, dim=-1, eps=1e-4)
+                return (1 - (change * target).sum(-1)).sum()
 
-            total = total + differentiated(away, patches[place])
+            total = total + differentiated(distance, patches[index])
         return total / len(patches)
 
     def _patches(self, images: Float[Tensor, "M 3 H W"], generator: torch.Generator | None) -> Float[Tensor, "M 3 c c"]:
@@ -105,15 +110,15 @@ def random_corners(
     Args:
         count: How many images.
         side: Of an image in pixels.
-        distortion: The largest move, as a share of half a side.
+        distortion: The largest move, as a fraction of half a side.
         generator: The source of chance; ``None`` for the global one.
 
     Returns:
         x and y of the upper left, upper right, lower right and lower left corner; the image's own are at 0 and
         ``side - 1``.
     """
-    reach = int(distortion * (side // 2))
-    inwards = torch.randint(reach + 1, (count, 4, 2), generator=generator)
+    most = int(distortion * (side // 2))
+    inwards = torch.randint(most + 1, (count, 4, 2), generator=generator)
     sign = torch.tensor([[1, 1], [-1, 1], [-1, -1], [1, -1]])
     return (_square(side) + sign * inwards).float()
 

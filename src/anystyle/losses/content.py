@@ -2,28 +2,28 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle import perception
-from anystyle.contracts import Loss
-from anystyle.perception.compare import squash
-from anystyle.perception.early import differentiated
+from anystyle.losses._features import FeatureLoss
+from anystyle.perception.eager_backward import differentiated
 from anystyle.types import Stylization
 
 
-class Content(Loss):
-    """Keep the VGG features of the photographs (paper section 3.3).
+class Content(FeatureLoss):
+    """Keep the VGG features of the photographs (paper, equation 7).
 
-    ``sum_l mean (phi_l(render) - phi_l(photograph))^2``.
+    ``sum_l mean (phi_l(render) - phi_l(photograph))^2``, or the sum of each view in place of its mean.
 
     Args:
         network: A network of :func:`anystyle.perception.load`.
         layers: Which features.
         size: Side that renders and photographs are squashed to; none keeps them as they are.
+        reduction: ``mean`` over the features of a view, as published, or their ``sum``, as the equation is written.
         weight: In the objective; published as 0.05 for the head variant, 0.075 for the aggregator variant.
     """
 
@@ -33,13 +33,11 @@ class Content(Loss):
         network: str = "vgg19",
         layers: Sequence[str] = ("relu3_1", "relu4_1"),
         size: int | None = 224,
+        reduction: Literal["mean", "sum"] = "mean",
         weight: float = 0.05,
     ) -> None:
-        super().__init__()
-        self.network = perception.load(network)
-        self.layers = tuple(layers)
-        self.size = size
-        self.weight = weight
+        super().__init__(network, layers, size, weight)
+        self.reduction: Literal["mean", "sum"] = reduction
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -49,10 +47,11 @@ class Content(Loss):
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""
         with torch.no_grad():
-            wanted = self.network(squash(result.views.images.flatten(0, 1), self.size), self.layers)
+            target = self.features(result.views.images.flatten(0, 1))
 
         def distance(images: Tensor) -> Tensor:
-            found = self.network(squash(images, self.size), self.layers)
-            return torch.stack([F.mse_loss(*pair) for pair in zip(found, wanted, strict=True)]).sum()
+            layers = zip(self.features(images), target, strict=True)
+            scale = 1 if self.reduction == "mean" else 1 / len(images)
+            return torch.stack([scale * F.mse_loss(*pair, reduction=self.reduction) for pair in layers]).sum()
 
         return differentiated(distance, result.renders.color.flatten(0, 1))

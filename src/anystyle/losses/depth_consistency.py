@@ -9,7 +9,7 @@ from anystyle.types import Stylization
 
 
 class DepthConsistency(Loss):
-    """Keep the rendered depth at the depth the backbone predicted (paper section 3.3).
+    """Keep the rendered depth at the depth the backbone predicted (paper, appendix D).
 
     Mean squared difference of the accumulated depth ``sum w z`` and the predicted map, over all pixels of the input
     views. Where only colours and rotations are styled, its gradient reaches the rotations alone.

@@ -6,23 +6,20 @@ from pathlib import Path
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle import perception
-from anystyle.contracts import Loss
-from anystyle.perception.compare import style_distance
+from anystyle.losses._features import StatisticsLoss
 from anystyle.perception.statistics import gram
-from anystyle.types import Stylization
 
 
-class Gram(Loss):
+class Gram(StatisticsLoss):
     """Match the Gram matrices of features of the style image (Gatys et al. 2016, equations 3 to 5).
 
-    ``sum_l mean_ij (G_ij - G_ij^style)^2`` with ``G = F F^T / places``, averaged over views whose style has an image.
+    ``sum_l mean_ij (G_ij - G_ij^style)^2`` with ``G = F F^T / (h w)``, averaged over views whose style has an image.
 
     Args:
         network: A network of :func:`anystyle.perception.load`.
         layers: Whose matrices; ``rgb`` is the image itself.
         size: Side that renders and style images are squashed to; none keeps each as it is.
-        relative: Each view's distance as the root of its ratio to the photograph's own; see ``style_distance``.
+        relative: Each view's distance as the root of its ratio to the photograph's; see ``StatisticsLoss``.
         weight: In the objective.
     """
 
@@ -35,29 +32,13 @@ class Gram(Loss):
         relative: bool = False,
         weight: float = 1.0,
     ) -> None:
-        super().__init__()
-        self.network = perception.load(network)
-        self.layers = tuple(layers)
-        self.size = size
-        self.relative = relative
-        self.weight = weight
+        super().__init__(network, layers, size, relative, weight)
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
         """The bundled network, on small pictures."""
         return {"network": "texture", "layers": ("relu1_1", "relu2_1"), "size": 48}
 
-    def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
-        return style_distance(
-            result,
-            network=self.network,
-            layers=self.layers,
-            size=self.size,
-            describe=_products,
-            relative=self.relative,
-        )
-
-
-def _products(layer: str, features: Tensor) -> Tensor:
-    return gram(features).flatten(1)[:, None]
+    def statistics(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M K D"]:
+        """The entries of the matrix."""
+        return gram(features).flatten(1)[:, None]

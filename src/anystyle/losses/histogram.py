@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
-from anystyle.perception.compare import mean_where, style_images
+from anystyle.losses._style import mean_where, style_images
 from anystyle.perception.histogram import hellinger, rgb_uv_histogram
 from anystyle.types import Stylization
 
@@ -35,7 +35,7 @@ class Histogram(Loss):
             return color.new_zeros(())
         image, given = styles
         with torch.no_grad():
-            wanted = rgb_uv_histogram(image, bins=self.bins, width=self.width)
-        found = rgb_uv_histogram(color.flatten(0, 1), bins=self.bins, width=self.width)
-        distances = hellinger(found, wanted.repeat_interleave(color.shape[1], 0))
+            target = rgb_uv_histogram(image, bins=self.bins, width=self.width)
+        histogram = rgb_uv_histogram(color.flatten(0, 1), bins=self.bins, width=self.width)
+        distances = hellinger(histogram, target.repeat_interleave(color.shape[1], 0))
         return mean_where(distances, given.repeat_interleave(color.shape[1]))

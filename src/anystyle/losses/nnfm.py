@@ -1,4 +1,4 @@
-"""NNFM: every place of a render looks like some place of the style image."""
+"""NNFM: every feature of a render lies near one of the style image."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,13 +8,12 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from anystyle import perception
-from anystyle.contracts import Loss
-from anystyle.perception.compare import mean_where, squash, style_images
+from anystyle.losses._features import FeatureLoss
+from anystyle.losses._style import mean_where, style_images
 from anystyle.types import Stylization
 
 
-class NNFM(Loss):
+class NNFM(FeatureLoss):
     """Bring every feature of a render near its nearest of the style image (ARF, Zhang et al. 2022, equation 3).
 
     ``mean_i min_j (1 - cos(F_i, F_j^style))`` on the channels of all ``layers`` together, averaged over views whose
@@ -35,11 +34,7 @@ class NNFM(Loss):
         size: int | None = 224,
         weight: float = 1.0,
     ) -> None:
-        super().__init__()
-        self.network = perception.load(network)
-        self.layers = tuple(layers)
-        self.size = size
-        self.weight = weight
+        super().__init__(network, layers, size, weight)
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -54,26 +49,23 @@ class NNFM(Loss):
             return color.new_zeros(())
         image, given = styles
         with torch.no_grad():
-            wanted = self._features(image)
+            targets = self._unit_features(image)
         distances = [
-            _nearest_distance(view, wanted[scene])
+            _nearest_distance(view, targets[scene])
             for scene in range(color.shape[0])
-            for view in self._features(color[scene])
+            for view in self._unit_features(color[scene])
         ]
         return mean_where(torch.stack(distances), given.repeat_interleave(color.shape[1]))
 
-    def _features(self, images: Tensor) -> Tensor:
-        """Unit features of every place, ``M C S``."""
-        maps = torch.cat(self.network(squash(images, self.size), self.layers), dim=1)
-        return F.normalize(maps.flatten(2), dim=1, eps=1e-8)
+    def _unit_features(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M C S"]:
+        return F.normalize(torch.cat(self.features(images), dim=1).flatten(2), dim=1, eps=1e-8)
 
 
-def _nearest_distance(found: Float[Tensor, "C S"], wanted: Float[Tensor, "C T"]) -> Float[Tensor, ""]:
-    nearest = _nearest(found, wanted)
-    return (1 - (found * wanted[:, nearest]).sum(0)).mean()
+def _nearest_distance(features: Float[Tensor, "C S"], target: Float[Tensor, "C T"]) -> Float[Tensor, ""]:
+    return (1 - (features * target[:, _nearest(features, target)]).sum(0)).mean()
 
 
 @torch.no_grad()
-def _nearest(found: Float[Tensor, "C S"], wanted: Float[Tensor, "C T"]) -> Int[Tensor, " S"]:
-    # In pieces: all similarities of two 448 pixel images at once would be 0.6 GB.
-    return torch.cat([(piece.mT @ wanted).argmax(-1) for piece in found.split(4096, dim=1)])
+def _nearest(features: Float[Tensor, "C S"], target: Float[Tensor, "C T"]) -> Int[Tensor, " S"]:
+    # In chunks: all similarities of two 448 pixel images at once would be 0.6 GB.
+    return torch.cat([(chunk.mT @ target).argmax(-1) for chunk in features.split(4096, dim=1)])

@@ -6,14 +6,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle import perception
-from anystyle.contracts import Loss
-from anystyle.perception.compare import style_distance
+from anystyle.losses._features import StatisticsLoss
 from anystyle.perception.statistics import sliced_quantiles, unit_directions
-from anystyle.types import Stylization
 
 
-class SlicedWasserstein(Loss):
+class SlicedWasserstein(StatisticsLoss):
     """Match the distribution of colours or features of the style image (Heitz et al. 2021, equation 4).
 
     ``sum_l`` of the mean squared difference of the quantiles along random directions, averaged over views whose style
@@ -25,7 +22,7 @@ class SlicedWasserstein(Loss):
         size: Side that renders and style images are squashed to; none keeps each as it is.
         directions: Along how many the distributions are compared; drawn once, from ``seed``.
         levels: How many quantiles are compared.
-        relative: Each view's distance as the root of its ratio to the photograph's own; see ``style_distance``.
+        relative: Each view's distance as the root of its ratio to the photograph's; see ``StatisticsLoss``.
         seed: Of the directions.
         weight: In the objective.
     """
@@ -42,28 +39,13 @@ class SlicedWasserstein(Loss):
         seed: int = 0,
         weight: float = 1.0,
     ) -> None:
-        super().__init__()
-        self.network = perception.load(network)
-        self.layers = tuple(layers)
-        self.size = size
+        super().__init__(network, layers, size, relative, weight)
         self.directions = directions
         self.levels = levels
-        self.relative = relative
         self.seed = seed
-        self.weight = weight
 
-    def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
-        return style_distance(
-            result,
-            network=self.network,
-            layers=self.layers,
-            size=self.size,
-            describe=self._quantiles,
-            relative=self.relative,
-        )
-
-    def _quantiles(self, layer: str, features: Tensor) -> Tensor:
+    def statistics(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M K D"]:
+        """The quantiles along all directions."""
         # The same for render and style, and on every machine: drawn on the CPU, from the seed alone.
         generator = torch.Generator().manual_seed(self.seed)
         directions = unit_directions(self.directions, features.shape[1], generator).to(features)

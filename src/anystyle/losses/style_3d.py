@@ -8,16 +8,15 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle import perception
-from anystyle.contracts import Loss
-from anystyle.perception.compare import mean_where, squash, style_images
+from anystyle.losses._features import FeatureLoss
+from anystyle.losses._style import mean_where, style_images
 from anystyle.types import Geometry, Stylization
 
 
-class Style3D(Loss):
+class Style3D(FeatureLoss):
     """Match mean and deviation of features fused in voxels (Stylos, 3D style loss).
 
-    Features of all rendered views are carried to the world points of their places, fused in voxels with a softmax of
+    Features of all rendered views are carried to the world points of their pixels, fused in voxels with a softmax of
     the backbone's confidence, and their statistics over the voxels compared with the style image's:
     ``sum_l w_l (mean_c (mu - mu_style)^2 + mean_c (sigma - sigma_style)^2)`` with the ``w_l`` scaled to sum to 1. What
     several views see alike counts once. A layer's voxels are larger by the ratio of the image's side to its own.
@@ -27,7 +26,7 @@ class Style3D(Loss):
     Args:
         network: A network of :func:`anystyle.perception.load`.
         layers: Whose statistics.
-        shares: Weight of each layer.
+        layer_weights: Weight of each layer.
         voxel_size: At the image's resolution, in the scene's units.
         size: Side that the style image is squashed to; none keeps it as it is.
         weight: In the objective.
@@ -38,25 +37,23 @@ class Style3D(Loss):
         *,
         network: str = "vgg19",
         layers: Sequence[str] = ("relu1_1", "relu2_1", "relu3_1", "relu4_1", "relu5_1"),
-        shares: Sequence[float] = (256.0, 64.0, 16.0, 4.0, 1.0),
+        layer_weights: Sequence[float] = (256.0, 64.0, 16.0, 4.0, 1.0),
         voxel_size: float = 0.002,
         size: int | None = None,
         weight: float = 1.0,
     ) -> None:
-        super().__init__()
-        if len(shares) != len(layers):
-            raise ValueError(f"there are {len(layers)} layers and {len(shares)} shares; give one share a layer")
-        self.network = perception.load(network)
-        self.layers = tuple(layers)
-        self.shares = tuple(share / sum(shares) for share in shares)
+        if len(layer_weights) != len(layers):
+            raise ValueError(
+                f"there are {len(layers)} layers and {len(layer_weights)} layer_weights; give one weight a layer"
+            )
+        super().__init__(network, layers, size, weight)
+        self.layer_weights = tuple(value / sum(layer_weights) for value in layer_weights)
         self.voxel_size = voxel_size
-        self.size = size
-        self.weight = weight
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
         """The bundled network, on small pictures."""
-        return {"network": "texture", "layers": ("relu1_1", "relu2_1"), "shares": (2.0, 1.0)}
+        return {"network": "texture", "layers": ("relu1_1", "relu2_1"), "layer_weights": (2.0, 1.0)}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""
@@ -66,32 +63,32 @@ class Style3D(Loss):
             return color.new_zeros(())
         image, given = styles
         with torch.no_grad():
-            wanted = self.network(squash(image, self.size), self.layers)
-        found = self.network(color.flatten(0, 1), self.layers)
+            targets = self.features(image)
+        rendered = self.network(color.flatten(0, 1), self.layers)
         total = color.new_zeros(())
-        for share, target, maps in zip(self.shares, wanted, found, strict=True):
+        for layer_weight, target, maps in zip(self.layer_weights, targets, rendered, strict=True):
             fused = self._fuse(maps.unflatten(0, color.shape[:2]), result.scene.geometry)
             distances = torch.stack(
                 [_distance(voxels, style.flatten(1)) for voxels, style in zip(fused, target, strict=True)]
             )
-            total = total + share * mean_where(distances, given)
+            total = total + layer_weight * mean_where(distances, given)
         return total
 
     def _fuse(self, maps: Float[Tensor, "B V C h w"], geometry: Geometry) -> list[Float[Tensor, "C _"]]:
         """Features of the voxels of each scene."""
         size = maps.shape[-2:]
-        points = _resized(geometry.points().movedim(-1, 2), size, "nearest-exact")
+        world = _resized(geometry.points().movedim(-1, 2), size, "nearest-exact")
         confidence = _resized(geometry.confidence[:, :, None], size, "bilinear")
         height, width = geometry.depth.shape[-2:]
         side = self.voxel_size * (height * width / (size[0] * size[1])) ** 0.5
         return [
             fuse_in_voxels(
                 features.movedim(1, 0).flatten(1),
-                place.movedim(1, 0).flatten(1).mT,
+                points.movedim(1, 0).flatten(1).mT,
                 trust.flatten(),
                 side,
             )
-            for features, place, trust in zip(maps, points, confidence, strict=True)
+            for features, points, trust in zip(maps, world, confidence, strict=True)
         ]
 
 
@@ -109,9 +106,9 @@ def fuse_in_voxels(
     voxels, index = (points / side).round().long().unique(dim=0, return_inverse=True)
     count = voxels.shape[0]
     peak = confidence.new_full((count,), -torch.inf).scatter_reduce(0, index, confidence, "amax")
-    share = (confidence - peak[index]).exp()
-    share = share / share.new_zeros(count).index_add(0, index, share)[index]
-    return features.new_zeros(features.shape[0], count).index_add(1, index, features * share)
+    weight = (confidence - peak[index]).exp()
+    weight = weight / weight.new_zeros(count).index_add(0, index, weight)[index]
+    return features.new_zeros(features.shape[0], count).index_add(1, index, features * weight)
 
 
 def _distance(first: Tensor, second: Tensor) -> Tensor:

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Metric
-from anystyle.metrics._pairs import checked
+from anystyle.perception.preprocess import checked
 from anystyle.types import Comparison
 
 
@@ -41,10 +41,10 @@ class RowMean(Metric, ABC):
     @torch.no_grad()
     def update(self, comparison: Comparison) -> None:
         """See :meth:`anystyle.contracts.Metric.update`."""
-        found = self.of_rows(checked(comparison))
-        found = found[~found.isnan()].to(self.total)
-        self.total += found.sum()
-        self.rows += found.numel()
+        values = self.of_rows(checked(comparison))
+        values = values[~values.isnan()].to(self.total)
+        self.total += values.sum()
+        self.rows += values.numel()
 
     @final
     def compute(self) -> dict[str, Tensor]:

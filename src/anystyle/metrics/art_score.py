@@ -1,23 +1,23 @@
 """ArtScore: how much stylized images look like fine art to a network that was taught to rank (Chen et al. 2024)."""
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import ClassVar, Literal
 
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.metrics._mean import RowMean
-from anystyle.metrics._pairs import Pairs, gathered
-from anystyle.perception import pictures, vectors
-from anystyle.perception.memo import MEMO
-from anystyle.perception.sources import Weights, checksums, stand_ins
+from anystyle.metrics._networks import NetworkMetric
+from anystyle.metrics._pairs import Pairs, mean_per_row
+from anystyle.perception import embeddings, preprocess
+from anystyle.perception.feature_cache import CACHE
+from anystyle.perception.sources import Weights
 from anystyle.types import Comparison
 
 SIZE = 224
 
 
-class ArtScore(RowMean):
+class ArtScore(NetworkMetric, RowMean):
     """The raw score, unbounded, of stylized images (eval_artscore_consistency_from_stylos.py).
 
     Args:
@@ -32,24 +32,18 @@ class ArtScore(RowMean):
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference", weights: Weights = "auto") -> None:
         super().__init__()
         self.reference = variant == "reference"
-        self.network = vectors.load_art_score(weights)
-        self.stand_ins = stand_ins(self.better, self.network.source)
-        self.weights = checksums(self.network.source)
-
-    @classmethod
-    def example(cls, folder: Path) -> dict[str, object]:
-        """Stand-ins: quick, and the same everywhere."""
-        return {"weights": "stand_in"}
+        self.network = embeddings.load_art_score(weights)
+        self.declare(self.network.source)
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         """The mean over each row's views."""
-        return gathered(comparison, self._scores)
+        return mean_per_row(comparison, self._scores)
 
-    def _scores(self, some: Pairs) -> Float[Tensor, " M"]:
-        what = ("art_score", self.network.source.identity, self.reference)
-        return MEMO.rows(some.stylized, some.stylized_marks, what, lambda x: [self.network(self._prepared(x))])[0]
+    def _scores(self, batch: Pairs) -> Float[Tensor, " M"]:
+        key = ("art_score", self.network.source.identity, self.reference)
+        return CACHE.features(batch.preds, key, lambda images: [self.network(self._prepared(images))])[0]
 
     def _prepared(self, images: Tensor) -> Tensor:
         if self.reference:
-            return pictures.resized(images, SIZE, rounded=True)
-        return pictures.as_pillow(images, (SIZE, SIZE))
+            return preprocess.resized(images, SIZE, rounded=True)
+        return preprocess.as_pillow(images, (SIZE, SIZE))

@@ -8,9 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import StyleEncoder, neutral_embedding
-from anystyle.metrics._embeddings import embed, row_by_row, wanted
+from anystyle.metrics._embeddings import embed, embed_styles, of_given_rows
 from anystyle.metrics._mean import RowMean
-from anystyle.perception.memo import fingerprints
 from anystyle.types import Comparison
 
 
@@ -40,13 +39,12 @@ class ClipDirection(RowMean):
             ValueError: There is no style.
         """
         encoder = self._encoder[0]
-        styles, given = wanted(encoder, comparison, self.size)
+        styles, given = embed_styles(encoder, comparison, self.size)
         directions = F.normalize(styles - neutral_embedding(encoder).to(styles), dim=-1)
 
         def cosine(row: int) -> Tensor:
-            content, stylized = comparison.content[row], comparison.stylized[row]
-            before = embed(encoder, content, fingerprints(content), self.size)
-            after = embed(encoder, stylized, fingerprints(stylized), self.size)
-            return (F.normalize(after - before, dim=-1) @ directions[row]).mean()
+            target = embed(encoder, comparison.content[row], self.size)
+            preds = embed(encoder, comparison.stylized[row], self.size)
+            return (F.normalize(preds - target, dim=-1) @ directions[row]).mean()
 
-        return row_by_row(comparison, given, cosine)
+        return of_given_rows(given, cosine)

@@ -8,9 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import StyleEncoder
-from anystyle.metrics._embeddings import embed, row_by_row, wanted
+from anystyle.metrics._embeddings import embed, embed_styles, of_given_rows
 from anystyle.metrics._mean import RowMean
-from anystyle.perception.memo import fingerprints
 from anystyle.types import Comparison
 
 
@@ -40,12 +39,11 @@ class ClipStyle(RowMean):
             ValueError: There is no style.
         """
         encoder = self._encoder[0]
-        styles, given = wanted(encoder, comparison, self.size)
+        styles, given = embed_styles(encoder, comparison, self.size)
         styles = F.normalize(styles, dim=-1)
 
         def cosine(row: int) -> Tensor:
-            stylized = comparison.stylized[row]
-            found = embed(encoder, stylized, fingerprints(stylized), self.size)
-            return (F.normalize(found, dim=-1) @ styles[row]).mean()
+            preds = embed(encoder, comparison.stylized[row], self.size)
+            return (F.normalize(preds, dim=-1) @ styles[row]).mean()
 
-        return row_by_row(comparison, given, cosine)
+        return of_given_rows(given, cosine)

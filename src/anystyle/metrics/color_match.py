@@ -8,14 +8,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.metrics._mean import RowMean
-from anystyle.metrics._pairs import pairs, row_means, style_images
-from anystyle.perception import pictures
+from anystyle.metrics._pairs import Pairs, mean_per_row, with_style_images
+from anystyle.perception import preprocess
+from anystyle.perception.feature_cache import CACHE
 from anystyle.perception.histogram import hellinger, rgb_uv_histogram
-from anystyle.perception.memo import MEMO, fingerprints
 from anystyle.types import Comparison
 
-TOGETHER = 2
-"""Images whose kernels, 65536 pixels times 64 bins each, are held at once."""
+BATCH = 2
+"""Images whose kernels, 65536 pixels times 64 bins each, are in memory at once."""
 
 
 class ColorMatch(RowMean):
@@ -40,18 +40,18 @@ class ColorMatch(RowMean):
         Raises:
             ValueError: No row has a style image.
         """
-        image, given = style_images(comparison)
-        wanted = self._histograms(image, fingerprints(image))
-        rows: dict[int, list[Tensor]] = {}
-        for some in pairs(comparison):
-            if bool(given[some.row]):
-                found = self._histograms(some.stylized, some.stylized_marks)
-                rows.setdefault(some.row, []).append(hellinger(found, wanted[some.row].expand_as(found)))
-        return row_means(rows)
+        comparison, style = with_style_images(comparison)
+        target = self._histograms(style)
 
-    def _histograms(self, images: Tensor, marks: list[str]) -> Tensor:
-        def count(some: Tensor) -> list[Tensor]:
-            some = pictures.eight_bit(some) if self.rounded else some
-            return [torch.cat([rgb_uv_histogram(part) for part in some.split(TOGETHER)])]
+        def distances(batch: Pairs) -> Tensor:
+            preds = self._histograms(batch.preds)
+            return hellinger(preds, target[batch.row].expand_as(preds))
 
-        return MEMO.rows(images, marks, ("rgb-uv", self.rounded), count)[0]
+        return mean_per_row(comparison, distances)
+
+    def _histograms(self, images: Tensor) -> Tensor:
+        def histograms(batch: Tensor) -> list[Tensor]:
+            batch = preprocess.eight_bit(batch) if self.rounded else batch
+            return [torch.cat([rgb_uv_histogram(part) for part in batch.split(BATCH)])]
+
+        return CACHE.features(images, ("rgb-uv", self.rounded), histograms)[0]

@@ -2,22 +2,20 @@
 
 import warnings
 from collections.abc import Mapping
-from pathlib import Path
 from typing import ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Metric
-from anystyle.metrics._pairs import checked, pairs, style_images
-from anystyle.perception import pictures, vectors
-from anystyle.perception.memo import MEMO, fingerprints
-from anystyle.perception.sources import Weights, checksums, stand_ins
+from anystyle.metrics._networks import NetworkMetric, image_vectors, stacked
+from anystyle.metrics._pairs import pairs, with_style_images
+from anystyle.perception import embeddings
+from anystyle.perception.sources import Weights
 from anystyle.types import Comparison
 
 
-class KID(Metric):
+class KID(NetworkMetric):
     """Squared maximum mean discrepancy, with a cubic kernel, of stylized and style images.
 
     Unbiased at any number of images, in one estimate over all of them. A style image counts once: copies of one image
@@ -30,8 +28,6 @@ class KID(Metric):
 
     better: ClassVar[Mapping[str, str]] = {"kid": "lower"}
     higher_is_better = False
-    is_differentiable = False
-    full_state_update = False
     stylized: list[Tensor]
     style: list[Tensor]
 
@@ -40,30 +36,21 @@ class KID(Metric):
         if size < 75:
             raise ValueError(f"kid.size is {size}; the network reads 75 pixels and more")
         self.size = size
-        self.inception = vectors.load_art_inception(weights)
-        self.stand_ins = stand_ins(self.better, self.inception.source)
-        self.weights = checksums(self.inception.source)
+        self.inception = embeddings.load_art_inception(weights)
+        self.declare(self.inception.source)
         self.add_state("stylized", [], dist_reduce_fx="cat")
         self.add_state("style", [], dist_reduce_fx="cat")
-
-    @classmethod
-    def example(cls, folder: Path) -> dict[str, object]:
-        """Stand-ins: quick, and the same everywhere."""
-        return {"weights": "stand_in"}
 
     @torch.no_grad()
     def update(self, comparison: Comparison) -> None:
         """See :meth:`anystyle.contracts.Metric.update`; rows without a style image are left out."""
-        image, given = style_images(checked(comparison))
-        for some in pairs(comparison):
-            if bool(given[some.row]):
-                self.stylized.append(self._vectors(some.stylized, some.stylized_marks))
-        self.style.append(self._vectors(image[given], fingerprints(image[given])))
+        comparison, style = with_style_images(comparison)
+        self.stylized += [self._vectors(batch.preds) for batch in pairs(comparison)]
+        self.style.append(self._vectors(style))
 
     def compute(self) -> dict[str, Tensor]:
         """See :meth:`anystyle.contracts.Metric.compute`; ``nan`` with fewer than two images or styles."""
-        stylized, style = _stacked(self.stylized), _stacked(self.style)
-        style = style.unique(dim=0)
+        stylized, style = stacked(self.stylized), stacked(self.style).unique(dim=0)
         if min(stylized.shape[0], style.shape[0]) < 2:
             warnings.warn(
                 f"kid: {stylized.shape[0]} stylized and {style.shape[0]} distinct style images; two of each are "
@@ -73,12 +60,8 @@ class KID(Metric):
             return {"kid": torch.full((), float("nan"), device=stylized.device)}
         return {"kid": discrepancy(stylized, style).float()}
 
-    def _vectors(self, images: Tensor, marks: list[str]) -> Tensor:
-        def look(some: Tensor) -> list[Tensor]:
-            return [self.inception(pictures.resized(some, self.size, rounded=False))]
-
-        what = ("inception", self.inception.source.identity, self.size, False)
-        return MEMO.rows(images, marks, what, look)[0]
+    def _vectors(self, images: Tensor) -> Tensor:
+        return image_vectors(self.inception, images, size=self.size, rounded=False)
 
 
 def discrepancy(first: Float[Tensor, "N D"], second: Float[Tensor, "M D"]) -> Float[Tensor, ""]:
@@ -93,10 +76,3 @@ def discrepancy(first: Float[Tensor, "N D"], second: Float[Tensor, "M D"]) -> Fl
         return (table.sum() - table.diagonal().sum()) / (rows.shape[0] * (rows.shape[0] - 1))
 
     return within(first) + within(second) - 2 * kernel(first, second).mean()
-
-
-def _stacked(parts: list[Tensor] | Tensor) -> Float[Tensor, "N D"]:
-    # After a reduction over processes the list has become one tensor.
-    if torch.is_tensor(parts):
-        return parts
-    return torch.cat(parts) if parts else torch.zeros(0, 1)

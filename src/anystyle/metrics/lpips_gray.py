@@ -3,11 +3,18 @@
 from collections.abc import Mapping
 from typing import ClassVar, Literal
 
-from anystyle.metrics._lpips import PairLpips
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.metrics._mean import RowMean
+from anystyle.metrics._networks import NetworkMetric, lpips_of_pairs
+from anystyle.metrics._pairs import mean_per_row
+from anystyle.perception import lpips
 from anystyle.perception.sources import Weights
+from anystyle.types import Comparison
 
 
-class LPIPSGray(PairLpips):
+class LPIPSGray(NetworkMetric, RowMean):
     """LPIPS of stylized images and photographs, both without colour, so that a palette costs nothing.
 
     Args:
@@ -19,6 +26,7 @@ class LPIPSGray(PairLpips):
     """
 
     better: ClassVar[Mapping[str, str]] = {"lpips_gray": "lower"}
+    higher_is_better = False
 
     def __init__(
         self,
@@ -28,4 +36,15 @@ class LPIPSGray(PairLpips):
         variant: Literal["reference", "corrected"] = "reference",
         weights: Weights = "auto",
     ) -> None:
-        super().__init__(backbone=backbone, size=size, rounded=variant == "reference", gray=True, weights=weights)
+        super().__init__()
+        self.size = size
+        self.rounded = variant == "reference"
+        self.network = lpips.load(backbone, weights)
+        self.declare(self.network.source)
+
+    def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
+        """The mean over each row's views."""
+        return mean_per_row(
+            comparison,
+            lambda batch: lpips_of_pairs(self.network, batch, size=self.size, rounded=self.rounded, gray=True),
+        )

@@ -5,9 +5,10 @@ from typing import ClassVar
 
 from jaxtyping import Float
 from torch import Tensor
+from torchmetrics.functional.image import peak_signal_noise_ratio
 
 from anystyle.metrics._mean import RowMean
-from anystyle.metrics._pairs import Pairs, gathered
+from anystyle.metrics._pairs import Pairs, mean_per_row
 from anystyle.types import Comparison
 
 
@@ -29,8 +30,10 @@ class PSNR(RowMean):
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         """The mean over each row's views."""
-        return gathered(comparison, self._decibels)
+        return mean_per_row(comparison, self._decibels)
 
-    def _decibels(self, some: Pairs) -> Float[Tensor, " M"]:
-        error = (some.stylized - some.content).double().square().mean((1, 2, 3))
-        return (-10 * error.log10()).clamp_max(self.most)
+    def _decibels(self, batch: Pairs) -> Float[Tensor, " M"]:
+        preds, target = batch.preds.double(), batch.target.double()
+        return peak_signal_noise_ratio(preds, target, data_range=1.0, reduction="none", dim=(1, 2, 3)).clamp_max(
+            self.most
+        )

@@ -13,9 +13,9 @@ from anystyle.nn.matcher import Matcher
 from anystyle.types import Cameras, Geometry
 
 DOUBTFUL = 1.5 / 112
-"""Error of a match, as a share of the image's width, from which on it counts as doubtful."""
-REACH = 2
-"""Cells around the likeliest whose mean is the place of a match."""
+"""Error of a match, as a fraction of the image's width, from which on it counts as doubtful."""
+RADIUS = 2
+"""Of the window of cells around the likeliest one over which the position of a match is averaged."""
 
 
 class Aligner(nn.Module):
@@ -24,6 +24,9 @@ class Aligner(nn.Module):
     Not in published networks, which regress poses from camera tokens; a network of a few million parameters does not
     learn that in hours. Points of the views are compared by descriptors, and the rigid motion that explains the
     matches is computed from them and the depth in closed form. It is one pass: nothing is learnt at test time.
+
+    A training that teaches the matches reads them with a forward pre-hook: the first argument of :meth:`forward` is the
+    correlation with its gradient.
 
     Args:
         descriptor: Channels in which points are compared.
@@ -38,13 +41,11 @@ class Aligner(nn.Module):
         """Logits that points of each view after the first, row by row, are those of the first."""
         descriptors = self.matcher(images.flatten(0, 1)).float().unflatten(0, images.shape[:2])
         unit = F.normalize(descriptors, dim=2)
-        alike = torch.einsum("bvdij,bdkl->bvijkl", unit[:, 1:], unit[:, 0])
-        return alike * self.log_sharpness.exp()
+        cosines = torch.einsum("bvdij,bdkl->bvijkl", unit[:, 1:], unit[:, 0])
+        return cosines * self.log_sharpness.exp()
 
     def aligned(self, geometry: Geometry, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
-        """The geometry with the poses that matches between the images tell; focal lengths and depth are kept.
-
-        While training, the matches come along, for a loss to teach them.
+        """The geometry with the poses that matches between the images give; focal lengths and depth are kept.
 
         Args:
             geometry: As a network predicts it.
@@ -53,8 +54,7 @@ class Aligner(nn.Module):
         correlation = self.correlation(images)
         with torch.autocast(images.device.type, enabled=False):
             pose = self(correlation, geometry.cameras, geometry.depth)
-        cameras = replace(geometry.cameras, world_from_camera=pose)
-        return replace(geometry, cameras=cameras, correlation=correlation if self.training else None)
+        return replace(geometry, cameras=replace(geometry.cameras, world_from_camera=pose))
 
     @torch.no_grad()
     def forward(
@@ -74,12 +74,11 @@ class Aligner(nn.Module):
         (height, width), (rows, columns) = cameras.size, correlation.shape[-2:]
         cell, weight = _matches(correlation.flatten(0, 1))
         size = depth.new_tensor([width / columns, height / rows])
-        place = (cell + 0.5) * size
         u = torch.arange(columns, device=depth.device, dtype=depth.dtype)
         v = torch.arange(rows, device=depth.device, dtype=depth.dtype)
-        own = (torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1).flatten(0, 1) + 0.5) * size
-        source_ray, source = _unproject(own.expand(len(place), -1, -1), cameras, depth, slice(1, None))
-        target_ray, target = _unproject(place, cameras, depth, slice(0, 1))
+        pixels = (torch.stack(torch.meshgrid(u, v, indexing="xy"), dim=-1).flatten(0, 1) + 0.5) * size
+        source_ray, source = _unproject(pixels.expand(len(cell), -1, -1), cameras, depth, slice(1, None))
+        target_ray, target = _unproject((cell + 0.5) * size, cameras, depth, slice(0, 1))
         motion = align(
             MatchedPoints(source, target, source_ray, target_ray, weight),
             scale=float(DOUBTFUL * width / cameras.intrinsics[:, :, 0, 0].mean()),
@@ -91,29 +90,29 @@ class Aligner(nn.Module):
 
 
 def _matches(correlation: Float[Tensor, "M r c r c"]) -> tuple[Float[Tensor, "M P 2"], Float[Tensor, "M P"]]:
-    """Column and row where each point is seen in the first view, and how sure that is.
+    """Column and row where each point is seen in the first view, and the confidence of that.
 
-    A match counts if each of the two points prefers the other; its place is the mean over the cells around the
+    A match counts if each of the two points prefers the other; its position is the mean over the cells around the
     likeliest.
     """
     rows, columns = correlation.shape[-2:]
     logits = correlation.flatten(3).flatten(1, 2)
-    likely = logits.softmax(-1)
-    mutual = likely * logits.softmax(-2)
+    probability = logits.softmax(-1)
+    mutual = probability * logits.softmax(-2)
     best = mutual.argmax(-1)
     row, column = best // columns, best % columns
-    total, place = torch.zeros_like(mutual[..., 0]), torch.zeros(*best.shape, 2, device=best.device)
+    total, cell = torch.zeros_like(mutual[..., 0]), torch.zeros(*best.shape, 2, device=best.device)
     weight = torch.zeros_like(total)
-    for dy in range(-REACH, REACH + 1):
-        for dx in range(-REACH, REACH + 1):
+    for dy in range(-RADIUS, RADIUS + 1):
+        for dx in range(-RADIUS, RADIUS + 1):
             y, x = row + dy, column + dx
             inside = (y >= 0) & (y < rows) & (x >= 0) & (x < columns)
             index = (y.clamp(0, rows - 1) * columns + x.clamp(0, columns - 1))[..., None]
-            share = likely.gather(-1, index)[..., 0] * inside
-            total = total + share
-            place = place + share[..., None] * torch.stack([x, y], dim=-1)
+            mass = probability.gather(-1, index)[..., 0] * inside
+            total = total + mass
+            cell = cell + mass[..., None] * torch.stack([x, y], dim=-1)
             weight = weight + mutual.gather(-1, index)[..., 0] * inside
-    return place / total.clamp_min(1e-12)[..., None], weight
+    return cell / total.clamp_min(1e-12)[..., None], weight
 
 
 def _unproject(
@@ -123,9 +122,9 @@ def _unproject(
     height, width = cameras.size
     count = depth.shape[1] - 1
     chosen = depth[:, views].expand(-1, count, -1, -1).flatten(0, 1)
-    lenses = cameras.intrinsics[:, views].expand(-1, count, -1, -1).flatten(0, 1)
+    intrinsics = cameras.intrinsics[:, views].expand(-1, count, -1, -1).flatten(0, 1)
     grid = pixels * pixels.new_tensor([2 / width, 2 / height]) - 1
     sampled = F.grid_sample(chosen[:, None], grid[:, None], padding_mode="border", align_corners=False)[:, 0, 0]
-    focal = torch.stack([lenses[:, 0, 0], lenses[:, 1, 1]], dim=-1)[:, None]
-    ray = (pixels - lenses[:, None, :2, 2]) / focal
+    focal = torch.stack([intrinsics[:, 0, 0], intrinsics[:, 1, 1]], dim=-1)[:, None]
+    ray = (pixels - intrinsics[:, None, :2, 2]) / focal
     return ray, torch.cat([ray, torch.ones_like(ray[..., :1])], dim=-1) * sampled[..., None]

@@ -4,9 +4,6 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-STRIDE = 4
-"""Pixels a descriptor."""
-
 
 class Matcher(nn.Module):
     """A small U-Net from images to unit descriptors on a grid of every fourth pixel.

@@ -1,10 +1,10 @@
-"""Frozen networks behind one door: losses and metrics ask for them by name."""
+"""Frozen networks, loaded by name for losses and metrics."""
 
 from pathlib import Path
 
 from anystyle.perception import weights
 from anystyle.perception.alexnet import AlexNet
-from anystyle.perception.features import FeatureNetwork, load_strictly
+from anystyle.perception.features import FeatureNetwork, load_frozen
 from anystyle.perception.texture import Texture
 from anystyle.perception.vgg import VGG16, VGG19
 
@@ -14,7 +14,7 @@ NETWORKS: dict[str, type[FeatureNetwork]] = {
     "alexnet": AlexNet,
     "texture": Texture,
 }
-"""The networks that :func:`load` knows; the weights of each are under the same name in ``weights.FILES``."""
+"""By name, which is also that of their weights in :mod:`anystyle.perception.weights`."""
 
 
 def load(name: str, path: str | Path | None = None) -> FeatureNetwork:
@@ -22,19 +22,19 @@ def load(name: str, path: str | Path | None = None) -> FeatureNetwork:
 
     Args:
         name: ``vgg19``, ``vgg16``, ``alexnet`` or ``texture``.
-        path: Its file of weights, if not where :func:`anystyle.perception.weights.find` looks.
+        path: The file of its weights; ``None`` searches for it, see :func:`anystyle.perception.weights.find`.
 
     Raises:
         ValueError: There is no such network, or the file does not hold its weights.
-        FileNotFoundError: Its weights are missing; no other network takes its place.
+        FileNotFoundError: Its weights are missing.
     """
     if name not in NETWORKS:
         raise ValueError(f"there is no perceptual network {name!r}; choose from {', '.join(NETWORKS)}")
     file = weights.find(name, path)
     network = NETWORKS[name]()
-    # Published files carry the classifier too; everything under `features` must fit to the last key.
+    # Published files hold the classifier too.
     state = {key: tensor for key, tensor in weights.read(file).items() if key.startswith("features.")}
-    return load_strictly(network, state, name=name, file=file)
+    return load_frozen(network, state, file)
 
 
 __all__ = ["NETWORKS", "VGG16", "VGG19", "AlexNet", "FeatureNetwork", "Texture", "load"]

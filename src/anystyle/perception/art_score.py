@@ -1,4 +1,4 @@
-"""ArtScore: a ResNet-50 that was taught to rank pictures by how much they look like fine art (Chen et al. 2024)."""
+"""ArtScore: a ResNet-50 trained to rank images by how much they look like fine art (Chen et al. 2024)."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.perception import weights
-from anystyle.perception.features import Frozen, fold, load_strictly
+from anystyle.perception.features import Frozen, load_frozen
 from anystyle.perception.vgg import MEAN, STD
 
 STAGES = ((64, 3, 1), (128, 4, 2), (256, 6, 2), (512, 3, 2))
@@ -25,24 +25,17 @@ class ArtScoreNet(Frozen):
     def __init__(self) -> None:
         super().__init__()
         self.conv1 = nn.Conv2d(3, 64, 7, stride=2, padding=3, bias=False)
-        self.bn1: nn.Module = nn.BatchNorm2d(64)
+        self.bn1 = nn.BatchNorm2d(64)
         channels = 64
         stages: list[nn.Sequential] = []
-        for width, count, stride in STAGES:
-            stages.append(nn.Sequential(*_stage(channels, width, count, stride)))
+        for width, num_blocks, stride in STAGES:
+            stages.append(nn.Sequential(*_stage(channels, width, num_blocks, stride)))
             channels = 4 * width
         self.layer1, self.layer2, self.layer3, self.layer4 = stages
-        # The third place is the dropout of training, which has no weights.
+        # The identity stands for the dropout of training, which has no weights.
         self.fc = nn.Sequential(nn.Linear(channels, 1000), nn.ReLU(), nn.Identity(), nn.Linear(1000, 1))
         self.register_buffer("mean", torch.tensor(MEAN).view(3, 1, 1), persistent=False)
         self.register_buffer("std", torch.tensor(STD).view(3, 1, 1), persistent=False)
-
-    def settle(self) -> None:
-        """See :meth:`anystyle.perception.features.Frozen.settle`: normalisations become part of convolutions."""
-        self.bn1 = fold(self.conv1, self.bn1)
-        for module in self.modules():
-            if isinstance(module, Bottleneck):
-                module.fold()
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M"]:
         """Unbounded scores of sRGB images in [0, 1]; higher is more like art."""
@@ -60,7 +53,7 @@ def load(path: str | Path | None = None) -> ArtScoreNet:
         FileNotFoundError: They are missing.
     """
     file = weights.find("art_score", path)
-    return load_strictly(ArtScoreNet(), weights.read(file), name="art_score", file=file)
+    return load_frozen(ArtScoreNet(), weights.read(file), file)
 
 
 class Bottleneck(nn.Module):
@@ -70,34 +63,23 @@ class Bottleneck(nn.Module):
         super().__init__()
         out = 4 * width
         self.conv1 = nn.Conv2d(channels, width, 1, bias=False)
-        self.bn1: nn.Module = nn.BatchNorm2d(width)
+        self.bn1 = nn.BatchNorm2d(width)
         self.conv2 = nn.Conv2d(width, width, 3, stride=stride, padding=1, bias=False)
-        self.bn2: nn.Module = nn.BatchNorm2d(width)
+        self.bn2 = nn.BatchNorm2d(width)
         self.conv3 = nn.Conv2d(width, out, 1, bias=False)
-        self.bn3: nn.Module = nn.BatchNorm2d(out)
+        self.bn3 = nn.BatchNorm2d(out)
         self.downsample = nn.Sequential()
         if channels != out:
             self.downsample.append(nn.Conv2d(channels, out, 1, stride=stride, bias=False)).append(nn.BatchNorm2d(out))
 
-    def fold(self) -> None:
-        """Make normalisations part of the convolutions before them."""
-        self.bn1, self.bn2, self.bn3 = (
-            fold(self.conv1, self.bn1),
-            fold(self.conv2, self.bn2),
-            fold(self.conv3, self.bn3),
-        )
-        if len(self.downsample):
-            conv, norm = self.downsample
-            self.downsample[1] = fold(conv, norm)  # pyright: ignore[reportArgumentType]
-
     def forward(self, x: Tensor) -> Tensor:
-        """The sum of both ways, rectified."""
+        """The rectified sum of both branches."""
         y = F.relu(self.bn1(self.conv1(x)), inplace=True)
         y = self.bn3(self.conv3(F.relu(self.bn2(self.conv2(y)), inplace=True)))
         return F.relu(y + self.downsample(x), inplace=True)
 
 
-def _stage(channels: int, width: int, count: int, stride: int) -> Iterator[nn.Module]:
+def _stage(channels: int, width: int, num_blocks: int, stride: int) -> Iterator[nn.Module]:
     yield Bottleneck(channels, width, stride)
-    for _ in range(count - 1):
+    for _ in range(num_blocks - 1):
         yield Bottleneck(4 * width, width, 1)

@@ -5,45 +5,25 @@ from typing import Literal
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from anystyle.paging import fill
+from anystyle.io.checkpoint import load_strictly
 
 MEAN = (0.48145466, 0.4578275, 0.40821073)
 STD = (0.26862954, 0.26130258, 0.27577711)
 HEAD = 64
 """Channels of an attention head."""
+NUM_KEPT = 20
+"""Long-CLIP's stretched positions begin after these, for most texts of its training are short."""
 STRETCHED = "positional_embedding_res"
-"""Long-CLIP's second table of positions, in use from the position on up to which the first is kept."""
+"""Long-CLIP's second table of positions, in use after the first :data:`NUM_KEPT`."""
 UNUSED = ("logit_scale", "input_resolution", "context_length", "vocab_size")
-"""What files hold and no embedding needs."""
-
-
-class Attention(nn.Module):
-    """Multi-head self-attention under the names of PyTorch's own.
-
-    Args:
-        width: Channels, a multiple of 64.
-    """
-
-    def __init__(self, width: int) -> None:
-        super().__init__()
-        self.heads = max(1, width // HEAD)
-        self.in_proj_weight = nn.Parameter(torch.empty(3 * width, width))
-        self.in_proj_bias = nn.Parameter(torch.zeros(3 * width))
-        self.out_proj = nn.Linear(width, width)
-        nn.init.normal_(self.in_proj_weight, std=width**-0.5)
-
-    def forward(self, x: Float[Tensor, "M L C"], *, causal: bool) -> Float[Tensor, "M L C"]:
-        """Attend over L."""
-        parts = F.linear(x, self.in_proj_weight, self.in_proj_bias).chunk(3, dim=-1)
-        q, k, v = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in parts)
-        return self.out_proj(F.scaled_dot_product_attention(q, k, v, is_causal=causal).transpose(1, 2).flatten(2))
+"""Tensors of published files that no embedding needs."""
 
 
 class Mlp(nn.Module):
-    """Two linear layers four times as wide between."""
+    """Two linear layers with four times the channels between."""
 
     def __init__(self, width: int, activation: Callable[[Tensor], Tensor]) -> None:
         super().__init__()
@@ -61,11 +41,13 @@ class Block(nn.Module):
     def __init__(self, width: int, activation: Callable[[Tensor], Tensor]) -> None:
         super().__init__()
         self.ln_1, self.ln_2 = nn.LayerNorm(width), nn.LayerNorm(width)
-        self.attn, self.mlp = Attention(width), Mlp(width, activation)
+        self.attn = nn.MultiheadAttention(width, max(1, width // HEAD), batch_first=True)
+        self.mlp = Mlp(width, activation)
 
-    def forward(self, x: Float[Tensor, "M L C"], *, causal: bool) -> Float[Tensor, "M L C"]:
-        """Attend, then map each token."""
-        x = x + self.attn(self.ln_1(x), causal=causal)
+    def forward(self, x: Float[Tensor, "M L C"], mask: Bool[Tensor, "L L"] | None) -> Float[Tensor, "M L C"]:
+        """Attend, then map each token; tokens do not attend where the mask is true."""
+        y = self.ln_1(x)
+        x = x + self.attn(y, y, y, attn_mask=mask, is_causal=mask is not None, need_weights=False)[0]
         return x + self.mlp(self.ln_2(x))
 
 
@@ -77,20 +59,22 @@ class Transformer(nn.Module):
         self.resblocks = nn.ModuleList(Block(width, activation) for _ in range(layers))
 
     def forward(self, x: Float[Tensor, "M L C"], *, causal: bool = False) -> Float[Tensor, "M L C"]:
-        """Run all blocks."""
+        """Run all blocks; ``causal`` tokens attend to themselves and those before."""
+        length = x.shape[1]
+        mask = torch.ones(length, length, dtype=torch.bool, device=x.device).triu(1) if causal else None
         for block in self.resblocks:
-            x = block(x, causal=causal)
+            x = block(x, mask)
         return x
 
 
 class Vision(nn.Module):
-    """The tower of images.
+    """The image tower.
 
     Args:
         width: Channels.
         layers: Blocks.
-        patch_size: Pixels a patch.
-        resolution: Side of the images, in pixels.
+        patch_size: Side of a patch in pixels.
+        resolution: Side of the images in pixels.
         dim: Of the embedding.
         activation: Of the MLPs.
     """
@@ -127,7 +111,7 @@ class Clip(nn.Module):
 
     Args:
         context: Tokens of the longest text.
-        vocabulary: Tokens there are; the last one ends a text.
+        vocabulary: Number of different tokens; the last one ends a text.
         text_width: Channels of the text tower, a multiple of 64.
         text_layers: Its blocks.
         image_width: Channels of the image tower, a multiple of 64.
@@ -171,11 +155,11 @@ class Clip(nn.Module):
         nn.init.normal_(self.token_embedding.weight, std=0.02)
 
     def embed_tokens(self, tokens: Int[Tensor, "M L"]) -> Float[Tensor, "M D"]:
-        """Embed texts, neither normalised nor averaged.
+        """Embed texts, without normalisation.
 
         Args:
-            tokens: Numbers of tokens, padded behind the last one with 0; texts attend backwards only, so as many as
-                the longest has are enough.
+            tokens: Ids of tokens, padded with 0 behind the last one. Texts attend backwards only: padding to the
+                longest text is enough.
         """
         x = self.token_embedding(tokens) + self.positional_embedding[: tokens.shape[1]]
         x = self.ln_final(self.transformer(x, causal=True))
@@ -193,30 +177,27 @@ def quick_gelu(x: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:
     return x * torch.sigmoid(1.702 * x)
 
 
-def stretch(positions: Float[Tensor, "L C"], context: int, *, kept: int = 20) -> Float[Tensor, "K C"]:
-    """Position embeddings for longer texts, as Long-CLIP makes them: some are kept, the others spread by four.
+def stretch(positions: Float[Tensor, "L C"], context: int) -> Float[Tensor, "K C"]:
+    """Position embeddings for longer texts, as Long-CLIP's: some are kept, the others interpolated to four times.
 
     Args:
         positions: Of the short context.
-        context: The long one: ``kept + 4 * (L - kept)``.
-        kept: How many stay as they are, for most training texts are short.
+        context: The long one: ``NUM_KEPT + 4 * (L - NUM_KEPT)``.
 
     Raises:
         ValueError: The lengths do not fit.
     """
     length = len(positions)
-    if context != kept + 4 * (length - kept):
-        raise ValueError(
-            f"{length} positions stretch to {kept + 4 * (length - kept)}, not to {context}; set context to one of these"
-        )
-    spread = positions[kept:]
-    steps = torch.cat([spread[1:] - spread[:-1], spread[-1:] - spread[-2:-1]])
+    stretched = NUM_KEPT + 4 * (length - NUM_KEPT)
+    if context != stretched:
+        raise ValueError(f"{length} positions stretch to {stretched}, not to {context}; set context to one of these")
+    rest = positions[NUM_KEPT:]
+    steps = torch.cat([rest[1:] - rest[:-1], rest[-1:] - rest[-2:-1]])
     quarters = torch.arange(4, device=positions.device, dtype=positions.dtype) / 4
-    between = spread[:, None] + quarters[:, None] * steps[:, None]
-    return torch.cat([positions[:kept], between.flatten(0, 1)])
+    between = rest[:, None] + quarters[:, None] * steps[:, None]
+    return torch.cat([positions[:NUM_KEPT], between.flatten(0, 1)])
 
 
-@torch.no_grad()
 def load_clip(network: Clip, state: Mapping[str, Tensor]) -> None:
     """Load CLIP's, OpenCLIP's or Long-CLIP's weights, strictly.
 
@@ -226,33 +207,11 @@ def load_clip(network: Clip, state: Mapping[str, Tensor]) -> None:
         ValueError: Keys or shapes differ; up to five of each kind of difference are named.
     """
     given = {key.removeprefix("module."): tensor for key, tensor in state.items()}
-    long = given.pop(STRETCHED, None)
+    second = given.pop(STRETCHED, None)
     positions = given.get("positional_embedding")
-    if long is not None and positions is not None and long.shape == positions.shape:
-        given["positional_embedding"] = torch.cat([positions[:20], long[20:]])
+    if second is not None and positions is not None and second.shape == positions.shape:
+        given["positional_embedding"] = torch.cat([positions[:NUM_KEPT], second[NUM_KEPT:]])
     elif positions is not None and positions.dim() == 2 and len(positions) < network.context:
         given["positional_embedding"] = stretch(positions.float(), network.context)
     given = {key: tensor for key, tensor in given.items() if key not in UNUSED}
-    own = network.state_dict()
-    differences = [
-        f"{len(found)} {kind} ({', '.join(found[:5])}{', …' if len(found) > 5 else ''})"
-        for kind, found in (
-            ("missing", [key for key in own if key not in given]),
-            ("unexpected", [key for key in given if key not in own]),
-            (
-                "misshapen",
-                [
-                    f"{key} is {list(given[key].shape)}, not {list(own[key].shape)}"
-                    for key in own
-                    if key in given and given[key].shape != own[key].shape
-                ],
-            ),
-        )
-        if found
-    ]
-    if differences:
-        raise ValueError(
-            f"the checkpoint does not fit this CLIP: {'; '.join(differences)} "
-            f"(expected: {len(own)} tensors in the layout of CLIP or Long-CLIP)"
-        )
-    fill(network, given)
+    load_strictly(network, given, source="the checkpoint of CLIP or Long-CLIP")

@@ -17,7 +17,7 @@ def rgb_uv_histogram(
         images: sRGB; clamped to [0, 1].
         bins: On each axis, from -3 to 3.
         width: Of the inverse-quadratic kernel, in units of log-chroma.
-        limit: An image with a longer side is resized to a square of this side, as published.
+        limit: Images with a longer side are resized to a square of this side, as published.
 
     Returns:
         Histograms that sum to 1 over an image.
@@ -43,7 +43,7 @@ def rgb_uv_histogram(
 
 def hellinger(first: Float[Tensor, "M 3 b b"], second: Float[Tensor, "M 3 b b"]) -> Float[Tensor, " M"]:
     """Hellinger distance of histograms that sum to 1, in [0, 1]."""
-    # An empty bin has no slope of its square root; the smallest normal number keeps the gradient finite.
+    # The square root has no finite gradient at 0, where a bin is empty.
     tiny = torch.finfo(first.dtype).tiny
     difference = first.clamp_min(tiny).sqrt() - second.clamp_min(tiny).sqrt()
     return difference.flatten(1).norm(dim=-1) / 2**0.5

@@ -9,14 +9,14 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.perception import weights
-from anystyle.perception.features import Frozen, fold, load_strictly
+from anystyle.perception.features import Frozen, load_frozen
 
 CLASSIFIERS = ("AuxLogits1.", "AuxLogits2.", "fc1.", "fc2.")
 """What the published file holds beside the network of features: its two classifiers."""
 
 
 class ArtInception(Frozen):
-    """The features of Inception-v3 (Szegedy et al. 2016), under torchvision's keys; 2048 a picture."""
+    """The features of Inception-v3 (Szegedy et al. 2016), under torchvision's keys; 2048 an image."""
 
     dim = 2048
 
@@ -39,14 +39,8 @@ class ArtInception(Frozen):
         self.Mixed_7b = BlockE(1280)
         self.Mixed_7c = BlockE(2048)
 
-    def settle(self) -> None:
-        """See :meth:`anystyle.perception.features.Frozen.settle`: normalisations become part of convolutions."""
-        for module in self.modules():
-            if isinstance(module, Unit):
-                module.bn = fold(module.conv, module.bn)
-
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 2048"]:
-        """The mean over all places of the last block, of sRGB images in [0, 1] as they are, as published.
+        """The mean over all pixels of the last block, of sRGB images in [0, 1] that are not normalised, as published.
 
         Raises:
             ValueError: The images are smaller than 75 pixels a side.
@@ -70,7 +64,7 @@ def load(path: str | Path | None = None) -> ArtInception:
         FileNotFoundError: They are missing.
     """
     file = weights.find("art_inception", path)
-    return load_strictly(ArtInception(), without_classifiers(weights.read(file)), name="art_inception", file=file)
+    return load_frozen(ArtInception(), without_classifiers(weights.read(file)), file)
 
 
 def without_classifiers(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
@@ -91,7 +85,7 @@ class Unit(nn.Module):
     ) -> None:
         super().__init__()
         self.conv = nn.Conv2d(channels, width, kernel, stride=stride, padding=padding, bias=False)
-        self.bn: nn.Module = nn.BatchNorm2d(width, eps=0.001)
+        self.bn = nn.BatchNorm2d(width, eps=0.001)
 
     def forward(self, x: Tensor) -> Tensor:
         """The same at a size that kernel, stride and padding decide."""

@@ -1,8 +1,8 @@
 """RAFT, the recurrent network of optical flow (Teed and Deng, ECCV 2020), in its large form.
 
-Two published layouts load into it: the original ``raft-things.pth`` and torchvision's ``raft_large``. Only what differs
-between iterations is computed in each: what the update reads of the context is computed once, and the mask of the
-upsampling after the last.
+Two published layouts load into it: the original ``raft-things.pth`` and torchvision's ``raft_large``. An iteration
+computes only what differs from the one before: the gates' convolutions of the context are computed once, and the
+weights of the upsampling after the last iteration.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -14,32 +14,30 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.perception import lines, weights
-from anystyle.perception.correlations import LEVELS, WINDOW, correlations, look_up
-from anystyle.perception.features import Frozen, fold, load_strictly
-from anystyle.perception.winograd import quicken, suits
+from anystyle.perception import weights
+from anystyle.perception.correlations import LEVELS, WINDOW, correlation_pyramid, look_up
+from anystyle.perception.features import Frozen, load_frozen
 
 SMALLEST = 128
 """Below this many pixels a side the coarsest level of correlations is one pixel wide, and the flow is not a number."""
 
-
 STATE, CONTEXT, MOTION = slice(0, 128), slice(128, 256), slice(256, 384)
-"""What the channels are that the recurrent unit reads."""
+"""The input channels of the recurrent unit's convolutions."""
 
 PADDING = {1: (0, 2), 2: (2, 0)}
-"""Of its halves, the first along rows, the second along columns."""
+"""Of the recurrent unit's halves: the first convolves along rows, the second along columns."""
 
 
 class Context(NamedTuple):
-    """What a source frame alone decides.
+    """What depends on the source frame alone.
 
     Args:
-        state: The first hidden state.
-        reading: What every gate reads of the context, for both halves of the recurrent unit.
+        state: The initial hidden state.
+        gates: The convolutions of the context in the gates z, r, q of both halves of the recurrent unit, with biases.
     """
 
     state: Float[Tensor, "M 128 h w"]
-    reading: Float[Tensor, "M 768 h w"]
+    gates: Float[Tensor, "M 768 h w"]
 
 
 class Raft(Frozen):
@@ -51,13 +49,8 @@ class Raft(Frozen):
         self.cnet = Encoder(nn.BatchNorm2d)
         self.update_block = Update()
 
-    def settle(self) -> None:
-        """See :meth:`anystyle.perception.features.Frozen.settle`: normalisations become part of convolutions."""
-        self.cnet.fold()
-        self.update_block.gru.settle()
-
     def describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 256 h w"]:
-        """What frames are matched by, at an eighth of the size.
+        """Features that are matched, at an eighth of the size.
 
         Args:
             images: sRGB in [0, 1]; sides are multiples of 8, at least 128.
@@ -65,9 +58,9 @@ class Raft(Frozen):
         return self.fnet(2 * images - 1)
 
     def context(self, images: Float[Tensor, "M 3 H W"]) -> Context:
-        """What steers the flow from these frames."""
-        state, reading = self.cnet(2 * images - 1).split(128, dim=1)
-        return Context(state.tanh(), self.update_block.gru.read(F.relu(reading)))
+        """The context of source frames, sRGB in [0, 1]."""
+        state, context = self.cnet(2 * images - 1).split(128, dim=1)
+        return Context(state.tanh(), self.update_block.gru.context_gates(F.relu(context)))
 
     def flow(
         self,
@@ -82,36 +75,19 @@ class Raft(Frozen):
             source: Of :meth:`describe`.
             target: Of :meth:`describe`.
             context: Of the source.
-            iterations: Of the update.
+            iterations: Number of updates.
         """
-        pyramid = correlations(source, target)
-        # What is looked up lies channel beside channel; so does all that it meets.
-        start, state, *reading = (
-            tensor.contiguous(memory_format=torch.channels_last)
-            for tensor in (_grid(source), context.state, *context.reading.split(384, dim=1))
+        pyramid = correlation_pyramid(source, target)
+        # In one layout with what is looked up, or else each concatenation copies.
+        pixels, state, gates = (
+            part.contiguous(memory_format=torch.channels_last) for part in (_pixel_grid(source), *context)
         )
-        place = start
+        halves = self.update_block.gru.halves(gates)
+        flow = torch.zeros_like(pixels)
         for _ in range(iterations):
-            state, step = self.update_block(state, reading, look_up(pyramid, place), place - start)
-            place = place + step
-        return upsample(place - start, self.update_block.weights_of(state))
-
-    def forward(
-        self, source: Float[Tensor, "M 3 H W"], target: Float[Tensor, "M 3 H W"], iterations: int = 32
-    ) -> Float[Tensor, "M 2 H W"]:
-        """The flow between sRGB images in [0, 1] whose sides are multiples of 8, at least 128.
-
-        Raises:
-            ValueError: The sides are others.
-        """
-        height, width = source.shape[-2:]
-        if min(height, width) < SMALLEST or height % 8 or width % 8:
-            raise ValueError(
-                f"RAFT got frames of {height}x{width} pixels; sides are multiples of 8, at least {SMALLEST}: pad them"
-            )
-        features = self.describe(torch.cat([source, target]))
-        first, second = features.chunk(2)
-        return self.flow(first, second, self.context(source), iterations)
+            state, change = self.update_block(state, halves, look_up(pyramid, pixels + flow), flow)
+            flow = flow + change
+        return upsample(flow, self.update_block.upsampling_logits(state))
 
 
 def load(name: str = "raft_things", path: str | Path | None = None) -> Raft:
@@ -126,24 +102,16 @@ def load(name: str = "raft_things", path: str | Path | None = None) -> Raft:
         FileNotFoundError: They are missing.
     """
     file = weights.find(name, path)
-    return quicken(load_strictly(Raft(), own_keys(weights.read(file)), name=name, file=file))
+    return load_frozen(Raft(), original_keys(weights.read(file)), file)
 
 
-def own_keys(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """A published state dict under this module's keys; unknown keys stay as they are."""
+def original_keys(state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """A published state dict of either layout under the original's keys; unknown keys stay as they are."""
     state = {key.removeprefix("module."): tensor for key, tensor in state.items()}
     if any(key.startswith("feature_encoder.") for key in state):
         return {_from_torchvision(key): tensor for key, tensor in state.items()}
-    # One module of the original has two names; the other is `downsample.1`.
-    return {
-        key: tensor
-        for key, tensor in state.items()
-        if not (key.startswith("cnet.layer") and ".norm3." in key and _other_name(key) in state)
-    }
-
-
-def _other_name(key: str) -> str:
-    return key.replace(".norm3.", ".downsample.1.")
+    # The original registers one module twice, as `norm3` and as `downsample.1`.
+    return {key: tensor for key, tensor in state.items() if ".norm3." not in key}
 
 
 _RENAMED = (
@@ -175,27 +143,24 @@ def _from_torchvision(key: str) -> str:
 
 
 def upsample(flow: Float[Tensor, "M 2 h w"], logits: Float[Tensor, "M 576 h w"]) -> Float[Tensor, "M 2 H W"]:
-    """To eight times the size: each new pixel is a convex combination of the nine old ones around it."""
-    count, _, height, width = flow.shape
-    share = logits.permute(0, 2, 3, 1).reshape(count, height * width, 9, 64).softmax(dim=2)
-    around = F.unfold(8 * flow, 3, padding=1).reshape(count, 2, 9, height * width).permute(0, 3, 2, 1)
-    fine = share.new_zeros(count, height * width, 2, 64)
-    for neighbour in range(9):
-        fine = fine + around[:, :, neighbour, :, None] * share[:, :, neighbour, None]
-    fine = fine.reshape(count, height, width, 2, 8, 8)
-    return fine.permute(0, 3, 1, 4, 2, 5).reshape(count, 2, 8 * height, 8 * width)
+    """Flow at eight times the size: each fine pixel is a convex combination of the 3 x 3 coarse ones around it."""
+    batch, _, height, width = flow.shape
+    convex = logits.unflatten(1, (9, 64)).softmax(dim=1)  # M 9 64 h w
+    neighbours = F.unfold(8 * flow, 3, padding=1).reshape(batch, 2, 9, height, width)
+    fine = torch.einsum("mcnhw,mnshw->mcshw", neighbours, convex)
+    return F.pixel_shuffle(fine.flatten(1, 2), 8)
 
 
-def _grid(like: Float[Tensor, "M C h w"]) -> Float[Tensor, "M 2 h w"]:
+def _pixel_grid(like: Float[Tensor, "M C h w"]) -> Float[Tensor, "M 2 h w"]:
+    """The coordinates (x, y) of every pixel."""
     height, width = like.shape[-2:]
     y = torch.arange(height, dtype=like.dtype, device=like.device)
     x = torch.arange(width, dtype=like.dtype, device=like.device)
-    y, x = torch.meshgrid(y, x, indexing="ij")
-    return torch.stack([x, y]).expand(like.shape[0], -1, -1, -1)
+    return torch.stack(torch.meshgrid(x, y, indexing="xy")).expand(like.shape[0], -1, -1, -1)
 
 
 class InstanceNorm(nn.Module):
-    """PyTorch's, but for the copies that it makes of images whose channels lie side by side."""
+    """``nn.InstanceNorm2d``, which copies images that lie channels last and takes four times as long."""
 
     def __init__(self, channels: int) -> None:
         super().__init__()
@@ -207,7 +172,11 @@ class InstanceNorm(nn.Module):
 
 
 class Encoder(nn.Module):
-    """Residual blocks down to an eighth of the size."""
+    """Residual blocks down to an eighth of the size.
+
+    Args:
+        norm: Makes a normalisation of so many channels.
+    """
 
     def __init__(self, norm: Callable[[int], nn.Module]) -> None:
         super().__init__()
@@ -217,13 +186,6 @@ class Encoder(nn.Module):
         self.layer2 = nn.Sequential(Residual(64, 96, 2, norm), Residual(96, 96, 1, norm))
         self.layer3 = nn.Sequential(Residual(96, 128, 2, norm), Residual(128, 128, 1, norm))
         self.conv2 = nn.Conv2d(128, 256, 1)
-
-    def fold(self) -> None:
-        """Make normalisations part of the convolutions before them."""
-        self.norm1 = fold(self.conv1, self.norm1)
-        for module in self.modules():
-            if isinstance(module, Residual):
-                module.fold()
 
     def forward(self, x: Tensor) -> Tensor:
         """256 channels."""
@@ -244,15 +206,8 @@ class Residual(nn.Module):
         if stride > 1:
             self.downsample.append(nn.Conv2d(channels, width, 1, stride=stride)).append(norm(width))
 
-    def fold(self) -> None:
-        """Make normalisations part of the convolutions before them."""
-        self.norm1, self.norm2 = fold(self.conv1, self.norm1), fold(self.conv2, self.norm2)
-        if len(self.downsample):
-            conv, norm = self.downsample
-            self.downsample[1] = fold(conv, norm)  # pyright: ignore[reportArgumentType]
-
     def forward(self, x: Tensor) -> Tensor:
-        """The sum of both ways, rectified."""
+        """The rectified sum of both branches."""
         y = F.relu(self.norm1(self.conv1(x)), inplace=True)
         y = F.relu(self.norm2(self.conv2(y)), inplace=True)
         return F.relu(self.downsample(x) + y, inplace=True)
@@ -268,18 +223,27 @@ class Update(nn.Module):
         self.flow_head = Head()
         self.mask = nn.Sequential(nn.Conv2d(128, 256, 3, padding=1), nn.ReLU(), nn.Conv2d(256, 64 * 9, 1))
 
-    def forward(self, state: Tensor, reading: Sequence[Tensor], found: Tensor, flow: Tensor) -> tuple[Tensor, Tensor]:
-        """The next hidden state, and how the flow changes."""
-        state = self.gru(state, reading, self.encoder(found, flow))
+    def forward(
+        self, state: Tensor, halves: Sequence["Half"], correlation: Tensor, flow: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """The next hidden state, and the change of the flow.
+
+        Args:
+            state: The hidden state, ``M 128 h w``.
+            halves: Of the recurrent unit.
+            correlation: Windows of correlations around the current flow, ``M 324 h w``.
+            flow: The current flow, ``M 2 h w``.
+        """
+        state = self.gru(state, halves, self.encoder(correlation, flow))
         return state, self.flow_head(state)
 
-    def weights_of(self, state: Float[Tensor, "M 128 h w"]) -> Float[Tensor, "M 576 h w"]:
+    def upsampling_logits(self, state: Float[Tensor, "M 128 h w"]) -> Float[Tensor, "M 576 h w"]:
         """Logits of the upsampling's weights; a quarter, as published, to balance gradients."""
         return self.mask(state).mul_(0.25)
 
 
 class Motion(nn.Module):
-    """What correlations and flow say together."""
+    """The motion encoder: correlations and flow in one map of features."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -289,17 +253,33 @@ class Motion(nn.Module):
         self.convf2 = nn.Conv2d(128, 64, 3, padding=1)
         self.conv = nn.Conv2d(64 + 192, 128 - 2, 3, padding=1)
 
-    def forward(self, found: Tensor, flow: Tensor) -> Tensor:
+    def forward(self, correlation: Tensor, flow: Tensor) -> Tensor:
         """128 channels, the last two the flow itself."""
-        correlation = self.convc2(self.convc1(found).relu_()).relu_()
+        correlation = self.convc2(self.convc1(correlation).relu_()).relu_()
         movement = self.convf2(self.convf1(flow).relu_()).relu_()
         return torch.cat([self.conv(torch.cat([correlation, movement], dim=1)).relu_(), flow], dim=1)
 
 
-class Recurrent(nn.Module):
-    """A gated recurrent unit that looks along rows, then along columns.
+class Half(NamedTuple):
+    """What one half of the recurrent unit reads in every iteration.
 
-    Its convolutions are linear: what they read of the context is the same in every iteration and computed once.
+    Args:
+        update_reset: The weights of the gates z and r over the channels of state and motion.
+        proposal: The weights of q over the same.
+        context: The three gates' convolutions of the context, with biases.
+        padding: Of the convolutions.
+    """
+
+    update_reset: Float[Tensor, "256 256 _ _"]
+    proposal: Float[Tensor, "128 256 _ _"]
+    context: Float[Tensor, "M 384 h w"]
+    padding: tuple[int, int]
+
+
+class Recurrent(nn.Module):
+    """A gated recurrent unit that convolves along rows, then along columns.
+
+    Convolutions are linear: their part over the context's channels is the same in every iteration.
     """
 
     def __init__(self) -> None:
@@ -308,44 +288,40 @@ class Recurrent(nn.Module):
             for gate in "zrq":
                 self.add_module(f"conv{gate}{half}", nn.Conv2d(384, 128, kernel, padding=PADDING[half]))
 
-    def settle(self) -> None:
-        """Compute what convolutions along lines need of the weights."""
-        for half in (1, 2):
-            for gates in ("zr", "q"):
-                values = lines.values_of(self._weight(half, gates, STATE, MOTION).flatten(2))
-                self.register_buffer(f"values_{gates}{half}", values, persistent=False)
-
-    def read(self, context: Float[Tensor, "M 128 h w"]) -> Float[Tensor, "M 768 h w"]:
-        """What the three gates of both halves read of the context, biases included."""
-        found = []
+    def context_gates(self, context: Float[Tensor, "M 128 h w"]) -> Float[Tensor, "M 768 h w"]:
+        """The three gates' convolutions of the context in both halves, with biases; see :class:`Context`."""
+        gates = []
         for half in (1, 2):
             bias = torch.cat([self.get_parameter(f"conv{gate}{half}.bias") for gate in "zrq"])
-            found.append(F.conv2d(context, self._weight(half, "zrq", CONTEXT), bias, padding=PADDING[half]))
-        return torch.cat(found, dim=1)
+            gates.append(F.conv2d(context, self._weight(half, "zrq", CONTEXT), bias, padding=PADDING[half]))
+        return torch.cat(gates, dim=1)
 
-    def forward(self, state: Tensor, reading: Sequence[Tensor], motion: Tensor) -> Tensor:
-        """The next hidden state; what was read of the context is given for each half."""
-        for half, known in zip((1, 2), reading, strict=True):
-            gates = self._convolve(half, "zr", torch.cat([state, motion], dim=1)).add_(known[:, :256])
-            update, reset = gates.sigmoid_().split(128, dim=1)
-            proposed = self._convolve(half, "q", torch.cat([reset * state, motion], dim=1)).add_(known[:, 256:])
-            state = state.lerp(proposed.tanh_(), update)
+    def halves(self, gates: Float[Tensor, "M 768 h w"]) -> list[Half]:
+        """Both halves, from the output of :meth:`context_gates`."""
+        return [
+            Half(self._weight(half, "zr", STATE, MOTION), self._weight(half, "q", STATE, MOTION), known, PADDING[half])
+            for half, known in zip((1, 2), gates.split(384, dim=1), strict=True)
+        ]
+
+    def forward(self, state: Tensor, halves: Sequence[Half], motion: Tensor) -> Tensor:
+        """The next hidden state."""
+        for half in halves:
+            inputs = torch.cat([state, motion], dim=1)
+            gates = F.conv2d(inputs, half.update_reset, padding=half.padding).add_(half.context[:, :256]).sigmoid_()
+            update, reset = gates.split(128, dim=1)
+            inputs[:, STATE] *= reset
+            proposal = F.conv2d(inputs, half.proposal, padding=half.padding).add_(half.context[:, 256:]).tanh_()
+            state = state.lerp(proposal, update)
         return state
 
-    def _convolve(self, half: int, gates: str, x: Float[Tensor, "M 256 h w"]) -> Tensor:
-        values = getattr(self, f"values_{gates}{half}", None)
-        if values is not None and suits(x, values):
-            return lines.convolve(x, values, axis=4 - half)
-        return F.conv2d(x, self._weight(half, gates, STATE, MOTION), padding=PADDING[half])
-
     def _weight(self, half: int, gates: str, *channels: slice) -> Tensor:
-        """Of some gates, what reads these channels."""
-        every = [self.get_parameter(f"conv{gate}{half}.weight") for gate in gates]
-        return torch.cat([torch.cat([weight[:, some] for some in channels], dim=1) for weight in every])
+        """The weights of these gates over these input channels, gates side by side."""
+        weights = [self.get_parameter(f"conv{gate}{half}.weight") for gate in gates]
+        return torch.cat([torch.cat([weight[:, part] for part in channels], dim=1) for weight in weights])
 
 
 class Head(nn.Module):
-    """The change of the flow."""
+    """The head that predicts the change of the flow."""
 
     def __init__(self) -> None:
         super().__init__()

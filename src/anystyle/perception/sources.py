@@ -1,19 +1,19 @@
-"""What a figure rests on: published weights, or a stand-in that says so."""
+"""The weights that a figure rests on: published ones, or a stand-in."""
 
-import hashlib
 import logging
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Literal
 
+from anystyle.io.checkpoint import sha256
 from anystyle.perception import weights
 
 log = logging.getLogger(__name__)
 
 Weights = Literal["auto", "published", "stand_in"]
-"""``published`` needs the published weights, ``stand_in`` uses a stand-in, ``auto`` uses one where they are missing."""
+"""``published`` requires published weights, ``stand_in`` takes a stand-in, ``auto`` does so where they are missing."""
 
 
 @dataclass(frozen=True)
@@ -21,11 +21,11 @@ class Source:
     """The weights of one network.
 
     Args:
-        network: What it is called among :data:`anystyle.perception.weights.FILES`.
+        network: Its name in :func:`anystyle.perception.weights.files`.
         file: The name of the file that was read; empty if none was.
         sha256: Of its content, in hexadecimal; empty if there is no file.
-        stand_in: What stands in for the network; ``None`` if nothing does. Figures of a stand-in are compared with
-            nothing but figures of the same stand-in.
+        stand_in: The name of what stands in for the network, if anything does. Its figures are comparable with those
+            of the same stand-in alone.
     """
 
     network: str
@@ -40,10 +40,10 @@ class Source:
 
 
 def locate(network: str, choice: Weights) -> Path | None:
-    """The published weights of a network; ``None`` where a stand-in shall take its place.
+    """The published weights of a network; ``None`` where a stand-in takes its place.
 
     Raises:
-        FileNotFoundError: They are missing, and no stand-in is wanted.
+        FileNotFoundError: They are missing, and no stand-in is allowed.
     """
     if choice == "stand_in":
         return None
@@ -57,15 +57,15 @@ def locate(network: str, choice: Weights) -> Path | None:
 
 
 def published(network: str, file: Path) -> Source:
-    """The source that a file is."""
+    """The source of a network that was read from a file."""
     status = file.stat()
     return Source(network=network, file=file.name, sha256=_digest(file, status.st_mtime_ns, status.st_size))
 
 
 def bundled(network: str, stand_in: str) -> Source:
-    """A stand-in that rests on the bundled network of textures."""
-    own = published("texture", weights.find("texture"))
-    return Source(network=network, file=own.file, sha256=own.sha256, stand_in=stand_in)
+    """The source of a stand-in that rests on the bundled texture network."""
+    texture = published("texture", weights.find("texture"))
+    return replace(texture, network=network, stand_in=stand_in)
 
 
 def stand_ins(figures: Iterable[str], *sources: Source) -> dict[str, str]:
@@ -81,5 +81,4 @@ def checksums(*sources: Source) -> dict[str, str]:
 
 @cache
 def _digest(file: Path, changed: int, size: int) -> str:
-    with file.open("rb") as opened:
-        return hashlib.file_digest(opened, "sha256").hexdigest()
+    return sha256(file)

@@ -1,7 +1,4 @@
-"""What style losses compare: summaries of a map of features that forget where things are.
-
-Each is a function of features ``M C *S`` alone; two images with the same summary look alike to it.
-"""
+"""Statistics of features ``M C *S`` over their pixels, which style losses compare."""
 
 import numpy as np
 import torch
@@ -11,7 +8,7 @@ from torch import Tensor
 
 
 def mean_std(features: Float[Tensor, "M C *S"]) -> tuple[Float[Tensor, "M C"], Float[Tensor, "M C"]]:
-    """Mean and unbiased standard deviation of every channel over all places (Huang and Belongie 2017, equations 5, 6).
+    """Mean and unbiased standard deviation of every channel (Huang and Belongie 2017, equations 5 and 6).
 
     The deviation carries the published 1e-8; its gradient is 0 where a channel is constant.
     """
@@ -20,16 +17,16 @@ def mean_std(features: Float[Tensor, "M C *S"]) -> tuple[Float[Tensor, "M C"], F
 
 
 def pooled_moments(features: Float[Tensor, "M C *S"]) -> Float[Tensor, "M 2*C"]:
-    """Mean and deviation of every channel side by side, smooth everywhere: what a linear layer reads of a map.
+    """Mean and deviation of every channel side by side, for a linear layer.
 
-    Unlike :func:`mean_std` the deviation has its floor inside the root, so that a dead channel can come to life.
+    Unlike in :func:`mean_std` the floor of the deviation is inside the root: a constant channel has a gradient.
     """
     flat = features.flatten(2)
     return torch.cat([flat.mean(-1), (flat.var(-1, correction=0) + 1e-4).sqrt()], dim=-1)
 
 
 def gram(features: Float[Tensor, "M C *S"]) -> Float[Tensor, "M C C"]:
-    """Mean product of every two channels over all places (Gatys et al. 2016, equation 3, divided by the places)."""
+    """Mean product of every two channels over all pixels (Gatys et al. 2016, equation 3, divided by their number)."""
     flat = features.flatten(2)
     return flat @ flat.mT / flat.shape[-1]
 
@@ -40,26 +37,26 @@ def sliced_quantiles(
     """Quantiles of the features along fixed directions; their mean squared difference is a sliced Wasserstein distance.
 
     Args:
-        features: Of any number of places.
+        features: Of any number of pixels.
         directions: Unit vectors in the space of channels.
-        levels: How many quantiles, at the centres of as many equal shares of the places.
+        levels: Number of quantiles, at the centres of as many equal intervals of [0, 1].
     """
     values = _ascending(directions @ features.flatten(2))
-    # Linear interpolation between order statistics; equals sorting itself where there are `levels` places.
+    # Linear interpolation between order statistics; sorting alone where there are `levels` pixels.
     return F.interpolate(values, size=levels, mode="linear", align_corners=False)
 
 
 def _ascending(values: Float[Tensor, "M P S"]) -> Float[Tensor, "M P S"]:
-    """Values in order along the last axis; where equal ones lie is left open."""
+    """Values sorted along the last axis."""
     if values.device.type != "cpu" or values.dtype not in (torch.float32, torch.float64):
         return values.sort(dim=-1).values
-    # There numpy sorts two to four times faster than torch, and a palette loss does little else.
-    plain = values.detach().numpy()
+    # NumPy sorts on a CPU in a fifth to a fifteenth of PyTorch's time, and a sliced Wasserstein loss does little else.
+    array = values.detach().numpy()
     if not values.requires_grad:
-        return torch.from_numpy(np.sort(plain, axis=-1))
-    return values.gather(-1, torch.from_numpy(np.argsort(plain, axis=-1)))
+        return torch.from_numpy(np.sort(array, axis=-1))
+    return values.gather(-1, torch.from_numpy(np.argsort(array, axis=-1)))
 
 
-def unit_directions(count: int, channels: int, generator: torch.Generator) -> Float[Tensor, "count channels"]:
-    """Directions drawn uniformly from the sphere."""
-    return F.normalize(torch.randn(count, channels, generator=generator), dim=-1)
+def unit_directions(number: int, channels: int, generator: torch.Generator) -> Float[Tensor, "number channels"]:
+    """Unit vectors drawn uniformly from the sphere."""
+    return F.normalize(torch.randn(number, channels, generator=generator), dim=-1)

@@ -1,8 +1,8 @@
-"""A small network that knows textures: trained on procedural patterns alone, bundled, no download.
+"""A small bundled network of textures, trained on procedural patterns alone.
 
-A judge of style must respond to what makes a texture. Random networks can be satisfied without any visible pattern;
-this one was trained to tell stripes from dots, mosaics, hatching and strokes at several scales, in any colours
-(``anystyle train experiment=tiny_perceptual``).
+Style losses and stand-ins for published networks need features that respond to texture. Random features can be matched
+without any visible pattern; these were trained to tell stripes from dots, mosaics, hatching and strokes at several
+scales, in any colours (``anystyle train experiment=tiny_perceptual``).
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,10 +10,10 @@ from collections.abc import Iterator, Sequence
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.perception.features import RGB, FeatureNetwork, walk
+from anystyle.perception.features import RGB, FeatureNetwork, relu_names, walk
 
 BLOCKS = ((32, 2), (64, 2), (96, 2), (128, 1))
-"""Channels and convolutions of each block; an average pooling lies between blocks."""
+"""Channels and number of convolutions of each block; an average pooling lies between blocks."""
 
 
 class Texture(FeatureNetwork):
@@ -25,7 +25,7 @@ class Texture(FeatureNetwork):
     def __init__(self) -> None:
         super().__init__()
         self.features = nn.Sequential(*_stages())
-        self.names = _names()
+        self.names = relu_names(BLOCKS)
         self.layers = (RGB, *self.names)
 
     def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
@@ -34,28 +34,16 @@ class Texture(FeatureNetwork):
 
 
 def centred(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 H W"]:
-    """Images in [0, 1] as the first convolution reads them: of mean about 0 and deviation about 1."""
+    """Images in [0, 1] scaled to mean about 0 and deviation about 1, the input of the first convolution."""
     return (images - 0.5) * 4
 
 
 def _stages() -> Iterator[nn.Module]:
     channels = 3
-    for block, (width, count) in enumerate(BLOCKS):
+    for block, (width, num_convolutions) in enumerate(BLOCKS):
         if block:
             yield nn.AvgPool2d(2)
-        for _ in range(count):
+        for _ in range(num_convolutions):
             yield nn.Conv2d(channels, width, 3, padding=1, padding_mode="reflect")
             yield nn.ReLU()
             channels = width
-
-
-def _names() -> dict[str, int]:
-    """Place of each rectified output in the chain."""
-    names: dict[str, int] = {}
-    place = -1
-    for block, (_, count) in enumerate(BLOCKS, start=1):
-        for convolution in range(1, count + 1):
-            place += 2
-            names[f"relu{block}_{convolution}"] = place
-        place += 1
-    return names

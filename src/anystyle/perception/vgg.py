@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.perception.features import RGB, FeatureNetwork, walk
+from anystyle.perception.features import RGB, FeatureNetwork, relu_names, walk
 
 # Channels and convolutions of each block; a maximum pooling follows each.
 BLOCKS_16 = ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))
@@ -21,11 +21,11 @@ STD = (0.229, 0.224, 0.225)
 
 
 class Normalised(FeatureNetwork):
-    """A chain of layers that reads images normalised as ImageNet's, under torchvision's keys (``features.N.weight``).
+    """A chain of modules that reads images normalised as ImageNet's, under torchvision's keys (``features.N.weight``).
 
     Args:
         stages: The chain.
-        names: For each offered layer the place in the chain whose output it is.
+        names: For each layer the index of the module whose output it is.
     """
 
     mean: Tensor
@@ -48,33 +48,21 @@ class VGG16(Normalised):
     """The convolutions of VGG-16; layers are named ``relu{block}_{convolution}``, up to ``relu5_3``."""
 
     def __init__(self) -> None:
-        super().__init__(_stages(BLOCKS_16), _names(BLOCKS_16))
+        super().__init__(_stages(BLOCKS_16), relu_names(BLOCKS_16))
 
 
 class VGG19(Normalised):
     """The convolutions of VGG-19; layers are named ``relu{block}_{convolution}``, up to ``relu5_4``."""
 
     def __init__(self) -> None:
-        super().__init__(_stages(BLOCKS_19), _names(BLOCKS_19))
+        super().__init__(_stages(BLOCKS_19), relu_names(BLOCKS_19))
 
 
 def _stages(blocks: Sequence[tuple[int, int]]) -> Iterator[nn.Module]:
     channels = 3
-    for width, count in blocks:
-        for _ in range(count):
+    for width, num_convolutions in blocks:
+        for _ in range(num_convolutions):
             yield nn.Conv2d(channels, width, 3, padding=1)
             yield nn.ReLU(inplace=True)
             channels = width
         yield nn.MaxPool2d(2)
-
-
-def _names(blocks: Sequence[tuple[int, int]]) -> dict[str, int]:
-    """Place of each rectified output in the chain."""
-    names: dict[str, int] = {}
-    place = 0
-    for block, (_, count) in enumerate(blocks, start=1):
-        for convolution in range(1, count + 1):
-            names[f"relu{block}_{convolution}"] = place + 1
-            place += 2
-        place += 1
-    return names

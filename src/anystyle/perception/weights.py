@@ -1,11 +1,10 @@
-"""Where the weights of frozen networks lie: names to files, where each comes from, where it is looked for.
+"""Files of weights by name: where each comes from and where it is searched.
 
-A network is never replaced by another in silence, and nothing is downloaded unless ``anystyle weights download`` is
-run. The table is :data:`FILES`; a plugin adds rows of its own in a ``weights.toml`` beside its module, and files of
-theirs in a folder ``assets``.
+A missing file raises, and nothing is downloaded unless ``anystyle weights download`` is run. The rows are those of
+``weights.toml`` beside this module and beside the top-level module of each plugin package, whose bundled files are in
+its folder ``assets``.
 """
 
-import hashlib
 import importlib.util
 import os
 import tomllib
@@ -16,14 +15,14 @@ from pathlib import Path
 
 from anystyle import paths
 from anystyle.errors import did_you_mean
-from anystyle.perception.reading import read
-from anystyle.registry.catalog import catalog
-from anystyle.registry.peek import folder
+from anystyle.io.checkpoint import sha256
+from anystyle.perception.tensor_files import read
+from anystyle.registry.packages import packages
 
 FOLDERS = "ANYSTYLE_WEIGHTS"
 """The environment variable that names folders of weights, separated as in ``PATH``."""
 TABLE = "weights.toml"
-"""A plugin's rows, beside its module; files of theirs that are bundled lie in ``assets`` there."""
+"""The file of a package's rows: one table for each, with the fields of :class:`WeightsFile`."""
 
 
 @dataclass(frozen=True)
@@ -31,17 +30,17 @@ class WeightsFile:
     """One file of weights.
 
     Args:
-        file: Its name.
+        file: The file's name.
         purpose: What needs it.
-        license: Under which terms it may be used.
-        source: Where it comes from, in words that can be looked up.
+        license: Its terms.
+        source: The publisher's address, or how it was made.
         sha256: Of its content, in hexadecimal; as many leading digits as its publisher states, ``None`` if none.
-        bundled: Whether it comes with this package, or with the plugin that names it.
-        size: Bytes that its tensors take, or of the whole file where a publisher states it; ``None`` if unknown.
-        hub: Where the Hugging Face hub has it, as ``owner/repository/path``.
-        package: An installed package that it travels with, as ``package/path``.
-        layout: What its tensors are called: a key of :data:`anystyle.perception.layouts.LAYOUTS`, or the plugin's
-            backbone.
+        bundled: Whether it comes with the package of this row.
+        size: Bytes of its tensors, or of the whole file where a publisher states it; ``None`` if unknown.
+        hub: Its path on the Hugging Face hub, as ``owner/repository/path``.
+        package: An installed package that contains it, as ``package/path``.
+        layout: The names of its tensors: a key of :data:`anystyle.perception.state_dict_formats.LAYOUTS`, or the
+            plugin's backbone.
     """
 
     file: str
@@ -56,135 +55,18 @@ class WeightsFile:
     layout: str | None = None
 
 
-def _ours(name: str, purpose: str, experiment: str) -> WeightsFile:
-    return WeightsFile(
-        file=f"{name}.safetensors",
-        purpose=purpose,
-        license="Apache-2.0",
-        source=f"bundled; made by `anystyle train experiment={experiment}`",
-        bundled=True,
-        layout="anystyle",
-    )
-
-
-_TORCHVISION = "BSD-3-Clause (torchvision); trained on ImageNet"
-
-FILES: dict[str, WeightsFile] = {
-    "longclip_b32": WeightsFile(
-        file="longclip-B-32.pt",
-        purpose="style_encoder=long_clip, which the published style branches were trained with",
-        license="Apache-2.0",
-        source="https://huggingface.co/BeichenZhang/LongCLIP-B-32",
-        size=605_967_364,
-        hub="BeichenZhang/LongCLIP-B-32/longclip-B-32.pt",
-        layout="clip",
-    ),
-    "clip_b32": WeightsFile(
-        file="open_clip_model.safetensors",
-        purpose="style_encoder=clip; OpenAI's CLIP ViT-B/32 in OpenCLIP's file",
-        license="MIT (OpenAI CLIP)",
-        source="https://huggingface.co/timm/vit_base_patch32_clip_224.openai",
-        size=605_109_252,
-        hub="timm/vit_base_patch32_clip_224.openai/open_clip_model.safetensors",
-        layout="clip",
-    ),
-    "clip_vocabulary": WeightsFile(
-        file="bpe_simple_vocab_16e6.txt.gz",
-        purpose="texts of style_encoder=long_clip and style_encoder=clip",
-        license="MIT (OpenAI CLIP)",
-        source="the open_clip_torch package (`pip install --no-deps open_clip_torch`)",
-        sha256="924691ac288e54409236115652ad4aa250f48203de50a9e4722a6ecd48d6804a",
-        size=1_356_917,
-        package="open_clip/bpe_simple_vocab_16e6.txt.gz",
-    ),
-    "vgg19": WeightsFile(
-        file="vgg19-dcbb9e9d.pth",
-        purpose="style and content losses of the paper; CFSD",
-        license=_TORCHVISION,
-        source="https://download.pytorch.org/models/vgg19-dcbb9e9d.pth",
-        sha256="dcbb9e9d",
-        size=574_673_361,
-        layout="vgg19",
-    ),
-    "alexnet": WeightsFile(
-        file="alexnet-owt-7be5be79.pth",
-        purpose="LPIPS of art_fid, lpips and lpips_gray",
-        license=_TORCHVISION,
-        source="https://download.pytorch.org/models/alexnet-owt-7be5be79.pth",
-        sha256="7be5be79",
-    ),
-    "vgg16": WeightsFile(
-        file="vgg16-397923af.pth",
-        purpose="LPIPS of warp_consistency",
-        license=_TORCHVISION,
-        source="https://download.pytorch.org/models/vgg16-397923af.pth",
-        sha256="397923af",
-    ),
-    "lpips_alex": WeightsFile(
-        file="alex.pth",
-        purpose="the linear heads of LPIPS over alexnet",
-        license="BSD-2-Clause (Zhang et al. 2018)",
-        source="the torchmetrics package",
-        package="torchmetrics/functional/image/lpips_models/alex.pth",
-    ),
-    "lpips_vgg": WeightsFile(
-        file="vgg.pth",
-        purpose="the linear heads of LPIPS over vgg16",
-        license="BSD-2-Clause (Zhang et al. 2018)",
-        source="the torchmetrics package",
-        package="torchmetrics/functional/image/lpips_models/vgg.pth",
-    ),
-    "art_inception": WeightsFile(
-        file="art_inception.pth",
-        purpose="FID of art_fid; kid",
-        license="MIT (ArtFID, Wright and Ommer 2022); trained on WikiArt",
-        source="https://huggingface.co/matthias-wright/art_inception/resolve/main/art_inception.pth",
-        hub="matthias-wright/art_inception/art_inception.pth",
-    ),
-    "art_score": WeightsFile(
-        file="loss@listMLE_model@resnet50_denseLayer@True_batch_size@16_lr@0.0001_dropout@0.5_E_8.pth",
-        purpose="art_score",
-        license="as the ArtScore repository states (Chen et al. 2024)",
-        source="https://github.com/jchen175/ArtScore",
-    ),
-    "raft_things": WeightsFile(
-        file="raft-things.pth",
-        purpose="correspondence=raft, which warp_consistency uses",
-        license="BSD-3-Clause (RAFT, Teed and Deng 2020)",
-        source="https://github.com/princeton-vl/RAFT (download_models.sh)",
-    ),
-    "raft_large": WeightsFile(
-        file="raft_large_C_T_V2-1bb1363a.pth",
-        purpose="correspondence=raft with checkpoint=raft_large",
-        license="BSD-3-Clause (torchvision)",
-        source="https://download.pytorch.org/models/raft_large_C_T_V2-1bb1363a.pth",
-        sha256="1bb1363a",
-    ),
-    "texture": _ours("tiny_texture", "style losses of the tiny recipes", "tiny_perceptual"),
-    "tiny_style_encoder": _ours("tiny_style_encoder", "style_encoder=tiny", "tiny_embedding"),
-    "tiny_judge": _ours("tiny_judge", "judge of protocol=tiny_heldout", "tiny_judge"),
-    "tiny_backbone": _ours("tiny_backbone", "model=tiny", "tiny_reconstruction"),
-    "tiny_head": _ours("tiny_head", "model=tiny, placement=head", "tiny_style"),
-    "tiny_full": _ours("tiny_full", "model=tiny_full, placement=full", "tiny_style_full"),
-}
-
-
 def files() -> dict[str, WeightsFile]:
-    """Every row by name: those of :data:`FILES`, then those of plugins.
+    """Every row by name: those of the table beside this module, then those of plugins.
 
     Raises:
-        ValueError: A plugin's ``weights.toml`` cannot be read, or names what is there already.
+        ValueError: A plugin's ``weights.toml`` cannot be read, or its row has the name of another.
     """
-    known = dict(FILES)
-    for place in _plugins():
-        for name, entry in _rows(place / TABLE).items():
+    known = dict(_rows(Path(__file__).with_name(TABLE)))
+    for package in packages():
+        for name, entry in _rows(package / TABLE).items():
             if known.setdefault(name, entry) != entry:
-                raise ValueError(f"{place / TABLE} names {name!r}, which another row is called; rename it")
+                raise ValueError(f"{package / TABLE} names {name!r}, which another row is called; rename it")
     return known
-
-
-def _plugins() -> list[Path]:
-    return sorted({place for row in catalog() if (place := folder(row)) is not None})
 
 
 @cache
@@ -210,18 +92,18 @@ def row(name: str) -> WeightsFile:
 
 
 def folders() -> tuple[Path, ...]:
-    """The folders that are looked in, in order: those of ``ANYSTYLE_WEIGHTS``, then the package's own."""
+    """The folders that are searched, in order: those of ``ANYSTYLE_WEIGHTS``, then the package's own."""
     named = [Path(folder).expanduser() for folder in os.environ.get(FOLDERS, "").split(os.pathsep) if folder]
     return (*named, paths.ASSETS)
 
 
-def places(name: str) -> Iterator[Path]:
-    """Where a file is looked for, in order: named folders, ours, the plugin's, another package, the hub's cache."""
+def candidates(name: str) -> Iterator[Path]:
+    """The paths at which a file is searched, in order: :func:`folders`, plugins, another package, the hub's cache."""
     entry = row(name)
-    for place in folders():
-        yield place / entry.file
+    for folder in folders():
+        yield folder / entry.file
     if entry.bundled:
-        yield from (place / "assets" / entry.file for place in _plugins() if name in _rows(place / TABLE))
+        yield from (package / "assets" / entry.file for package in packages() if name in _rows(package / TABLE))
     if entry.package is not None:
         package, _, inside = entry.package.partition("/")
         spec = importlib.util.find_spec(package)
@@ -236,23 +118,23 @@ def find(name: str, path: str | Path | None = None) -> Path:
 
     Args:
         name: A key of :func:`files`.
-        path: Where it lies, if not in one of :func:`places`.
+        path: Its path; ``None`` searches :func:`candidates`.
 
     Raises:
-        FileNotFoundError: It is nowhere; the message says where to get it and where to put it.
+        FileNotFoundError: There is no such file; the message says where to get it and where to put it.
     """
-    looked = [Path(path).expanduser()] if path is not None else list(places(name))
-    for place in looked:
-        if place.is_file():
-            return place
-    raise FileNotFoundError(missing(name, looked))
+    searched = [Path(path).expanduser()] if path is not None else list(candidates(name))
+    for candidate in searched:
+        if candidate.is_file():
+            return candidate
+    raise FileNotFoundError(missing(name, searched))
 
 
-def missing(name: str, looked: list[Path]) -> str:
-    """One line for a file that is nowhere: which, from where, and where to put it."""
+def missing(name: str, searched: list[Path]) -> str:
+    """One line for a file that was not found: which it is, where to get it and where to put it."""
     entry = row(name)
     by_hub = f" (`anystyle weights download {name}` does)" if entry.hub else ""
-    shown = ", ".join(map(str, looked)) + (", the Hugging Face cache" if entry.hub and _has_hub() else "")
+    shown = ", ".join(map(str, searched)) + (", the Hugging Face cache" if entry.hub and _has_hub() else "")
     return (
         f"the weights {name!r} are missing: get {entry.file} from {entry.source}{by_hub} ({entry.license}) and put it "
         f"into a folder that {FOLDERS} names; looked for {shown}"
@@ -260,7 +142,7 @@ def missing(name: str, looked: list[Path]) -> str:
 
 
 def download(name: str) -> Path:
-    """Fetch a file from the Hugging Face hub into its cache; an interrupted download goes on where it stopped.
+    """Fetch a file from the Hugging Face hub into its cache; an interrupted download is continued.
 
     Raises:
         ValueError: The hub does not have it.
@@ -304,25 +186,21 @@ def _in_hub_cache(hub: str) -> Path | None:
 
 
 def verified(name: str, path: str | Path) -> bool | None:
-    """Whether a file's content is what its publisher states; ``None`` where nothing is stated."""
+    """Whether a file has the checksum that its publisher states; ``None`` if none is stated."""
     stated = row(name).sha256
-    if stated is None:
-        return None
-    with Path(path).open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest().startswith(stated)
+    return None if stated is None else sha256(path).startswith(stated)
 
 
 __all__ = [
-    "FILES",
     "FOLDERS",
     "TABLE",
     "WeightsFile",
+    "candidates",
     "download",
     "files",
     "find",
     "folders",
     "missing",
-    "places",
     "read",
     "row",
     "verified",

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from anystyle.contracts import Placement
-from anystyle.sites import select_sites
+from anystyle.placements._matching import matching
 from anystyle.types import Site
 
 
@@ -20,4 +20,4 @@ class Aggregator(Placement):
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
         """The aggregator's sites."""
-        return select_sites(sites, ["aggregator"], every_layer=self.every_layer)
+        return matching(sites, ["aggregator/*"], every_layer=self.every_layer)

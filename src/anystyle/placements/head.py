@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from anystyle.contracts import Placement
-from anystyle.sites import select_sites
+from anystyle.placements._matching import matching
 from anystyle.types import Site
 
 
@@ -15,4 +15,4 @@ class Head(Placement):
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
         """Every site of the head."""
-        return select_sites(sites, ["head"], every_layer=True)
+        return matching(sites, ["head/*"])

@@ -23,6 +23,7 @@ KINDS: dict[str, Kind] = {
     "placement": Kind("anystyle.contracts:Placement"),
     "injector": Kind("anystyle.contracts:Injector", runtime=("dim", "style_dim")),
     "renderer": Kind("anystyle.contracts:Renderer"),
+    "reconstruction": Kind("anystyle.reconstructions.contract:Reconstruction"),
     "loss": Kind("anystyle.contracts:Loss", many=True, runtime=("style_encoder",)),
     "metric": Kind("anystyle.contracts:Metric", many=True, runtime=("style_encoder", "correspondence")),
     "correspondence": Kind("anystyle.contracts:Correspondence"),
@@ -39,29 +40,31 @@ KINDS: dict[str, Kind] = {
 BUILTIN: dict[str, dict[str, str]] = {
     "backbone": {},
     "style_encoder": {
-        "judge": "anystyle.style_encoders.judge:Judge",
         "long_clip": "anystyle.style_encoders.long_clip:LongClip",
-        "tiny": "anystyle.style_encoders.tiny:Tiny",
     },
     "placement": {
         "head": "anystyle.placements.head:Head",
         "aggregator": "anystyle.placements.aggregator:Aggregator",
         "full": "anystyle.placements.full:Full",
+        "color": "anystyle.placements.color:Color",
+        "sites": "anystyle.placements.sites:Sites",
     },
     "injector": {
         "ada_ln": "anystyle.injectors.ada_ln:AdaLN",
         "cross_attention": "anystyle.injectors.cross_attention:CrossAttention",
         "film": "anystyle.injectors.film:FiLM",
-        "hypernetwork": "anystyle.injectors.hypernetwork:HyperNetwork",
         "lora": "anystyle.injectors.lora:LoRA",
-        "ramp_texture": "anystyle.injectors.ramp_texture:RampTexture",
         "zero_conv": "anystyle.injectors.zero_conv:ZeroConv",
     },
     "renderer": {
         "auto": "anystyle.renderers.auto:AutoRenderer",
-        "cpu": "anystyle.renderers.cpu:CpuRenderer",
+        "cpu": "anystyle.renderers.cpu.renderer:CpuRenderer",
         "gsplat": "anystyle.renderers.gsplat:GsplatRenderer",
         "torch": "anystyle.renderers.torch:TorchRenderer",
+    },
+    "reconstruction": {
+        "feedforward": "anystyle.reconstructions.feedforward:Feedforward",
+        "fit": "anystyle.reconstructions.fit:Fit",
     },
     "loss": {
         "clip_directional": "anystyle.losses.clip_directional:ClipDirectional",
@@ -71,11 +74,9 @@ BUILTIN: dict[str, dict[str, str]] = {
         "edge_aware_smoothness": "anystyle.losses.edge_aware_smoothness:EdgeAwareSmoothness",
         "gram": "anystyle.losses.gram:Gram",
         "histogram": "anystyle.losses.histogram:Histogram",
-        "luminance": "anystyle.losses.luminance:Luminance",
         "nnfm": "anystyle.losses.nnfm:NNFM",
-        "palette_ramp": "anystyle.losses.palette_ramp:PaletteRamp",
         "sliced_wasserstein": "anystyle.losses.sliced_wasserstein:SlicedWasserstein",
-        "style": "anystyle.losses.style:Style",
+        "style": "anystyle.losses.style:StyleLoss",
         "style_3d": "anystyle.losses.style_3d:Style3D",
         "total_variation": "anystyle.losses.total_variation:TotalVariation",
     },
@@ -92,6 +93,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "lpips_gray": "anystyle.metrics.lpips_gray:LPIPSGray",
         "psnr": "anystyle.metrics.psnr:PSNR",
         "ssim": "anystyle.metrics.ssim:SSIM",
+        "style_retrieval": "anystyle.metrics.style_retrieval:StyleRetrieval",
         "timing": "anystyle.metrics.timing:Timing",
         "warp_consistency": "anystyle.metrics.warp_consistency:WarpConsistency",
     },
@@ -102,12 +104,10 @@ BUILTIN: dict[str, dict[str, str]] = {
     },
     "scenes": {
         "folder": "anystyle.data.scene_folder:FolderScenes",
-        "procedural": "anystyle.data.procedural.scenes:ProceduralScenes",
         "re10k": "anystyle.data.re10k:Re10kScenes",
     },
     "styles": {
         "folder": "anystyle.data.style_folder:FolderStyles",
-        "procedural": "anystyle.data.procedural.styles:ProceduralStyles",
         "wikiart": "anystyle.data.wikiart:WikiArtStyles",
     },
     "study_test": {
@@ -119,17 +119,13 @@ BUILTIN: dict[str, dict[str, str]] = {
         "wilcoxon": "anystyle.study.tests.wilcoxon:Wilcoxon",
     },
     "training": {
-        "contrast": "anystyle.training.contrast:ContrastTraining",
-        "embedding": "anystyle.training.embedding:EmbeddingTraining",
-        "perceptual": "anystyle.training.perceptual:PerceptualTraining",
         "reconstruction": "anystyle.training.reconstruction:ReconstructionTraining",
         "stylization": "anystyle.training.stylization:StylizationTraining",
     },
     "protocol": {
+        "captures": "anystyle.evaluation.protocols.captures:Captures",
         "folders": "anystyle.evaluation.protocols.folders:Folders",
-        "guides": "anystyle.evaluation.protocols.guides:Guides",
         "paper": "anystyle.evaluation.protocols.paper:Paper",
-        "pixels": "anystyle.evaluation.protocols.pixels:Pixels",
-        "tiny_heldout": "anystyle.evaluation.protocols.tiny_heldout:TinyHeldout",
+        "tables": "anystyle.evaluation.protocols.tables:Tables",
     },
 }

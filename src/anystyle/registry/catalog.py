@@ -86,13 +86,13 @@ class Plugin:
         return loaded
 
 
-def place_in(error: BaseException, module: str) -> str:
+def location_in(error: BaseException, module: str) -> str:
     """`` (FILE, line N)``: where in the top-level package of a module an error came from; empty if it did not."""
-    own = module.partition(".")[0]
+    package = module.partition(".")[0]
     frames = [
         (frame.f_code.co_filename, line)
         for frame, line in traceback.walk_tb(error.__traceback__)
-        if str(frame.f_globals.get("__name__")).partition(".")[0] == own
+        if str(frame.f_globals.get("__name__")).partition(".")[0] == package
     ]
     return f" ({Path(frames[-1][0]).name}, line {frames[-1][1]})" if frames else ""
 
@@ -115,13 +115,13 @@ def _import(plugin: Plugin) -> Any:
         for name in qualified.split("."):
             value = getattr(value, name)
     except (Exception, SystemExit) as error:
-        told = f"{type(error).__name__}: {one_line(error)}".rstrip(": ")
-        raise PluginError(f"{plugin} cannot be imported: {told}{place_in(error, module_name)}") from error
+        reason = f"{type(error).__name__}: {one_line(error)}".rstrip(": ")
+        raise PluginError(f"{plugin} cannot be imported: {reason}{location_in(error, module_name)}") from error
     if plugin.root is not None:
-        found = [Path(place).resolve() for place in (module.__file__, *getattr(module, "__path__", ())) if place]
-        if not any(place.is_relative_to(plugin.root) for place in found):
+        files = [Path(file).resolve() for file in (module.__file__, *getattr(module, "__path__", ())) if file]
+        if not any(file.is_relative_to(plugin.root) for file in files):
             raise PluginError(
-                f"{plugin} cannot be imported: another module is called '{module_name}' ({found[0]}); "
+                f"{plugin} cannot be imported: another module is called '{module_name}' ({files[0]}); "
                 "rename one of them, or uninstall the other"
             )
     return value
@@ -158,13 +158,13 @@ class Catalog:
             PluginError: No plugin, or more than one, is declared under it.
         """
         kind_named(kind)
-        found = self.declarations(kind, name)
-        if len(found) > 1:
-            raise PluginError(f"{kind} '{name}' is declared more than once: {'; '.join(map(str, found))}; rename one")
-        if not found:
+        plugins = self.declarations(kind, name)
+        if len(plugins) > 1:
+            raise PluginError(f"{kind} '{name}' is declared more than once: {'; '.join(map(str, plugins))}; rename one")
+        if not plugins:
             ignored = f" (ignored: {'; '.join(self.problems)})" if self.problems else ""
             raise PluginError(unknown(kind, name, self.names(kind)) + ignored)
-        return found[0]
+        return plugins[0]
 
     def owner(self, kind: str, path: str) -> Plugin:
         """The plugin whose class a configuration's ``_target_`` names.
@@ -172,15 +172,15 @@ class Catalog:
         Raises:
             PluginError: The catalog lists no such class for this kind.
         """
-        found = [plugin for plugin in self._plugins if plugin.path == path]
-        if not found:
+        plugins = [plugin for plugin in self._plugins if plugin.path == path]
+        if not plugins:
             raise PluginError(
                 f"_target_ '{path}' is not a plugin; a config may build only what `anystyle plugins` lists"
             )
-        for plugin in found:
+        for plugin in plugins:
             if plugin.kind == kind:
                 return self.find(kind, plugin.name)
-        raise PluginError(f"_target_ '{path}' is a {found[0].kind}, and a {kind} is expected here")
+        raise PluginError(f"_target_ '{path}' is a {plugins[0].kind}, and a {kind} is expected here")
 
 
 def _builtin() -> Iterator[Plugin]:
@@ -189,7 +189,7 @@ def _builtin() -> Iterator[Plugin]:
             yield Plugin(kind, name, target, "anystyle", project="anystyle")
 
 
-def _rows(point: EntryPoint, problems: list[str], origin: str, **place: Any) -> Iterator[Plugin]:
+def _rows(point: EntryPoint, problems: list[str], origin: str, **options: Any) -> Iterator[Plugin]:
     """The plugin that an entry point declares, or a note on what is wrong with it."""
     kind, target = point.group.removeprefix(_PREFIX), point.value.partition("[")[0].strip()
     if kind not in KINDS:
@@ -199,7 +199,7 @@ def _rows(point: EntryPoint, problems: list[str], origin: str, **place: Any) -> 
     elif not all(word.isidentifier() for word in target.replace(":", ".", 1).split(".")) or ":" not in target:
         problems.append(f"{origin} declares {kind} '{point.name}' as '{point.value}', which is not 'module:Class'")
     else:
-        yield Plugin(kind, point.name, target, origin, **place)
+        yield Plugin(kind, point.name, target, origin, **options)
 
 
 def _installed(problems: list[str]) -> Iterator[Plugin]:
@@ -237,8 +237,8 @@ def _roots(folders: Sequence[str], problems: list[str]) -> list[Path]:
             if folder != paths.PLUGINS:
                 problems.append(f"{VARIABLE} lists {folder}, which is not a folder")
             continue
-        own = [folder] if (folder / "pyproject.toml").is_file() else sorted(folder.iterdir())
-        roots |= {root.resolve(): None for root in own if (root / "pyproject.toml").is_file()}
+        candidates = [folder] if (folder / "pyproject.toml").is_file() else sorted(folder.iterdir())
+        roots |= {root.resolve(): None for root in candidates if (root / "pyproject.toml").is_file()}
     return list(roots)
 
 
@@ -309,4 +309,4 @@ def plugin(kind: str, name: str) -> Callable[[_Class], _Class]:
     return add
 
 
-__all__ = ["Catalog", "Plugin", "PluginError", "base_of", "catalog", "kind_named", "place_in", "plugin"]
+__all__ = ["Catalog", "Plugin", "PluginError", "base_of", "catalog", "kind_named", "location_in", "plugin"]

@@ -15,6 +15,7 @@ from anystyle import paths
 from anystyle.errors import UserError, did_you_mean, one_line
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import catalog
+from anystyle.registry.packages import groups, presets
 from anystyle.registry.schema import literal
 from anystyle.registry.source import register
 
@@ -60,11 +61,11 @@ def check_words(words: Sequence[str]) -> None:
         UserError: There is one.
     """
     for word in words:
-        found = _NULL.fullmatch(word)
-        if found and (found["group"] in KINDS or (paths.CONF / found["group"]).is_dir()):
+        match = _NULL.fullmatch(word)
+        if match and match["group"] in groups():
             raise UserError(
                 f"{word}: a group takes a name; to leave it out, write '~{word.removesuffix('=null')}'; there are: "
-                f"{', '.join(choices(found['group']))}"
+                f"{', '.join(choices(match['group']))}"
             )
 
 
@@ -103,9 +104,9 @@ def explain(error: Exception) -> str:
         hint = "quote special characters twice: 'key=\"a, b\"'"
         return f"cannot read the override '{one_line(error.override)}': {reason}; {hint}"
     cause = error.__cause__
-    parts = [_told(error)]
+    parts = [_message(error)]
     if isinstance(cause, OmegaConfBaseException):
-        parts.append(_told(cause))
+        parts.append(_message(cause))
     return ": ".join(part.rstrip(".:") for part in parts if part) + _nearest(error, cause)
 
 
@@ -116,13 +117,12 @@ def _no_such(group: str, name: str, known: Sequence[str]) -> str:
 
 def choices(group: str) -> list[str]:
     """What a configuration group has to choose from: plugins and presets."""
-    presets = {path.stem for path in (paths.CONF / group).glob("*.yaml")}
-    return sorted(presets | set(catalog().names(group) if group in KINDS else ()))
+    return sorted({*presets(group), *(catalog().names(group) if group in KINDS else ())})
 
 
-def _told(error: BaseException) -> str:
-    told = "\n".join(line for line in str(error).splitlines() if not _NOISE.match(line))
-    return one_line(told).replace("is not in struct", "is unknown")
+def _message(error: BaseException) -> str:
+    text = "\n".join(line for line in str(error).splitlines() if not _NOISE.match(line))
+    return one_line(text).replace("is not in struct", "is unknown")
 
 
 def _nearest(*errors: BaseException | None) -> str:

@@ -71,7 +71,7 @@ def options(plugin: Plugin) -> tuple[Option, ...]:
     """
     parameters, hints = _constructor(plugin)
     runtime = kind_named(plugin.kind).runtime
-    found: list[Option] = []
+    known: list[Option] = []
     for parameter in parameters:
         if parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL, parameter.POSITIONAL_ONLY):
             raise PluginError(
@@ -84,8 +84,8 @@ def options(plugin: Plugin) -> tuple[Option, ...]:
                 f"{plugin} does not annotate '{parameter.name}'; give it a type, as in '{parameter.name}: int = 2', by "
                 "which a config is checked"
             )
-        found.append(Option(parameter.name, hints[parameter.name], parameter.default))
-    return tuple(found)
+        known.append(Option(parameter.name, hints[parameter.name], parameter.default))
+    return tuple(known)
 
 
 def runtime_arguments(plugin: Plugin) -> dict[str, bool]:

@@ -1,21 +1,26 @@
-"""The catalog as a source of Hydra configurations, ``anystyle://``.
+"""The catalog and the presets of plugin packages as a source of Hydra configurations, ``anystyle://``.
 
-A configuration root says ``hydra: {searchpath: [anystyle://]}``. A kind is a group, a plugin an option of it. Groups
-of which a configuration holds several at once are packaged by name: ``loss=[content,style]``, ``loss.style.weight=2``.
+A configuration root says ``hydra: {searchpath: [anystyle://]}``. A kind is a group, a plugin an option of it; so are
+the files ``GROUP/NAME.yaml`` in a plugin package's ``conf``. Groups of which a configuration holds several at once are
+packaged by name: ``loss=[content,style]``, ``loss.style.weight=2``.
 """
+
+from pathlib import Path
 
 from hydra.core.object_type import ObjectType
 from hydra.core.plugins import Plugins
 from hydra.errors import ConfigCompositionException
 from hydra.plugins.config_source import ConfigLoadError, ConfigResult, ConfigSource
+from omegaconf import OmegaConf
 
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import PluginError, catalog
+from anystyle.registry.packages import groups, package_presets
 from anystyle.registry.schema import node
 
 
 class PluginSource(ConfigSource):
-    """Configurations made of constructor signatures."""
+    """Configurations made of constructor signatures, and the files beside them."""
 
     @staticmethod
     def scheme() -> str:
@@ -27,32 +32,45 @@ class PluginSource(ConfigSource):
         return True
 
     def is_group(self, config_path: str) -> bool:
-        """Whether a path is a kind, or the root of all."""
-        return config_path.strip("/") in ("", *KINDS)
+        """Whether a path is a kind, a folder of presets, or the root of all."""
+        return config_path.strip("/") in ("", *groups())
 
     def is_config(self, config_path: str) -> bool:
-        """Whether a path is a plugin, ``kind/name``."""
-        kind, _, name = config_path.removesuffix(".yaml").partition("/")
-        return kind in KINDS and name in catalog().names(kind)
+        """Whether a path is a plugin or a preset, ``group/name``."""
+        group, _, name = config_path.removesuffix(".yaml").partition("/")
+        return (group in KINDS and name in catalog().names(group)) or self._preset(group, name) is not None
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> "list[str]":
-        """The kinds at the root, the plugins of a kind below it."""
-        kind = config_path.strip("/")
-        if not kind:
-            return [] if results_filter is ObjectType.CONFIG else sorted(KINDS)
-        return [] if results_filter is ObjectType.GROUP else catalog().names(kind)
+        """The groups at the root, the plugins and presets of a group below it."""
+        group = config_path.strip("/")
+        if not group:
+            return [] if results_filter is ObjectType.CONFIG else sorted(groups())
+        if results_filter is ObjectType.GROUP:
+            return []
+        return sorted({*package_presets(group), *(catalog().names(group) if group in KINDS else ())})
 
     def load_config(self, config_path: str) -> ConfigResult:
-        """Import one plugin and describe its options."""
+        """Read a preset, or import one plugin and describe its options."""
         if not self.is_config(config_path):
             raise ConfigLoadError(f"Config not found: {config_path}")
-        kind, _, name = config_path.removesuffix(".yaml").partition("/")
+        group, _, name = config_path.removesuffix(".yaml").partition("/")
+        preset = self._preset(group, name)
+        if preset is not None:
+            header = self._get_header_dict(preset.read_text(encoding="utf-8"))
+            return ConfigResult(self.provider, self.full_path(), OmegaConf.load(preset), header)
         try:
-            config = node(catalog().find(kind, name))
+            config = node(catalog().find(group, name))
         except PluginError as error:
             raise ConfigCompositionException(str(error)) from error
-        package = f"{kind}.{name}" if KINDS[kind].many else None
-        return ConfigResult(provider=self.provider, path=self.full_path(), config=config, header={"package": package})
+        package = f"{group}.{name}" if KINDS[group].many else None
+        return ConfigResult(self.provider, self.full_path(), config, {"package": package})
+
+    @staticmethod
+    def _preset(group: str, name: str) -> Path | None:
+        try:
+            return package_presets(group).get(name)
+        except PluginError as error:
+            raise ConfigCompositionException(str(error)) from error
 
 
 def register() -> None:

@@ -102,7 +102,7 @@ class GsplatRenderer(Renderer):
 
 def _rasterization() -> Callable[..., Any]:
     try:
-        from gsplat import rasterization  # pyright: ignore[reportMissingImports]
+        from gsplat import rasterization  # pyright: ignore[reportMissingImports, reportAttributeAccessIssue]
     except ImportError as error:
         raise ImportError('the renderer "gsplat" needs gsplat: pip install "anystyle[gpu]"') from error
     return rasterization

@@ -66,7 +66,7 @@ class Means:
 
     names: tuple[str, ...]
     means: Float[np.ndarray, " N"]
-    reach: Float[np.ndarray, " N"]
+    half_width: Float[np.ndarray, " N"]
 
 
 @dataclass(frozen=True)
@@ -149,12 +149,12 @@ def analyze(
         ValueError: The answers cannot be analysed.
     """
     checks, by_question = check(records, scale=settings.scale, rules=settings.rules)
-    found: list[QuestionAnalysis] = []
+    questions: list[QuestionAnalysis] = []
     for responses in by_question:
         progress(responses.question)
-        found.append(_question(responses, tests, settings))
+        questions.append(_question(responses, tests, settings))
     return Analysis(
-        questions=tuple(_adjusted(found)),
+        questions=tuple(_adjusted(questions)),
         checks=checks,
         settings=settings,
         comments=records.comments,
@@ -207,8 +207,8 @@ def _means(responses: Responses, unit: Unit, confidence: float) -> Means:
     squares = np.bincount(codes, responses.deviations**2, len(names))[present]
     with np.errstate(invalid="ignore", divide="ignore"):
         error = np.sqrt(np.maximum(squares - n * means**2, 0) / (n - 1) / n)
-        reach = special.stdtrit(n - 1, (1 + confidence) / 2) * error
-    return Means(tuple(names[index] for index in present), means, reach)
+        half_width = special.stdtrit(n - 1, (1 + confidence) / 2) * error
+    return Means(tuple(names[index] for index in present), means, half_width)
 
 
 def _position(responses: Responses, confidence: float) -> Position | None:
@@ -219,13 +219,13 @@ def _position(responses: Responses, confidence: float) -> Position | None:
     sides = [_by_person(responses, rows) for rows in (ours_is_a, ~ours_is_a)]
     # Ours as B turns what is displayed: the half difference is the lean to a side, free of any preference.
     both = (sides[0] - sides[1]) / 2
-    lean, log_pvalue = both[np.isfinite(both)], math.nan
-    bias, reach = _mean_and_reach(lean, confidence)
-    if reach > 0:
-        statistic = bias / (reach / float(special.stdtrit(len(lean) - 1, (1 + confidence) / 2)))
-        log_pvalue = log_t_pvalue(statistic, len(lean) - 1, "two-sided")
-    shown = [_mean_and_reach(side[np.isfinite(side)], confidence) for side in sides]
-    return Position(bias, (bias - reach, bias + reach), log_pvalue, shown[0], shown[1])
+    biases, log_pvalue = both[np.isfinite(both)], math.nan
+    bias, half_width = _mean_and_half_width(biases, confidence)
+    if half_width > 0:
+        statistic = bias / (half_width / float(special.stdtrit(len(biases) - 1, (1 + confidence) / 2)))
+        log_pvalue = log_t_pvalue(statistic, len(biases) - 1, "two-sided")
+    by_side = [_mean_and_half_width(side[np.isfinite(side)], confidence) for side in sides]
+    return Position(bias, (bias - half_width, bias + half_width), log_pvalue, by_side[0], by_side[1])
 
 
 def _by_person(responses: Responses, rows: np.ndarray) -> np.ndarray:
@@ -235,21 +235,23 @@ def _by_person(responses: Responses, rows: np.ndarray) -> np.ndarray:
         return sums / np.bincount(responses.participants[rows], minlength=size)
 
 
-def _mean_and_reach(values: np.ndarray, confidence: float) -> tuple[float, float]:
+def _mean_and_half_width(values: np.ndarray, confidence: float) -> tuple[float, float]:
     if len(values) < 2:
         return (float(values.mean()) if len(values) else math.nan), math.nan
-    reach = float(special.stdtrit(len(values) - 1, (1 + confidence) / 2)) * values.std(ddof=1) / math.sqrt(len(values))
-    return float(values.mean()), float(reach)
+    half_width = (
+        float(special.stdtrit(len(values) - 1, (1 + confidence) / 2)) * values.std(ddof=1) / math.sqrt(len(values))
+    )
+    return float(values.mean()), float(half_width)
 
 
-def _adjusted(found: Sequence[QuestionAnalysis]) -> list[QuestionAnalysis]:
+def _adjusted(questions: Sequence[QuestionAnalysis]) -> list[QuestionAnalysis]:
     """The questions with Holm's adjustment of each test over all of them."""
-    adjusted = [list(question.tests) for question in found]
-    for place in range(len(adjusted[0])):
-        values = holm([tests[place].result.log_pvalue for tests in adjusted])
+    adjusted = [list(question.tests) for question in questions]
+    for index in range(len(adjusted[0])):
+        values = holm([tests[index].result.log_pvalue for tests in adjusted])
         for tests, value in zip(adjusted, values, strict=True):
-            tests[place] = NamedResult(tests[place].name, tests[place].result, value)
+            tests[index] = NamedResult(tests[index].name, tests[index].result, value)
     return [
         QuestionAnalysis(**{**vars(question), "tests": tuple(tests)})
-        for question, tests in zip(found, adjusted, strict=True)
+        for question, tests in zip(questions, adjusted, strict=True)
     ]

@@ -46,7 +46,7 @@ def _question_json(question: QuestionAnalysis) -> dict[str, Any]:
         "mean": float(responses.deviations.mean()) + responses.scale.midpoint,
         "sd": float(responses.deviations.std(ddof=1)) if responses.count > 1 else math.nan,
         "distribution": {f"{level:g}": count for level, count in zip(question.levels, question.counts, strict=True)},
-        "tests": [row_json(named) for named in question.tests],
+        "tests": [_row_json(named) for named in question.tests],
         "effects": [asdict(effect) for effect in question.effects],
         "variation": None if question.variation is None else asdict(question.variation),
         "agreement": {
@@ -68,34 +68,25 @@ def _question_json(question: QuestionAnalysis) -> dict[str, Any]:
     }
 
 
-def row_json(named: NamedResult) -> dict[str, Any]:
+def _row_json(named: NamedResult) -> dict[str, Any]:
     """One row of a question's ``tests``."""
-    result = named.result
+    result = asdict(named.result)
+    del result["log_pvalue"]
     return {
         "name": named.name,
-        "unit": result.unit,
-        "statistic": result.statistic,
-        "pvalue": result.pvalue,
-        "log10_pvalue": result.log10_pvalue,
+        **result,
+        "pvalue": named.result.pvalue,
+        "log10_pvalue": named.result.log10_pvalue,
         "pvalue_holm": math.exp(named.log_pvalue_holm),
-        "alternative": result.alternative,
-        "estimate": result.estimate,
-        "estimate_unit": result.estimate_unit,
-        "interval": result.interval,
-        "confidence": result.confidence,
-        "effect": result.effect,
-        "effect_name": result.effect_name,
-        "effect_interval": result.effect_interval,
-        "n": result.n,
-        "generalizes_to": result.generalizes_to,
-        "method": result.method,
-        "note": result.note,
     }
 
 
 def _means_json(means: Means) -> list[dict[str, Any]]:
-    rows = zip(means.names, means.means.tolist(), means.reach.tolist(), strict=True)
-    return [{"name": name, "mean": mean, "interval": [mean - reach, mean + reach]} for name, mean, reach in rows]
+    rows = zip(means.names, means.means.tolist(), means.half_width.tolist(), strict=True)
+    return [
+        {"name": name, "mean": mean, "interval": [mean - half_width, mean + half_width]}
+        for name, mean, half_width in rows
+    ]
 
 
 def _finite(value: Any) -> Any:

@@ -90,7 +90,7 @@ def spread_checks(order: Sequence[str], checks: Sequence[str], generator: np.ran
     """An order with attention checks put in, one in each of as many equal stretches, never first."""
     mixed = list(order)
     edges = np.linspace(1, len(order), len(checks) + 1).astype(int)
-    places = [int(generator.integers(low, max(high, low + 1))) for low, high in pairwise(edges.tolist())]
-    for place, check in sorted(zip(places, checks, strict=True), reverse=True):
-        mixed.insert(place, check)
+    indices = [int(generator.integers(low, max(high, low + 1))) for low, high in pairwise(edges.tolist())]
+    for index, check in sorted(zip(indices, checks, strict=True), reverse=True):
+        mixed.insert(index, check)
     return mixed

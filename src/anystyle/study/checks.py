@@ -106,33 +106,33 @@ def check(records: Records, *, scale: Scale, rules: Rules) -> tuple[Checks, tupl
     main = _once(main, log)
     _check_straight_lines(main, rules, log)
     _check_missing(main, rules, log)
-    kept = main.select(~np.isnan(main.score) & ~np.isin(main.participant, list(log.exclusions)))
-    if not len(kept.score):
+    remaining = main.select(~np.isnan(main.score) & ~np.isin(main.participant, list(log.exclusions)))
+    if not len(remaining.score):
         raise ValueError(f"no answers are left of {len(records.score)}: {_reasons(log)}")
     checks = Checks(
         answers_read=len(records.score),
         attention_answers=int(attention.sum()),
-        answers_used=len(kept.score),
+        answers_used=len(remaining.score),
         findings=tuple(log.findings),
         exclusions=tuple(log.exclusions.values()),
-        notes=tuple(_notes(kept)),
+        notes=tuple(_notes(remaining)),
     )
-    return checks, split(kept, scale)
+    return checks, split(remaining, scale)
 
 
 def split(records: Records, scale: Scale) -> tuple[Responses, ...]:
     """One :class:`Responses` a question, in order of appearance; several comparisons are kept apart."""
-    several = len(np.unique(records.comparison)) > 1
+    multiple = len(np.unique(records.comparison)) > 1
     questions = records.question
-    if several:
+    if multiple:
         questions = np.char.add(np.char.add(questions, " vs "), records.comparison)
     people, person = np.unique(records.participant, return_inverse=True)
     items, item = np.unique(records.item, return_inverse=True)
-    found: list[Responses] = []
+    responses: list[Responses] = []
     for question in dict.fromkeys(questions.tolist()):
         rows = questions == question
         flipped = np.where(records.ours_is_a[rows], 1.0, -1.0)
-        found.append(
+        responses.append(
             Responses(
                 question=question,
                 deviations=(records.score[rows] - scale.midpoint) * flipped + 0.0,
@@ -144,15 +144,15 @@ def split(records: Records, scale: Scale) -> tuple[Responses, ...]:
                 item_names=tuple(items.tolist()),
             )
         )
-    return tuple(found)
+    return tuple(responses)
 
 
 def _check_attention(records: Records, rules: Rules, log: _Log) -> None:
     failed = records.score != records.expected
     for person in dict.fromkeys(records.participant[failed].tolist()):
-        theirs = records.participant == person
-        checks = dict.fromkeys(records.item[theirs & failed].tolist())
-        total = len(set(records.item[theirs].tolist()))
+        by_person = records.participant == person
+        checks = dict.fromkeys(records.item[by_person & failed].tolist())
+        total = len(set(records.item[by_person].tolist()))
         detail = f"{len(checks)} of {total} failed: {', '.join(checks)}"
         log.findings.append(Finding("failed_attention_check", person, detail))
         if len(checks) > rules.failed_checks:
@@ -162,11 +162,11 @@ def _check_attention(records: Records, rules: Rules, log: _Log) -> None:
 def _in_range(records: Records, scale: Scale, log: _Log) -> Records:
     outside = (records.score < scale.low) | (records.score > scale.high) | np.isinf(records.score)
     for question in dict.fromkeys(records.question[outside].tolist()):
-        asked = records.question == question
-        given = records.score[asked & ~np.isnan(records.score)]
-        if np.mean((given < scale.low) | (given > scale.high)) > _MIXED_SHARE:
+        of_question = records.question == question
+        scores = records.score[of_question & ~np.isnan(records.score)]
+        if np.mean((scores < scale.low) | (scores > scale.high)) > _MIXED_SHARE:
             raise ValueError(
-                f"question {question!r} has answers from {given.min():g} to {given.max():g} where the scale is "
+                f"question {question!r} has answers from {scores.min():g} to {scores.max():g} where the scale is "
                 f"{scale.low:g} to {scale.high:g}; do not mix scales, or give the right one with --scale"
             )
     for row in np.flatnonzero(outside):
@@ -223,11 +223,13 @@ def _check_missing(records: Records, rules: Rules, log: _Log) -> None:
 
 def _notes(records: Records) -> list[str]:
     notes: list[str] = []
-    share = float(records.ours_is_a.mean())
-    if share in (0.0, 1.0):
-        notes.append(f"Ours was always shown as {'A' if share else 'B'}: a preference for a side would look like one.")
-    elif abs(share - 0.5) > 0.05:
-        notes.append(f"Ours was shown as A in {share:.0%} of the answers: positions are not balanced.")
+    fraction = float(records.ours_is_a.mean())
+    if fraction in (0.0, 1.0):
+        notes.append(
+            f"Ours was always shown as {'A' if fraction else 'B'}: a preference for a side would look like one."
+        )
+    elif abs(fraction - 0.5) > 0.05:
+        notes.append(f"Ours was shown as A in {fraction:.0%} of the answers: positions are not balanced.")
     people, items = len(np.unique(records.participant)), len(np.unique(records.item))
     if people == 1:
         notes.append("One participant answered: nothing is known about any other person.")
@@ -240,5 +242,5 @@ def _notes(records: Records) -> list[str]:
 
 def _reasons(log: _Log) -> str:
     rules: Sequence[str] = [exclusion.rule for exclusion in log.exclusions.values()]
-    found = [f"{rules.count(rule)} participant(s) with {rule}" for rule in dict.fromkeys(rules)]
-    return "; ".join(found) or "every score is missing or outside the scale"
+    reasons = [f"{rules.count(rule)} participant(s) with {rule}" for rule in dict.fromkeys(rules)]
+    return "; ".join(reasons) or "every score is missing or outside the scale"

@@ -97,7 +97,7 @@ class OrdinalModel:
     """
 
     def __init__(self, *, responses: Responses) -> None:
-        sizes, place = np.unique(np.abs(responses.deviations), return_inverse=True)
+        sizes, size_index = np.unique(np.abs(responses.deviations), return_inverse=True)
         groups = [np.unique(codes, return_inverse=True)[1] for codes in (responses.participants, responses.items)]
         self.items_first = bool(groups[1].max() > groups[0].max())
         self._row, self._column = reversed(groups) if self.items_first else groups
@@ -109,7 +109,7 @@ class OrdinalModel:
         self.num_thresholds = len(sizes) - 1
         self._center = [] if sizes[0] == 0 else [0.0]
         above = self.num_thresholds + len(self._center)  # edges below the first non-negative level
-        self._level = np.where(responses.deviations < 0, self.num_thresholds - place, above + place)
+        self._level = np.where(responses.deviations < 0, self.num_thresholds - size_index, above + size_index)
         position = np.zeros(responses.count)
         if responses.ours_is_a is not None and 0 < responses.ours_is_a.sum() < responses.count:
             position = np.where(responses.ours_is_a, 1.0, -1.0)
@@ -134,11 +134,11 @@ class OrdinalModel:
         low = edges[self._level] - parameters[: self.num_fixed] @ self._fixed
         terms, inverse = self._find_modes(high, low, sds)
         value = np.log(terms.probability).sum() - self._modes @ self._modes / 2 - inverse.log_determinant / 2
-        along_eta, along_edges, along_sds = self._gradients(terms, inverse, sds, len(edges))
+        by_predictor, by_edges, by_sds = self._gradients(terms, inverse, sds, len(edges))
         count = self.num_thresholds
-        outward = (along_edges[-1 - count : -1] - along_edges[1 : 1 + count][::-1])[::-1]
-        along_spacings = spacings * np.cumsum(outward)[::-1]
-        return float(value), np.concatenate([self._fixed @ along_eta, along_spacings, along_sds])
+        outward = (by_edges[-1 - count : -1] - by_edges[1 : 1 + count][::-1])[::-1]
+        by_spacings = spacings * np.cumsum(outward)[::-1]
+        return float(value), np.concatenate([self._fixed @ by_predictor, by_spacings, by_sds])
 
     def _by_group(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Sums of one value an answer over each row and over each column."""
@@ -155,8 +155,8 @@ class OrdinalModel:
 
         def at(effects: np.ndarray) -> tuple[float, _Terms]:
             shift = self._spread(effects, sds)
-            found = _terms(high - shift, low - shift)
-            return float(np.log(found.probability).sum() - effects @ effects / 2), found
+            terms = _terms(high - shift, low - shift)
+            return float(np.log(terms.probability).sum() - effects @ effects / 2), terms
 
         value, terms = at(modes)
         inverse = self._inverse(terms.curvature, sds)
@@ -195,23 +195,23 @@ class OrdinalModel:
         leverage = sds[0] * row_part + sds[1] * column_part
         bend_upper, bend_lower = terms.dense_upper * (1 - 2 * terms.upper), terms.dense_lower * (1 - 2 * terms.lower)
         by_row, by_column = self._by_group(-leverage * (bend_upper + bend_lower))
-        pull = inverse.solve(np.concatenate([sds[0] * by_row, sds[1] * by_column]))
-        moved = self._spread(pull, sds)
+        mode_response = inverse.solve(np.concatenate([sds[0] * by_row, sds[1] * by_column]))
+        mode_shift = self._spread(mode_response, sds)
 
-        along_eta = terms.slope + leverage * (bend_upper + bend_lower) / 2 + moved * terms.curvature / 2
-        share_upper, share_lower = terms.dense_upper / terms.probability, terms.dense_lower / terms.probability
-        at_upper = share_upper - leverage * bend_upper / 2 - moved * terms.dense_upper / 2
-        at_lower = -share_lower - leverage * bend_lower / 2 - moved * terms.dense_lower / 2
-        along_edges = np.bincount(self._level + 1, at_upper, num_edges) + np.bincount(self._level, at_lower, num_edges)
-        along_sds = np.array(
+        by_predictor = terms.slope + leverage * (bend_upper + bend_lower) / 2 + mode_shift * terms.curvature / 2
+        upper_ratio, lower_ratio = terms.dense_upper / terms.probability, terms.dense_lower / terms.probability
+        at_upper = upper_ratio - leverage * bend_upper / 2 - mode_shift * terms.dense_upper / 2
+        at_lower = -lower_ratio - leverage * bend_lower / 2 - mode_shift * terms.dense_lower / 2
+        by_edges = np.bincount(self._level + 1, at_upper, num_edges) + np.bincount(self._level, at_lower, num_edges)
+        by_sds = np.array(
             [
-                (along_eta * self._modes[:rows][row] - terms.curvature * row_part).sum(),
-                (along_eta * self._modes[rows:][column] - terms.curvature * column_part).sum(),
+                (by_predictor * self._modes[:rows][row] - terms.curvature * row_part).sum(),
+                (by_predictor * self._modes[rows:][column] - terms.curvature * column_part).sum(),
             ]
         )
-        along_sds[0] -= (pull[:rows][row] * terms.slope).sum() / 2
-        along_sds[1] -= (pull[rows:][column] * terms.slope).sum() / 2
-        return along_eta, along_edges, along_sds
+        by_sds[0] -= (mode_response[:rows][row] * terms.slope).sum() / 2
+        by_sds[1] -= (mode_response[rows:][column] * terms.slope).sum() / 2
+        return by_predictor, by_edges, by_sds
 
 
 class _Inverse:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from anystyle.files import atomic_directory
+from anystyle.io.atomic import atomic_directory
 from anystyle.study import pictures
 from anystyle.study.balance import balanced_positions, draw_pairs, latin_orders, spread_checks
 from anystyle.study.naming import picture_name
@@ -44,7 +44,7 @@ class Sources:
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Material:
     """Everything in the folders that a set can be made of."""
 
     results: Mapping[str, pictures.Results]
@@ -64,26 +64,28 @@ def design(sources: Sources, plan: Plan, out: Path) -> Study:
     Raises:
         ValueError: The folders lack what the plan needs, or a picture cannot be read.
     """
-    found = _find(sources)
+    material = _find(sources)
     generator = np.random.default_rng(plan.seed)
-    available = np.array([[found.complete(scene, style) for style in found.style_names] for scene in found.scenes])
+    available = np.array(
+        [[material.complete(scene, style) for style in material.style_names] for scene in material.scenes]
+    )
     pairs = draw_pairs(available, plan.sets, generator)
     baselines = [name for name in sources.methods if name != sources.ours]
-    named = [(found.scenes[scene], found.style_names[style]) for scene, style in pairs]
+    named = [(material.scenes[scene], material.style_names[style]) for scene, style in pairs]
     described = json.dumps([asdict(plan), sources.ours, baselines, named])
     identity = hashlib.sha256(described.encode()).hexdigest()[:12]
-    items = _items(found, sources.ours, baselines, pairs, identity, generator)
+    items = _items(material, sources.ours, baselines, pairs, identity, generator)
     study = _assign(identity, sources.ours, baselines, plan, items, generator)
     with atomic_directory(out) as folder:
-        notes = _write_pictures(found, study, folder / PICTURES)
+        notes = _write_pictures(material, study, folder / PICTURES)
         study.write(folder)
-        report = balance(study) | {"left_out": [*found.left_out, *notes]}
+        report = balance(study) | {"left_out": [*material.left_out, *notes]}
         (folder / "balance.json").write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
         (folder / "balance.md").write_text(balance_text(report), encoding="utf-8")
     return study
 
 
-def _find(sources: Sources) -> _Found:
+def _find(sources: Sources) -> _Material:
     results = {name: pictures.find_results(name, folder) for name, folder in sources.methods.items()}
     styles, contents = pictures.find_styles(sources.styles), pictures.find_contents(sources.contents)
     pairs = sorted({pair for result in results.values() for pair in result.frames})
@@ -100,7 +102,7 @@ def _find(sources: Sources) -> _Found:
             f"no scene and style have results of all of {', '.join(results)} and are among the photographs and styles; "
             f"names must match, and found were {'; '.join(left_out[:3])}"
         )
-    return _Found(
+    return _Material(
         results=results,
         styles=styles,
         contents=contents,
@@ -111,7 +113,7 @@ def _find(sources: Sources) -> _Found:
 
 
 def _items(
-    found: _Found,
+    material: _Material,
     ours: str,
     baselines: Sequence[str],
     pairs: Sequence[tuple[int, int]],
@@ -121,8 +123,8 @@ def _items(
     against = generator.permutation(np.arange(len(pairs)) % len(baselines))
     items = []
     for number, ((row, column), rival) in enumerate(zip(pairs, against, strict=True), start=1):
-        scene, style = found.scenes[row], found.style_names[column]
-        in_words = found.styles[style].suffix.lower() == ".txt"
+        scene, style = material.scenes[row], material.style_names[column]
+        in_words = material.styles[style].suffix.lower() == ".txt"
         items.append(
             Item(
                 id=f"set-{number:02d}",
@@ -133,7 +135,7 @@ def _items(
                 theirs=picture_name(generator, identity, ours=False),
                 content=picture_name(generator, identity, ours=None),
                 reference="" if in_words else picture_name(generator, identity, ours=None),
-                text=_words(found.styles[style]) if in_words else "",
+                text=_words(material.styles[style]) if in_words else "",
             )
         )
     return tuple(items)
@@ -163,8 +165,8 @@ def _assign(
     orders = latin_orders(plan.participants, plan.sets, generator)
     people = []
     for number, (position, order) in enumerate(zip(positions, orders, strict=True), start=1):
-        mixed = spread_checks([items[place].id for place in order], [check.id for check in checks], generator)
-        ours_is_a = frozenset(items[place].id for place in np.flatnonzero(position))
+        mixed = spread_checks([items[index].id for index in order], [check.id for check in checks], generator)
+        ours_is_a = frozenset(items[index].id for index in np.flatnonzero(position))
         people.append(Participant(f"P{number:0{max(2, len(str(plan.participants)))}d}", tuple(mixed), ours_is_a))
     return Study(
         id=identity,
@@ -177,13 +179,13 @@ def _assign(
     )
 
 
-def _write_pictures(found: _Found, study: Study, folder: Path) -> list[str]:
+def _write_pictures(material: _Material, study: Study, folder: Path) -> list[str]:
     """Make every picture of a set the same size; tell where that cut something off."""
     folder.mkdir(parents=True)
     longest, notes = study.plan.image_size, []
     for item in study.items:
-        groups = [found.results[name].frames[item.scene, item.style] for name in (study.ours, item.baseline)]
-        frames = pictures.matching_frames([*groups, found.contents[item.scene]])
+        groups = [material.results[name].frames[item.scene, item.style] for name in (study.ours, item.baseline)]
+        frames = pictures.matching_frames([*groups, material.contents[item.scene]])
         ours = pictures.read_picture(frames[0])
         size = pictures.fitted_size(ours.size, longest)
         for name, frame in zip((item.ours, item.theirs, item.content), frames, strict=True):
@@ -193,7 +195,7 @@ def _write_pictures(found: _Found, study: Study, folder: Path) -> list[str]:
                 notes.append(f"{item.id}: {frame.name} has other proportions than ours and was cut to fit")
             pictures.write_picture(pictures.filled(image, size), folder / f"{name}.jpg")
         if item.reference:
-            reference = pictures.contained(pictures.read_picture(found.styles[item.style]), longest)
+            reference = pictures.contained(pictures.read_picture(material.styles[item.style]), longest)
             pictures.write_picture(reference, folder / f"{item.reference}.jpg")
     return notes
 
@@ -202,8 +204,8 @@ def balance(study: Study) -> dict[str, Any]:
     """How even a study is: counts that a perfect design makes equal."""
     sets = [item.id for item in study.items]
     orders = [[entry for entry in one.order if entry in set(sets)] for one in study.participants]
-    places = np.array([[order.index(entry) for entry in sets] for order in orders])  # participants by sets
-    in_place = np.array([np.bincount(places[:, column], minlength=len(sets)) for column in range(len(sets))])
+    ranks = np.array([[order.index(entry) for entry in sets] for order in orders])  # participants by sets
+    counts = np.array([np.bincount(ranks[:, column], minlength=len(sets)) for column in range(len(sets))])
     following = Counter(pair for order in orders for pair in pairwise(order))
     return {
         "participants": len(study.participants),
@@ -213,7 +215,7 @@ def balance(study: Study) -> dict[str, Any]:
         "per_baseline": dict(sorted(Counter(item.baseline for item in study.items).items())),
         "ours_is_a_per_participant": _range([len(one.ours_is_a) for one in study.participants]),
         "ours_is_a_per_set": _range([sum(entry in one.ours_is_a for one in study.participants) for entry in sets]),
-        "times_a_set_stands_in_a_place": _range(in_place.ravel().tolist()),
+        "times_a_set_stands_in_a_place": _range(counts.ravel().tolist()),
         "times_a_set_follows_another": _range(
             [following[first, second] for first in sets for second in sets if first != second]
         ),

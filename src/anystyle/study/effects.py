@@ -39,8 +39,8 @@ def cohens_d_interval(statistic: float, n: int, confidence: float) -> tuple[floa
     effect = statistic / math.sqrt(n)
     if np.isfinite([low, high]).all() and low < effect < high and abs(statistic) < 30:
         return low, high
-    reach = float(special.ndtri(1 - tail)) * math.sqrt(1 / n + effect**2 / (2 * n))
-    return effect - reach, effect + reach
+    half_width = float(special.ndtri(1 - tail)) * math.sqrt(1 / n + effect**2 / (2 * n))
+    return effect - half_width, effect + half_width
 
 
 def from_counts(
@@ -67,12 +67,12 @@ def effects(responses: Responses, *, resamples: int = 1999, seed: int = 0, confi
     levels, counts = np.unique(responses.deviations, return_counts=True)
     estimates = from_counts(levels, counts[None].astype(float))
     resampled = from_counts(levels, bootstrap_counts(responses, levels, resamples=resamples, seed=seed))
-    found: list[Effect] = []
+    results: list[Effect] = []
     for name, estimate in estimates.items():
         usable = resampled[name][np.isfinite(resampled[name])]
         interval = (math.nan, math.nan)
         if len(usable) > resamples // 2:
             low, high = np.quantile(usable, [(1 - confidence) / 2, (1 + confidence) / 2])
             interval = (float(low), float(high))
-        found.append(Effect(name, float(estimate[0]), interval, confidence))
-    return found
+        results.append(Effect(name, float(estimate[0]), interval, confidence))
+    return results

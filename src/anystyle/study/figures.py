@@ -123,8 +123,8 @@ def likert(analysis: Analysis) -> "Figure":
         midpoint = analysis.settings.scale.midpoint
         colors = dict(zip(levels, level_colors(levels, midpoint), strict=True))
         ends = [_likert_row(axes, row, question, colors, midpoint) for row, question in enumerate(questions)]
-        reach = 1.02 * max(max(-left, right) for left, right in ends)
-        axes.set_xlim(-reach, reach)
+        half_width = 1.02 * max(max(-left, right) for left, right in ends)
+        axes.set_xlim(-half_width, half_width)
         axes.axvline(0, color=INK, linewidth=0.7, zorder=0)
         axes.set_yticks(range(len(questions)), [_wrapped(question.title) for question in questions])
         axes.tick_params(axis="y", length=0, labelsize=8)
@@ -152,21 +152,21 @@ def _likert_row(
     axes: "Axes", row: int, question: QuestionAnalysis, colors: dict[float, Any], midpoint: float
 ) -> tuple[float, float]:
     counts, levels = np.array(question.counts, dtype=float), np.array(question.levels)
-    shares = counts / counts.sum()
-    left = -float(shares[levels < midpoint].sum() + shares[levels == midpoint].sum() / 2)
+    fractions = counts / counts.sum()
+    left = -float(fractions[levels < midpoint].sum() + fractions[levels == midpoint].sum() / 2)
     start = left
-    for level, count, share in zip(question.levels, question.counts, shares, strict=True):
-        axes.barh(row, share, left=left, height=0.62, color=colors[level], edgecolor="white", linewidth=0.6)
-        edge = {question.levels[0]: ("right", left), question.levels[-1]: ("left", left + share)}.get(level)
-        if share <= 0.028 and count and edge:
-            side, place = edge
+    for level, count, fraction in zip(question.levels, question.counts, fractions, strict=True):
+        axes.barh(row, fraction, left=left, height=0.62, color=colors[level], edgecolor="white", linewidth=0.6)
+        edge = {question.levels[0]: ("right", left), question.levels[-1]: ("left", left + fraction)}.get(level)
+        if fraction <= 0.028 and count and edge:
+            side, position = edge
             gap = -0.006 if side == "right" else 0.006
-            axes.text(place + gap, row, f"{count}", ha=side, va="center", fontsize=7.5, color=SOFT)
-        elif share > 0.028:
+            axes.text(position + gap, row, f"{count}", ha=side, va="center", fontsize=7.5, color=SOFT)
+        elif fraction > 0.028:
             dark = abs(level - midpoint) > 0.6 * max(abs(levels - midpoint))
             color = "white" if dark else INK
-            axes.text(left + share / 2, row, f"{count}", ha="center", va="center", fontsize=7.5, color=color)
-        left += float(share)
+            axes.text(left + fraction / 2, row, f"{count}", ha="center", va="center", fontsize=7.5, color=color)
+        left += float(fraction)
     return start, left
 
 
@@ -214,22 +214,24 @@ def _rows_height(rows: int) -> float:
 
 
 def _edges(side: Means) -> np.ndarray:
-    reach = np.where(np.isfinite(side.reach), side.reach, 0)
-    return np.concatenate([side.means - reach, side.means + reach])
+    half_width = np.where(np.isfinite(side.half_width), side.half_width, 0)
+    return np.concatenate([side.means - half_width, side.means + half_width])
 
 
 def _caterpillar(axes: "Axes", side: Means, question: QuestionAnalysis, named: bool) -> None:
     order = np.argsort(side.means, kind="stable")
-    centers, reach = side.means[order], np.where(np.isfinite(side.reach), side.reach, 0)[order]
+    centers, half_width = side.means[order], np.where(np.isfinite(side.half_width), side.half_width, 0)[order]
     rows = np.arange(len(order))
-    colors = np.where(centers + reach < 0, OURS, np.where(centers - reach > 0, THEIRS, "#8b9097"))
+    colors = np.where(centers + half_width < 0, OURS, np.where(centers - half_width > 0, THEIRS, "#8b9097"))
     if question.primary is not None:
         axes.axvspan(*question.primary.result.interval, color="#e8eef1", linewidth=0, zorder=0)
     axes.axvline(float(question.responses.deviations.mean()), color=INK, linewidth=0.8, linestyle=(0, (4, 2)))
     axes.axvline(0, color=INK, linewidth=0.7, zorder=1)
-    many = len(order) > _NAMED_ROWS
-    axes.hlines(rows, centers - reach, centers + reach, colors=colors.tolist(), linewidth=0.4 if many else 0.9)
-    axes.scatter(centers, rows, s=1.5 if many else 7, c=colors.tolist(), zorder=3, linewidths=0)
+    crowded = len(order) > _NAMED_ROWS
+    axes.hlines(
+        rows, centers - half_width, centers + half_width, colors=colors.tolist(), linewidth=0.4 if crowded else 0.9
+    )
+    axes.scatter(centers, rows, s=1.5 if crowded else 7, c=colors.tolist(), zorder=3, linewidths=0)
     axes.set_ylim(len(order) - 0.3, -0.7)
     axes.set_yticks(rows if named else [], [side.names[index][:14] for index in order] if named else [])
     axes.tick_params(axis="y", labelsize=4.6, length=0, pad=1)
@@ -241,15 +243,15 @@ def positions(analysis: Analysis) -> "Figure":
     from anystyle.study.tabulate import p_text
 
     with drawing("positions"):
-        found = [question for question in analysis.questions if question.position is not None]
-        figure = new_figure(7.0, 0.9 + 0.62 * max(len(found), 1))
+        questions = [question for question in analysis.questions if question.position is not None]
+        figure = new_figure(7.0, 0.9 + 0.62 * max(len(questions), 1))
         axes = figure.add_subplot()
         limit = 0.5
-        for row, question in enumerate(found):
+        for row, question in enumerate(questions):
             assert question.position is not None
-            shown = (question.position.mean_as_a, question.position.mean_as_b)
-            for offset, (mean, reach), marker, label in zip((-0.14, 0.14), shown, "os", "AB", strict=True):
-                error = reach if math.isfinite(reach) else 0.0
+            by_side = (question.position.mean_as_a, question.position.mean_as_b)
+            for offset, (mean, half_width), marker, label in zip((-0.14, 0.14), by_side, "os", "AB", strict=True):
+                error = half_width if math.isfinite(half_width) else 0.0
                 limit = max(limit, abs(mean) + error)
                 axes.errorbar(
                     mean,
@@ -269,11 +271,11 @@ def positions(analysis: Analysis) -> "Figure":
             )  # fmt: skip
         axes.axvline(0, color=INK, linewidth=0.7, zorder=0)
         axes.set_xlim(-1.08 * limit, 1.08 * limit)
-        axes.set_ylim(len(found) - 0.5, -0.5)
-        axes.set_yticks(range(len(found)), [_wrapped(question.title) for question in found])
+        axes.set_ylim(len(questions) - 0.5, -0.5)
+        axes.set_yticks(range(len(questions)), [_wrapped(question.title) for question in questions])
         axes.tick_params(axis="y", length=0, labelsize=8)
         axes.spines["left"].set_visible(False)
         axes.set_xlabel("← ours preferred      mean answer, relative to neutral      theirs preferred →")
-        if found:
+        if questions:
             figure.legend(loc="outside upper center", ncols=2, frameon=False, fontsize=7.5)
         return figure

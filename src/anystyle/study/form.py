@@ -9,7 +9,7 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
-from anystyle.files import atomic_path
+from anystyle.io.atomic import atomic_path
 from anystyle.study.protocol import PICTURES, Study
 
 
@@ -19,18 +19,18 @@ def picture_files(study: Study, folder: Path) -> dict[str, Path]:
     Raises:
         ValueError: One is missing.
     """
-    found = {name: folder / PICTURES / f"{name}.jpg" for name in study.pictures}
-    missing = [file.name for file in found.values() if not file.is_file()]
+    paths = {name: folder / PICTURES / f"{name}.jpg" for name in study.pictures}
+    missing = [file.name for file in paths.values() if not file.is_file()]
     if missing:
         raise ValueError(
             f"{folder / PICTURES} lacks {len(missing)} pictures, such as {missing[0]}; design the study again"
         )
-    return found
+    return paths
 
 
 def page_data(study: Study, *, server: bool) -> dict[str, Any]:
     """What the page knows: nothing that names a method, and the two pictures of a set in an order of no meaning."""
-    several = len(study.baselines) > 1
+    multiple = len(study.baselines) > 1
     pairs = {item.id: sorted((item.ours, item.theirs)) for item in study.items}
     ours = {item.id: item.ours for item in study.items}
 
@@ -54,12 +54,15 @@ def page_data(study: Study, *, server: bool) -> dict[str, Any]:
                 "content": item.content,
                 "reference": item.reference,
                 "text": item.text,
-                "comparison": comparison(study, item.baseline) if several else "",
+                "comparison": comparison(study, item.baseline) if multiple else "",
             }
             for item in study.items
         },
         "checks": {check.id: {"expected": check.expected} for check in study.checks},
-        "participants": {one.id: [entry(name, one.ours_is_a) for name in one.order] for one in study.participants},
+        "participants": {
+            participant.id: [entry(name, participant.ours_is_a) for name in participant.order]
+            for participant in study.participants
+        },
     }
 
 

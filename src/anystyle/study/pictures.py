@@ -7,6 +7,8 @@ from pathlib import Path
 
 from PIL import Image, ImageOps, UnidentifiedImageError
 
+from anystyle.io.images import formats
+
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 _MAX_PIXELS = 100_000_000
 _INNER = ("renders", "images")  # folders that hold a result's or a scene's frames
@@ -25,11 +27,11 @@ class Results:
     frames: Mapping[tuple[str, str], Sequence[Path]]
 
 
-def frames_in(place: Path) -> list[Path]:
+def frames_in(path: Path) -> list[Path]:
     """The images that a file or a folder stands for, in order of their names."""
-    if place.is_file():
-        return [place] if place.suffix.lower() in SUFFIXES else []
-    inner = next((place / name for name in _INNER if (place / name).is_dir()), place)
+    if path.is_file():
+        return [path] if path.suffix.lower() in SUFFIXES else []
+    inner = next((path / name for name in _INNER if (path / name).is_dir()), path)
     return sorted(file for file in inner.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
 
 
@@ -43,9 +45,9 @@ def _named(folder: Path) -> dict[str, Path]:
     }
 
 
-def _folder(path: Path, what: str) -> Path:
+def _folder(path: Path, kind: str) -> Path:
     if not path.is_dir():
-        raise ValueError(f"{what} {path} is no folder; expected one")
+        raise ValueError(f"{kind} {path} is no folder; expected one")
     return path
 
 
@@ -55,22 +57,22 @@ def find_results(method: str, folder: Path) -> Results:
     Raises:
         ValueError: There are none.
     """
-    found: dict[tuple[str, str], Sequence[Path]] = {}
-    for scene, place in _named(_folder(folder, f"method {method}:")).items():
-        if not place.is_dir():
+    frames_of: dict[tuple[str, str], Sequence[Path]] = {}
+    for scene, path in _named(_folder(folder, f"method {method}:")).items():
+        if not path.is_dir():
             continue
-        for style, result in _named(place).items():
+        for style, result in _named(path).items():
             frames = frames_in(result)
             if frames:
-                found[scene, style] = frames
-    if not found:
+                frames_of[scene, style] = frames
+    if not frames_of:
         raise ValueError(f"method {method}: {folder} holds no results; expected SCENE/STYLE.png or SCENE/STYLE/*.png")
-    return Results(method, found)
+    return Results(method, frames_of)
 
 
 def find_contents(folder: Path) -> dict[str, list[Path]]:
     """Photographs laid out as ``SCENE.jpg`` or ``SCENE/FRAMES``, by scene."""
-    return {name: frames for name, place in _named(_folder(folder, "contents")).items() if (frames := frames_in(place))}
+    return {name: frames for name, path in _named(_folder(folder, "contents")).items() if (frames := frames_in(path))}
 
 
 def find_styles(folder: Path) -> dict[str, Path]:
@@ -97,7 +99,7 @@ def read_picture(path: Path) -> Image.Image:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is judged here
-            with Image.open(path) as image:
+            with Image.open(path, formats=formats()) as image:
                 if image.width * image.height > _MAX_PIXELS:
                     raise ValueError(f"{path.name} has {image.width} x {image.height} pixels; at most 100 million")
                 upright = ImageOps.exif_transpose(image).convert("RGBA")

@@ -92,15 +92,14 @@ def plan_from(options: Mapping[str, Any]) -> Plan:
     Raises:
         ValueError: An option is unknown or of the wrong type, or the plan cannot be balanced.
     """
-    known = {field.name: field.type for field in fields(Plan)}
+    field_types = {field.name: field.type for field in fields(Plan)}
     for name, value in options.items():
-        if name not in known:
-            raise ValueError(
-                f"a study has no option {name!r}.{did_you_mean(name, known)} Options: {', '.join(sorted(known))}"
-            )
-        expected = known[name]
-        whole = isinstance(value, int) and not isinstance(value, bool)
-        if (expected is int and not whole) or (expected is str and not isinstance(value, str)):
+        if name not in field_types:
+            names = ", ".join(sorted(field_types))
+            raise ValueError(f"a study has no option {name!r}.{did_you_mean(name, field_types)} Options: {names}")
+        expected = field_types[name]
+        is_integer = isinstance(value, int) and not isinstance(value, bool)
+        if (expected is int and not is_integer) or (expected is str and not isinstance(value, str)):
             raise ValueError(f"{name}={value!r}; expected {'a whole number' if expected is int else 'text'}")
     values = dict(options)
     if "questions" in values:

@@ -32,16 +32,16 @@ class Rate:
     holds_for: tuple[str, ...]
 
     @property
-    def share(self) -> float:
+    def fraction(self) -> float:
         """The rejection rate."""
         return self.rejections / self.studies
 
     def interval(self, z: float = 1.96) -> tuple[float, float]:
         """Wilson's interval of the rate."""
-        n, share = self.studies, self.share
-        center = (share + z**2 / (2 * n)) / (1 + z**2 / n)
-        reach = z / (1 + z**2 / n) * math.sqrt(share * (1 - share) / n + z**2 / (4 * n**2))
-        return min(center - reach, share), max(center + reach, share)
+        n, fraction = self.studies, self.fraction
+        center = (fraction + z**2 / (2 * n)) / (1 + z**2 / n)
+        half_width = z / (1 + z**2 / n) * math.sqrt(fraction * (1 - fraction) / n + z**2 / (4 * n**2))
+        return min(center - half_width, fraction), max(center + half_width, fraction)
 
 
 def rejection_rates(
@@ -95,8 +95,8 @@ class PowerStudy:
 
     def rates(self, test: str, unit: Unit, *, null: bool = False) -> list[Rate]:
         """The rates of one test, by rising number of participants."""
-        found = [rate for rate in (self.null if null else self.power) if (rate.test, rate.unit) == (test, unit)]
-        return sorted(found, key=lambda rate: rate.scenario.participants)
+        rates = [rate for rate in (self.null if null else self.power) if (rate.test, rate.unit) == (test, unit)]
+        return sorted(rates, key=lambda rate: rate.scenario.participants)
 
     def valid(self, test: str, unit: Unit) -> bool:
         """Whether a test keeps its level about where it reaches the target: power bought with errors is none.
@@ -114,7 +114,7 @@ class PowerStudy:
         """
         rates = self.rates(test, unit)
         people = [float(rate.scenario.participants) for rate in rates]
-        heights = np.maximum.accumulate([rate.share for rate in rates])
+        heights = np.maximum.accumulate([rate.fraction for rate in rates])
         above = np.flatnonzero(heights >= self.target)
         if not len(above):
             return None
@@ -175,7 +175,7 @@ def power_json(study: PowerStudy) -> dict[str, Any]:
             "test": rate.test,
             "unit": rate.unit,
             "scenario": asdict(rate.scenario),
-            "rate": rate.share,
+            "rate": rate.fraction,
             "interval": list(rate.interval()),
             "studies": rate.studies,
             "holds_for": list(rate.holds_for),
@@ -214,8 +214,8 @@ def power_markdown(study: PowerStudy) -> str:
         "|---|---|" + "---:|" * (len(head) - 1),
     ]
     for test, unit in study.tests:
-        null = [f"{rate.share:.3f}" for rate in study.rates(test, unit, null=True)]
-        power = [f"{rate.share:.3f}" for rate in study.rates(test, unit)]
+        null = [f"{rate.fraction:.3f}" for rate in study.rates(test, unit, null=True)]
+        power = [f"{rate.fraction:.3f}" for rate in study.rates(test, unit)]
         needed = study.needed(test, unit)
         note = "—" if needed is None else f"{math.ceil(needed)}"
         if not study.valid(test, unit):

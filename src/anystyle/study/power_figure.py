@@ -64,12 +64,12 @@ def _colors(study: PowerStudy) -> dict[tuple[str, Unit], str]:
 
 def _curve(axes: "Axes", rates: list[Rate], color: str) -> None:
     people = [rate.scenario.participants for rate in rates]
-    shares = [rate.share for rate in rates]
+    fractions = [rate.fraction for rate in rates]
     bounds = [rate.interval() for rate in rates]
     axes.fill_between(people, [low for low, _ in bounds], [high for _, high in bounds], color=color, alpha=0.13, lw=0)
     axes.plot(
         people,
-        shares,
+        fractions,
         color=color,
         marker=_MARKERS[rates[0].unit],
         markersize=3.5,

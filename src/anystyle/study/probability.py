@@ -9,13 +9,13 @@ from scipy import special
 from anystyle.study.contract import Alternative
 
 # Below this the plain function may have lost digits or become 0, and the series for the logarithm is exact.
-_FAR = 1e-280
+_LEAST_EXACT = 1e-280
 
 
 def log_t_cdf(statistic: float, df: int) -> float:
     """Natural logarithm of Student's t distribution function, exact far into the lower tail."""
     plain = float(special.stdtr(df, statistic))
-    if plain > _FAR:
+    if plain > _LEAST_EXACT:
         return math.log(plain)
     # P = I_x(a, 1/2) / 2 with x = df / (df + t^2), through x^a (1-x)^b / (a B(a, b)) 2F1(a + b, 1; a + 1; x).
     a, b, ratio = df / 2, 0.5, statistic**2 / df

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from anystyle.files import atomic_path
+from anystyle.io.atomic import atomic_path
 from anystyle.study.plan import Plan, plan_from
 
 FILE, PICTURES = "study.json", "pictures"

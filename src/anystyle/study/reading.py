@@ -101,10 +101,10 @@ def _joined(parts: Sequence[Records]) -> Records:
 def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
-    found = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file())
-    if not found:
+    files = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file())
+    if not files:
         raise ValueError(f"{path} holds no responses; expected files that end in {', '.join(_SUFFIXES)}")
-    return found
+    return files
 
 
 def _columns(path: Path) -> _Columns:
@@ -165,7 +165,7 @@ def _sqlite_columns(path: Path) -> _Columns:
                 names = tuple(column[0] for column in cursor.description)
                 if {"participant", "item"} <= {name.strip().lower() for name in names}:
                     rows = cursor.fetchall()
-                    columns = [[_text(row[place]) for row in rows] for place in range(len(names))]
+                    columns = [[_text(row[index]) for row in rows] for index in range(len(names))]
                     return _checked(names, columns, path.name)
     except sqlite3.Error as error:
         raise ValueError(f"{path.name} is no readable SQLite file: {error}") from None
@@ -229,15 +229,15 @@ def _long(table: _Columns, unused: tuple[str, ...] = ()) -> Records:
 def _wide_by_item(table: _Columns) -> Records:
     """One row a participant and item, one column a question."""
     fixed = ("participant", "item", "ours_is", *_OPTIONAL)
-    others = [name for name in table.names if name not in (*fixed, *_BOOKKEEPING)]
-    questions = [name for name in others if _is_numeric(table.cells[name])]
+    remaining = [name for name in table.names if name not in (*fixed, *_BOOKKEEPING)]
+    questions = [name for name in remaining if _is_numeric(table.cells[name])]
     if not questions:
         raise ValueError(f"{table.source} has no column of scores beside {', '.join(table.names)}")
     cells = {name: table.get(name) * len(questions) for name in fixed if name in table.names and name != "comment"}
     cells["comment"] = table.get("comment") + [""] * (table.count * (len(questions) - 1))
     cells["question"] = [name for name in questions for _ in range(table.count)]
     cells["score"] = [cell for name in questions for cell in table.cells[name]]
-    unused = tuple(name for name in others if name not in questions)
+    unused = tuple(name for name in remaining if name not in questions)
     return _long(_Columns(tuple(cells), cells, table.source), unused)
 
 
@@ -268,7 +268,7 @@ def _is_numeric(cells: Sequence[str]) -> bool:
 
 def _names(cells: Sequence[str], source: str, column: str) -> np.ndarray:
     if not all(cells):
-        row = next(place for place, cell in enumerate(cells, start=2) if not cell)
+        row = next(index for index, cell in enumerate(cells, start=2) if not cell)
         raise ValueError(f"{source}, row {row}: {column} is empty; expected a name")
     return np.array(cells)
 

@@ -10,7 +10,7 @@ from string import Template
 import anystyle.study.figures as draw
 from anystyle.study.analysis import Analysis, QuestionAnalysis
 from anystyle.study.tabulate import effect_title, generalizes, p_text, plain_p, title_of
-from anystyle.study.verdicts import equivalence, is_naive, percent, response_level, shares, verdict
+from anystyle.study.verdicts import equivalence, fractions, is_naive, percent, response_level, verdict
 
 _LISTED = 60  # rows of a list of findings; the rest is in analysis.json
 _CHECKS = {
@@ -63,12 +63,12 @@ def _summary(analysis: Analysis) -> str:
 
 
 def _card(question: QuestionAnalysis, confidence: float) -> str:
-    ours, neither, theirs = shares(question)
+    ours, neither, theirs = fractions(question)
     primary = question.primary
     interval = "" if primary is None else f"[{primary.result.interval[0]:.2f}, {primary.result.interval[1]:.2f}]"
     bars = "".join(
-        f'<i style="width:{100 * share:.2f}%;background:{color}"></i>'
-        for share, color in ((ours, draw.OURS), (neither, draw.NEUTRAL), (theirs, draw.THEIRS))
+        f'<i style="width:{100 * fraction:.2f}%;background:{color}"></i>'
+        for fraction, color in ((ours, draw.OURS), (neither, draw.NEUTRAL), (theirs, draw.THEIRS))
     )
     mean = float(question.responses.deviations.mean())
     return (
@@ -200,13 +200,13 @@ def _checks(analysis: Analysis) -> str:
     else:
         lines.append("<p>No participant was excluded.</p>")
     for kind, name in _CHECKS.items():
-        found = [item for item in checks.findings if item.kind == kind]
-        if not found:
+        findings = [item for item in checks.findings if item.kind == kind]
+        if not findings:
             continue
-        rows = [("", [item.participant, item.detail]) for item in found[:_LISTED]]
-        more = f"<p class='note'>and {len(found) - _LISTED} more, in analysis.json</p>" * (len(found) > _LISTED)
+        rows = [("", [item.participant, item.detail]) for item in findings[:_LISTED]]
+        more = f"<p class='note'>and {len(findings) - _LISTED} more, in analysis.json</p>" * (len(findings) > _LISTED)
         table = _table(["participant", "detail"], rows, ())
-        lines.append(f"<details><summary>{name}: {len(found)}</summary>{table}{more}</details>")
+        lines.append(f"<details><summary>{name}: {len(findings)}</summary>{table}{more}</details>")
     clean = [name.lower() for kind, name in _CHECKS.items() if not checks.count(kind)]
     if clean:
         lines.append(f'<p class="note">None found: {", ".join(clean)}.</p>')

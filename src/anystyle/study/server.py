@@ -56,13 +56,13 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_GET(self) -> None:
         """The page, a picture, or a participant's state."""
-        place = urlsplit(self.path)
-        if place.path == "/":
+        url = urlsplit(self.path)
+        if url.path == "/":
             self._reply(200, "text/html; charset=utf-8", self._study.page)
-        elif place.path in self._study.pictures:
-            self._reply(200, "image/jpeg", self._study.pictures[place.path].read_bytes(), "public, max-age=86400")
-        elif place.path == "/state":
-            participant = parse_qs(place.query).get("participant", [""])[0]
+        elif url.path in self._study.pictures:
+            self._reply(200, "image/jpeg", self._study.pictures[url.path].read_bytes(), "public, max-age=86400")
+        elif url.path == "/state":
+            participant = parse_qs(url.query).get("participant", [""])[0]
             state = self._study.store.state(participant)
             self._json(404 if state is None else 200, state or {"error": "no answers yet"})
         else:

@@ -1,4 +1,8 @@
-"""The distribution of a sum whose terms' signs are all equally likely."""
+"""The distribution of a sum whose terms' signs are all equally likely.
+
+scipy's ``permutation_test`` is exact where it can list all sign patterns, to about 16 terms; this is exact for whole
+numbers of any count, and gives logarithms of tails below the smallest double.
+"""
 
 import math
 from fractions import Fraction
@@ -47,12 +51,12 @@ def _log_lower_tail(sizes: np.ndarray, observed: int) -> float:
     masses = np.zeros(2 * span + 1)
     masses[span] = 1.0
     reached = 0
-    for size, share in zip(sizes.tolist(), up.tolist(), strict=True):
+    for size, probability in zip(sizes.tolist(), up.tolist(), strict=True):
         low, high = span - reached, span + reached + 1
         old = masses[low:high].copy()
         masses[low:high] = 0.0
-        masses[low - size : high - size] += (1 - share) * old
-        masses[low + size : high + size] += share * old
+        masses[low - size : high - size] += (1 - probability) * old
+        masses[low + size : high + size] += probability * old
         reached += size
     sums = np.arange(-span, observed + 1)
     # P(S = x) = tilted mass * exp(-tilt x) * prod cosh(tilt size)
@@ -69,8 +73,8 @@ def _tilt(sizes: np.ndarray, observed: int, span: int) -> float:
         return 0.0
     if float(sizes @ np.tanh(limit * sizes)) >= observed or observed <= -span:
         return limit
-    found = optimize.root_scalar(lambda tilt: float(sizes @ np.tanh(tilt * sizes)) - observed, bracket=(limit, 0.0))
-    return float(found.root)
+    solution = optimize.root_scalar(lambda tilt: float(sizes @ np.tanh(tilt * sizes)) - observed, bracket=(limit, 0.0))
+    return float(solution.root)
 
 
 def random_subset_means(

@@ -1,97 +1,72 @@
-"""Wilcoxon's signed-rank statistics and the pseudo-median that belongs to them."""
+"""Wilcoxon's signed-rank test, and the pseudo-median that belongs to it."""
 
 import math
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float
-from scipy import special
-from scipy.stats import rankdata
+from scipy import special, stats
 
 from anystyle.study.contract import Alternative
-from anystyle.study.probability import log_normal_pvalue, log_pvalue
+from anystyle.study.probability import log_normal_pvalue
 
 ZeroMethod = Literal["wilcox", "pratt", "zsplit"]
 
-_LISTED_VALUES = 200
-_EXACT_UP_TO = 50  # observations; as scipy's "auto"
+_EXACT_UP_TO = 50  # observations; as scipy's "auto" without ties
 
 
 @dataclass(frozen=True)
 class SignedRanks:
-    """Rank sums of positive and negative deviations, with the null distribution's normal approximation.
+    """A signed-rank test.
 
     Args:
         plus: Sum of the ranks of positive deviations.
-        minus: Sum of the ranks of negative deviations.
-        mean: Of ``plus`` without a preference.
-        sd: Of ``plus`` without a preference, corrected for ties.
         n: Deviations that were ranked.
-        exact: Whether neither ties nor zeros nor too many observations rule out the exact distribution.
+        rank_biserial: Matched-pairs rank-biserial correlation in [-1, 1]; negative prefers ours.
+        log_pvalue: Natural logarithm of the p-value.
+        exact: Whether that is of the exact distribution.
     """
 
     plus: float
-    minus: float
-    mean: float
-    sd: float
     n: int
+    rank_biserial: float
+    log_pvalue: float
     exact: bool
 
-    @property
-    def rank_biserial(self) -> float:
-        """Matched-pairs rank-biserial correlation in [-1, 1]; negative prefers ours."""
-        return (self.plus - self.minus) / (self.plus + self.minus)
 
-    def log_pvalue(self, alternative: Alternative, *, exact: bool) -> float:
-        """The p-value's logarithm, without a continuity correction where it is approximate."""
-        if not exact:
-            return log_normal_pvalue((self.plus - self.mean) / self.sd, alternative)
-        masses = _exact_masses(self.n)
-        rank_sum = round(self.plus)
-        lower, upper = masses[: rank_sum + 1].sum(), masses[rank_sum:].sum()
-        return log_pvalue(math.log(min(lower, 1.0)), math.log(min(upper, 1.0)), alternative)
-
-
-@lru_cache(maxsize=64)
-def _exact_masses(n: int) -> np.ndarray:
-    """Probabilities of the rank sums 0 .. n(n+1)/2, every sign pattern equally likely."""
-    masses = np.zeros(n * (n + 1) // 2 + 1)
-    masses[0] = 1.0
-    for rank in range(1, n + 1):
-        shifted = np.zeros_like(masses)
-        shifted[rank:] = masses[:-rank]
-        masses = (masses + shifted) / 2
-    masses.flags.writeable = False
-    return masses
-
-
-def signed_ranks(deviations: Float[np.ndarray, " N"], zero_method: ZeroMethod = "wilcox") -> SignedRanks:
-    """Rank the deviations by size.
+def signed_ranks(
+    deviations: Float[np.ndarray, " N"],
+    alternative: Alternative,
+    zero_method: ZeroMethod = "wilcox",
+    method: Literal["auto", "approx"] = "auto",
+) -> SignedRanks:
+    """Test the symmetry of deviations about 0 by scipy.
 
     Args:
-        deviations: Any real numbers.
+        deviations: Any real numbers, not all of them 0.
+        alternative: The claim.
         zero_method: ``wilcox`` drops zeros, ``pratt`` ranks and then drops them, ``zsplit`` gives half of their ranks
             to each side.
+        method: ``auto`` is exact without ties or zeros up to 50 observations; otherwise the normal approximation with
+            the correction for ties and none for continuity.
     """
     zeros = int(np.count_nonzero(deviations == 0))
-    ranked = deviations[deviations != 0] if zero_method == "wilcox" else deviations
-    ranks = rankdata(np.abs(ranked))
-    plus, minus = float(ranks[ranked > 0].sum()), float(ranks[ranked < 0].sum())
-    if zero_method == "zsplit":
-        split = float(ranks[ranked == 0].sum()) / 2
-        plus, minus = plus + split, minus + split
-    n = len(ranked)
-    mean, square = n * (n + 1) / 4, n * (n + 1) * (2 * n + 1)
-    tied = np.unique(np.abs(ranked), return_counts=True)[1].astype(float)
-    if zero_method == "pratt":
-        mean -= zeros * (zeros + 1) / 4
-        square -= zeros * (zeros + 1) * (2 * zeros + 1)
-        tied = tied[1:] if zeros else tied
-    square -= float((tied**3 - tied).sum()) / 2
-    exact = zeros == 0 and n <= _EXACT_UP_TO and bool(np.all(tied == 1))
-    return SignedRanks(plus=plus, minus=minus, mean=mean, sd=math.sqrt(max(square, 0.0) / 24), n=n, exact=exact)
+    n = len(deviations) - (zeros if zero_method == "wilcox" else 0)
+    total = n * (n + 1) / 2 - (zeros * (zeros + 1) / 2 if zero_method == "pratt" else 0)
+    # One-sided, so that the statistic is the positive rank sum and z keeps its sign.
+    normal: Any = stats.wilcoxon(
+        deviations, zero_method=zero_method, correction=False, alternative="less", method="asymptotic"
+    )
+    distinct = len(np.unique(np.abs(deviations))) == len(deviations)
+    exact = method == "auto" and zeros == 0 and distinct and n <= _EXACT_UP_TO
+    if exact:
+        result: Any = stats.wilcoxon(deviations, alternative=alternative, method="exact")
+        log_pvalue = math.log(result.pvalue)
+    else:
+        log_pvalue = log_normal_pvalue(float(normal.zstatistic), alternative)
+    plus = float(normal.statistic)
+    return SignedRanks(plus, n, (2 * plus - total) / total, log_pvalue, exact)
 
 
 def rank_biserial_interval(ranks: SignedRanks, confidence: float) -> tuple[float, float]:
@@ -101,46 +76,36 @@ def rank_biserial_interval(ranks: SignedRanks, confidence: float) -> tuple[float
     # Unanimous signs have no finite z: they are taken as near to unanimous as one smallest rank.
     limit = 1 - 4 / (n * (n + 1)) if n > 1 else 0.0
     center = math.atanh(min(max(ranks.rank_biserial, -limit), limit))
-    reach = float(special.ndtri((1 + confidence) / 2)) * spread
-    low, high = math.tanh(center - reach), math.tanh(center + reach)
+    half_width = float(special.ndtri((1 + confidence) / 2)) * spread
+    low, high = math.tanh(center - half_width), math.tanh(center + half_width)
     return min(low, ranks.rank_biserial), max(high, ranks.rank_biserial)
 
 
 def pseudo_median(deviations: Float[np.ndarray, " N"], confidence: float) -> tuple[float, tuple[float, float]]:
     """The Hodges-Lehmann estimate and its interval: the median and two order statistics of all pairwise means.
 
-    Where there are many different values, pairs are counted by bisection and never listed, so that memory stays linear.
+    Pairs are counted by bisection and never listed, so that memory stays linear.
     """
     n = len(deviations)
     pairs = n * (n + 1) // 2
-    reach = float(special.ndtri((1 + confidence) / 2)) * math.sqrt(n * (n + 1) * (2 * n + 1) / 24)
-    outer = min(max(math.floor(pairs / 2 - reach), 1), pairs)
-    wanted = np.array([(pairs + 1) // 2, pairs // 2 + 1, outer, pairs + 1 - outer])
-    values, weights = np.unique(deviations, return_counts=True)
-    find = _listed_means if len(values) <= _LISTED_VALUES else _counted_means
-    low_median, high_median, lower, upper = (np.round(find(values, weights, wanted), 12) + 0.0).tolist()
+    half_width = float(special.ndtri((1 + confidence) / 2)) * math.sqrt(n * (n + 1) * (2 * n + 1) / 24)
+    outer = min(max(math.floor(pairs / 2 - half_width), 1), pairs)
+    ranks = np.array([(pairs + 1) // 2, pairs // 2 + 1, outer, pairs + 1 - outer])
+    low_median, high_median, lower, upper = (np.round(_pairwise_means(deviations, ranks), 12) + 0.0).tolist()
     return (low_median + high_median) / 2, (lower, upper)
 
 
-def _listed_means(values: np.ndarray, weights: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The pairwise means of the wanted ranks, from 1, each value with itself included."""
-    first, second = np.triu_indices(len(values))
-    means = (values[first] + values[second]) / 2
-    counts = np.where(first == second, weights[first] * (weights[first] + 1) // 2, weights[first] * weights[second])
-    order = np.argsort(means, kind="stable")
-    return means[order][np.searchsorted(np.cumsum(counts[order]), wanted)]
-
-
-def _counted_means(values: np.ndarray, weights: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """The same by bisection."""
+def _pairwise_means(deviations: np.ndarray, ranks: np.ndarray) -> np.ndarray:
+    """The pairwise means of given ranks, from 1, each value with itself included, by bisection."""
+    values, weights = np.unique(deviations, return_counts=True)
     cumulative = np.concatenate([[0], np.cumsum(weights)])
-    low = np.full(len(wanted), values[0])
-    high = np.full(len(wanted), values[-1])
+    low = np.full(len(ranks), values[0])
+    high = np.full(len(ranks), values[-1])
     tolerance = 1e-14 * max(abs(values[0]), abs(values[-1]), 1.0)
     while np.any(high - low > tolerance):
         middle = (low + high) / 2
         partners = cumulative[np.searchsorted(values, 2 * middle[:, None] - values + tolerance, side="right")]
         themselves = cumulative[np.searchsorted(values, middle + tolerance, side="right")]
-        enough = (partners @ weights + themselves) // 2 >= wanted
+        enough = (partners @ weights + themselves) // 2 >= ranks
         low, high = np.where(enough, low, middle), np.where(enough, middle, high)
     return high

@@ -107,12 +107,12 @@ class Store:
         else:
             statement = _ADD
             item, question, score, revision = self._checked(message)
-            known, check = self._items.get(item), self._checks.get(item)
+            judged, check = self._items.get(item), self._checks.get(item)
             values = (
                 *(received, participant.id, session, item, question, score),
-                ("A" if item in participant.ours_is_a else "B") if known else "",
+                ("A" if item in participant.ours_is_a else "B") if judged else "",
                 check.expected if check else None,
-                comparison(self._study, known.baseline) if known and len(self._study.baselines) > 1 else "",
+                comparison(self._study, judged.baseline) if judged and len(self._study.baselines) > 1 else "",
                 _seconds(message.get("seconds")),
                 str(message.get("time", ""))[:40],
                 revision,

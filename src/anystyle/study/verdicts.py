@@ -10,7 +10,7 @@ from anystyle.study.tabulate import p_text
 _LEVEL = 0.05
 
 
-def shares(question: QuestionAnalysis) -> tuple[float, float, float]:
+def fractions(question: QuestionAnalysis) -> tuple[float, float, float]:
     """The shares of answers that prefer ours, neither and theirs."""
     signs = np.sign(question.responses.deviations)
     return float(np.mean(signs < 0)), float(np.mean(signs == 0)), float(np.mean(signs > 0))
@@ -48,9 +48,9 @@ def equivalence(question: QuestionAnalysis) -> str:
     return f"{lead} ({usable[0].result.method.partition(', ')[2]}): {'; '.join(parts)}."
 
 
-def percent(share: float) -> str:
+def percent(fraction: float) -> str:
     """A share as people write it."""
-    return f"{100 * share:.0f} %"
+    return f"{100 * fraction:.0f} %"
 
 
 def response_level(analysis: Analysis) -> str:

@@ -10,9 +10,10 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.contracts import PublishedEncoder, StyleEncoder
+from anystyle.contracts import StyleEncoder
 from anystyle.perception import bpe, weights
 from anystyle.perception.clip import Clip, load_clip
+from anystyle.published import PublishedEncoder
 
 TEMPLATES = (
     "a photo of a {}.",
@@ -65,7 +66,7 @@ class TextAdapter(nn.Module):
         return F.normalize(features + self.mlp(features), dim=-1)
 
 
-class _Published:
+class _Published(PublishedEncoder):
     """Loads Long-CLIP's or CLIP's file, and the text adapter of a style branch."""
 
     def load(self, encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
@@ -74,20 +75,22 @@ class _Published:
 
     def load_text_adapter(self, encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
         assert isinstance(encoder, LongClip)
-        own = {} if encoder.adapter is None else encoder.adapter.state_dict()
+        expected = {} if encoder.adapter is None else encoder.adapter.state_dict()
         first = state.get("mlp.0.weight")
         if first is not None and first.shape[-1] != encoder.dim:
             raise ValueError(
                 f"the style branch was trained with embeddings of {first.shape[-1]} numbers, and the style encoder's "
                 f"have {encoder.dim}; choose the encoder it was trained with (style_encoder=long_clip)"
             )
-        if {key: tensor.shape for key, tensor in own.items()} != {key: tensor.shape for key, tensor in state.items()}:
+        if {key: tensor.shape for key, tensor in expected.items()} != {
+            key: tensor.shape for key, tensor in state.items()
+        }:
             raise ValueError(
                 f"the checkpoint's text adapter has the tensors {sorted(state) or 'none'}, and the style encoder's "
-                f"{sorted(own) or 'none'}; set style_encoder.text_adapter={str(bool(state)).lower()}"
+                f"{sorted(expected) or 'none'}; set style_encoder.text_adapter={str(bool(state)).lower()}"
             )
         if encoder.adapter is not None:
-            given = {key: tensor.to(own[key].dtype) for key, tensor in state.items()}
+            given = {key: tensor.to(expected[key].dtype) for key, tensor in state.items()}
             encoder.adapter.load_state_dict(given, assign=True)
 
 
@@ -203,7 +206,7 @@ class LongClip(StyleEncoder):
     def features(self, prompts: Sequence[str]) -> Float[Tensor, "N D"]:
         """The text tower's features of prompts as they are: no template, no adapter, not normalised."""
         tokens = self.tokens(prompts).to(self.network.text_projection.device)
-        return torch.cat([self.network.embed_tokens(some) for some in tokens.split(self.batch)])
+        return torch.cat([self.network.embed_tokens(batch) for batch in tokens.split(self.batch)])
 
     def tokens(self, prompts: Sequence[str]) -> Tensor:
         """Numbers of the tokens of prompts, N L, padded with 0 behind the last one."""
@@ -217,8 +220,8 @@ class LongClip(StyleEncoder):
                     f"{self.network.context} are read; shorten it"
                 )
         tokens = torch.zeros(len(rows), max(map(len, rows)), dtype=torch.long)
-        for place, row in enumerate(rows):
-            tokens[place, : len(row)] = torch.tensor(row)
+        for index, row in enumerate(rows):
+            tokens[index, : len(row)] = torch.tensor(row)
         return tokens
 
     def _embed(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:

@@ -24,7 +24,7 @@ from anystyle.types import (
 def sites_are_named_after_their_part(plugin: Plugin) -> None:
     """Sites are called ``aggregator/...`` or ``head/...``, once each, with the channels of their tokens."""
     backbone = plugin.instance
-    found: list[str] = []
+    names: list[str] = []
     for prefix, sites in (("aggregator/", backbone.aggregator.sites), ("head/", backbone.gaussian_head.sites)):
         for site in sites:
             expect(
@@ -40,14 +40,14 @@ def sites_are_named_after_their_part(plugin: Plugin) -> None:
                 change="use '/' between the words of the name: it becomes a key of the state dict",
             )
             expect(
-                site.name not in found,
+                site.name not in names,
                 given=f"two sites named {site.name!r}",
                 expected="every name once",
                 change="number them, such as 'aggregator/4'",
             )
-            found.append(site.name)
+            names.append(site.name)
     expect(
-        bool(found),
+        bool(names),
         given="no site at all",
         expected="at least one place where style may enter",
         change="list it in `sites` and call `inject(name, tokens)` there",

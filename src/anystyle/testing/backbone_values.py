@@ -15,7 +15,7 @@ from anystyle.testing.backbone_encoding import (
     some_views,
 )
 from anystyle.testing.check import expect
-from anystyle.testing.comparing import conform, expect_close, kind_and_shape, tensors_of
+from anystyle.testing.comparing import conform, expect_close, tensors_of
 from anystyle.testing.inputs import generator
 from anystyle.types import (
     Cameras,
@@ -26,6 +26,7 @@ from anystyle.types import (
     Value,
     Views,
 )
+from anystyle.types.shapes import kind_and_shape
 
 SHAPES = ((2, 3), (3, 2), (5, 4))
 """Heights and widths in patches that must work besides the square."""

@@ -106,8 +106,8 @@ def describe(error: BaseException) -> str:
     lines = str(error).strip().splitlines()
     first = lines[0] if lines else ""
     frames = [frame for frame in traceback.extract_tb(error.__traceback__) if _is_plugins(frame.filename)]
-    place = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
-    return f"{type(error).__name__}: {first[:300]}{place}"
+    where = f" ({Path(frames[-1].filename).name}, line {frames[-1].lineno})" if frames else ""
+    return f"{type(error).__name__}: {first[:300]}{where}"
 
 
 def run_checks(checks: Sequence[Check], subject: object) -> list[Outcome]:

@@ -1,66 +1,34 @@
 """How tensors are held against a contract: shapes by their annotations, numbers by what rounding leaves of them."""
 
-import types
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any, Union, get_args, get_origin
+from typing import Any
 
 import torch
 import torch.utils._pytree as pytree
-from jaxtyping import AbstractArray
 from torch import Tensor
 
-from anystyle.testing.check import expect
+from anystyle.testing.check import ContractError, expect
 from anystyle.types import Value
+from anystyle.types.shapes import ShapeError, check_tensor, check_value
 
 
 def conform(value: object, cls: type, where: str, **sizes: int) -> None:
-    """Hold every tensor of a dataclass against the shape and kind of number that the class declares.
-
-    Args:
-        value: What the plugin returned.
-        cls: The dataclass it should be.
-        where: What returned it, for the message.
-        sizes: What axis letters stand for; a letter not named here is bound by the first tensor that has it.
-    """
+    """Hold a dataclass of a plugin against its annotations; see :func:`anystyle.types.shapes.check_value`."""
     change = f"return {cls.__name__}(...) from there, with the shapes of its docstring in `anystyle.types`"
-    expect(
-        isinstance(value, cls),
-        given=f"{where} returned {_article(type(value).__name__)}",
-        expected=_article(cls.__name__),
-        change=change,
-    )
-    bound = dict(sizes)
-    for item in fields(value):  # pyright: ignore[reportArgumentType]
-        _conform_field(getattr(value, item.name), item.type, f"{where}: {cls.__name__}.{item.name}", bound)
+    try:
+        check_value(value, cls, where, **sizes)
+    except ShapeError as error:
+        raise ContractError(given=error.given, expected=error.expected, change=change) from None
 
 
 def conform_tensor(value: object, annotation: Any, where: str, **sizes: int) -> None:
     """Hold one tensor against a jaxtyping annotation."""
-    _conform_field(value, annotation, where, dict(sizes))
-
-
-def _conform_field(value: object, annotation: Any, where: str, bound: dict[str, int]) -> None:
-    choices = get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
-    wanted = [choice for choice in choices if isinstance(choice, type) and issubclass(choice, AbstractArray)]
-    if not wanted or (value is None and types.NoneType in choices):
-        return
-    array: Any = wanted[0]
-    axes = array.dim_str.split()
-    expected = f"{_kind(array)} of shape [{', '.join(_axis(axis, bound) for axis in axes)}]"
     change = "check the order and number of its axes, and its dtype, where it is made"
-    if not isinstance(value, Tensor):
-        expect(False, given=f"{where} is {_article(type(value).__name__)}", expected=expected, change=change)
-        return
-    fits = value.ndim == len(axes) and str(value.dtype).removeprefix("torch.") in array.dtypes
-    for axis, size in zip(axes, value.shape, strict=False):
-        fits = fits and size == (int(axis) if axis.isdigit() else bound.setdefault(axis, size))
-    expect(fits, given=f"{where} is {kind_and_shape(value)}", expected=expected, change=change)
-
-
-def kind_and_shape(tensor: Tensor) -> str:
-    """Such as ``float32 of shape [1, 2, 3]``."""
-    return f"{str(tensor.dtype).removeprefix('torch.')} of shape {list(tensor.shape)}"
+    try:
+        check_tensor(value, annotation, where, **sizes)
+    except ShapeError as error:
+        raise ContractError(given=error.given, expected=error.expected, change=change) from None
 
 
 def tensors_of(value: Any) -> dict[str, Tensor]:
@@ -137,17 +105,3 @@ def _plain(value: Any) -> Any:
 
 def _path(where: str, name: str) -> str:
     return f"{where} ({name})" if name else where
-
-
-def _axis(axis: str, bound: Mapping[str, int]) -> str:
-    return f"{axis}={bound[axis]}" if axis in bound else axis
-
-
-def _kind(array: Any) -> str:
-    if "bool" in array.dtypes:
-        return "booleans"
-    return "floating-point numbers" if "float32" in array.dtypes else "integers"
-
-
-def _article(name: str) -> str:
-    return f"{'an' if name[:1] in 'AEIOUaeiou' else 'a'} {name}"

@@ -34,10 +34,10 @@ def nothing_moved_is_no_flow(plugin: Plugin) -> None:
     """Between a frame and itself the flow is 0, and nearly everything is visible."""
     wall = _wall(1, SIZE)
     flow = plugin.instance(wall, wall)
-    share = float(flow.visible.float().mean())
+    fraction = float(flow.visible.float().mean())
     expect(
-        share > 0.8,
-        given=f"{100 * share:.0f} % of the pixels of a frame visible in itself",
+        fraction > 0.8,
+        given=f"{100 * fraction:.0f} % of the pixels of a frame visible in itself",
         expected="nearly all",
         change="allow for rounding where depths or flows are compared",
     )
@@ -56,18 +56,18 @@ def moved_cameras_are_followed(plugin: Plugin) -> None:
     for shift, drop in ((6, 0), (0, 5)):
         flow = plugin.instance(source, _wall(1, SIZE, shift=shift, drop=drop))
         inside = flow.visible[0, 16:-16, 16:-16]
-        share = float(inside.float().mean())
+        fraction = float(inside.float().mean())
         expect(
-            share > 0.5,
-            given=f"{100 * share:.0f} % of a wall visible after a move of {shift or drop} pixels",
+            fraction > 0.5,
+            given=f"{100 * fraction:.0f} % of a wall visible after a move of {shift or drop} pixels",
             expected="most of it",
             change="call a pixel hidden only where another is in front of it, or where it leaves the frame",
         )
-        found = flow.displacement[0, :, 16:-16, 16:-16][:, inside].median(dim=1).values
-        gap = float((found - torch.tensor([-float(shift), -float(drop)])).abs().max())
+        displacement = flow.displacement[0, :, 16:-16, 16:-16][:, inside].median(dim=1).values
+        gap = float((displacement - torch.tensor([-float(shift), -float(drop)])).abs().max())
         expect(
             gap < 1,
-            given=f"a displacement (x, y) of ({float(found[0]):.1f}, {float(found[1]):.1f}) pixels",
+            given=f"a displacement (x, y) of ({float(displacement[0]):.1f}, {float(displacement[1]):.1f}) pixels",
             expected=f"({-shift}, {-drop})",
             change="return where the source's pixels are in the target, minus where they are in the source",
         )
@@ -76,10 +76,10 @@ def moved_cameras_are_followed(plugin: Plugin) -> None:
 def what_left_the_frame_is_not_visible(plugin: Plugin) -> None:
     """Pixels whose point lies outside of the target are not visible there."""
     flow = plugin.instance(_wall(1, SIZE), _wall(1, SIZE, shift=24))
-    share = float(flow.visible[0, 16:-16, :12].float().mean())
+    fraction = float(flow.visible[0, 16:-16, :12].float().mean())
     expect(
-        share < 0.2,
-        given=f"{100 * share:.0f} % of the left margin visible after the wall moved left by 24 pixels",
+        fraction < 0.2,
+        given=f"{100 * fraction:.0f} % of the left margin visible after the wall moved left by 24 pixels",
         expected="nothing of it",
         change="set `visible` to false where the target pixel lies outside",
     )

@@ -1,7 +1,5 @@
 """What an injector promises: see :class:`anystyle.contracts.Injector`."""
 
-from dataclasses import replace
-
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -100,9 +98,7 @@ def styles_of_a_batch_stay_apart(plugin: Plugin) -> None:
     with torch.no_grad():
         together = injector(tokens, style)
         for row in range(3):
-            assert tokens.places is not None
-            one = replace(tokens, data=tokens.data[row : row + 1], places=tokens.places[row : row + 1])
-            alone = injector(one, style[row : row + 1])
+            alone = injector(tokens.with_data(tokens.data[row : row + 1]), style[row : row + 1])
             expect_close(
                 together.data[row : row + 1],
                 alone.data,
@@ -117,13 +113,11 @@ def views_have_no_order(plugin: Plugin) -> None:
     injector = _make(plugin, DIMS[0])
     _train(injector, steps=3)
     tokens, style = _tokens(2, 3, (3, 5), 5, DIMS[0]), _style(2)
-    turned = [2, 0, 1]
-    assert tokens.places is not None
-    other = replace(tokens, data=tokens.data[:, turned], places=tokens.places[:, turned])
+    order = [2, 0, 1]
     with torch.no_grad():
         expect_close(
-            injector(other, style).data,
-            injector(tokens, style).data[:, turned],
+            injector(tokens.with_data(tokens.data[:, order]), style).data,
+            injector(tokens, style).data[:, order],
             what="tokens of views in another order",
             expected="the same tokens in that order",
             change="give no view a special part: no parameter, mask or position by its number",
@@ -153,7 +147,7 @@ def gradients_reach_tokens_and_style(plugin: Plugin) -> None:
     _train(injector, steps=3)
     tokens = _tokens(1, 2, (3, 5), 5, DIMS[0])
     data, style = tokens.data.clone().requires_grad_(), _style(1).requires_grad_()
-    result = injector(replace(tokens, data=data), style).data
+    result = injector(tokens.with_data(data), style).data
     conform_tensor(result, Float[Tensor, "B V P C"], "the injector", B=1, V=2)
     (result * torch.randn(result.shape, generator=generator(5))).sum().backward()
     for name, leaf in (("the tokens", data), ("the style", style)):
@@ -170,14 +164,9 @@ def _make(plugin: Plugin, dim: int, seed: int = 0) -> Injector:
 
 
 def _tokens(batch: int, number: int, grid: tuple[int, int], special: int, dim: int) -> Tokens:
-    patches = grid[0] * grid[1]
-    count = special + patches
-    return Tokens(
-        torch.randn(batch, number, count, dim, generator=generator(count)),
-        grid=grid,
-        special=special,
-        places=torch.randn(batch, number, patches, 2, generator=generator(patches)),
-    )
+    count = special + grid[0] * grid[1]
+    data = torch.randn(batch, number, count, dim, generator=generator(count))
+    return Tokens(data, grid=grid, special=special)
 
 
 def _style(batch: int, seed: int = 0) -> Float[Tensor, "B D"]:

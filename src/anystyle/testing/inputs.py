@@ -17,14 +17,14 @@ def generator(seed: int) -> torch.Generator:
 
 def images(number: int, size: tuple[int, int], seed: int = 0) -> Float[Tensor, "M 3 H W"]:
     """Smooth colours with some grain, in [0, 1]; image ``i`` is the same whatever ``number`` is."""
-    made = []
+    rows = []
     for index in range(number):
         source = generator(1000 * seed + index)
         coarse = torch.rand(1, 3, 4, 4, generator=source)
         smooth = F.interpolate(coarse, size=size, mode="bilinear", align_corners=True)
         grain = torch.rand(1, 3, *size, generator=source)
-        made.append(0.8 * smooth + 0.2 * grain)
-    return torch.cat(made)
+        rows.append(0.8 * smooth + 0.2 * grain)
+    return torch.cat(rows)
 
 
 def views(batch: int, number: int, size: tuple[int, int], seed: int = 0) -> Views:
@@ -46,13 +46,13 @@ def cameras(batch: int, number: int, size: tuple[int, int]) -> Cameras:
 
 def gaussians(batch: int, number: int, coefficients: int = 4, seed: int = 0) -> Gaussians:
     """Gaussians within reach of :func:`cameras`, of distinct depths; a scene's do not depend on the others'."""
-    made = []
+    rows = []
     for scene in range(batch):
         source = generator(7000 + 1000 * seed + scene)
         # No two at one depth: where depths tie, the order of drawing is a renderer's own affair.
         heights = torch.linspace(-1, 1, number)[torch.randperm(number, generator=source)]
         across = torch.rand(number, 2, generator=source) * 2 - 1
-        made.append(
+        rows.append(
             {
                 "means": torch.cat([across, heights[:, None]], dim=-1),
                 "rotations": F.normalize(torch.randn(number, 4, generator=source), dim=-1),
@@ -61,7 +61,7 @@ def gaussians(batch: int, number: int, coefficients: int = 4, seed: int = 0) -> 
                 "harmonics": 0.4 * torch.randn(number, coefficients, 3, generator=source),
             }
         )
-    return Gaussians(**{name: torch.stack([scene[name] for scene in made]) for name in made[0]})
+    return Gaussians(**{name: torch.stack([scene[name] for scene in rows]) for name in rows[0]})
 
 
 def frames(number: int, size: tuple[int, int]) -> Frames:

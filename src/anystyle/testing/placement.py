@@ -13,8 +13,9 @@ BACKBONES: dict[str, tuple[Site, ...]] = {
         Site("head/tokens/0", 64),
         Site("head/tokens/3", 64),
         Site("head/rgb", 32),
+        Site("color", 3),
     ),
-    "a backbone of one layer": (Site("aggregator/block/0", 48), Site("head/map", 24)),
+    "a backbone of one layer": (Site("aggregator/block/0", 48), Site("head/map", 24), Site("color", 12)),
 }
 
 

@@ -34,26 +34,26 @@ class _Interrupted(BaseException):
 
 def figures_are_numbers(plugin: Plugin) -> None:
     """It returns at least one figure; names are of letters, digits and '_', and ``better`` speaks of those it has."""
-    found = _first(plugin)
+    evaluation = _first(plugin)
     change = "return Evaluation(figures={'name': 1.0}, n=..., better={'name': 'higher'})"
     expect(
-        isinstance(found, Evaluation) and len(found.figures) > 0,
-        given=f"`run` returned {str(found)[:100]}",
+        isinstance(evaluation, Evaluation) and len(evaluation.figures) > 0,
+        given=f"`run` returned {str(evaluation)[:100]}",
         expected="an Evaluation with at least one figure",
         change=change,
     )
-    told = [found.figures, *found.groups.values(), *(row.figures for row in found.rows)]
+    tables = [evaluation.figures, *evaluation.groups.values(), *(row.figures for row in evaluation.rows)]
     wrong = [
         f"{name!r}: {value!r}"
-        for figures in told
+        for figures in tables
         for name, value in figures.items()
         if not (isinstance(name, str) and name.isidentifier() and type(value) is float)
     ]
     expect(not wrong, given=f"the figure {wrong[0] if wrong else ''}", expected="a float by its name", change=change)
-    strange = sorted({*found.better, *found.stand_ins} - {name for figures in told for name in figures})
+    strange = sorted({*evaluation.better, *evaluation.stand_ins} - {name for figures in tables for name in figures})
     expect(
-        not strange and set(found.better.values()) <= {"higher", "lower"},
-        given=f"`better` is {dict(found.better)!r}, `stand_ins` name {sorted(found.stand_ins)}",
+        not strange and set(evaluation.better.values()) <= {"higher", "lower"},
+        given=f"`better` is {dict(evaluation.better)!r}, `stand_ins` name {sorted(evaluation.stand_ins)}",
         expected="'higher' or 'lower' for figures that it returns, and stand-ins of these",
         change=change,
     )
@@ -61,22 +61,29 @@ def figures_are_numbers(plugin: Plugin) -> None:
 
 def it_says_what_figures_rest_on(plugin: Plugin) -> None:
     """The number of samples is positive, and the provenance is plain values that JSON can hold."""
-    found = _first(plugin)
-    expect(found.n > 0, given=f"n={found.n}", expected="how many samples there were", change="count what was judged")
-    expect(isinstance(found.provenance, Mapping), given="no mapping", expected="values by name", change="use a dict")
+    evaluation = _first(plugin)
+    expect(
+        evaluation.n > 0,
+        given=f"n={evaluation.n}",
+        expected="how many samples there were",
+        change="count what was judged",
+    )
+    expect(
+        isinstance(evaluation.provenance, Mapping), given="no mapping", expected="values by name", change="use a dict"
+    )
     change = "write numbers, texts, lists and mappings; turn tensors and paths into these"
     with attempt("writing `provenance` as JSON", change=change):
-        json.dumps(dict(found.provenance))
+        json.dumps(dict(evaluation.provenance))
 
 
 def it_tells_how_far_it_is(plugin: Plugin) -> None:
     """Progress is told from the start to the end, and never beyond."""
-    told: list[tuple[str, int, int]] = []
+    calls: list[tuple[str, int, int]] = []
     with _folder() as out, seeded(0), attempt("`run`", change="see the line named above"):
-        _make(plugin).run(out, lambda stage, done, total: told.append((stage, done, total)))
+        _make(plugin).run(out, lambda stage, done, total: calls.append((stage, done, total)))
     expect(
-        len(told) > 0 and all(stage and 0 <= done <= total for stage, done, total in told),
-        given=f"`progress` was called with {told[:4]}",
+        len(calls) > 0 and all(stage and 0 <= done <= total for stage, done, total in calls),
+        given=f"`progress` was called with {calls[:4]}",
         expected="a stage, how much of it is done and how much there is",
         change="call progress('scenes', done, total) in the loop that takes long",
     )
@@ -85,8 +92,8 @@ def it_tells_how_far_it_is(plugin: Plugin) -> None:
 def it_is_reproducible(plugin: Plugin) -> None:
     """The same again in a new folder gives the same figures, bit for bit."""
     expect_same(
-        _told(_run(plugin)),
-        _told(_first(plugin)),
+        _all_figures(_run(plugin)),
+        _all_figures(_first(plugin)),
         what="the figures of a second run",
         expected="the same bits",
         change="draw random numbers from a generator with a seed of its own",
@@ -100,13 +107,17 @@ def it_goes_on_where_it_was_stopped(plugin: Plugin) -> None:
             _interrupted(plugin, out, limit)
         again = _run(plugin, out)
         repeated = _run(plugin, out)
-    change = "write each finished piece with `anystyle.files.atomic_path`, and compute from what is written"
-    for what, found in (
+    change = "write each finished piece with `anystyle.io.atomic.atomic_path`, and compute from what is written"
+    for what, evaluation in (
         ("an interrupted run that went on", again),
         ("a run in the folder of a finished one", repeated),
     ):
         expect_same(
-            _told(found), _told(_first(plugin)), what=f"the figures of {what}", expected="the same bits", change=change
+            _all_figures(evaluation),
+            _all_figures(_first(plugin)),
+            what=f"the figures of {what}",
+            expected="the same bits",
+            change=change,
         )
 
 
@@ -144,8 +155,8 @@ def _parts() -> dict[str, Any]:
     return {
         "stylizer": stylizer.requires_grad_(False).eval(),
         "metrics": {"toy": ToyMetric()},
-        "scenes": ToyScenes(num_scenes=2, views=2, size=(32, 32)),
-        "styles": ToyStyles(size=32, period=8),
+        "scenes": ToyScenes(num_scenes=2, views=2, size=(16, 16)),
+        "styles": ToyStyles(size=16, period=8),
     }
 
 
@@ -187,9 +198,9 @@ def _silent(stage: str, done: int, total: int) -> None:
     """Nobody is told."""
 
 
-def _told(found: Evaluation) -> dict[str, Tensor]:
-    figures = {"": found.figures, **found.groups}
-    figures |= {f"row {row.scene} {row.style}": row.figures for row in found.rows}
+def _all_figures(evaluation: Evaluation) -> dict[str, Tensor]:
+    figures = {"": evaluation.figures, **evaluation.groups}
+    figures |= {f"row {row.scene} {row.style}": row.figures for row in evaluation.rows}
     return {
         f"{group}.{name}": torch.tensor(value, dtype=torch.float64)
         for group, values in figures.items()

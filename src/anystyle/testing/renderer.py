@@ -108,11 +108,11 @@ def points_appear_where_they_project(plugin: Plugin) -> None:
     alpha = renders.alpha[0].double()
     rows, columns = torch.arange(40) + 0.5, torch.arange(56) + 0.5
     total = alpha.sum((1, 2)).clamp_min(1e-9)
-    found = torch.stack([(alpha * columns).sum((1, 2)) / total, (alpha * rows[:, None]).sum((1, 2)) / total], dim=-1)
-    gap = float((found - expected).abs().max())
+    centroid = torch.stack([(alpha * columns).sum((1, 2)) / total, (alpha * rows[:, None]).sum((1, 2)) / total], dim=-1)
+    gap = float((centroid - expected).abs().max())
     expect(
         gap < 0.25,
-        given=f"a Gaussian that should be at pixels {_pixels(expected)} is seen at {_pixels(found)}",
+        given=f"a Gaussian that should be at pixels {_pixels(expected)} is seen at {_pixels(centroid)}",
         expected="the pixel of its projection, the centre of the first pixel being (0.5, 0.5)",
         change="x is right, y is down, z is forward; `camera_from_world` before `intrinsics`",
     )

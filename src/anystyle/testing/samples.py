@@ -61,9 +61,9 @@ def stylization(
 
 def comparison(batch: int = 1, number: int = 3) -> Comparison:
     """What metrics compare, with all that can be known."""
-    made = stylization(batch, number).comparison().detach()
+    result = stylization(batch, number).comparison().detach()
     names = tuple(f"scene_{row}" for row in range(batch))
-    return replace(made, scenes=names, styles=tuple(f"style_{row}" for row in range(batch)))
+    return replace(result, scenes=names, styles=tuple(f"style_{row}" for row in range(batch)))
 
 
 @torch.no_grad()

@@ -59,9 +59,9 @@ def any_view_can_be_read(plugin: Plugin) -> None:
     chosen = _chosen(source, 0)
     together = source.read(0, chosen)
     for what, order in (("alone", [len(chosen) - 1]), ("in another order", list(range(len(chosen)))[::-1])):
-        some = source.read(0, [chosen[place] for place in order])
+        reordered = source.read(0, [chosen[index] for index in order])
         expect_same(
-            some,
+            reordered,
             together.select(order),
             what=f"views read {what}",
             expected="the same pixels, cameras and depth as with all the others",
@@ -69,8 +69,8 @@ def any_view_can_be_read(plugin: Plugin) -> None:
         )
         names = together.select(order).names
         expect(
-            some.names == names,
-            given=f"names {some.names}",
+            reordered.names == names,
+            given=f"names {reordered.names}",
             expected=f"{names}",
             change="name views by their place in the scene, not in the list asked for",
         )

@@ -6,9 +6,9 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from anystyle.branch import ATTRIBUTES, StyleBranch
-from anystyle.checkpoint import load_strictly
+from anystyle.branch import ATTRIBUTES, StyleBranch, sites_of
 from anystyle.contracts import Backbone, Injector, Placement
+from anystyle.io.checkpoint import load_strictly
 from anystyle.stylizer import Stylizer
 from anystyle.testing.check import Check, Unavailable, attempt, expect
 from anystyle.testing.comparing import expect_close, expect_same, tensors_of
@@ -44,7 +44,7 @@ class Composition:
         """
         backbone = self.backbone.instance
         try:
-            return self.placement.instance.select(backbone.sites)
+            return self.placement.instance.select(sites_of(backbone))
         except ValueError as error:
             raise Unavailable(f"the two do not go together: {error}") from error
 
@@ -103,7 +103,8 @@ def nothing_changes_at_birth(composed: Composition) -> None:
             stylizer.unstyled(composed.scene),
             what=f"Gaussians styled ({', '.join(styled)}) by an untrained branch",
             expected="the bits of the unstyled ones",
-            change="an injector is the identity at birth, and a copied part computes what the original does",
+            change="an injector is the identity at birth, and a copied part computes what the original does: give "
+            "linear layers contiguous tensors, for of others products with learning weights are rounded otherwise",
         )
 
 
@@ -205,7 +206,7 @@ def many_styles_are_one_batch(composed: Composition) -> None:
 
 @torch.no_grad()
 def weights_name_their_sites(composed: Composition) -> None:
-    """The state dict names every chosen site, holds the aggregator only if one is in it, and is loaded strictly."""
+    """The state dict names every chosen site, copies only what style passes through, and is loaded strictly."""
     stylizer, _ = composed.trained
     branch, state = stylizer.branch, stylizer.branch.state_dict()
     for site in composed.sites:
@@ -216,13 +217,15 @@ def weights_name_their_sites(composed: Composition) -> None:
             expected="the injector of each site",
             change="name sites with letters, digits and '/'",
         )
-    in_aggregator = any(site.name.startswith("aggregator/") for site in composed.sites)
-    expect(
-        in_aggregator == any(key.startswith("aggregator.") for key in state),
-        given=f"a copy of the aggregator although its sites are {'' if in_aggregator else 'not '}chosen",
-        expected="a copy only where it is styled",
-        change="start the names of sites with the part they are in",
-    )
+    parts = {site.name.partition("/")[0] for site in composed.sites}
+    copies = {"aggregator": "aggregator" in parts, "gaussian_head": bool(parts & {"aggregator", "head"})}
+    for name, styled in copies.items():
+        expect(
+            styled == any(key.startswith(f"{name}.") for key in state),
+            given=f"{'no ' if styled else 'a '}copy of the {name} for style at {', '.join(sorted(parts))}",
+            expected="a copy of each part that style passes through, and of no other",
+            change="start the names of sites with the part they are in",
+        )
     fresh = composed.stylizer(ATTRIBUTES, seed=1)
     load_strictly(fresh.branch, state, source="a trained branch")
     embedding = fresh.embed(text=TEXTS[0])

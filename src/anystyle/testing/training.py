@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from anystyle.branch import StyleBranch
 from anystyle.contracts import SceneSource, StyleEncoder, StyleSource
 from anystyle.stylizer import Stylizer
-from anystyle.testing.check import Check, ContractError, attempt, describe, expect
+from anystyle.testing.check import Check, attempt, expect
 from anystyle.testing.comparing import expect_same
 from anystyle.testing.declaration import example
 from anystyle.testing.subject import Subject, seeded
@@ -148,41 +148,24 @@ def _make(plugin: Plugin) -> Training:
 def _encoder(plugin: Plugin) -> StyleEncoder:
     # A training may be made for one style encoder; its annotation says so.
     hints = typing.get_type_hints(plugin.cls.__init__)
-    wanted = hints.get("style_encoder")
-    if inspect.isclass(wanted) and issubclass(wanted, StyleEncoder) and not inspect.isabstract(wanted):
+    hint = hints.get("style_encoder")
+    if inspect.isclass(hint) and issubclass(hint, StyleEncoder) and not inspect.isabstract(hint):
         with tempfile.TemporaryDirectory() as folder:
-            return wanted(**example(wanted, Path(folder)))
+            return hint(**example(hint, Path(folder)))
     return ToyStyleEncoder()
 
 
 def _sources(plugin: Plugin) -> Sources:
-    """The first scenes and styles that it can make a batch of: the toys, or else procedural ones."""
+    """Scenes and styles that it says it can make a batch of, or else the toys."""
     return plugin.once("sources", lambda: _suiting(plugin))
 
 
 def _suiting(plugin: Plugin) -> Sources:
-    refused: list[str] = []
-    for make in (lambda: (ToyScenes(size=(32, 32)), ToyStyles(size=32, period=8)), _procedural):
-        sources = make()
-        try:
-            _make(plugin).batches(*sources, seed=0).batch(0, 0, 1)
-        except ValueError as error:
-            refused.append(describe(error))
-        else:
-            return sources
-    raise ContractError(
-        given=f"no batch from any scenes and styles that there are: {'; '.join(refused)}",
-        expected="a batch of step 0",
-        change="return options from `example` that small sources are enough for",
-    )
-
-
-def _procedural() -> Sources:
-    # Imported here, for it takes a second and few trainings need it.
-    from anystyle.data.procedural.scenes import ProceduralScenes
-    from anystyle.data.procedural.styles import ProceduralStyles
-
-    return ProceduralScenes(size=32, num_scenes=4, views=3), ProceduralStyles(size=32, num_styles=8)
+    sources = plugin.cls.example_sources() or (ToyScenes(size=(32, 32)), ToyStyles(size=32, period=8))
+    change = "return options from `example` that small sources are enough for, or sources from `example_sources`"
+    with attempt("the batch of step 0", change=change):
+        _make(plugin).batches(*sources, seed=0).batch(0, 0, 1)
+    return sources
 
 
 def _trained(plugin: Plugin, *, again: bool = False) -> Training:

@@ -1,4 +1,4 @@
-"""What a run needs besides its maths: seeds, checkpoints, averages and signs of life."""
+"""What a run needs besides its maths: seeds, checkpoints, an average of the weights, and lines of progress."""
 
 import logging
 import signal
@@ -15,7 +15,8 @@ import torch
 from torch import Tensor, nn
 
 from anystyle.errors import one_line
-from anystyle.files import atomic_path
+from anystyle.io.atomic import atomic_path
+from anystyle.training.sampling import generator
 
 log = logging.getLogger(__name__)
 
@@ -33,25 +34,22 @@ class StepSeed(pl.Callback):
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, batch: Any, batch_idx: int
     ) -> None:
         """Seed."""
-        mixed = 0
-        for word in (self.seed, batch_idx, trainer.global_rank):
-            # SplitMix64: near words give unrelated seeds.
-            mixed = (mixed + word + 0x9E3779B97F4A7C15) % 2**64
-            mixed = ((mixed ^ (mixed >> 30)) * 0xBF58476D1CE4E5B9) % 2**64
-            mixed = ((mixed ^ (mixed >> 27)) * 0x94D049BB133111EB) % 2**64
-            mixed ^= mixed >> 31
-        torch.manual_seed(mixed % 2**63)
+        torch.manual_seed(int(generator(self.seed, batch_idx, trainer.global_rank).integers(2**63)))
 
 
 class LastCheckpoint(pl.Callback):
     """Keep one checkpoint that a run can be continued from, and write it before an orderly end.
 
-    The file is written beside its place and then takes its name, so that a kill or a full disk leaves the last good
-    one. SIGTERM and the first Ctrl-C end the run after the current step.
+    The file is written beside its final name and then renamed, so that a kill or a full disk leaves the last good one.
+    SIGTERM and the first Ctrl-C end the run after the current optimizer step.
+
+    Lightning's ``ModelCheckpoint`` does not serve: one of them counts steps or minutes, not both; none writes at the
+    end or at a signal; and it writes through the system's temporary folder, from where a file is not renamed but
+    copied if that is another disk.
 
     Args:
-        path: Where it goes.
-        every_steps: Steps between two writings.
+        path: Of the checkpoint.
+        every_steps: Optimizer steps between two writings.
         every_minutes: Minutes between two writings, whichever comes first.
     """
 
@@ -59,36 +57,40 @@ class LastCheckpoint(pl.Callback):
         self.path = Path(path)
         self.every_steps, self.every_seconds = every_steps, 60 * every_minutes
         self.stopped_by: str | None = None
-        self._written = time.monotonic()
+        self._saved_at = time.monotonic()
+        self._step = 0
         self._previous: dict[signal.Signals, Any] = {}
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Listen to signals, in place of Lightning's own handler, which would end the run without saving."""
-        self._written = time.monotonic()
+        """Handle signals, in place of Lightning's own handler, which would end the run without saving."""
+        self._saved_at, self._step = time.monotonic(), trainer.global_step
         if threading.current_thread() is threading.main_thread():
             for name in (signal.SIGTERM, signal.SIGINT):
                 self._previous[name] = signal.signal(name, self._stop)
 
-    def _stop(self, number: int, frame: Any) -> None:
-        name = signal.Signals(number)
-        self.stopped_by = name.name
+    def _stop(self, signum: int, frame: Any) -> None:
+        received = signal.Signals(signum)
+        self.stopped_by = received.name
         # A second Ctrl-C ends at once.
-        if name is signal.SIGINT:
+        if received is signal.SIGINT:
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def on_train_batch_end(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
         """Save if it is time, or if the run is to end."""
+        # A checkpoint holds no gradients: nothing is saved while those of several batches are accumulated.
+        if trainer.global_step == self._step:
+            return
+        self._step = trainer.global_step
         stop = trainer.strategy.reduce_boolean_decision(self.stopped_by is not None, all=False)
-        step = trainer.global_step
         late = trainer.strategy.reduce_boolean_decision(
-            time.monotonic() - self._written > self.every_seconds, all=False
+            time.monotonic() - self._saved_at > self.every_seconds, all=False
         )
-        if stop or late or step % self.every_steps == 0:
+        if stop or late or self._step % self.every_steps == 0:
             self.save(trainer)
         if stop:
-            log.warning("stopped by %s after step %d; the same command continues", self.stopped_by, step)
+            log.warning("stopped by %s after step %d; the same command continues", self.stopped_by, self._step)
             trainer.should_stop = True
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -98,7 +100,7 @@ class LastCheckpoint(pl.Callback):
             self.save(trainer)
 
     def on_exception(self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException) -> None:
-        """Give the signals back; the last checkpoint stays as it is."""
+        """Restore the signal handlers; the last checkpoint stays as it is."""
         self._restore()
 
     def save(self, trainer: pl.Trainer) -> None:
@@ -116,7 +118,7 @@ class LastCheckpoint(pl.Callback):
                 f"the checkpoint of step {trainer.global_step} cannot be written to {self.path.parent} "
                 f"({error.strerror or one_line(error)}); {kept}the same command continues once there is room"
             ) from error
-        self._written = time.monotonic()
+        self._saved_at = time.monotonic()
 
     def _restore(self) -> None:
         while self._previous:
@@ -134,6 +136,9 @@ def _atomic_on_first(trainer: pl.Trainer, path: Path) -> Iterator[Path]:
 
 class Average(pl.Callback):
     """An exponential moving average of the trainable weights, used for validation and for what is exported.
+
+    Lightning's ``WeightAveraging`` copies the whole module, the frozen networks and the data that it reads included,
+    and writes the frozen weights into every checkpoint. This one keeps what learns alone.
 
     Args:
         decay: Of the average; early on it is ``(1 + step) / (10 + step)``, so that it is not slow to start.
@@ -169,9 +174,9 @@ class Average(pl.Callback):
         """Exchange the average and the weights; twice is not at all."""
         for name, parameter in _trainable(module):
             if name in self.weights:
-                kept = parameter.detach().clone()
+                current = parameter.detach().clone()
                 parameter.copy_(self.weights[name])
-                self.weights[name] = kept
+                self.weights[name] = current
 
     def state_dict(self) -> dict[str, Any]:
         """The average."""
@@ -186,12 +191,12 @@ def _trainable(module: nn.Module) -> list[tuple[str, nn.Parameter]]:
     return [(name, parameter) for name, parameter in module.named_parameters() if parameter.requires_grad]
 
 
-class Lines(pl.Callback):
-    """A line of text every so often, where there is no terminal to draw a progress bar on.
+class ProgressLines(pl.Callback):
+    """Lines of progress, where there is no terminal to draw a progress bar on.
 
     Args:
-        every_seconds: At least so long between two lines.
-        write: Where the line goes.
+        every_seconds: Least time between two lines.
+        write: Takes a line.
     """
 
     def __init__(self, every_seconds: float = 30.0, write: Callable[[str], Any] = sys.stderr.write) -> None:
@@ -207,7 +212,7 @@ class Lines(pl.Callback):
     def on_train_batch_end(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Say where the run is."""
+        """Write the step, the loss, the speed and the time left."""
         now, step, total = time.monotonic(), trainer.global_step, trainer.max_steps
         if not trainer.is_global_zero or (now - self._last < self.every_seconds and step < total):
             return
@@ -218,7 +223,7 @@ class Lines(pl.Callback):
         self.write(f"{text}  {speed:.3f} s/step  {speed * (total - step) / 60:.1f} min left\n")
 
     def on_validation_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Say what validation found."""
-        found = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
-        if found and trainer.is_global_zero and not trainer.sanity_checking:
-            self.write("  ".join(f"{name} {value:.4g}" for name, value in sorted(found.items())) + "\n")
+        """Write the metrics of a validation."""
+        metrics = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
+        if metrics and trainer.is_global_zero:
+            self.write("  ".join(f"{name} {value:.4g}" for name, value in sorted(metrics.items())) + "\n")

@@ -29,15 +29,14 @@ class Training(Socket, pl.LightningModule, ABC):
             ValueError: A source that this training needs is not configured.
         """
 
+    @classmethod
+    def example_sources(cls) -> tuple[SceneSource, StyleSource] | None:
+        """Small scenes and styles that a batch can be made of, for checks; ``None`` where any will do."""
+        return None
+
     @abstractmethod
     def exports(self) -> Mapping[str, nn.Module]:
         """What the run is for: modules to be written as weights files, by the part they are."""
-
-    def begin(self) -> None:
-        """What comes before the first step of a run that is not continued; nothing unless overridden.
-
-        It comes after :meth:`batches`, in every process alike, and before anything is shared out among them.
-        """
 
     def units(self) -> Sequence[nn.Module]:
         """Parts of what is exported that ``trainer=fsdp`` gathers one at a time; the rest is gathered as one."""

@@ -12,7 +12,7 @@ from torch.utils.data import DataLoader, Dataset
 
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.errors import one_line
-from anystyle.training.fitting import fit_views, mirror_views, stack_styles, stack_views
+from anystyle.training.collate import blurred_views, fit_views, mirror_views, stack_styles, stack_views
 from anystyle.training.sampling import (
     Draw,
     any_views,
@@ -29,19 +29,19 @@ from anystyle.types import Style, Value, Views
 logger = logging.getLogger(__name__)
 
 ATTEMPTS = 16
-"""So many draws may fail in a row before the data, or what is asked of it, is to blame."""
+"""Draws that may fail in a row before the batch is an error."""
 
 
 @dataclass(frozen=True)
 class Batch(Value):
-    """What one step of a scene training sees.
+    """The batch of one step of a scene training.
 
     Args:
-        views: The context views first, then the target views, which only losses look at.
-        context: How many views the network is given.
-        style: One style a scene, where the training has styles.
-        keys: Names the content of each row; equal keys mean equal context views.
-        skipped: A line for each scene or style that was drawn and could not be read, so that another took its place.
+        views: The context views, then the target views, which only losses use.
+        context: Number of context views, the network's input.
+        style: One style for each scene, where the training has styles.
+        keys: Identifies the content of each row; equal keys mean equal context views.
+        skipped: An error message for each scene or style that could not be read and was drawn again.
     """
 
     views: Views
@@ -63,10 +63,10 @@ class Batch(Value):
 
 @runtime_checkable
 class BatchSource(Protocol):
-    """Anything that can say what a step sees; ``rank`` of ``world`` processes asks for its share."""
+    """A source of batches by step."""
 
     def batch(self, step: int, rank: int, world: int) -> Value:
-        """The rows of ``step`` that are this process's."""
+        """The rows of ``step`` of process ``rank`` of ``world``."""
         ...
 
 
@@ -74,22 +74,24 @@ class SceneBatches:
     """Batches of scenes, with styles or without.
 
     Args:
-        scenes: What is looked at.
-        styles: What is put on it.
-        seed: Of every choice.
-        batch_size: Scenes a step over all processes; ``None`` means as many as make ``images`` images.
-        images: Images a step over all processes at most, where ``batch_size`` is ``None``; each process has as many
-            scenes as the others, and at least one (published: 36 a process).
-        context_views: Least and most views the network is given (published: 2 to 18).
-        view_power: Numbers of views are drawn in proportion to their power (published: 2).
-        target_views: Further views, for losses.
+        scenes: Source of the views.
+        styles: Source of the styles; ``None`` for batches without styles.
+        seed: Of every draw.
+        batch_size: Scenes a step over all processes; ``None`` derives it from ``images``.
+        images: Most images a step over all processes, where ``batch_size`` is ``None``; the same number of scenes for
+            each process, at least one (published: 36 a process).
+        context_views: Least and greatest number of context views (published: 2 to 18).
+        view_power: Numbers of views are drawn in proportion to this power of themselves (published: 2).
+        target_views: Number of further views, for losses.
         spread: ``any`` views of a scene in any order, or the published ``bounded`` window of a video.
         heights: Least and greatest height in pixels, in steps of ``multiple``; ``None`` leaves images as they are.
         width: In pixels; ``None`` keeps the shape of the images.
         multiple: Sides are multiples of it: the backbone's patch size.
         flip: Chance of mirroring a scene.
-        pool: Draw from so many fixed selections of views instead of new ones each step, so that what is computed
-            from them can be kept; ``None`` means no limit.
+        min_scale: Below 1, images are shrunk to a random scale of at least so much and enlarged again.
+        style_images: Whether a style without an image is drawn again.
+        pool: Number of fixed selections of scenes and views to draw from, so that their features can be cached;
+            ``None`` draws a new selection each time.
     """
 
     def __init__(
@@ -108,6 +110,8 @@ class SceneBatches:
         width: int | None = None,
         multiple: int = 14,
         flip: float = 0.0,
+        min_scale: float = 1.0,
+        style_images: bool = False,
         pool: int | None = None,
     ) -> None:
         low, high = bounds("context_views", context_views)
@@ -124,9 +128,10 @@ class SceneBatches:
         self.choose = {"any": any_views, "bounded": bounded_views}[spread]
         self.heights, self.width, self.multiple = heights, width, multiple
         self.flip, self.pool = flip, pool
+        self.min_scale, self.style_images = min_scale, style_images
 
     def shape(self, step: int, world: int = 1) -> tuple[int, int]:
-        """How many scenes ``step`` has over all ``world`` processes, and of how many context views."""
+        """The number of scenes of ``step`` over all ``world`` processes, and of context views of each."""
         rng = generator(self.seed, 1, step)
         context = int(rng.choice(self.counts, p=self.probabilities))
         return self.batch_size or world * batch_rows(context, self.images // world), context
@@ -146,12 +151,12 @@ class SceneBatches:
         return Draw(key=key, scene=scene, views=views, style=style, flip=flip)
 
     def batch(self, step: int, rank: int = 0, world: int = 1) -> Batch:
-        """The rows of ``step`` that process ``rank`` of ``world`` works on.
+        """The rows of ``step`` of process ``rank`` of ``world``.
 
-        What cannot be read, and scenes with too few views, give way to another draw; the batch lists them.
+        Scenes and styles that cannot be read, and scenes with too few views, are drawn again; the batch lists them.
 
         Raises:
-            ValueError: The rows cannot be shared out evenly, or nothing can be read.
+            ValueError: The rows cannot be divided evenly, or nothing can be read.
         """
         count, context = self.shape(step, world)
         if count % world:
@@ -172,8 +177,13 @@ class SceneBatches:
                 f"images are {height}x{width} pixels, and the backbone's patches {self.multiple}; set training.heights "
                 f"and training.width, or scenes that come in multiples of that (scenes.multiple={self.multiple})"
             )
+        fitted = [row if size is None else fit_views(row, size) for row in rows]
+        if self.min_scale < 1:
+            # Of the key, so that what is remembered of equal keys is of equal images.
+            scales = [generator(self.seed, 10, key, key >> 32).uniform(self.min_scale, 1) for key in keys]
+            fitted = [blurred_views(row, float(scale)) for row, scale in zip(fitted, scales, strict=True)]
         return Batch(
-            views=stack_views([row if size is None else fit_views(row, size) for row in rows]),
+            views=stack_views(fitted),
             context=context,
             style=None if self.styles is None else stack_styles(styles),
             keys=tuple(keys),
@@ -185,13 +195,23 @@ class SceneBatches:
             try:
                 draw = self._draw(step, row, context, attempt)
                 views = self.scenes.read(draw.scene, list(draw.views))
-                style = Style() if self.styles is None else self.styles.read(draw.style)
+                style = Style() if self.styles is None else self._style(step, row, attempt, draw.style)
             except (ValueError, OSError) as error:
                 skipped.append(one_line(error))
                 logger.warning("skipped: %s", skipped[-1])
                 continue
+            if self.style_images and style.image is None:
+                continue
             return draw.key, mirror_views(views) if draw.flip else views, style
-        raise ValueError(f"{ATTEMPTS} draws of scenes and styles could not be read; the last one: {skipped[-1]}")
+        last = skipped[-1] if skipped else "a style without an image"
+        raise ValueError(f"{ATTEMPTS} draws of scenes and styles could not be read; the last one: {last}")
+
+    def _style(self, step: int, row: int, attempt: int, style: int) -> Style:
+        """A style; a source that cuts at random draws from the global generator, seeded by the row here."""
+        assert self.styles is not None
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(int(generator(self.seed, 9, step, row, attempt).integers(2**62)))
+            return self.styles.read(style)
 
     def _size(self, step: int, views: Views) -> tuple[int, int] | None:
         if self.heights is None:
@@ -215,11 +235,8 @@ class _Steps(Dataset[Value]):
         return self.source.batch(step, self.rank, self.world)
 
 
-def _undisturbed(worker: int) -> None:
-    """Leave signals to the training: Ctrl-C and schedulers reach every process, and it needs its batch to end well.
-
-    A worker ends when it is told to, or when the training is gone.
-    """
+def _ignore_signals(worker: int) -> None:
+    """Ignore SIGINT and SIGTERM in a worker: they reach all processes, and the training needs its batch to end well."""
     for name in (signal.SIGINT, signal.SIGTERM):
         signal.signal(name, signal.SIG_IGN)
 
@@ -227,8 +244,8 @@ def _undisturbed(worker: int) -> None:
 class StepLoader:
     """The batches of the steps from ``start`` to ``stop``, in order.
 
-    Its position is the number of steps done, which the trainer's checkpoint holds: it is as good as resumable, and
-    has the two methods by which Lightning recognises that.
+    Its position is the global step, which the trainer's checkpoint holds; ``state_dict`` and ``load_state_dict`` tell
+    Lightning that it is resumable.
     """
 
     def __init__(
@@ -242,7 +259,7 @@ class StepLoader:
             sampler=range(start, stop),
             num_workers=workers,
             persistent_workers=False,
-            worker_init_fn=_undisturbed,
+            worker_init_fn=_ignore_signals,
             generator=torch.Generator().manual_seed(0),
         )
 
@@ -253,7 +270,7 @@ class StepLoader:
         return iter(self.loader)
 
     def state_dict(self) -> dict[str, Any]:
-        """Nothing: the trainer knows the step."""
+        """Empty: the trainer holds the step."""
         return {}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -261,13 +278,13 @@ class StepLoader:
 
 
 class StepData(pl.LightningDataModule):
-    """Serves a batch source, from wherever the trainer stands.
+    """The data module of a batch source; training starts at the trainer's global step.
 
     Args:
-        train: What training sees.
-        validation: What validation sees: its first ``validation_steps`` steps, the same each time.
-        validation_steps: How many.
-        workers: Processes that read ahead; 0 reads in the training process.
+        train: Batches of training.
+        validation: Batches of validation: the first ``validation_steps`` of them, the same each time.
+        validation_steps: Number of validation batches.
+        workers: Number of processes that prefetch batches; 0 reads in the training process.
     """
 
     def __init__(
@@ -283,7 +300,7 @@ class StepData(pl.LightningDataModule):
         self.validation_steps, self.workers = validation_steps, workers
 
     def train_dataloader(self) -> StepLoader:
-        """The steps that are left."""
+        """The remaining steps."""
         trainer = self.trainer
         assert trainer is not None
         done, stop = trainer.global_step, trainer.max_steps

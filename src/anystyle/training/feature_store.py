@@ -14,7 +14,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from anystyle.errors import one_line
-from anystyle.files import atomic_path
+from anystyle.io.atomic import atomic_path
 from anystyle.types import Attributes as RawAttributes
 from anystyle.types import Cameras, Clusters, Geometry, Scene, Tokens, Views
 
@@ -25,13 +25,13 @@ GIGABYTE = 1e9
 
 
 @dataclass(frozen=True)
-class FeaturePlace:
-    """Where encoded scenes of a run may be kept, as far as its configuration tells.
+class FeatureFolder:
+    """The folder of encoded scenes of a run, as far as its configuration describes them.
 
     Args:
         folder: Of all stores.
-        gigabytes: The most one store may hold, in 10^9 bytes.
-        description: What encoded scenes depend on: backbone, weights, scenes, precision.
+        gigabytes: Capacity of a store in 10^9 bytes.
+        description: All that encoded scenes depend on: backbone, weights, scenes, precision.
     """
 
     folder: Path
@@ -39,7 +39,7 @@ class FeaturePlace:
     description: Mapping[str, Any]
 
     def store(self, **more: Any) -> "FeatureStore":
-        """The store of a training that adds what its own views depend on."""
+        """The store of a training, with what its choice of views depends on added to the description."""
         return FeatureStore(self.folder, {**self.description, **more}, gigabytes=self.gigabytes)
 
 
@@ -117,16 +117,16 @@ class FeatureStore:
         )  # fmt: skip
 
 
-def _split(value: Any, place: str, tensors: dict[str, Tensor]) -> Any:
-    """A nested value as JSON, its tensors taken out under the names of their places."""
+def _split(value: Any, name: str, tensors: dict[str, Tensor]) -> Any:
+    """A nested value as JSON; its tensors are put into ``tensors`` under the paths of their keys."""
     if isinstance(value, Tensor):
-        tensors[place] = value.detach().contiguous().clone()
-        return {"tensor": place}
+        tensors[name] = value.detach().contiguous().clone()
+        return {"tensor": name}
     if is_dataclass(value):
-        named = {item.name: getattr(value, item.name) for item in fields(value)}
-        return {"value": type(value).__name__, "fields": _split(named, place, tensors)}
+        parts = {item.name: getattr(value, item.name) for item in fields(value)}
+        return {"value": type(value).__name__, "fields": _split(parts, name, tensors)}
     if isinstance(value, Mapping):
-        return {"map": [[key, _split(each, f"{place}/{key}", tensors)] for key, each in value.items()]}
+        return {"map": [[key, _split(part, f"{name}/{key}", tensors)] for key, part in value.items()]}
     return {"plain": list(value) if isinstance(value, tuple) else value}
 
 
@@ -134,7 +134,7 @@ def _joined(layout: Any, file: Any) -> Any:
     if "tensor" in layout:
         return file.get_tensor(layout["tensor"])
     if "map" in layout:
-        return {key: _joined(each, file) for key, each in layout["map"]}
+        return {key: _joined(part, file) for key, part in layout["map"]}
     if "value" in layout:
         return _VALUES[layout["value"]](**_joined(layout["fields"], file))
     plain = layout["plain"]

@@ -1,86 +1,20 @@
-"""Where the numbers and pictures of a run go: by name, each behind Lightning's own logger."""
+"""Loggers of a run by name: Lightning's own, and how each of them logs a picture."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from functools import singledispatch
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from lightning.pytorch.loggers import CSVLogger, Logger
+from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
 from numpy.typing import NDArray
 
 from anystyle.errors import did_you_mean
 
 Picture = NDArray[np.uint8]
-"""Height, width, 3."""
+"""Height, width, 3; sRGB levels."""
 
-
-def _csv(out: Path, name: str) -> Logger:
-    return CSVLogger(out, name="log", flush_logs_every_n_steps=20)
-
-
-def _tensorboard(out: Path, name: str) -> Logger:
-    from lightning.pytorch.loggers import TensorBoardLogger
-
-    return TensorBoardLogger(out, name="tensorboard")
-
-
-def _wandb(out: Path, name: str) -> Logger:
-    from lightning.pytorch.loggers import WandbLogger
-
-    return WandbLogger(name=name, project="anystyle", save_dir=out)
-
-
-def _mlflow(out: Path, name: str) -> Logger:
-    from lightning.pytorch.loggers import MLFlowLogger
-
-    return MLFlowLogger(experiment_name="anystyle", run_name=name)
-
-
-def _no_picture(logger: Any, tag: str, picture: Picture, step: int) -> None:
-    """Tables hold no pictures; the files in ``previews/`` do."""
-
-
-def _tensorboard_picture(logger: Any, tag: str, picture: Picture, step: int) -> None:
-    logger.experiment.add_image(tag, picture, step, dataformats="HWC")
-
-
-def _wandb_picture(logger: Any, tag: str, picture: Picture, step: int) -> None:
-    logger.log_image(key=tag, images=[picture], step=step)
-
-
-def _mlflow_picture(logger: Any, tag: str, picture: Picture, step: int) -> None:
-    logger.experiment.log_image(logger.run_id, picture, key=tag, step=step)
-
-
-@dataclass(frozen=True)
-class Tracker:
-    """One way to follow a run.
-
-    Args:
-        make: Builds the logger from the run's folder and name.
-        show: Gives it a picture.
-        extra: What installs it; empty where nothing is needed.
-    """
-
-    make: Callable[[Path, str], Logger]
-    show: Callable[[Any, str, Picture, int], None]
-    extra: str = ""
-
-
-TRACKERS: dict[str, Tracker] = {
-    "csv": Tracker(_csv, _no_picture),
-    "tensorboard": Tracker(_tensorboard, _tensorboard_picture, "tracking"),
-    "wandb": Tracker(_wandb, _wandb_picture, "wandb"),
-    "mlflow": Tracker(_mlflow, _mlflow_picture, "mlflow"),
-}
-
-_CLASSES = {
-    "CSVLogger": "csv",
-    "TensorBoardLogger": "tensorboard",
-    "WandbLogger": "wandb",
-    "MLFlowLogger": "mlflow",
-}
+EXTRAS = {"csv": "", "tensorboard": "tracking", "wandb": "wandb", "mlflow": "mlflow"}
+"""The names of loggers, and the extra that installs each."""
 
 
 def make_loggers(names: Sequence[str], out: Path, name: str = "run") -> list[Logger]:
@@ -89,38 +23,51 @@ def make_loggers(names: Sequence[str], out: Path, name: str = "run") -> list[Log
     ``csv`` is among them always: a table of the run costs nothing and needs nobody's server.
 
     Args:
-        names: Keys of :data:`TRACKERS`.
+        names: Keys of :data:`EXTRAS`.
         out: The run's folder.
         name: The run's name, for trackers that gather several runs.
 
     Raises:
         ValueError: A name is unknown.
-        ImportError: What it needs is not installed; the message names the extra.
+        ImportError: A logger's package is not installed; the message names the extra.
     """
-    return [_made(each, out, name) for each in dict.fromkeys(["csv", *names])]
-
-
-def _made(tracker: str, out: Path, name: str) -> Logger:
-    if tracker not in TRACKERS:
+    for unknown in [each for each in names if each not in EXTRAS]:
         raise ValueError(
-            f"loggers: no logger is named '{tracker}'.{did_you_mean(tracker, TRACKERS)} Choose from "
-            f"{', '.join(TRACKERS)}"
+            f"loggers: no logger is named '{unknown}'.{did_you_mean(unknown, EXTRAS)} Choose from {', '.join(EXTRAS)}"
         )
+    return [_logger(each, out, name) for each in dict.fromkeys(["csv", *names])]
+
+
+def _logger(tracker: str, out: Path, name: str) -> Logger:
     try:
-        return TRACKERS[tracker].make(out, name)
+        match tracker:
+            case "tensorboard":
+                return TensorBoardLogger(out, name="tensorboard")
+            case "wandb":
+                return WandbLogger(name=name, project="anystyle", save_dir=out)
+            case "mlflow":
+                return MLFlowLogger(experiment_name="anystyle", run_name=name)
+            case _:
+                return CSVLogger(out, name="log", flush_logs_every_n_steps=20)
     except ModuleNotFoundError as error:
-        extra = TRACKERS[tracker].extra
-        raise ImportError(f'loggers: {tracker} is not installed; pip install "anystyle[{extra}]"') from error
+        raise ImportError(f'loggers: {tracker} is not installed; pip install "anystyle[{EXTRAS[tracker]}]"') from error
 
 
-def show(loggers: Sequence[Logger], tag: str, picture: Picture, step: int) -> None:
-    """Give a picture to every logger that takes some.
+@singledispatch
+def log_picture(logger: Logger, tag: str, picture: Picture, step: int) -> None:
+    """Log a picture under a tag at a step; tables take none."""
 
-    Args:
-        loggers: Of a trainer.
-        tag: What it shows.
-        picture: Levels of red, green and blue.
-        step: Steps done.
-    """
-    for logger in loggers:
-        TRACKERS[_CLASSES[type(logger).__name__]].show(logger, tag, picture, step)
+
+@log_picture.register
+def _(logger: TensorBoardLogger, tag: str, picture: Picture, step: int) -> None:
+    logger.experiment.add_image(tag, picture, step, dataformats="HWC")
+
+
+@log_picture.register
+def _(logger: WandbLogger, tag: str, picture: Picture, step: int) -> None:
+    logger.log_image(key=tag, images=[picture], step=step)
+
+
+@log_picture.register
+def _(logger: MLFlowLogger, tag: str, picture: Picture, step: int) -> None:
+    logger.experiment.log_image(logger.run_id, picture, key=tag, step=step)

@@ -19,13 +19,13 @@ def learning_rate(
         peak: The rate at the end of the warm-up.
         total: The cosine ends this many steps after the warm-up, as published; the rate stays at ``floor`` then.
         warmup: Steps of the warm-up.
-        start: Share of the peak at step 0.
+        start: Fraction of the peak at step 0.
         floor: The last rate, the same for every parameter group.
     """
     if step < warmup:
         return peak * (start + (1 - start) * step / warmup)
-    along = min(1.0, (step - warmup) / max(1, total))
-    return floor + (peak - floor) * 0.5 * (1 + math.cos(math.pi * along))
+    progress = min(1.0, (step - warmup) / max(1, total))
+    return floor + (peak - floor) * 0.5 * (1 + math.cos(math.pi * progress))
 
 
 def scheduled(
@@ -33,11 +33,11 @@ def scheduled(
 ) -> dict[str, Any]:
     """An optimiser with :func:`learning_rate` on each of its groups, as Lightning takes it."""
 
-    def share(peak: float) -> Any:
+    def factor(peak: float) -> Any:
         return lambda step: learning_rate(step, peak=peak, total=total, warmup=warmup, floor=floor, start=start) / peak
 
-    schedule = LambdaLR(optimizer, [share(group["lr"]) for group in optimizer.param_groups])
-    return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step"}}
+    schedule = LambdaLR(optimizer, [factor(group["lr"]) for group in optimizer.param_groups])
+    return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step", "name": "lr"}}
 
 
 def check_rates(**rates: float) -> None:
@@ -75,10 +75,6 @@ def decayed_groups(modules: Sequence[nn.Module], *, lr: float, weight_decay: flo
 
 
 def trainable(modules: Iterable[nn.Module]) -> list[nn.Parameter]:
-    """The parameters that want gradients, each once, in order."""
-    seen: dict[int, nn.Parameter] = {}
-    for module in modules:
-        for parameter in module.parameters():
-            if parameter.requires_grad:
-                seen.setdefault(id(parameter), parameter)
-    return list(seen.values())
+    """The parameters that require gradients, each once, in order."""
+    parameters = {id(parameter): parameter for module in modules for parameter in module.parameters()}
+    return [parameter for parameter in parameters.values() if parameter.requires_grad]

@@ -1,28 +1,28 @@
-"""Options of a run that are wrong or contradict each other, found before anything is built or written."""
+"""Checks of a run's options, before anything is built or written."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-OWN = (
+RESERVED = (
     "default_root_dir", "max_epochs", "check_val_every_n_epoch", "num_sanity_val_steps", "use_distributed_sampler",
     "enable_checkpointing", "enable_model_summary", "enable_progress_bar", "callbacks", "logger",
 )  # fmt: skip
 """Options of Lightning's trainer that a run sets itself."""
 
 SHARDED = "fsdp2"
-"""The strategy by which processes share out the weights that learn."""
+"""The strategy that shards trainable weights over the processes."""
 
 
 def check_options(config: DictConfig) -> None:
-    """Look at what ``conf/train.yaml`` adds to the parts: the run's own options and those of the trainer.
+    """Check the options of the run and those of the trainer.
 
     Args:
-        config: What ``conf/train.yaml`` composes.
+        config: As ``conf/train.yaml`` composes it.
 
     Raises:
-        ValueError: One is out of its range, or some contradict each other; the message says which, and what to do.
+        ValueError: One is out of its range, or some contradict each other.
     """
     for key, (holds, expected) in RANGES.items():
         value = OmegaConf.select(config, key)
@@ -33,7 +33,7 @@ def check_options(config: DictConfig) -> None:
     check_trainer({str(name): value for name, value in plain.items()}, average=config.average is not None)
 
 
-def _whole(least: int) -> Callable[[Any], bool]:
+def _at_least(least: int) -> Callable[[Any], bool]:
     return lambda value: isinstance(value, int) and not isinstance(value, bool) and value >= least
 
 
@@ -43,9 +43,9 @@ def _between(low: float, high: float) -> Callable[[Any], bool]:
 
 RANGES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "seed": (lambda value: isinstance(value, int), "give a whole number"),
-    "workers": (_whole(0), "give a number of processes, 0 to read in the training's own"),
-    "validation_steps": (_whole(0), "give a number of steps, 0 for no validation"),
-    "checkpoint.every_steps": (_whole(1), "give a number of steps, at least 1"),
+    "workers": (_at_least(0), "give a number of processes, 0 to read in the training's own"),
+    "validation_steps": (_at_least(0), "give a number of steps, 0 for no validation"),
+    "checkpoint.every_steps": (_at_least(1), "give a number of steps, at least 1"),
     "checkpoint.every_minutes": (_between(0.0, float("inf")), "give minutes above 0"),
     "average": (_between(0.0, 1.0), "the average's decay is between 0 and 1, such as 0.999; null keeps none"),
     "explosion": (
@@ -57,7 +57,7 @@ RANGES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "skip_outliers": (lambda value: isinstance(value, bool), "choose from true, false"),
     "export.half": (lambda value: isinstance(value, bool), "choose from true, false"),
 }  # fmt: skip
-"""For each option of a run whether a value holds, and what is expected."""
+"""For each option of a run the test of a value, and what is expected."""
 
 
 def _holds(holds: Callable[[Any], bool], value: Any) -> bool:
@@ -68,23 +68,23 @@ def _holds(holds: Callable[[Any], bool], value: Any) -> bool:
 
 
 def check_trainer(options: Mapping[str, Any], *, average: bool) -> None:
-    """Refuse options of Lightning's trainer that it would take and that end a run badly.
+    """Refuse options of Lightning's trainer that it accepts and that break a run.
 
     Args:
         options: Of ``trainer``.
         average: Whether an average of the weights is kept.
 
     Raises:
-        ValueError: Some are out of range or contradict each other; the message says which, and what to do.
+        ValueError: Some are out of range or contradict each other.
     """
-    for name in OWN:
+    for name in RESERVED:
         if name in options:
             raise ValueError(f"trainer.{name}={options[name]}: a run sets that itself; leave it out")
     steps, precision = options.get("max_steps"), str(options.get("precision"))
-    if not _whole(1)(steps):
+    if not _at_least(1)(steps):
         raise ValueError(f"trainer.max_steps={steps}: the schedule needs an end; give at least 1")
     for name in ("log_every_n_steps", "val_check_interval", "accumulate_grad_batches", "num_nodes"):
-        if name in options and not _whole(1)(options[name]):
+        if name in options and not _at_least(1)(options[name]):
             raise ValueError(f"trainer.{name}={options[name]}: give a whole number, at least 1")
     clip = options.get("gradient_clip_val")
     if clip is not None and not _holds(lambda value: float(value) >= 0, clip):

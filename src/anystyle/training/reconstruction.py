@@ -16,26 +16,25 @@ from torch import Tensor, nn
 from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
 from anystyle.training.contract import Training, required
 from anystyle.training.data import Batch, SceneBatches
-from anystyle.training.matching import FeatureProbes, correlation_loss, patch_matches
 from anystyle.training.optim import decayed_groups, scheduled
 from anystyle.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
 from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Views
 
 
 class ReconstructionTraining(Training):
-    """Teach a backbone depth, cameras and Gaussians.
+    """Train a backbone to predict depth, cameras and Gaussians.
 
     Scenes are put into the frame of their first view, at a scale where the mean distance of what the context views
     see is 1. Gaussians are rendered from the true cameras, with the true cameras in the geometry too, so that the
     rendering loss teaches depth and appearance before cameras are any good.
 
     Args:
-        backbone: What learns.
-        renderer: Draws the Gaussians.
+        backbone: The network to train.
+        renderer: Renders the Gaussians.
         batch_size: Scenes a step over all processes.
-        context_views: Least and most views the network is given.
-        view_power: Numbers of views are drawn in proportion to their power.
-        target_views: Further views that only the rendering loss looks at.
+        context_views: Least and greatest number of context views.
+        view_power: Numbers of views are drawn in proportion to this power of themselves.
+        target_views: Number of further views for the rendering loss.
         heights: Least and greatest image height; ``None`` leaves images as they are.
         learning_rate: Of AdamW, at the end of the warm-up.
         warmup: Steps of the warm-up.
@@ -44,17 +43,12 @@ class ReconstructionTraining(Training):
         camera_weight: Of the errors of rotation, translation and focal length.
         transfer_weight: Of the camera errors measured on points.
         point_weight: Of the errors of world points.
-        match_weight: Of matching patches across views, through a projection that is not kept.
-        glide_weight: Of the expected place of the match, likewise.
-        locate_weight: Of telling each patch's world point, likewise.
-        shift_weight: Of telling how each patch moves toward the first view, likewise.
-        correlation_weight: Of the matches of a backbone that makes them itself.
         render_weight: Of the squared error of renders.
         ssim_weight: Of their structural dissimilarity.
-        own_weight: Of both for a context view drawn from the predicted cameras, as AnySplat is trained (arXiv
-            2505.23716): how well views agree that are not quite where they should be, as at test time; 0 draws none.
-        render_every: Steps from one with renders to the next.
-        render_scenes: So many scenes of the batch are rendered then: the target views and one context view each.
+        predicted_camera_weight: Factor of both for a context view rendered at its predicted camera, as AnySplat is
+            trained (arXiv 2505.23716); 0 renders none.
+        render_every: Steps between two with renders.
+        render_scenes: Number of scenes of the batch that are rendered: the target views and one context view each.
     """
 
     def __init__(
@@ -74,40 +68,29 @@ class ReconstructionTraining(Training):
         camera_weight: float = 1.0,
         transfer_weight: float = 1.0,
         point_weight: float = 0.5,
-        match_weight: float = 0.1,
-        glide_weight: float = 1.0,
-        locate_weight: float = 1.0,
-        shift_weight: float = 5.0,
-        correlation_weight: float = 0.3,
         render_weight: float = 5.0,
         ssim_weight: float = 0.2,
-        own_weight: float = 0.0,
+        predicted_camera_weight: float = 0.0,
         render_every: int = 4,
         render_scenes: int = 4,
     ) -> None:
         super().__init__()
         self.backbone = backbone
         self.renderer = renderer
-        self.probes = FeatureProbes(feature_dims(backbone))
         self.batch_size, self.context_views, self.target_views = batch_size, context_views, target_views
         self.view_power, self.heights, self.warmup = view_power, heights, warmup
         self.render_every, self.render_scenes = render_every, render_scenes
         self.learning_rate, self.weight_decay = learning_rate, weight_decay
-        self.own_weight = own_weight
+        self.predicted_camera_weight = predicted_camera_weight
         self.weights = {
             "depth": depth_weight,
             "camera": camera_weight,
             "transfer": transfer_weight,
             "point": point_weight,
-            "match": match_weight,
-            "glide": glide_weight,
-            "locate": locate_weight,
-            "shift": shift_weight,
-            "correlation": correlation_weight,
             "render": render_weight,
             "ssim": ssim_weight,
-            "own_render": own_weight * render_weight,
-            "own_ssim": own_weight * ssim_weight,
+            "predicted_render": predicted_camera_weight * render_weight,
+            "predicted_ssim": predicted_camera_weight * ssim_weight,
         }
 
     @classmethod
@@ -146,16 +129,18 @@ class ReconstructionTraining(Training):
         losses = self.geometry_losses(features, geometry, inputs)
         rows = len(batch.keys)
         if self.global_step % self.render_every == 0:
-            some = slice(0, min(self.render_scenes, rows))
-            drawn = [step // self.render_every % batch.context, *range(batch.context, views.images.shape[1])]
-            losses |= self.render_losses(_rows(features, some), _rows(geometry, some), _rows(views, some), drawn)
+            subset = slice(0, min(self.render_scenes, rows))
+            rendered = [step // self.render_every % batch.context, *range(batch.context, views.images.shape[1])]
+            losses |= self.render_losses(
+                _rows(features, subset), _rows(geometry, subset), _rows(views, subset), rendered
+            )
         total = self.total(losses)
         self.log("train/loss", total, batch_size=rows, prog_bar=True)
         self.log_dict({f"train/{name}": loss for name, loss in losses.items()}, batch_size=rows)
         return total
 
     def exact(self) -> AbstractContextManager[Any]:
-        """Full precision, whatever the trainer's: cameras and points want every digit."""
+        """Full precision, whatever the trainer's, for cameras and points."""
         return torch.autocast(self.device.type, enabled=False)
 
     def total(self, losses: Mapping[str, Float[Tensor, ""]]) -> Float[Tensor, ""]:
@@ -172,23 +157,29 @@ class ReconstructionTraining(Training):
         """
         cameras, depth = inputs.cameras, inputs.depth
         assert cameras is not None and depth is not None
-        grid = next(iter(features.values())).grid
         with self.exact():
-            matches = patch_matches(cameras, depth, grid)
-            own: dict[str, Float[Tensor, ""]] = {}
-            if geometry.correlation is not None:
-                cells = (geometry.correlation.shape[-2], geometry.correlation.shape[-1])
-                own["correlation"] = correlation_loss(geometry.correlation, patch_matches(cameras, depth, cells))
-            return own | {
+            return {
                 "depth": depth_loss(geometry.depth, geometry.confidence, depth),
                 "camera": camera_loss(geometry.cameras, cameras),
                 "transfer": transfer_loss(geometry.cameras, cameras, depth),
                 "point": point_loss(geometry, cameras, depth),
-                **self.probes(features, matches),
+                **self.auxiliary_losses(features, cameras, depth),
             }
 
+    def auxiliary_losses(
+        self, features: Features, cameras: Cameras, depth: Float[Tensor, "B V H W"]
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Further unweighted terms that the weights in ``self.weights`` name; none unless overridden.
+
+        Args:
+            features: Of the context views.
+            cameras: The true ones, in the canonical frame.
+            depth: The true one; 0 where it is not known.
+        """
+        return {}
+
     def render_losses(
-        self, features: Features, geometry: Geometry, views: Views, drawn: Sequence[int]
+        self, features: Features, geometry: Geometry, views: Views, rendered: Sequence[int]
     ) -> dict[str, Float[Tensor, ""]]:
         """The unweighted terms of renders.
 
@@ -196,54 +187,55 @@ class ReconstructionTraining(Training):
             features: Of the context views.
             geometry: As predicted.
             views: Context and target views in the canonical frame.
-            drawn: Which of them are rendered, from their true cameras; the first, a context view, from its predicted
-                one too.
+            rendered: Indices of the views to render at their true cameras; the first, a context view, also at its
+                predicted one.
         """
         context = geometry.depth.shape[1]
         attributes = self.backbone.gaussian_head(features, views.images[:, :context]).to(torch.float32)
-        aims = views.select(list(drawn))
-        assert views.cameras is not None and aims.cameras is not None
+        targets = views.select(list(rendered))
+        assert views.cameras is not None and targets.cameras is not None
         with self.exact():
             gaussians = self.gaussians_at(attributes, geometry, views.cameras.select(slice(context)))
-            losses = photometric(self.renderer(gaussians, aims.cameras), aims.images)
-            if self.own_weight:
-                own = self.gaussians_at(attributes, geometry, geometry.cameras)
-                seen = self.renderer(own, geometry.cameras.select([drawn[0]]))
-                losses |= {f"own_{name}": loss for name, loss in photometric(seen, aims.images[:, :1]).items()}
+            losses = photometric(self.renderer(gaussians, targets.cameras), targets.images)
+            if self.predicted_camera_weight:
+                predicted = self.gaussians_at(attributes, geometry, geometry.cameras)
+                renders = self.renderer(predicted, geometry.cameras.select([rendered[0]]))
+                terms = photometric(renders, targets.images[:, :1])
+                losses |= {f"predicted_{name}": loss for name, loss in terms.items()}
             return losses
 
     def gaussians_at(self, attributes: Attributes, geometry: Geometry, cameras: Cameras) -> Gaussians:
-        """The Gaussians as if the cameras were these."""
+        """The Gaussians of a geometry with other cameras."""
         geometry, adapter = replace(geometry, cameras=cameras), self.backbone.adapter
         return adapter(attributes, geometry, adapter.cluster(geometry, attributes))
 
     def errors(self, batch: Batch) -> dict[str, Float[Tensor, ""]]:
-        """How far depth, cameras and renders of a batch are off."""
+        """Errors of depth, cameras and renders of a batch."""
         views = canonical(batch.views, batch.context)
         inputs = views.select(list(range(batch.context)))
         scene = self.backbone.encode(inputs)
-        found = geometry_errors(scene.geometry, inputs)
-        found["loss"] = self.total(self.geometry_losses(scene.features, scene.geometry, inputs))
+        errors = geometry_errors(scene.geometry, inputs)
+        errors["loss"] = self.total(self.geometry_losses(scene.features, scene.geometry, inputs))
         assert views.cameras is not None and inputs.cameras is not None
-        drawn = self.renderer(self.gaussians_at(scene.attributes, scene.geometry, inputs.cameras), views.cameras)
-        known = psnr(drawn.color, views.images)
-        found["psnr_input_true_cameras"] = known[:, : batch.context].mean()
+        renders = self.renderer(self.gaussians_at(scene.attributes, scene.geometry, inputs.cameras), views.cameras)
+        by_view = psnr(renders.color, views.images)
+        errors["psnr_input_true_cameras"] = by_view[:, : batch.context].mean()
         if self.target_views:
-            found["psnr_novel_true_cameras"] = known[:, batch.context :].mean()
-        own = self.backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
-        redrawn = self.renderer(own, scene.geometry.cameras)
-        found["psnr_input_own_cameras"] = psnr(redrawn.color, inputs.images).mean()
-        return found
+            errors["psnr_novel_true_cameras"] = by_view[:, batch.context :].mean()
+        gaussians = self.backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
+        renders = self.renderer(gaussians, scene.geometry.cameras)
+        errors["psnr_input_predicted_cameras"] = psnr(renders.color, inputs.images).mean()
+        return errors
 
     def validation_step(self, batch: Batch, step: int) -> None:
-        """Log how far depth, cameras and renders are off."""
+        """Log the errors of depth, cameras and renders."""
         with self.exact():
-            found = self.errors(batch)
-        self.log_dict({f"val/{name}": value for name, value in found.items()}, batch_size=len(batch.keys))
+            errors = self.errors(batch)
+        self.log_dict({f"val/{name}": value for name, value in errors.items()}, batch_size=len(batch.keys))
 
     def configure_optimizers(self) -> Any:
         """AdamW with a warm-up and a cosine to 1 % of the rate."""
-        groups = decayed_groups([self.backbone, self.probes], lr=self.learning_rate, weight_decay=self.weight_decay)
+        groups = decayed_groups([self], lr=self.learning_rate, weight_decay=self.weight_decay)
         optimizer = torch.optim.AdamW(groups, betas=(0.9, 0.98))
         return scheduled(
             optimizer,
@@ -255,14 +247,14 @@ class ReconstructionTraining(Training):
 
 def photometric(renders: Renders, images: Float[Tensor, "B V 3 H W"]) -> dict[str, Float[Tensor, ""]]:
     """Squared error, and structural dissimilarity in [0, 1]."""
-    drawn, seen = renders.color.flatten(0, 1), images.flatten(0, 1)
-    alike = kornia.metrics.ssim(drawn, seen, window_size=7).mean()
-    return {"render": F.mse_loss(drawn, seen), "ssim": (1 - alike) / 2}
+    color, target = renders.color.flatten(0, 1), images.flatten(0, 1)
+    ssim = kornia.metrics.ssim(color, target, window_size=7).mean()
+    return {"render": F.mse_loss(color, target), "ssim": (1 - ssim) / 2}
 
 
-def psnr(drawn: Float[Tensor, "B V 3 H W"], seen: Float[Tensor, "B V 3 H W"]) -> Float[Tensor, "B V"]:
+def psnr(color: Float[Tensor, "B V 3 H W"], target: Float[Tensor, "B V 3 H W"]) -> Float[Tensor, "B V"]:
     """Peak signal-to-noise ratio of each view in decibels."""
-    return -10 * (drawn - seen).square().mean((2, 3, 4)).clamp_min(1e-10).log10()
+    return -10 * (color - target).square().mean((2, 3, 4)).clamp_min(1e-10).log10()
 
 
 def geometry_errors(geometry: Geometry, views: Views) -> dict[str, Float[Tensor, ""]]:
@@ -275,28 +267,18 @@ def geometry_errors(geometry: Geometry, views: Views) -> dict[str, Float[Tensor,
     ratio = torch.where(known, views.depth / geometry.depth.clamp_min(1e-6), torch.nan)
     scale = ratio.flatten(1).nanmedian(dim=1).values[:, None, None, None]
     relative = ((geometry.depth * scale - views.depth).abs() / views.depth.clamp_min(1e-6))[known].mean()
-    found = geometry.cameras.camera_from_world[:, :1] @ geometry.cameras.world_from_camera[:, 1:]
+    predicted = geometry.cameras.camera_from_world[:, :1] @ geometry.cameras.world_from_camera[:, 1:]
     true = views.cameras.camera_from_world[:, :1] @ views.cameras.world_from_camera[:, 1:]
     errors = {"depth_abs_rel": relative}
-    if found.shape[1]:
-        turned = found[..., :3, :3].mT @ true[..., :3, :3]
-        cosine = (turned.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
-        toward = F.cosine_similarity(found[..., :3, 3], true[..., :3, 3], dim=-1)
+    if predicted.shape[1]:
+        rotation = predicted[..., :3, :3].mT @ true[..., :3, :3]
+        cosine = (rotation.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
+        direction = F.cosine_similarity(predicted[..., :3, 3], true[..., :3, 3], dim=-1)
         errors["rotation_error_median_deg"] = cosine.clamp(-1, 1).acos().rad2deg().median()
-        errors["translation_direction_error_median_deg"] = toward.clamp(-1, 1).acos().rad2deg().median()
+        errors["translation_direction_error_median_deg"] = direction.clamp(-1, 1).acos().rad2deg().median()
     return errors
 
 
 def _rows(value: Any, rows: slice) -> Any:
     """Some scenes of a batch of values."""
     return pytree.tree_map_only(Tensor, lambda tensor: tensor[rows], value)
-
-
-@torch.no_grad()
-def feature_dims(backbone: Backbone) -> dict[int, int]:
-    """Channels of each tapped layer, found by a look at a black image of four patches."""
-    side = 2 * backbone.patch_size
-    reference = next(backbone.parameters())
-    black = torch.zeros(1, 1, 3, side, side, device=reference.device, dtype=reference.dtype)
-    features = backbone.aggregator(backbone.embedder(black))
-    return {layer: tokens.data.shape[-1] for layer, tokens in features.items()}

@@ -1,16 +1,17 @@
-"""Whose folder this is: one run at a time, continued only with the configuration it began with."""
+"""Resuming a run: one at a time in a folder, and with the configuration it began with."""
 
 import json
 import os
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.files import atomic_path
+from anystyle.io.atomic import atomic_path
+from anystyle.io.lock import folder_lock
 
 UNBOUND = (
     "resume", "checkpoint", "loggers", "workers", "export", "out", "fast_dev_run", "name", "features", "explosion",
@@ -20,7 +21,7 @@ UNBOUND = (
 
 
 def leads() -> bool:
-    """Whether this is the only process of a run, or the first of several."""
+    """Whether this process is of rank 0."""
     return all(os.environ.get(name, "0") == "0" for name in ("RANK", "LOCAL_RANK", "NODE_RANK", "SLURM_PROCID"))
 
 
@@ -31,20 +32,9 @@ def alone(out: Path) -> Iterator[None]:
     Raises:
         ValueError: Another run is in it.
     """
-    try:
-        import fcntl
-    except ImportError:  # no such locks on this system
-        yield
-        return
     # The processes of one distributed run share its folder.
-    if not leads():
-        yield
-        return
-    with (out / ".lock").open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise ValueError(f"another run is at work in {out}; wait for its end, or choose another name=...") from None
+    refusal = f"another run is at work in {out}; wait for its end, or choose another name=..."
+    with folder_lock(out, refusal) if leads() else nullcontext():
         yield
 
 
@@ -75,12 +65,12 @@ def resumable(config: DictConfig, last: Path) -> bool:
                 f"{last.parent} holds a checkpoint and no {record.name} that says of which configuration; "
                 f"pass resume=changed to continue it all the same, resume=never to start again, or another name=..."
             )
-        earlier = json.loads(record.read_text()) if record.is_file() else current
-        changed = sorted(key for key in {*earlier, *current} if earlier.get(key) != current.get(key))
+        previous = json.loads(record.read_text()) if record.is_file() else current
+        changed = sorted(key for key in {*previous, *current} if previous.get(key) != current.get(key))
         if changed and config.resume != "changed":
-            shown = ", ".join(f"{key} {earlier.get(key)} -> {current.get(key)}" for key in changed[:5])
+            examples = ", ".join(f"{key} {previous.get(key)} -> {current.get(key)}" for key in changed[:5])
             raise ValueError(
-                f"{last.parent} holds a run of another configuration ({shown}{', …' if len(changed) > 5 else ''}); "
+                f"{last.parent} holds a run of another configuration ({examples}{', …' if len(changed) > 5 else ''}); "
                 f"pass resume=changed to continue it so, resume=never to start again, or another name=..."
             )
         return True

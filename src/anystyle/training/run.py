@@ -1,4 +1,4 @@
-"""One run of a training: built, continued where it was left, and its weights written at the end."""
+"""One run of a training: built, continued from its checkpoint, and its weights exported at the end."""
 
 import json
 import os
@@ -16,11 +16,11 @@ from omegaconf import DictConfig, OmegaConf
 from safetensors import SafetensorError
 from torch import nn
 
-from anystyle.assemble import assemble, branch_header, weights_file
-from anystyle.checkpoint import Header, load_part, save_part, sha256
 from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
 from anystyle.errors import one_line
-from anystyle.files import atomic_path
+from anystyle.inference.assemble import assemble, branch_header, weights_file
+from anystyle.io.atomic import atomic_path
+from anystyle.io.checkpoint import Header, load_part, save_part, sha256
 from anystyle.paths import SHARED
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
@@ -29,10 +29,10 @@ from anystyle.training.cache import CachedScenes
 from anystyle.training.callbacks import Average, LastCheckpoint
 from anystyle.training.contract import Training
 from anystyle.training.data import StepData
-from anystyle.training.feature_store import FeaturePlace
+from anystyle.training.feature_store import FeatureFolder
 from anystyle.training.options import check_options
 from anystyle.training.resume import alone, resumable, sweep, trial
-from anystyle.training.sharding import gathered
+from anystyle.training.sharding import with_full_state
 from anystyle.training.trainer import make_trainer
 
 FEATURES = "features"
@@ -41,15 +41,15 @@ FEATURES = "features"
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run left behind.
+    """The outcome of a run.
 
     Args:
-        steps: Done in all.
+        steps: Optimizer steps in all.
         finished: Whether it came to its end, rather than being stopped.
         metrics: The last values logged.
-        weights: The files written.
-        leading: Whether this process is the one that writes and speaks.
-        stopped_by: The signal that asked it to end, if one did.
+        weights: The files of exported weights.
+        leading: Whether this process is of rank 0, which writes and prints.
+        stopped_by: The signal that ended it, if one did.
     """
 
     steps: int
@@ -64,8 +64,8 @@ def train(config: DictConfig, out: Path) -> Outcome:
     """Run a training, or what is left of it.
 
     Args:
-        config: What ``conf/train.yaml`` composes.
-        out: Where checkpoints, logs and weights go; a run is continued from the checkpoint found there.
+        config: As ``conf/train.yaml`` composes it.
+        out: Folder of checkpoints, logs and weights; a run is continued from the checkpoint there.
 
     Raises:
         ValueError: The configuration contradicts itself or is not that of the run to be continued, or another run is
@@ -97,8 +97,6 @@ def _train(config: DictConfig, out: Path) -> Outcome:
     torch.manual_seed(config.seed)
     training = make_training(config)
     data = make_data(config, training, sources)
-    if not resume:
-        training.begin()
     with warnings.catch_warnings():
         # Lightning advises on choices that are made on purpose here.
         warnings.filterwarnings("ignore", module=r"lightning\..*")
@@ -108,14 +106,13 @@ def _train(config: DictConfig, out: Path) -> Outcome:
         warnings.filterwarnings("ignore", message="FSDP2-wrapped module .* returned a view")
         trainer.fit(training, datamodule=data, ckpt_path=str(last) if resume else None, weights_only=resume or None)
     finished = trainer.global_step >= trainer.max_steps
-    # What the clock says is no result: the same command twice gives the same bytes.
-    metrics = {name: float(value) for name, value in trainer.callback_metrics.items() if not name.startswith("speed/")}
+    metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
     weights: tuple[Path, ...] = ()
     if finished and average:
         average.swap(training)
-    made = {part: gathered(module) for part, module in training.exports().items()} if finished else {}
+    exports = {part: with_full_state(module) for part, module in training.exports().items()} if finished else {}
     if trainer.is_global_zero and finished:
-        weights = export(config, made, out, provenance={**provenance, "steps": trainer.global_step})
+        weights = export(config, exports, out, provenance={**provenance, "steps": trainer.global_step})
         with atomic_path(out / "metrics.json") as temporary:
             temporary.write_text(json.dumps(metrics, indent=2, sort_keys=True) + "\n")
     return Outcome(trainer.global_step, finished, metrics, weights, trainer.is_global_zero, keeper.stopped_by)
@@ -131,7 +128,7 @@ def make_training(config: DictConfig) -> Training:
     named = runtime_arguments(plugin)
     parts: dict[str, Any] = {}
     makers: dict[str, Callable[[], Any]] = {
-        "stylizer": lambda: assemble(config)[0],
+        "stylizer": lambda: assemble(config, learns=True)[0],
         "backbone": lambda: _weighted(config, "backbone", build(Backbone, config.backbone)),
         "style_encoder": lambda: _weighted(config, "style_encoder", build(StyleEncoder, config.style_encoder)),
         "renderer": lambda: build(Renderer, config.renderer),
@@ -149,7 +146,7 @@ def make_training(config: DictConfig) -> Training:
     return build(Training, config.training, **parts)
 
 
-def _features(config: DictConfig) -> FeaturePlace:
+def _features(config: DictConfig) -> FeatureFolder:
     """Where encoded scenes are kept, and all of the configuration that they depend on."""
     weights = config.weights.get("backbone")
     parts = OmegaConf.to_container(
@@ -165,7 +162,7 @@ def _features(config: DictConfig) -> FeaturePlace:
         "accelerator": str(config.trainer.accelerator),
         "torch": torch.__version__,
     }
-    return FeaturePlace(Path(str(config.features.folder)).expanduser(), float(config.features.gigabytes), description)
+    return FeatureFolder(Path(str(config.features.folder)).expanduser(), float(config.features.gigabytes), description)
 
 
 def objective(config: DictConfig) -> dict[str, Any]:
@@ -209,21 +206,21 @@ def make_sources(config: DictConfig) -> Sources:
 
 
 def make_data(config: DictConfig, training: Training, sources: Sources | None = None) -> StepData:
-    """What the training reads, and what it is validated on.
+    """The data module of training and validation batches.
 
     Args:
-        config: What ``conf/train.yaml`` composes.
-        training: Says how it reads them.
-        sources: Those of the configuration; built if they are not given.
+        config: As ``conf/train.yaml`` composes it.
+        training: Makes batches of the sources.
+        sources: Those of the configuration, built by default.
     """
-    found = sources or make_sources(config)
-    validated = found.validation_scenes is not None or found.validation_styles is not None
+    sources = sources or make_sources(config)
+    validated = sources.validation_scenes is not None or sources.validation_styles is not None
     validation = None
     if validated and config.validation_steps:
-        # Asked for first, so that the training's own seed is the last one it hears.
-        styles = found.validation_styles or found.styles
-        validation = training.batches(found.validation_scenes, styles, seed=config.seed + 1)
-    source = training.batches(found.scenes, found.styles, seed=config.seed)
+        # First, because a training keeps the seed of its last call.
+        styles = sources.validation_styles or sources.styles
+        validation = training.batches(sources.validation_scenes, styles, seed=config.seed + 1)
+    source = training.batches(sources.scenes, sources.styles, seed=config.seed)
     return StepData(source, validation, validation_steps=config.validation_steps, workers=config.workers)
 
 
@@ -245,15 +242,15 @@ def _styles(config: DictConfig, key: str) -> StyleSource | None:
 
 
 def export(
-    config: DictConfig, made: Mapping[str, nn.Module], out: Path, *, provenance: Mapping[str, Any]
+    config: DictConfig, exports: Mapping[str, nn.Module], out: Path, *, provenance: Mapping[str, Any]
 ) -> tuple[Path, ...]:
-    """Write what a training made, as weights files that say how they were made.
+    """Write the exports of a training as weights files, with their provenance.
 
     Raises:
         OSError: They cannot be written; the checkpoint stays, and the same command writes them once there is room.
     """
     written = []
-    for part, module in made.items():
+    for part, module in exports.items():
         if part == "branch":
             header = branch_header(config, module, provenance)
         else:

@@ -1,7 +1,7 @@
-"""What a training step looks at: which scenes, which of their views, at which size, with which styles.
+"""Sampling of scenes, views, sizes and styles for a training step.
 
-Nothing here has a state. A draw is a function of the seed and the step, so that a run that is continued sees what an
-uninterrupted run sees, and so that every process of a distributed run agrees without a message.
+Stateless: a draw is a function of the seed and the step, so that a continued run draws what an uninterrupted one
+draws, and all processes of a distributed run agree without communication.
 """
 
 from collections.abc import Sequence
@@ -65,8 +65,8 @@ def bounded_views(rng: np.random.Generator, total: int, context: int, targets: i
     left = int(rng.integers(0, total - gap))
     right = left + gap
     between = rng.choice(np.arange(left + 1, right), context - 2, replace=False)
-    aims = rng.integers(left, right + 1, targets)
-    return tuple(int(view) for view in (left, *between, right, *aims))
+    target_views = rng.integers(left, right + 1, targets)
+    return tuple(int(view) for view in (left, *between, right, *target_views))
 
 
 def any_views(rng: np.random.Generator, total: int, context: int, targets: int) -> tuple[int, ...]:

@@ -1,16 +1,13 @@
 """Encoded scenes kept in memory and on disk, for trainings in which the backbone does not change."""
 
-from collections import OrderedDict
 from collections.abc import Callable, Sequence
-from dataclasses import fields, is_dataclass
-from typing import Any
+from dataclasses import replace
 
-import torch
 import torch.nn.functional as F
-from torch import Tensor
 
+from anystyle.caching import LRUCache
 from anystyle.training.feature_store import FeatureStore
-from anystyle.types import Clusters, Scene, Value, Views
+from anystyle.types import Clusters, Scene, Views
 
 
 class EncodedScenes:
@@ -25,8 +22,8 @@ class EncodedScenes:
     """
 
     def __init__(self, encode: Callable[[Views], Scene], limit: int, store: FeatureStore | None = None) -> None:
-        self.encode, self.limit, self.store = encode, limit, store
-        self._kept: OrderedDict[str, Scene] = OrderedDict()
+        self.encode, self.store = encode, store
+        self._scenes: LRUCache[str, Scene] = LRUCache(limit)
 
     def __call__(self, views: Views, keys: Sequence[int]) -> Scene:
         """The scenes of a batch of views, one key a row."""
@@ -35,19 +32,14 @@ class EncodedScenes:
     def _one(self, views: Views, row: int, key: int) -> Scene:
         # A pool's views are the same each time, and yet of another size where sizes change from step to step.
         name = f"{key}_{views.size[0]}x{views.size[1]}"
-        if name in self._kept:
-            self._kept.move_to_end(name)
-            return self._kept[name]
-        alone = views.map(lambda tensor: tensor[row : row + 1])
-        scene = None if self.store is None else self.store.get(name, alone)
+        return self._scenes.get(name, lambda: self._encoded(name, views.map(lambda tensor: tensor[row : row + 1])))
+
+    def _encoded(self, name: str, views: Views) -> Scene:
+        scene = None if self.store is None else self.store.get(name, views)
         if scene is None:
-            scene = self.encode(alone)
+            scene = self.encode(views)
             if self.store is not None:
                 self.store.put(name, scene)
-        if self.limit:
-            self._kept[name] = scene
-            while len(self._kept) > self.limit:
-                self._kept.popitem(last=False)
         return scene
 
 
@@ -56,30 +48,14 @@ def stack_scenes(scenes: Sequence[Scene]) -> Scene:
     if len(scenes) == 1:
         return scenes[0]
     clusters = [scene.clusters for scene in scenes if scene.clusters is not None]
-    stacked = {
-        item.name: _stacked([getattr(scene, item.name) for scene in scenes])
-        for item in fields(Scene)
-        if item.name != "clusters"
-    }
-    return Scene(**stacked, clusters=_padded(clusters) if clusters else None)
+    stacked = Scene.cat([replace(scene, clusters=None) for scene in scenes])
+    return replace(stacked, clusters=Clusters.cat(_padded(clusters)) if clusters else None)
 
 
-def _stacked(values: Sequence[Any]) -> Any:
-    first = values[0]
-    if isinstance(first, Tensor):
-        return torch.cat(list(values))
-    if isinstance(first, Value) and is_dataclass(first):
-        return type(first)(**{item.name: _stacked([getattr(v, item.name) for v in values]) for item in fields(first)})
-    if isinstance(first, dict):
-        return {key: _stacked([value[key] for value in values]) for key in first}
-    return first
-
-
-def _padded(clusters: Sequence[Clusters]) -> Clusters:
-    count = max(one.means.shape[1] for one in clusters)
-    return Clusters(
-        index=torch.cat([one.index for one in clusters]),
-        weight=torch.cat([one.weight for one in clusters]),
-        means=torch.cat([F.pad(one.means, (0, 0, 0, count - one.means.shape[1])) for one in clusters]),
-        valid=torch.cat([F.pad(one.valid, (0, count - one.valid.shape[1])) for one in clusters]),
-    )
+def _padded(clusters: Sequence[Clusters]) -> list[Clusters]:
+    most = max(one.means.shape[1] for one in clusters)
+    missing = [most - one.means.shape[1] for one in clusters]
+    return [
+        replace(one, means=F.pad(one.means, (0, 0, 0, count)), valid=F.pad(one.valid, (0, count)))
+        for one, count in zip(clusters, missing, strict=True)
+    ]

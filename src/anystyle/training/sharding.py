@@ -1,4 +1,4 @@
-"""FSDP2: processes share out the weights that learn, with their gradients and the optimiser's averages."""
+"""FSDP2: trainable weights, their gradients and the optimiser's state are sharded over the processes."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -23,8 +23,9 @@ from torch.optim import Optimizer
 class Sharded(ModelParallelStrategy):
     """Lightning's FSDP2 with one checkpoint file, the same as that of every other strategy.
 
-    A checkpoint of one process continues on several and the other way round, for the file holds whole tensors. All
-    processes of all nodes share in the data, each seeing its own part of a batch.
+    A checkpoint of one process continues on several and the other way round, for the file holds full tensors, and the
+    optimiser's state in the optimiser's own order: Lightning's single file counts frozen parameters too, and does not
+    load without them. The data are divided among all processes of all nodes.
     """
 
     def setup_environment(self) -> None:
@@ -33,29 +34,29 @@ class Sharded(ModelParallelStrategy):
         super().setup_environment()
 
     def optimizer_state(self, optimizer: Optimizer) -> dict[str, Any]:
-        """The whole state, with parameters by number as an optimiser has them; empty in all processes but the first."""
+        """The full state, with parameters by index as in ``Optimizer.state_dict``; empty but in the first process."""
         module = self.lightning_module
         assert module is not None
-        own = optimizer._optimizer if isinstance(optimizer, LightningOptimizer) else optimizer
-        whole = StateDictOptions(full_state_dict=True, cpu_offload=True)
-        state: Any = get_optimizer_state_dict(module, own, options=whole)
+        raw = optimizer._optimizer if isinstance(optimizer, LightningOptimizer) else optimizer
+        full_state = StateDictOptions(full_state_dict=True, cpu_offload=True)
+        state: Any = get_optimizer_state_dict(module, raw, options=full_state)
         if not state:
             return {}
-        places = {name: place for place, name in enumerate(_order(module, own))}
-        groups = [{**group, "params": [places[name] for name in group["params"]]} for group in state["param_groups"]]
-        return {"state": {places[name]: value for name, value in state["state"].items()}, "param_groups": groups}
+        indices = {name: index for index, name in enumerate(_order(module, raw))}
+        groups = [{**group, "params": [indices[name] for name in group["params"]]} for group in state["param_groups"]]
+        return {"state": {indices[name]: value for name, value in state["state"].items()}, "param_groups": groups}
 
     def load_checkpoint(self, checkpoint_path: Any, weights_only: bool | None = None) -> dict[str, Any]:
-        """Read the file in each process, and keep this process's share of it."""
+        """Read the file in each process, and keep the shard of this process."""
         checkpoint = torch.load(Path(str(checkpoint_path)), map_location="cpu", weights_only=True, mmap=True)
         module = self.lightning_module
         assert module is not None
         # What is frozen is not in the file, and comes from the module itself.
-        own = {key: value for key, value in module.state_dict().items() if not isinstance(value, DTensor)}
-        whole = StateDictOptions(full_state_dict=True)
-        set_model_state_dict(module, own | checkpoint["state_dict"], options=whole)
+        frozen = {key: value for key, value in module.state_dict().items() if not isinstance(value, DTensor)}
+        full_state = StateDictOptions(full_state_dict=True)
+        set_model_state_dict(module, frozen | checkpoint["state_dict"], options=full_state)
         for optimizer, state in zip(self.optimizers, checkpoint["optimizer_states"], strict=True):
-            set_optimizer_state_dict(module, optimizer, _named(module, optimizer, state), options=whole)
+            set_optimizer_state_dict(module, optimizer, _named(module, optimizer, state), options=full_state)
         return checkpoint
 
 
@@ -66,17 +67,17 @@ def _order(module: nn.Module, optimizer: Optimizer) -> list[str]:
 
 
 def _named(module: nn.Module, optimizer: Optimizer, state: dict[str, Any]) -> dict[str, Any]:
-    """An optimiser's state with parameters by name, where its file has them by number."""
+    """An optimiser's state with parameters by name, from the file's state by index."""
     order = _order(module, optimizer)
-    groups = [{**group, "params": [order[place] for place in group["params"]]} for group in state["param_groups"]]
-    return {"state": {order[place]: value for place, value in state["state"].items()}, "param_groups": groups}
+    groups = [{**group, "params": [order[index] for index in group["params"]]} for group in state["param_groups"]]
+    return {"state": {order[index]: value for index, value in state["state"].items()}, "param_groups": groups}
 
 
 def shard(roots: Sequence[nn.Module], units: Sequence[nn.Module], mesh: DeviceMesh) -> None:
-    """Share modules out among the processes of a mesh.
+    """Shard modules over the processes of a mesh.
 
     Args:
-        roots: What learns.
+        roots: Trainable modules.
         units: Parts of them that are gathered one at a time, in order, as they are needed.
         mesh: One-dimensional.
     """
@@ -84,12 +85,12 @@ def shard(roots: Sequence[nn.Module], units: Sequence[nn.Module], mesh: DeviceMe
         fully_shard(module, mesh=mesh)
 
 
-def gathered(module: nn.Module) -> nn.Module:
-    """A module whose state is the whole of that of a shared one; all processes take part. Others are returned as is."""
+def with_full_state(module: nn.Module) -> nn.Module:
+    """A module whose state dict is the full one of a sharded module; collective. Other modules are returned as is."""
     state = module.state_dict()
     if not any(isinstance(value, DTensor) for value in state.values()):
         return module
-    whole = {key: value.full_tensor() if isinstance(value, DTensor) else value for key, value in state.items()}
+    full_state = {key: value.full_tensor() if isinstance(value, DTensor) else value for key, value in state.items()}
     shell = nn.Module()
-    shell.register_state_dict_post_hook(lambda _, found, *rest: found.update(whole))
+    shell.register_state_dict_post_hook(lambda _, state_dict, *rest: state_dict.update(full_state))
     return shell

@@ -1,6 +1,7 @@
 """Training the style branch: a frozen backbone, styled renders, and the objective of the paper."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,49 +11,52 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor, nn
 
-from anystyle.contracts import Injector, Loss, SceneSource, StyleSource, neutral_embedding
-from anystyle.files import atomic_path
+from anystyle.contracts import Loss, SceneSource, StyleSource, neutral_embedding
+from anystyle.io.atomic import atomic_path
 from anystyle.stylizer import Stylizer
 from anystyle.training.contract import Training, required
 from anystyle.training.data import Batch, SceneBatches
-from anystyle.training.feature_store import FeaturePlace, without_stem
-from anystyle.training.fitting import stack_styles
-from anystyle.training.loggers import Picture, show
+from anystyle.training.feature_store import FeatureFolder, without_stem
+from anystyle.training.loggers import Picture, log_picture
 from anystyle.training.optim import check_rates, check_steps, scheduled, trainable
 from anystyle.training.sampling import check_counts, generator
 from anystyle.training.scene_cache import EncodedScenes
-from anystyle.types import Scene, Style, StyleEmbedding, Stylization, Views
+from anystyle.types import Renders, Scene, Style, StyleEmbedding, Stylization, Views
 
 
 class StylizationTraining(Training):
-    """Teach a style branch to put styles on scenes (paper section 3.3; defaults as published).
+    """Train a style branch by the objective of the paper's equation 11; defaults as published.
 
     The backbone and the style encoder are frozen. The scene is rendered at its own cameras, and every loss sees the
     result. Whether a step's styles come as texts or as images is a function of the step.
 
     Args:
         stylizer: Its branch learns.
-        losses: The objective: terms by name, each with its weight.
-        features: Where encoded scenes are kept on disk; ``None`` keeps none there.
+        losses: The terms of the objective by name, each with its weight.
+        features: Folder in which encoded scenes are stored; ``None`` stores none.
         images: Images a step over all processes; with n views a scene that is ``images // n`` scenes, and the same
             number for each process (published: 36 a process).
         batch_size: Scenes a step, instead of ``images``.
-        context_views: Least and most views of a scene.
-        view_power: Numbers of views are drawn in proportion to their power.
+        context_views: Least and greatest number of views of a scene.
+        view_power: Numbers of views are drawn in proportion to this power of themselves.
         spread: ``any`` views of a scene, or the published ``bounded`` window of a video.
         heights: Least and greatest image height; ``None`` leaves images as they are.
         width: Of the images; ``None`` keeps their shape.
         flip: Chance of mirroring a scene.
-        pool: So many fixed selections of scenes and views; ``None`` means new ones each step.
-        cache_scenes: Encoded scenes kept in memory; of use with a ``pool``.
-        text_ratio: Share of steps whose styles are texts.
+        min_scale: Below 1, images are shrunk to a random scale of at least so much and enlarged again, which blurs
+            them (published: 0.77).
+        pool: Number of fixed selections of scenes and views; ``None`` draws new ones each step.
+        cache_scenes: Number of encoded scenes kept in memory; for use with a ``pool``.
+        text_ratio: Fraction of steps whose styles are texts; with 0 no text is embedded at all, and styles without an
+            image are drawn again.
+        text_step_images: Whether losses on style images see them on steps whose styles are texts, as published.
         alternation: ``coin`` tosses for each step; ``strict`` spreads text steps evenly.
-        mix_ratio: Share of steps whose styles are random mixtures of two of the batch.
+        mix_ratio: Fraction of steps whose styles are random mixtures of two of the batch.
         learning_rate: Of the head and of all injectors of the head.
         head_rate: Times ``learning_rate``, for the head's copy; below 1 the injectors lead (published: 1).
-        aggregator_rate: Times ``learning_rate``, for the aggregator's copy and its injectors, as published.
-        examples: So many styles are shown to the injectors before the first step, for what has a closed form; see
-            :meth:`anystyle.contracts.Injector.fit` (published: 0).
+        aggregator_rate: Times ``learning_rate``, for the aggregator's copy.
+        injector_rate: Times ``learning_rate``, for the aggregator's injectors; ``None`` takes ``aggregator_rate``, as
+            published (the paper: 1).
         learn_copies: Whether the copied parts learn beside the injectors; without, ``injector=lora`` is LoRA proper.
         betas: Of AdamW.
         warmup: Steps of the warm-up.
@@ -68,7 +72,7 @@ class StylizationTraining(Training):
         *,
         stylizer: Stylizer,
         losses: Mapping[str, Loss],
-        features: FeaturePlace | None = None,
+        features: FeatureFolder | None = None,
         images: int = 36,
         batch_size: int | None = None,
         context_views: Sequence[int] = (2, 18),
@@ -77,15 +81,17 @@ class StylizationTraining(Training):
         heights: Sequence[int] | None = (224, 448),
         width: int | None = 448,
         flip: float = 0.5,
+        min_scale: float = 1.0,
         pool: int | None = None,
         cache_scenes: int = 0,
         text_ratio: float = 0.25,
+        text_step_images: bool = True,
         alternation: Literal["coin", "strict"] = "coin",
         mix_ratio: float = 0.0,
         learning_rate: float = 1e-4,
         head_rate: float = 1.0,
         aggregator_rate: float = 0.3,
-        examples: int = 0,
+        injector_rate: float | None = None,
         learn_copies: bool = True,
         betas: Sequence[float] = (0.9, 0.95),
         warmup: int = 100,
@@ -96,12 +102,16 @@ class StylizationTraining(Training):
         preview_texts: Sequence[str] = ("blue and yellow swirling brush strokes", "orange and navy stripes"),
     ) -> None:
         super().__init__()
-        for name, share in (("text_ratio", text_ratio), ("mix_ratio", mix_ratio), ("flip", flip)):
-            if not 0 <= share <= 1:
-                raise ValueError(f"training.{name} is {share}; give a share between 0 and 1")
+        shares = {"text_ratio": text_ratio, "mix_ratio": mix_ratio, "flip": flip, "min_scale": min_scale}
+        for name, fraction in shares.items():
+            if not 0 <= fraction <= 1:
+                raise ValueError(f"training.{name} is {fraction}; give a share between 0 and 1")
         check_counts(decay_steps=decay_steps)
-        check_rates(learning_rate=learning_rate, head_rate=head_rate, aggregator_rate=aggregator_rate)
-        check_steps(warmup=warmup, preview_every=preview_every, cache_scenes=cache_scenes, examples=examples)
+        slow = aggregator_rate if injector_rate is None else injector_rate
+        check_rates(
+            learning_rate=learning_rate, head_rate=head_rate, aggregator_rate=aggregator_rate, injector_rate=slow
+        )
+        check_steps(warmup=warmup, preview_every=preview_every, cache_scenes=cache_scenes)
         if len(betas) != 2 or not all(0 <= beta < 1 for beta in betas):
             raise ValueError(f"training.betas={list(betas)}: give two numbers of at least 0 and below 1")
         if not losses:
@@ -123,16 +133,15 @@ class StylizationTraining(Training):
         self.heights, self.width, self.flip, self.pool = heights, width, flip, pool
         self.features = features
         self.encoded = EncodedScenes(self._encode, cache_scenes)
+        self.text_step_images, self.min_scale = text_step_images, min_scale
         self.text_ratio, self.alternation, self.mix_ratio = text_ratio, alternation, mix_ratio
         self.learning_rate, self.betas = learning_rate, betas
-        self.head_rate, self.aggregator_rate = head_rate, aggregator_rate
+        self.head_rate, self.aggregator_rate, self.injector_rate = head_rate, aggregator_rate, slow
         self.warmup, self.weight_decay = warmup, weight_decay
-        self.examples = examples
         self.floor, self.decay_steps = floor, decay_steps
         self.preview_every, self.preview_texts = preview_every, preview_texts
         self.seed = 0
         self._source: SceneBatches | None = None
-        self._styles: StyleSource | None = None
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -141,7 +150,7 @@ class StylizationTraining(Training):
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
         """Scenes with one style each."""
-        self.seed, self._styles = seed, styles
+        self.seed = seed
         if self.features is not None:
             self.encoded.store = self.features.store(
                 seed=seed, spread=self.spread, flip=self.flip, context_views=list(self.context_views)
@@ -159,23 +168,11 @@ class StylizationTraining(Training):
             width=self.width,
             multiple=self.stylizer.backbone.patch_size,
             flip=self.flip,
+            min_scale=self.min_scale,
             pool=self.pool,
+            style_images=self.text_ratio == 0,
         )
         return self._source
-
-    def begin(self) -> None:
-        """Show injectors that want them some examples of styles, as images and as texts."""
-        injectors = [
-            injector for injector in self.stylizer.branch.injectors.children() if isinstance(injector, Injector)
-        ]
-        curious = [injector for injector in injectors if type(injector).fit is not Injector.fit]
-        if not self.examples or not curious:
-            return
-        styles = required(self._styles, "styles")
-        shown = stack_styles([styles.read(style) for style in range(min(self.examples, len(styles)))])
-        ways = [style_vectors(self.stylizer, shown, as_text=as_text) for as_text in (False, True)]
-        for injector in curious:
-            injector.fit(torch.stack(ways, dim=1), shown)
 
     def exports(self) -> Mapping[str, nn.Module]:
         """The style branch."""
@@ -205,14 +202,23 @@ class StylizationTraining(Training):
         return total
 
     def stylize(self, batch: Batch, embedding: StyleEmbedding) -> Stylization:
-        """Encode (or remember) the scenes, style them and render them at their own cameras."""
+        """Encode the scenes or take them from the cache, style them, and render them at their own cameras."""
         assert batch.style is not None
         views = batch.inputs
         scene = self.encoded(Views(images=views.images), batch.keys)
         gaussians = self.stylizer.restyle(scene, embedding)
         with torch.autocast(views.images.device.type, enabled=False):
             renders = self.stylizer.render(gaussians.to(torch.float32), scene.cameras.to(torch.float32))
-        return Stylization(views, batch.style, embedding, scene, gaussians, renders)
+            unstyled = self._unstyled(scene) if any(term.needs_unstyled for term in self.terms.values()) else None
+        style = batch.style
+        if not self.text_step_images and self.is_text_step(self.global_step):
+            style = replace(style, image=None, has_image=None)
+        return Stylization(views, style, embedding, scene, gaussians, renders, unstyled)
+
+    @torch.no_grad()
+    def _unstyled(self, scene: Scene) -> Renders:
+        gaussians = self.stylizer.unstyled(scene)
+        return self.stylizer.render(gaussians.to(torch.float32), scene.cameras.to(torch.float32))
 
     def _encode(self, views: Views) -> Scene:
         scene = self.stylizer.encode(views)
@@ -225,8 +231,8 @@ class StylizationTraining(Training):
         vector = style_vectors(self.stylizer, style, as_text=as_text)
         mixing = generator(self.seed, 6, step)
         if mixing.random() < self.mix_ratio:
-            share = vector.new_tensor(mixing.random(vector.shape[0]))[:, None]
-            vector = torch.lerp(vector, vector.roll(1, 0), share)
+            amount = vector.new_tensor(mixing.random(vector.shape[0]))[:, None]
+            vector = torch.lerp(vector, vector.roll(1, 0), amount)
         neutral = neutral_embedding(self.stylizer.style_encoder)
         return StyleEmbedding(vector, nn.functional.normalize(vector - neutral, dim=-1))
 
@@ -237,29 +243,29 @@ class StylizationTraining(Training):
         return bool(generator(self.seed, 5, step).random() < self.text_ratio)
 
     def on_train_batch_end(self, outputs: Any, batch: Batch, batch_idx: int) -> None:
-        """Draw the grid of styled renders when it is time: always of the same scene, in the same styles."""
+        """Log the grid of styled renders every ``preview_every`` steps: of the same scene, in the same styles."""
         step = self.global_step
         if not (self.preview_every and step % self.preview_every == 0 and self.trainer.is_global_zero):
             return
         assert self._source is not None
-        shown = self._source.batch(0, 0, self.trainer.world_size).to(self.device)
-        picture = grid(self.preview(shown))
+        picture = grid(self.preview(self._source.batch(0, 0, self.trainer.world_size).to(self.device)))
         with atomic_path(Path(self.trainer.default_root_dir) / "previews" / f"step_{step:07d}.png") as temporary:
             Image.fromarray(picture).save(temporary)
-        show(self.trainer.loggers, "previews", picture, step)
+        for logger in self.trainer.loggers:
+            log_picture(logger, "previews", picture, step)
 
     @torch.no_grad()
     def preview(self, batch: Batch) -> list[list[Float[Tensor, "3 H W"]]]:
         """Rows of images: the photographs of the first scene, unstyled renders, and renders in each style."""
         views = Views(images=batch.inputs.images[:1])
         scene = self.stylizer.encode(views)
-        rows = [list(views.images[0]), self._drawn(scene, None)]
-        rows += [self._drawn(scene, self.stylizer.embed(text=text)) for text in self.preview_texts]
+        rows = [list(views.images[0]), self._render(scene, None)]
+        rows += [self._render(scene, self.stylizer.embed(text=text)) for text in self.preview_texts]
         if batch.style is not None and batch.style.image is not None:
-            rows.append(self._drawn(scene, self.stylizer.embed(image=batch.style.image[:1])))
+            rows.append(self._render(scene, self.stylizer.embed(image=batch.style.image[:1])))
         return rows
 
-    def _drawn(self, scene: Scene, embedding: StyleEmbedding | None) -> list[Tensor]:
+    def _render(self, scene: Scene, embedding: StyleEmbedding | None) -> list[Tensor]:
         stylizer = self.stylizer
         gaussians = stylizer.unstyled(scene) if embedding is None else stylizer.restyle(scene, embedding)
         return list(stylizer.render(gaussians, scene.cameras).color[0])
@@ -272,6 +278,7 @@ class StylizationTraining(Training):
                 lr=self.learning_rate,
                 head_rate=self.head_rate,
                 aggregator_rate=self.aggregator_rate,
+                injector_rate=self.injector_rate,
             ),
             betas=(self.betas[0], self.betas[1]),
             weight_decay=self.weight_decay,
@@ -292,18 +299,38 @@ class StylizationTraining(Training):
 
 
 def branch_groups(
-    stylizer: Stylizer, *, lr: float, head_rate: float = 1.0, aggregator_rate: float = 0.3
+    stylizer: Stylizer,
+    *,
+    lr: float,
+    head_rate: float = 1.0,
+    aggregator_rate: float = 0.3,
+    injector_rate: float | None = None,
 ) -> list[dict[str, Any]]:
-    """The published parameter groups: head and its injectors; aggregator and its injectors at a share of the rate."""
+    """The published parameter groups: head and its injectors; aggregator and its injectors at a share of the rate.
+
+    Args:
+        stylizer: Its branch learns.
+        lr: The rate.
+        head_rate: Times it, for the head.
+        aggregator_rate: Times it, for the aggregator.
+        injector_rate: Times it, for the aggregator's injectors; ``None`` is ``aggregator_rate``.
+    """
     branch = stylizer.branch
     inside = {site.name for site in stylizer.backbone.aggregator.sites}
     slow = [branch.injectors[name] for name in branch.injectors if name in inside]
-    slow += [] if branch.aggregator is None else [branch.aggregator]
+    apart = injector_rate is not None and injector_rate != aggregator_rate
+    copied = [] if branch.aggregator is None else [branch.aggregator]
     fast = [branch.injectors[name] for name in branch.injectors if name not in inside]
+    head = [] if branch.gaussian_head is None else [branch.gaussian_head]
     groups = [
-        {"params": trainable([branch.gaussian_head]), "lr": lr * head_rate, "name": "head"},
+        {"params": trainable(head), "lr": lr * head_rate, "name": "head"},
         {"params": trainable(fast), "lr": lr, "name": "head injectors"},
-        {"params": trainable(slow), "lr": lr * aggregator_rate, "name": "aggregator"},
+        {"params": trainable(copied if apart else slow + copied), "lr": lr * aggregator_rate, "name": "aggregator"},
+        {
+            "params": trainable(slow) if apart else [],
+            "lr": lr * (injector_rate if injector_rate is not None else aggregator_rate),
+            "name": "aggregator injectors",
+        },
     ]
     return [group for group in groups if group["params"]]
 
@@ -319,15 +346,14 @@ def style_vectors(stylizer: Stylizer, style: Style, *, as_text: bool) -> Float[T
     count = len(style.text) if style.text is not None else 0 if style.image is None else style.image.shape[0]
     texts = style.text or ("",) * count
     if style.image is None:
-        pictured = [False] * count
+        has_image = [False] * count
     else:
-        pictured = [True] * count if style.has_image is None else style.has_image.tolist()
-    reads = [bool(text) and (as_text or not seen) for text, seen in zip(texts, pictured, strict=True)]
+        has_image = [True] * count if style.has_image is None else style.has_image.tolist()
     rows: list[Tensor] = []
-    for row, read in enumerate(reads):
-        if read:
-            rows.append(encoder.embed_texts([texts[row]])[0])
-        elif pictured[row]:
+    for row, text in enumerate(texts):
+        if text and (as_text or not has_image[row]):
+            rows.append(encoder.embed_texts([text])[0])
+        elif has_image[row]:
             assert style.image is not None
             rows.append(encoder.embed_images(style.image[row : row + 1])[0])
         else:

@@ -11,23 +11,23 @@ from anystyle.types import Cameras, Geometry, Views
 
 
 def canonical(views: Views, context: int) -> Views:
-    """Views in the frame that a backbone can know: the first camera at the origin, mean distance of what it sees 1.
+    """Views in the canonical frame: the first camera at the origin, the mean distance of the visible points 1.
 
     Args:
         views: With cameras and depth.
-        context: How many views lead that the network sees; the scale is the mean distance of their points from the
-            first camera.
+        context: Number of leading context views; the scale is the mean distance of their points from the first
+            camera.
 
     Raises:
-        ValueError: Cameras or depth are not known.
+        ValueError: Cameras or depth are missing.
     """
     if views.cameras is None or views.depth is None:
         raise ValueError("reconstruction learns from scenes with cameras and depth; choose another scenes=")
     first = views.cameras.camera_from_world[:, :1]
     cameras = replace(views.cameras, world_from_camera=first @ views.cameras.world_from_camera)
-    seen = Geometry(cameras, views.depth, torch.ones_like(views.depth)).points()[:, :context]
-    known = (views.depth[:, :context] > 0).to(seen.dtype)
-    distance = (seen.norm(dim=-1) * known).sum((1, 2, 3)) / known.sum((1, 2, 3)).clamp_min(1)
+    points = Geometry(cameras, views.depth, torch.ones_like(views.depth)).points()[:, :context]
+    valid = (views.depth[:, :context] > 0).to(points.dtype)
+    distance = (points.norm(dim=-1) * valid).sum((1, 2, 3)) / valid.sum((1, 2, 3)).clamp_min(1)
     scale = 1 / distance.clamp_min(1e-6)[:, None]
     poses = cameras.world_from_camera.clone()
     poses[..., :3, 3] = poses[..., :3, 3] * scale[..., None]
@@ -47,21 +47,21 @@ def depth_loss(
     Args:
         predicted: Depth, above 0.
         confidence: Of each pixel, above 0.
-        true: Depth; 0 where it is not known.
+        true: Depth; 0 where it is missing.
         alpha: Reward of ``log confidence``.
         gradient: Weight of the differences at spacings of 1, 2 and 4 pixels.
     """
-    known = true > 0
+    valid = true > 0
     error = predicted.clamp_min(1e-4).log() - true.clamp_min(1e-4).log()
-    sure = confidence.clamp_min(1e-3)
-    loss = _mean(sure * error.abs() - alpha * sure.log(), known)
+    confidence = confidence.clamp_min(1e-3)
+    loss = _mean(confidence * error.abs() - alpha * confidence.log(), valid)
     for step in (1, 2, 4):
         for axis in (-1, -2):
             count = error.shape[axis] - step
             if count < 1:
                 continue
             slope = error.narrow(axis, step, count) - error.narrow(axis, 0, count)
-            both = known.narrow(axis, step, count) & known.narrow(axis, 0, count)
+            both = valid.narrow(axis, step, count) & valid.narrow(axis, 0, count)
             loss = loss + gradient / 6 * _mean(slope.abs(), both)
     return loss
 
@@ -69,40 +69,40 @@ def depth_loss(
 def camera_loss(predicted: Cameras, true: Cameras) -> Float[Tensor, ""]:
     """Error of rotations (chordal), of positions and translations, and of log focal lengths."""
     rotation = predicted.world_from_camera[..., :3, :3] - true.world_from_camera[..., :3, :3]
-    turned = huber(rotation.flatten(-2).square().sum(-1).add(1e-8).sqrt())
-    moved = huber((predicted.world_from_camera - true.world_from_camera)[..., :3, 3])
-    seen = huber((predicted.camera_from_world - true.camera_from_world)[..., :3, 3])
+    chordal = huber(rotation.flatten(-2).square().sum(-1).add(1e-8).sqrt())
+    position = huber((predicted.world_from_camera - true.world_from_camera)[..., :3, 3])
+    translation = huber((predicted.camera_from_world - true.camera_from_world)[..., :3, 3])
     focal = torch.stack(
         [(predicted.intrinsics[..., i, i] / true.intrinsics[..., i, i]).clamp_min(1e-3).log() for i in (0, 1)]
     )
-    return turned + moved + seen + focal.abs().mean()
+    return chordal + position + translation + focal.abs().mean()
 
 
 def transfer_loss(
     predicted: Cameras, true: Cameras, depth: Float[Tensor, "B V H W"], *, stride: int = 4
 ) -> Float[Tensor, ""]:
-    """How far points of each view land from where its true camera sees them, as a share of their depth.
+    """Distance of each view's points between the predicted and the true camera frame, relative to their depth.
 
-    Unlike errors of rotation and translation it weighs both by what they do to the picture.
+    Unlike errors of rotation and translation it weighs both by their effect on the image.
     """
-    thin, depth = _thinned(true, depth, stride)
-    world = Geometry(thin, depth, depth).points()
+    cameras, depth = _subsample(true, depth, stride)
+    world = Geometry(cameras, depth, depth).points()
     local = _into(predicted.camera_from_world, world) - _into(true.camera_from_world, world)
     return _mean(_smooth(local.norm(dim=-1) / depth.clamp_min(0.05)), depth > 0)
 
 
 def point_loss(geometry: Geometry, true: Cameras, depth: Float[Tensor, "B V H W"], *, stride: int = 2) -> Tensor:
-    """How far predicted world points lie from the true ones, as a share of their distance from the first camera."""
-    camera, thin_depth = _thinned(true, depth, stride)
-    own, predicted_depth = _thinned(geometry.cameras, geometry.depth, stride)
-    world = Geometry(camera, thin_depth, thin_depth).points()
-    predicted = Geometry(own, predicted_depth, predicted_depth).points()
-    share = (predicted - world).norm(dim=-1) / world.norm(dim=-1).clamp_min(0.1)
-    return _mean(_smooth(share), thin_depth > 0)
+    """Distance of predicted world points from the true ones, relative to their distance from the first camera."""
+    cameras, depth = _subsample(true, depth, stride)
+    predicted_cameras, predicted_depth = _subsample(geometry.cameras, geometry.depth, stride)
+    world = Geometry(cameras, depth, depth).points()
+    predicted = Geometry(predicted_cameras, predicted_depth, predicted_depth).points()
+    error = (predicted - world).norm(dim=-1) / world.norm(dim=-1).clamp_min(0.1)
+    return _mean(_smooth(error), depth > 0)
 
 
 def project(cameras: Cameras, world: Float[Tensor, "B M 3"]) -> tuple[Float[Tensor, "B V M 2"], Float[Tensor, "B V M"]]:
-    """Where every camera sees world points: pixels, and depth along z (points behind have none above 0)."""
+    """Projections of world points into every camera: pixels, and depth along z, at most 0 behind the camera."""
     local = _into(cameras.camera_from_world, world[:, None].expand(-1, cameras.intrinsics.shape[1], -1, -1))
     depth = local[..., 2]
     pixel = local @ cameras.intrinsics.mT
@@ -118,8 +118,8 @@ def _smooth(error: Tensor, width: float = 0.05) -> Tensor:
     return F.smooth_l1_loss(error, torch.zeros_like(error), beta=width, reduction="none")
 
 
-def _mean(values: Tensor, known: Bool[Tensor, "..."]) -> Tensor:
-    return (values * known).sum() / known.sum().clamp_min(1)
+def _mean(values: Tensor, valid: Bool[Tensor, "..."]) -> Tensor:
+    return (values * valid).sum() / valid.sum().clamp_min(1)
 
 
 def _into(frame: Float[Tensor, "B V 4 4"], points: Tensor) -> Tensor:
@@ -128,12 +128,12 @@ def _into(frame: Float[Tensor, "B V 4 4"], points: Tensor) -> Tensor:
     return local.reshape(points.shape)
 
 
-def _thinned(cameras: Cameras, depth: Tensor, stride: int) -> tuple[Cameras, Tensor]:
-    """Every ``stride``-th pixel of a depth map, with the cameras that see those pixels in a small image."""
-    thin = depth[..., stride // 2 :: stride, stride // 2 :: stride]
+def _subsample(cameras: Cameras, depth: Tensor, stride: int) -> tuple[Cameras, Tensor]:
+    """Every ``stride``-th pixel of a depth map, with the cameras of that smaller image."""
+    small = depth[..., stride // 2 :: stride, stride // 2 :: stride]
     intrinsics = cameras.intrinsics.clone()
     intrinsics[..., :2, :] = intrinsics[..., :2, :] / stride
     # Pixel i of the small image is pixel stride*i + stride//2 of the large one; both centres lie at +0.5.
     shift = (stride // 2 + 0.5) / stride - 0.5
     intrinsics[..., :2, 2] = intrinsics[..., :2, 2] - shift
-    return Cameras(cameras.world_from_camera, intrinsics, (thin.shape[-2], thin.shape[-1])), thin
+    return Cameras(cameras.world_from_camera, intrinsics, (small.shape[-2], small.shape[-1])), small

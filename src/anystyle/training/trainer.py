@@ -6,22 +6,23 @@ from typing import Any
 
 import lightning.pytorch as pl
 from lightning.fabric.utilities.exceptions import MisconfigurationException
+from lightning.pytorch.callbacks import LearningRateMonitor, ThroughputMonitor
 from omegaconf import DictConfig, OmegaConf
 
 from anystyle.errors import one_line
-from anystyle.training.callbacks import Lines, StepSeed
-from anystyle.training.guards import FiniteLoss, SkipOutliers
+from anystyle.training.callbacks import ProgressLines, StepSeed
 from anystyle.training.loggers import make_loggers
+from anystyle.training.monitors import SkippedData, num_images
 from anystyle.training.options import SHARDED
+from anystyle.training.safeguards import FiniteLoss, SkipOutliers
 from anystyle.training.sharding import Sharded
-from anystyle.training.vitals import SkippedData, Vitals
 
 
 def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) -> pl.Trainer:
     """Build the trainer of a run.
 
     Args:
-        config: What ``conf/train.yaml`` composes; ``trainer`` holds options of Lightning's Trainer.
+        config: As ``conf/train.yaml`` composes it; ``trainer`` holds options of Lightning's Trainer.
         out: Where it writes.
         callbacks: What the run adds.
 
@@ -37,13 +38,14 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
     guards: list[pl.Callback] = [
         StepSeed(config.seed),
         FiniteLoss(out / "refused_batch.pt", growth=None if config.explosion is None else float(config.explosion)),
-        Vitals(),
+        LearningRateMonitor(),
+        ThroughputMonitor(num_images, window_size=20),
         SkippedData(out / "skipped.txt"),
     ]
     if config.skip_outliers:
         guards.append(SkipOutliers())
     if not terminal:
-        guards.append(Lines())
+        guards.append(ProgressLines())
     try:
         return pl.Trainer(
             **options,

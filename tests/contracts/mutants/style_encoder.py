@@ -50,12 +50,20 @@ class Detached(ToyStyleEncoder):
         return super().embed_images(images.detach())
 
 
+class OfAnyNorm(ToyStyleEncoder):
+    unit_norm = False
+
+    def embed_texts(self, texts):
+        return 2 * super().embed_texts(texts)
+
+
 CHANGED = {
     "as it is": (ToyStyleEncoder, set()),
+    "texts of norm 2, as it says": (OfAnyNorm, set()),
     "no neutral prompt": (WithoutNeutral, {"space is declared"}),
-    "texts of norm 2": (LongTexts, {"texts become unit vectors"}),
-    "images of norm 2": (LongImages, {"images become unit vectors"}),
-    "one size of images": (OneSize, {"images become unit vectors"}),
+    "texts of norm 2": (LongTexts, {"texts become vectors"}),
+    "images of norm 2": (LongImages, {"images become vectors"}),
+    "one size of images": (OneSize, {"images become vectors"}),
     "centred over the batch": (Centred, {"batches are loops"}),
     "noise": (Noisy, {"embedding twice is the same", "batches are loops"}),
     "every text alike": (Blind, {"styles differ"}),

@@ -5,7 +5,7 @@ from dataclasses import replace
 import torch
 from torch import nn
 
-from anystyle.testing.toy.backbone import ToyAdapter, ToyBackbone, ToyGaussianHead
+from anystyle.testing.toy.backbone import ToyAdapter, ToyBackbone, ToyEmbedder, ToyGaussianHead
 from anystyle.testing.toy.injector import ToyInjector
 from anystyle.types import untouched
 
@@ -43,12 +43,23 @@ class Forgetful(ToyInjector):
         return super().forward(tokens, style @ self.basis)
 
 
+class Transposed(ToyEmbedder):
+    def forward(self, images):
+        tokens = super().forward(images)
+        return tokens.with_data(tokens.data.mT.contiguous().mT)
+
+
 def head(cls):
     return with_part("gaussian_head", lambda dim, patch: cls(dim=dim, patch_size=patch))
 
 
 CHANGED = {
     "as they are": (ToyBackbone, ToyInjector, set()),
+    "tokens in another order of memory": (
+        with_part("embedder", lambda dim, patch: Transposed(dim=dim, patch_size=patch)),
+        ToyInjector,
+        set(),
+    ),
     "not the identity": (ToyBackbone, Born, {"nothing changes at birth"}),
     "a layer of the injector too many": (ToyBackbone, Unused, {"everything learns by the second step"}),
     "a layer of the head too many": (head(SpareHead), ToyInjector, {"everything learns by the second step"}),

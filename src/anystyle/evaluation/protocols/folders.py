@@ -8,7 +8,7 @@ from PIL import Image, ImageEnhance
 from anystyle.contracts import Metric
 from anystyle.evaluation.contract import Evaluation, Progress, Protocol
 from anystyle.evaluation.folders import pair
-from anystyle.evaluation.parts import judge_pairing
+from anystyle.evaluation.resume import judge_pairing
 
 
 class Folders(Protocol):
@@ -52,5 +52,5 @@ class Folders(Protocol):
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
         """See :meth:`anystyle.evaluation.contract.Protocol.run`."""
-        found = judge_pairing(self.metrics, self.pairing, out, progress)
-        return found.with_facts(unused=list(self.pairing.unused))
+        evaluation = judge_pairing(self.metrics, self.pairing, out, progress)
+        return evaluation.with_facts(unused=list(self.pairing.unused))

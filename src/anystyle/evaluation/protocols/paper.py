@@ -1,33 +1,13 @@
 """The published protocol: a model on scenes and styles, its renders written as images, and these judged."""
 
-import json
-import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
-from typing import Literal, NamedTuple
-
-import numpy as np
-import torch
-from PIL import Image
-from torch import Tensor
+from typing import Literal
 
 from anystyle.contracts import Metric, SceneSource, StyleSource
 from anystyle.evaluation.contract import Evaluation, Progress, Protocol, required
-from anystyle.evaluation.folders import CAMERAS, mark, pair, write_cameras
-from anystyle.evaluation.parts import judge_pairing
-from anystyle.files import atomic_path
+from anystyle.evaluation.model_renders import ModelRenders, Variant
 from anystyle.stylizer import Stylizer
-from anystyle.types import Scene, Style, Views
-
-RENDER_CHUNK = 4
-
-
-class _Plan(NamedTuple):
-    """What is rendered: scenes and styles by number and by file name."""
-
-    scenes: tuple[tuple[int, str], ...]
-    styles: tuple[tuple[int, str], ...]
 
 
 class Paper(Protocol):
@@ -60,178 +40,27 @@ class Paper(Protocol):
         scenes: SceneSource | None,
         styles: StyleSource | None,
         guide: Literal["image", "text"] = "image",
-        variant: Literal["reference", "corrected"] = "reference",
+        variant: Variant = "reference",
         scene_names: Sequence[str] = (),
         num_scenes: int | None = None,
         num_styles: int | None = 50,
         frames: int = 16,
         square: bool = True,
     ) -> None:
-        for name, value in (("num_scenes", num_scenes), ("num_styles", num_styles), ("frames", frames)):
-            if value is not None and value < 1:
-                raise ValueError(f"{name}={value}: give at least 1")
-        self.stylizer = stylizer
         self.metrics = metrics
-        self.scenes = required(scenes, "scenes")
-        self.styles = required(styles, "styles")
-        self.guide = guide
-        self.variant = variant
-        self.frames = frames
-        self.square = square
-        self.suffix = ".jpg" if variant == "reference" else ".png"
-        self.plan = self._plan(scene_names, num_scenes, num_styles)
+        self.renders = ModelRenders(
+            stylizer,
+            required(scenes, "scenes"),
+            required(styles, "styles"),
+            guide=guide,
+            variant=variant,
+            scene_names=scene_names,
+            num_scenes=num_scenes,
+            num_styles=num_styles,
+            frames=frames,
+            square=square,
+        )
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
         """See :meth:`anystyle.evaluation.contract.Protocol.run`."""
-        images = out / "images"
-        self._render(images, progress)
-        pairing = pair(images / "content", images / "style", images / "stylized", images / "depth")
-        # An evaluation of fewer scenes in the folder of a larger one judges those asked for.
-        scenes, styles = ({name for _, name in part} for part in self.plan)
-        wanted = tuple(cell for cell in pairing.cells if cell.scene in scenes and cell.style in styles)
-        found = judge_pairing(self.metrics, replace(pairing, cells=wanted), out, progress)
-        return found.with_facts(
-            variant=self.variant,
-            guide=self.guide,
-            num_scenes=len(self.plan.scenes),
-            num_styles=len(self.plan.styles),
-            frames=self.frames,
-            seconds_a_style=self._seconds(images),
-        )
-
-    def _plan(self, wanted: Sequence[str], num_scenes: int | None, num_styles: int | None) -> _Plan:
-        known = {self.scenes.name(place): place for place in range(len(self.scenes))}
-        absent = [name for name in wanted if name not in known]
-        if absent:
-            there = ", ".join(list(known)[:8])
-            raise ValueError(f"scene_names: there is no scene {absent[0]!r} in this source, which has {there}")
-        chosen = list(wanted or known)[:num_scenes]
-        count = min(len(self.styles), num_styles or len(self.styles))
-        width = max(2, len(str(count - 1)))
-        return _Plan(
-            tuple((known[name], name.replace("/", "-")) for name in chosen),
-            tuple((place, f"{place:0{width}d}") for place in range(count)),
-        )
-
-    def _render(self, images: Path, progress: Progress) -> None:
-        total = len(self.plan.scenes) * len(self.plan.styles)
-        done = 0
-        for number, style_name in self.plan.styles:
-            self._write_style(images / "style" / f"{style_name}{self.suffix}", number)
-        for number, scene_name in self.plan.scenes:
-            folder = images / "stylized" / scene_name
-            missing = [row for row in self.plan.styles if not mark(folder, row[1]).is_file()]
-            done += len(self.plan.styles) - len(missing)
-            if not missing:
-                continue
-            progress("render", done, total)
-            scene, frames, encoding = self._encode(number)
-            self._write_content(images, scene_name, scene, frames)
-            for place, style_name in missing:
-                seconds = encoding + self._stylize(scene, frames, folder, place, style_name)
-                mark(folder, style_name).write_text(json.dumps({"seconds": seconds}), encoding="utf-8")
-                done += 1
-                progress("render", done, total)
-
-    @torch.no_grad()
-    def _encode(self, number: int) -> tuple[Scene, list[str], float]:
-        count = self.scenes.num_views(number)
-        shown = count if self.variant == "reference" else min(count, self.frames)
-        views = self.scenes.read(number, range(shown))
-        if self.square:
-            views = middle_square(views)
-        self._check(views, self.scenes.name(number))
-        names = [f"{place:03d}" for place in range(min(shown, self.frames))]
-        device = next(self.stylizer.parameters()).device
-        start = time.perf_counter()
-        scene = self.stylizer.encode(replace(views, cameras=None, depth=None).to(device))
-        return scene, names, time.perf_counter() - start
-
-    def _check(self, views: Views, name: str) -> None:
-        patch = self.stylizer.backbone.patch_size
-        if any(side % patch for side in views.size):
-            raise ValueError(
-                f"the views of {name} are {views.size[1]}x{views.size[0]} pixels; this model needs sides that are "
-                f"multiples of {patch} (an option of the scenes)"
-            )
-
-    @torch.no_grad()
-    def _write_content(self, images: Path, name: str, scene: Scene, frames: list[str]) -> None:
-        cameras = scene.cameras.select(list(range(len(frames))))
-        plain = self.stylizer.unstyled(scene)
-        for place, frame in enumerate(frames):
-            self._write(images / "content" / name / f"{frame}{self.suffix}", scene.views.images[0, place])
-            renders = self.stylizer.render(plain, cameras.select([place]))
-            far = (renders.depth / renders.alpha.clamp_min(1e-6))[0, 0].cpu().numpy()
-            with atomic_path(images / "depth" / name / f"{frame}.npy") as temporary:
-                np.save(temporary, far)
-        with atomic_path(images / "depth" / name / CAMERAS) as temporary:
-            write_cameras(temporary, frames, cameras)
-
-    @torch.no_grad()
-    def _stylize(self, scene: Scene, frames: list[str], folder: Path, place: int, name: str) -> float:
-        style = self._style(place)
-        device = next(self.stylizer.parameters()).device
-        start = time.perf_counter()
-        embedding = (
-            self.stylizer.embed(text=style.text)
-            if self.guide == "text"
-            else self.stylizer.embed(image=None if style.image is None else style.image.to(device))
-        )
-        gaussians = self.stylizer.restyle(scene, embedding)
-        renders: list[Tensor] = []
-        for first in range(0, len(frames), RENDER_CHUNK):
-            chunk = scene.cameras.select(list(range(first, min(first + RENDER_CHUNK, len(frames)))))
-            renders.extend(self.stylizer.render(gaussians, chunk).color[0].cpu())
-        seconds = time.perf_counter() - start
-        for frame, image in zip(frames, renders, strict=True):
-            if not bool(image.isfinite().all()):
-                raise ValueError(f"the model's render of {folder.name} in style {name} holds NaN or infinity")
-            self._write(folder / f"{name}_{frame}{self.suffix}", image)
-        return seconds
-
-    def _style(self, place: int) -> Style:
-        style = self.styles.read(place)
-        if style.image is None:
-            raise ValueError(f"style {place} has no image, which the figures compare with; choose other styles")
-        if self.guide == "text" and not (style.text and style.text[0].strip()):
-            raise ValueError(f"style {place} has no text; give captions to all styles, or use protocol.guide=image")
-        return style
-
-    def _write_style(self, path: Path, place: int) -> None:
-        if not path.is_file():
-            style = self._style(place)
-            assert style.image is not None
-            self._write(path, style.image[0])
-
-    def _write(self, path: Path, image: Tensor) -> None:
-        values = image.detach().clamp(0, 1) * 255
-        # The published scripts cut decimals off, and darken by half a step on average.
-        values = values if self.variant == "reference" else values.round()
-        picture = Image.fromarray(np.ascontiguousarray(values.byte().permute(1, 2, 0).cpu().numpy()))
-        with atomic_path(path) as temporary:
-            if self.variant == "reference":
-                picture.save(temporary, quality=75, subsampling="4:2:0")
-            else:
-                picture.save(temporary)
-
-    def _seconds(self, images: Path) -> float:
-        files = [
-            mark(images / "stylized" / scene, style) for _, scene in self.plan.scenes for _, style in self.plan.styles
-        ]
-        return sum(json.loads(file.read_text(encoding="utf-8"))["seconds"] for file in files) / len(files)
-
-
-def middle_square(views: Views) -> Views:
-    """The middle square of every view; cameras are moved with it, and depth is cut alike."""
-    height, width = views.size
-    side = min(height, width)
-    top, left = (height - side) // 2, (width - side) // 2
-    rows, columns = slice(top, top + side), slice(left, left + side)
-    cameras = views.cameras
-    if cameras is not None:
-        shift = torch.zeros_like(cameras.intrinsics)
-        shift[..., 0, 2], shift[..., 1, 2] = left, top
-        cameras = replace(cameras, intrinsics=cameras.intrinsics - shift, size=(side, side))
-    depth = None if views.depth is None else views.depth[..., rows, columns]
-    return replace(views, images=views.images[..., rows, columns], cameras=cameras, depth=depth)
+        return self.renders.judge(self.metrics, out, progress)

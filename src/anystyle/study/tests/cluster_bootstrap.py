@@ -37,8 +37,8 @@ class ClusterBootstrap(StudyTest):
         """Test whether the mean deviation is 0, participants and items both drawn at random."""
         people, items = (len(np.unique(codes)) for codes in (responses.participants, responses.items))
         method = f"studentised two-way cluster bootstrap, {people} participants x {items} items"
-        found = bootstrap_mean(tabulate(responses), resamples=self.resamples, seed=self.seed)
-        if found is None:
+        bootstrap = bootstrap_mean(tabulate(responses), resamples=self.resamples, seed=self.seed)
+        if bootstrap is None:
             reason = (
                 f"{people} participant(s) and {items} item(s) whose means do not vary: there is nothing to resample"
             )
@@ -49,25 +49,24 @@ class ClusterBootstrap(StudyTest):
             resamples=max(self.resamples // _EFFECT_SHARE, 99),
             seed=self.seed,
         )
-        lower, upper = found.tails()
-        known = {"participants": people > 1, "items": items > 1}
+        lower, upper = bootstrap.tails()
         return TestResult(
             unit="participant",
-            statistic=found.mean / found.error,
+            statistic=bootstrap.mean / bootstrap.error,
             log_pvalue=log_pvalue(math.log(lower), math.log(upper), self.alternative),
             alternative=self.alternative,
-            estimate=found.mean,
-            interval=found.interval(self.confidence),
+            estimate=bootstrap.mean,
+            interval=bootstrap.interval(self.confidence),
             effect=float(np.mean((1 - np.sign(responses.deviations)) / 2)),
             effect_name="probability_of_superiority",
             effect_interval=(math.nan, math.nan) if superiority is None else _superiority(superiority, self.confidence),
             n=people,
             confidence=self.confidence,
             method=f"{method}, {self.resamples} resamples; p is at least {1 / (self.resamples + 1):.2g}",
-            generalizes_to=tuple(name for name, several in known.items() if several),
+            generalizes_to=("participants",) * (people > 1) + ("items",) * (items > 1),
         )
 
 
-def _superiority(found: Bootstrap, confidence: float) -> tuple[float, float]:
-    low, high = found.interval(confidence)
+def _superiority(bootstrap: Bootstrap, confidence: float) -> tuple[float, float]:
+    low, high = bootstrap.interval(confidence)
     return max(low + 0.5, 0.0), min(high + 0.5, 1.0)

@@ -39,14 +39,14 @@ class Equivalence(StudyTest):
         mean, error = float(values.mean()), sd / math.sqrt(n)
         # The nearer margin decides: its statistic has the larger p-value.
         statistic = (abs(mean) - self.margin) / error
-        reach = float(special.stdtrit(n - 1, self.confidence)) * error
+        half_width = float(special.stdtrit(n - 1, self.confidence)) * error
         return TestResult(
             unit=responses.unit,
             statistic=statistic,
             log_pvalue=log_t_cdf(statistic, n - 1),
             alternative="equivalence",
             estimate=mean,
-            interval=(mean - reach, mean + reach),
+            interval=(mean - half_width, mean + half_width),
             effect=mean / sd,
             effect_name="cohens_d",
             effect_interval=cohens_d_interval(mean / error, n, 2 * self.confidence - 1),

@@ -37,14 +37,14 @@ class OneSampleT(StudyTest):
             return TestResult.untestable(responses, reason=reason, alternative=self.alternative, method=method)
         error = sd / math.sqrt(n)
         statistic = mean / error
-        reach = float(special.stdtrit(n - 1, (1 + self.confidence) / 2)) * error
+        half_width = float(special.stdtrit(n - 1, (1 + self.confidence) / 2)) * error
         return TestResult(
             unit=responses.unit,
             statistic=statistic,
             log_pvalue=log_t_pvalue(statistic, n - 1, self.alternative),
             alternative=self.alternative,
             estimate=mean,
-            interval=(mean - reach, mean + reach),
+            interval=(mean - half_width, mean + half_width),
             effect=mean / sd,
             effect_name="cohens_d",
             effect_interval=cohens_d_interval(statistic, n, self.confidence),

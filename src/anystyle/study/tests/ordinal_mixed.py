@@ -46,10 +46,9 @@ class OrdinalMixed(StudyTest):
             return replace(nothing, note=str(error))
         if not (fitted.converged and fitted.error < _LARGEST_ERROR):
             return replace(nothing, note="the model has no finite fit; one side may have all but every answer")
-        reach = float(special.ndtri((1 + self.confidence) / 2)) * fitted.error
-        interval = (fitted.preference - reach, fitted.preference + reach)
+        half_width = float(special.ndtri((1 + self.confidence) / 2)) * fitted.error
+        interval = (fitted.preference - half_width, fitted.preference + half_width)
         spreads = f"SD {fitted.participant_sd:.2f} between participants, {fitted.item_sd:.2f} between items"
-        known = {"participants": people > 1, "items": items > 1}
         return TestResult(
             unit="participant",
             statistic=fitted.signed_root,
@@ -63,6 +62,6 @@ class OrdinalMixed(StudyTest):
             n=people,
             confidence=self.confidence,
             method=f"{method}; likelihood-ratio test; {spreads}; position {fitted.position:+.2f}",
-            generalizes_to=tuple(name for name, several in known.items() if several),
+            generalizes_to=("participants",) * (people > 1) + ("items",) * (items > 1),
             estimate_unit="logits",
         )

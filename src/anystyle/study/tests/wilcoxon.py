@@ -33,7 +33,7 @@ class Wilcoxon(StudyTest):
     ) -> None:
         self.alternative: Alternative = alternative
         self.zero_method: ZeroMethod = zero_method
-        self.method = method
+        self.method: Literal["auto", "approx"] = method
         self.confidence = confidence
 
     def __call__(self, responses: Responses) -> TestResult:
@@ -43,14 +43,13 @@ class Wilcoxon(StudyTest):
             reason = f"{responses.count} {responses.unit}(s), {np.count_nonzero(responses.deviations)} not neutral: "
             reason += "nothing to rank"
             return TestResult.untestable(responses, reason=reason, alternative=self.alternative, method=name)
-        ranks = signed_ranks(responses.deviations, self.zero_method)
-        exact = ranks.exact and self.method == "auto"
+        ranks = signed_ranks(responses.deviations, self.alternative, self.zero_method, self.method)
         median, interval = pseudo_median(responses.deviations, self.confidence)
-        how = "exact distribution" if exact else "normal approximation with tie correction"
+        how = "exact distribution" if ranks.exact else "normal approximation with tie correction"
         return TestResult(
             unit=responses.unit,
             statistic=ranks.plus,
-            log_pvalue=ranks.log_pvalue(self.alternative, exact=exact),
+            log_pvalue=ranks.log_pvalue,
             alternative=self.alternative,
             estimate=median,
             interval=interval,

@@ -56,7 +56,7 @@ class ToyLayer(nn.Module):
     def __init__(self, *, dim: int) -> None:
         super().__init__()
         self.norm = nn.LayerNorm(dim)
-        self.own = nn.Sequential(nn.Linear(dim, 2 * dim), nn.GELU(), nn.Linear(2 * dim, dim))
+        self.token = nn.Sequential(nn.Linear(dim, 2 * dim), nn.GELU(), nn.Linear(2 * dim, dim))
         self.view = nn.Linear(dim, dim)
         self.scene = nn.Linear(dim, dim)
 
@@ -64,7 +64,7 @@ class ToyLayer(nn.Module):
         """Mix the tokens."""
         normed = self.norm(data)
         view, scene = normed.mean(2, keepdim=True), normed.mean((1, 2), keepdim=True)
-        return data + self.own(normed) + self.view(view) + self.scene(scene)
+        return data + self.token(normed) + self.view(view) + self.scene(scene)
 
 
 class ToyAggregator(Aggregator):

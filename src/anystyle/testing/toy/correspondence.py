@@ -33,8 +33,8 @@ class ToyCorrespondence(Correspondence):
         motion = target.world_from_camera.inverse() @ source.world_from_camera
         moved = motion[:, :3, :3] @ points + motion[:, :3, 3:]
         seen = target.intrinsics @ moved
-        place = seen[:, :2] / seen[:, 2:].clamp_min(1e-6)  # M 2 HW
-        limit = torch.tensor([[width], [height]]).to(place)
-        inside = ((place >= self.margin) & (place <= limit - self.margin)).all(1)
+        pixel = seen[:, :2] / seen[:, 2:].clamp_min(1e-6)  # M 2 HW
+        limit = torch.tensor([[width], [height]]).to(pixel)
+        inside = ((pixel >= self.margin) & (pixel <= limit - self.margin)).all(1)
         visible = inside & (seen[:, 2] > 0) & (source.depth.flatten(1) > 0)
-        return Flow((place - pixels[:2]).unflatten(2, (height, width)), visible.unflatten(1, (height, width)))
+        return Flow((pixel - pixels[:2]).unflatten(2, (height, width)), visible.unflatten(1, (height, width)))

@@ -20,5 +20,5 @@ class ToyLoss(Loss):
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""
-        wanted = result.views.images.mean((2, 3, 4))  # B V
-        return (result.renders.color.mean((2, 3, 4)) - wanted).square().mean()
+        target = result.views.images.mean((2, 3, 4))  # B V
+        return (result.renders.color.mean((2, 3, 4)) - target).square().mean()

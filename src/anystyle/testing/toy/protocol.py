@@ -7,7 +7,7 @@ import torch
 
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.evaluation.contract import Evaluation, Progress, Protocol, Row, required
-from anystyle.files import atomic_path
+from anystyle.io.atomic import atomic_path
 from anystyle.stylizer import Stylizer
 
 
@@ -39,18 +39,18 @@ class ToyProtocol(Protocol):
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
         """See :meth:`anystyle.evaluation.contract.Protocol.run`."""
-        found: list[dict[str, float]] = []
+        records: list[dict[str, float]] = []
         for scene in range(self.num_scenes):
             progress("scenes", scene, self.num_scenes)
             kept = out / f"{self.scenes.name(scene)}.json"
             if not kept.is_file():
                 with atomic_path(kept) as temporary:
                     temporary.write_text(json.dumps(self._judge(scene)))
-            found.append(json.loads(kept.read_text()))
+            records.append(json.loads(kept.read_text()))
         progress("scenes", self.num_scenes, self.num_scenes)
         rows = tuple(
             Row(self.scenes.name(scene), name, {"contrast_change": value})
-            for scene, values in enumerate(found)
+            for scene, values in enumerate(records)
             for name, value in values.items()
             if name != "unstyled"
         )
@@ -58,7 +58,7 @@ class ToyProtocol(Protocol):
             figures={"contrast_change": sum(row.figures["contrast_change"] for row in rows) / len(rows)},
             n=len(rows),
             better={"contrast_change": "lower"},
-            groups={"baseline": {"contrast_change": sum(values["unstyled"] for values in found) / len(found)}},
+            groups={"baseline": {"contrast_change": sum(values["unstyled"] for values in records) / len(records)}},
             rows=rows,
             provenance={"num_scenes": self.num_scenes, "num_styles": self.num_styles},
         )
@@ -68,8 +68,8 @@ class ToyProtocol(Protocol):
         views = self.scenes.read(number, range(self.scenes.num_views(number)))
         scene = self.stylizer.encode(views)
         results = {"unstyled": self.stylizer.unstyled(scene)}
-        for place in range(self.num_styles):
-            style = self.styles.read(place)
+        for index in range(self.num_styles):
+            style = self.styles.read(index)
             results[style.names[0]] = self.stylizer.restyle(scene, self.stylizer.embed(image=style.image))
         contrast = views.images.std()
         return {

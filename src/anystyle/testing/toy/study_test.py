@@ -29,20 +29,20 @@ class ToyStudyTest(StudyTest):
         ours, decided = int((values < 0).sum()), int((values != 0).sum())
         if decided < 2:
             return TestResult.untestable(responses, reason="fewer than two prefer either", alternative="less")
-        found = binomtest(ours, decided, alternative="greater")
+        test = binomtest(ours, decided, alternative="greater")
         # The median lies between the k-th values from both ends with at least this confidence, where k is not below 1.
-        place = max(int(binom.ppf((1 - self.confidence) / 2, len(values), 0.5)), 1) - 1
-        low, high = np.sort(values)[[place, len(values) - 1 - place]]
+        rank = max(int(binom.ppf((1 - self.confidence) / 2, len(values), 0.5)), 1) - 1
+        low, high = np.sort(values)[[rank, len(values) - 1 - rank]]
         return TestResult(
             unit=responses.unit,
             statistic=float(ours),
-            log_pvalue=math.log(found.pvalue),
+            log_pvalue=math.log(test.pvalue),
             alternative="less",
             estimate=float(np.median(values)),
             interval=(float(low), float(high)),
             effect=ours / decided,
             effect_name="share_preferring_ours",
-            effect_interval=tuple(found.proportion_ci(self.confidence)),
+            effect_interval=tuple(test.proportion_ci(self.confidence)),
             n=decided,
             confidence=self.confidence,
             method="exact sign test, ties left out",

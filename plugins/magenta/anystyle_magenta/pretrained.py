@@ -1,0 +1,100 @@
+"""Weights to the networks: Magenta's published ones from the package they travel in, and the bundled text tower's.
+
+Reading Magenta's takes a few hundredths of a second, so that nothing of them is kept in a cache.
+"""
+
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+
+import torch
+from torch import nn
+
+from anystyle.io.checkpoint import load_part
+from anystyle.perception import weights
+from anystyle.perception.sources import Source, published
+from anystyle_magenta.onnx_file import Convolution, read_convolutions
+from anystyle_magenta.prediction import StylePrediction
+from anystyle_magenta.text_tower import TextTower
+from anystyle_magenta.transfer import StyledConv, StyleTransfer
+
+PREDICTION, TRANSFER, TEXT = "magenta_predict", "magenta_transform", "magenta_text"
+"""Rows of ``weights.toml``."""
+
+
+def load_prediction(network: StylePrediction, path: str | Path | None = None) -> Source:
+    """Fill the style prediction network.
+
+    Args:
+        network: To be filled.
+        path: The file, if not where :func:`anystyle.perception.weights.find` looks.
+
+    Returns:
+        Where the weights come from.
+
+    Raises:
+        FileNotFoundError: The package is not installed.
+        ValueError: The file is not the published one.
+    """
+    convolutions, source = _read(PREDICTION, path)
+    layers = [layer for layer in network.modules() if isinstance(layer, nn.Conv2d | nn.Linear)]
+    # The graph lists its convolutions in the order of the computation, as the network does.
+    for layer, convolution in zip(layers, convolutions.values(), strict=True):
+        _fill(layer, convolution)
+    return source
+
+
+def load_transfer(network: StyleTransfer, path: str | Path | None = None) -> Source:
+    """Fill the style transfer network; as :func:`load_prediction`."""
+    convolutions, source = _read(TRANSFER, path)
+    for layer, output in _transfer_layers(network):
+        _fill(layer, convolutions.pop(output))
+    assert not convolutions, sorted(convolutions)
+    return source
+
+
+def load_text_tower(tower: TextTower, path: str | Path | None = None) -> Source:
+    """Fill the text tower, which is bundled; as :func:`load_prediction`."""
+    file = weights.find(TEXT, path)
+    load_part(file, tower, "text_tower")
+    return published(TEXT, file)
+
+
+def _read(name: str, path: str | Path | None) -> tuple[dict[str, Convolution], Source]:
+    file = weights.find(name, path)
+    content = file.read_bytes()
+    digest = hashlib.sha256(content).hexdigest()
+    row = weights.row(name)
+    if digest != row.sha256:
+        raise ValueError(
+            f"{file} is not the published file: its SHA-256 is {digest[:12]}… instead of {str(row.sha256)[:12]}…; "
+            f"get {row.file} from {row.source}"
+        )
+    return read_convolutions(content), Source(network=name, file=file.name, sha256=digest)
+
+
+def _transfer_layers(network: StyleTransfer) -> Iterator[tuple[nn.Conv2d | nn.Linear, str]]:
+    """Each layer with the name of its output in the published graph."""
+    for index, conv in enumerate(network.contract, start=1):
+        assert isinstance(conv, nn.Conv2d)
+        yield conv, f"transformer/contract/conv{index}/Relu_prequant"
+    for index, block in enumerate(network.residual, start=1):
+        for part, layer in enumerate(block.children(), start=1):
+            yield from _styled_layers(layer, f"transformer/residual/residual{index}/conv{part}")
+    for index, layer in enumerate(network.expand, start=1):
+        yield from _styled_layers(layer, f"transformer/expand/conv{index}/conv")
+
+
+def _styled_layers(layer: nn.Module, name: str) -> Iterator[tuple[nn.Conv2d | nn.Linear, str]]:
+    assert isinstance(layer, StyledConv)
+    yield layer.conv, f"{name}/Conv2D_prequant"
+    yield layer.shift, f"style_params/{name}/StyleNorm/Conv/BiasAdd_prequant"
+    yield layer.scale, f"style_params/{name}/StyleNorm/Conv_1/BiasAdd_prequant"
+
+
+@torch.no_grad()
+def _fill(layer: nn.Conv2d | nn.Linear, convolution: Convolution) -> None:
+    # A linear layer is a convolution of 1x1 there.
+    layer.weight.copy_(convolution.weight.flatten(1).view(layer.weight.shape))
+    if layer.bias is not None:
+        layer.bias.copy_(convolution.bias)

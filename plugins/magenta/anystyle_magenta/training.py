@@ -1,0 +1,180 @@
+"""Training the text tower: captions to the style vectors that the prediction network sees in their pictures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.contracts import SceneSource, StyleSource
+from anystyle.training.contract import Training, required
+from anystyle.training.optim import decayed_groups, scheduled
+from anystyle.training.sampling import generator
+from anystyle.types import Value
+from anystyle_magenta.style_encoder import MagentaEncoder
+from anystyle_magenta.text_tower import TextTower
+
+
+@dataclass(frozen=True)
+class CaptionBatch(Value):
+    """Captions, and the style vectors of their pictures."""
+
+    texts: tuple[str, ...]
+    vectors: Float[Tensor, "M 100"]
+
+    @property
+    def num_images(self) -> int:
+        """Pictures."""
+        return len(self.texts)
+
+
+class CaptionBatches:
+    """Batches of captions; a picture's style vector is computed when it is first drawn, and the picture forgotten.
+
+    Args:
+        styles: Pictures with captions.
+        encoder: Gives their style vectors.
+        seed: Of every choice.
+        batch_size: Captions a step over all processes.
+        pool: Draw from the first so many styles; ``None`` means all.
+
+    Raises:
+        ValueError: There are fewer styles than a batch takes.
+    """
+
+    def __init__(
+        self, styles: StyleSource, encoder: MagentaEncoder, *, seed: int, batch_size: int, pool: int | None
+    ) -> None:
+        self.styles, self.encoder, self.seed, self.batch_size = styles, encoder, seed, batch_size
+        self.pool = len(styles) if pool is None else min(pool, len(styles))
+        if self.pool < batch_size:
+            raise ValueError(f"a batch of {batch_size} needs as many styles, and there are {self.pool}")
+        self._known: dict[int, tuple[str, Tensor]] = {}
+
+    def batch(self, step: int, rank: int = 0, world: int = 1) -> CaptionBatch:
+        """The rows of ``step`` that process ``rank`` of ``world`` works on."""
+        rows = generator(self.seed, 16, step).choice(self.pool, self.batch_size, replace=False)[rank::world]
+        return self.read(rows.tolist())
+
+    @torch.no_grad()
+    def read(self, rows: "list[int] | range") -> CaptionBatch:
+        """Captions and vectors of some styles.
+
+        Raises:
+            ValueError: A style has no picture or no caption.
+        """
+        for row in rows:
+            if row not in self._known:
+                style = self.styles.read(row)
+                if style.image is None or not style.text or not style.text[0]:
+                    raise ValueError(f"style {row} lacks a picture or a caption; use styles=captioned")
+                self._known[row] = style.text[0], self.encoder.embed_images(style.image)[0]
+        texts, vectors = zip(*(self._known[row] for row in rows), strict=True)
+        return CaptionBatch(texts, torch.stack(vectors))
+
+
+class CaptionTraining(Training):
+    """Predict style vectors from captions, in the least squares of their numbers.
+
+    Args:
+        style_encoder: Whose prediction network gives the targets; its text tower is trained from scratch.
+        batch_size: Captions a step.
+        pool: Styles to draw from; ``None`` means all there are.
+        axes_on: How many styles the principal axes are computed from.
+        noise_words: Fraction of captions with a made-up word in them, so that unknown words come to mean nothing.
+        learning_rate: Peak, of AdamW.
+        warmup: Steps of the warm-up.
+        weight_decay: Of matrices.
+    """
+
+    variance: Tensor
+
+    def __init__(
+        self,
+        *,
+        style_encoder: MagentaEncoder,
+        batch_size: int = 128,
+        pool: int | None = None,
+        axes_on: int = 1024,
+        noise_words: float = 0.2,
+        learning_rate: float = 2e-3,
+        warmup: int = 100,
+        weight_decay: float = 0.02,
+    ) -> None:
+        super().__init__()
+        self.encoder = style_encoder.requires_grad_(False).eval()
+        self.tower = TextTower()
+        self.register_buffer("variance", torch.ones(()))
+        self.batch_size, self.pool, self.axes_on = batch_size, pool, axes_on
+        self.noise_words = noise_words
+        self.learning_rate, self.warmup, self.weight_decay = learning_rate, warmup, weight_decay
+        self.source: CaptionBatches | None = None
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """A few captions."""
+        return {"batch_size": 4, "pool": 8, "axes_on": 8, "warmup": 1}
+
+    def exports(self) -> Mapping[str, nn.Module]:
+        """The text tower."""
+        return {"text_tower": self.tower}
+
+    def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> CaptionBatches:
+        """Captions with the style vectors of their pictures."""
+        self.source = CaptionBatches(
+            required(styles, "styles"), self.encoder, seed=seed, batch_size=self.batch_size, pool=self.pool
+        )
+        return self.source
+
+    def on_train_batch_start(self, batch: CaptionBatch, batch_idx: int) -> None:
+        """Fix the principal axes before the first step."""
+        if self.global_step == 0:
+            assert self.source is not None
+            examples = self.source.read(range(min(self.axes_on, self.source.pool)))
+            self.tower.fit_axes(examples.vectors)
+            self.variance.copy_(examples.vectors.var(0).sum())
+
+    def training_step(self, batch: CaptionBatch, step: int) -> Tensor:
+        """The squared error as a share of the variance."""
+        predicted = self.tower([_noisy(text, self.noise_words) for text in batch.texts])
+        loss = (predicted - batch.vectors).square().sum(1).mean() / self.variance
+        self.log("train/loss", loss, batch_size=len(batch.texts), prog_bar=True)
+        return loss
+
+    def validation_step(self, batch: CaptionBatch, step: int) -> None:
+        """Log how often a caption's nearest picture in the batch is its own, and the share of variance missed."""
+        predicted = self.tower(batch.texts)
+        figures = {f"recall_at_{k}": recall(predicted, batch.vectors, k) for k in (1, 5)}
+        centred = batch.vectors - self.tower.mean
+        figures["error"] = (predicted - batch.vectors).square().sum() / centred.square().sum()
+        self.log_dict({f"val/{name}": value for name, value in figures.items()}, batch_size=len(batch.texts))
+
+    def configure_optimizers(self) -> Any:
+        """AdamW with a warm-up and a cosine to 1 % of the rate."""
+        groups = decayed_groups([self.tower], lr=self.learning_rate, weight_decay=self.weight_decay)
+        return scheduled(
+            torch.optim.AdamW(groups, betas=(0.9, 0.98)),
+            total=self.trainer.max_steps - self.warmup,
+            warmup=self.warmup,
+            floor=0.01 * self.learning_rate,
+        )
+
+
+def recall(predicted: Float[Tensor, "M D"], target: Float[Tensor, "M D"], k: int) -> Float[Tensor, ""]:
+    """How often a prediction's own target is among the ``k`` of the largest cosine, each side about its own mean."""
+    rows, columns = (F.normalize(side - side.mean(0), dim=-1) for side in (predicted, target))
+    cosines = rows @ columns.T
+    return (cosines > cosines.diagonal()[:, None]).sum(1).lt(k).float().mean()
+
+
+def _noisy(text: str, chance: float) -> str:
+    if torch.rand(()) >= chance:
+        return text
+    letters = torch.randint(26, (int(torch.randint(2, 9, ())),)).tolist()
+    words = text.split()
+    words.insert(int(torch.randint(len(words) + 1, ())), "".join(chr(97 + letter) for letter in letters))
+    return " ".join(words)

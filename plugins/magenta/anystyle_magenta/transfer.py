@@ -1,0 +1,134 @@
+"""The style transfer network: from pictures and a style to stylized pictures."""
+
+from collections.abc import Callable, Sequence
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle_magenta.prediction import STYLE_DIM
+
+WIDTHS = (8, 16, 32)
+"""Channels at full, half and quarter size; a quarter of those of the paper."""
+NUM_RESIDUAL = 5
+DIVISOR = 4
+"""Sides of the images are multiples of it."""
+EPSILON = 1e-5
+"""Added to variances, as in the published graph."""
+
+
+class StyleTransfer(nn.Module):
+    """An image transformation network whose instance normalisations are set by the style.
+
+    Ghiasi et al. 2017 (arXiv:1705.06830, section 2.1 and table 2), in the widths that Magenta publishes for phones.
+    Statistics of a normalisation are taken over all views of a row: the views of a scene are stylized as one picture,
+    and a picture that is a row of its own as published.
+
+    Args:
+        channels: Of the images.
+        style_dim: Numbers that a style is.
+    """
+
+    def __init__(self, *, channels: int = 3, style_dim: int = STYLE_DIM) -> None:
+        super().__init__()
+        full, half, quarter = WIDTHS
+        self.contract = nn.ModuleList(
+            [
+                _reflect_conv(channels, full, 9),
+                _reflect_conv(full, half, 3, stride=2),
+                _reflect_conv(half, quarter, 3, stride=2),
+            ]
+        )
+        self.residual = nn.ModuleList(Residual(quarter, style_dim) for _ in range(NUM_RESIDUAL))
+        self.expand = nn.ModuleList(
+            [
+                StyledConv(quarter, half, 3, style_dim, upsampling=2),
+                StyledConv(half, full, 3, style_dim, upsampling=2),
+                StyledConv(full, channels, 9, style_dim),
+            ]
+        )
+
+    def forward(
+        self, images: Float[Tensor, "B V C H W"], style: Float[Tensor, "B D"], chunk: int | None = None
+    ) -> Float[Tensor, "B V C H W"]:
+        """Stylize.
+
+        Args:
+            images: sRGB in [0, 1], sides multiples of 4 and at least 8.
+            style: A vector a row.
+            chunk: Views convolved at a time, which bounds memory and changes results by rounding alone; ``None``: all.
+
+        Returns:
+            sRGB in (0, 1).
+        """
+        chunks: Sequence[Tensor] = images.split(chunk or images.shape[1], dim=1)
+        for conv in self.contract:
+            chunks = [_view_by_view(conv, x).relu() for x in chunks]
+        for block in self.residual:
+            chunks = block(chunks, style)
+        for conv in self.expand[:-1]:
+            chunks = [x.relu() for x in conv(chunks, style)]
+        return torch.cat([x.sigmoid() for x in self.expand[-1](chunks, style)], dim=1)
+
+
+class Residual(nn.Module):
+    """Two convolutions around an identity."""
+
+    def __init__(self, channels: int, style_dim: int) -> None:
+        super().__init__()
+        self.first = StyledConv(channels, channels, 3, style_dim)
+        self.second = StyledConv(channels, channels, 3, style_dim)
+
+    def forward(self, chunks: Sequence[Tensor], style: Float[Tensor, "B D"]) -> list[Tensor]:
+        """Transform maps ``B v C h w`` of some views at a time."""
+        hidden = [x.relu() for x in self.first(chunks, style)]
+        return [x + y for x, y in zip(chunks, self.second(hidden, style), strict=True)]
+
+
+class StyledConv(nn.Module):
+    """A convolution and a conditional instance normalisation (Dumoulin et al. 2017, arXiv:1610.07629, Eq. 5).
+
+    The convolution has no bias, for the normalisation would take it away again.
+    """
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, style_dim: int, *, upsampling: int = 1) -> None:
+        super().__init__()
+        self.upsampling = upsampling
+        self.conv = _reflect_conv(inputs, outputs, kernel, bias=False)
+        self.scale = nn.Linear(style_dim, outputs)
+        self.shift = nn.Linear(style_dim, outputs)
+
+    def forward(self, chunks: Sequence[Tensor], style: Float[Tensor, "B D"]) -> list[Tensor]:
+        """Upsample, convolve and normalise maps ``B v C h w`` of some views at a time."""
+        maps = [_view_by_view(self._convolve, x) for x in chunks]
+        return conditional_instance_norm(maps, self.scale(style), self.shift(style))
+
+    def _convolve(self, x: Tensor) -> Tensor:
+        return self.conv(x if self.upsampling == 1 else F.interpolate(x, scale_factor=self.upsampling, mode="nearest"))
+
+
+def conditional_instance_norm(
+    chunks: Sequence[Tensor], scale: Float[Tensor, "B C"], shift: Float[Tensor, "B C"]
+) -> list[Tensor]:
+    """Normalise maps ``B v C h w`` by mean and variance over pixels and over the views of all chunks."""
+    num_views = sum(x.shape[1] for x in chunks)
+    moments = [torch.var_mean(x.float(), dim=(1, 3, 4), correction=0) for x in chunks]  # B C each
+    mean, variance = torch.zeros_like(moments[0][1]), torch.zeros_like(moments[0][0])
+    fractions = [x.shape[1] / num_views for x in chunks]
+    for fraction, (_, within) in zip(fractions, moments, strict=True):
+        mean = mean + fraction * within
+    for fraction, (spread, within) in zip(fractions, moments, strict=True):
+        variance = variance + fraction * (spread + (within - mean).square())
+    gain = scale * (variance + EPSILON).rsqrt()
+    offset = shift - mean * gain
+    gain, offset = (value[:, None, :, None, None].to(chunks[0].dtype) for value in (gain, offset))
+    return [torch.addcmul(offset, x, gain) for x in chunks]
+
+
+def _reflect_conv(inputs: int, outputs: int, kernel: int, *, stride: int = 1, bias: bool = True) -> nn.Conv2d:
+    return nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, padding_mode="reflect", bias=bias)
+
+
+def _view_by_view(layer: Callable[[Tensor], Tensor], x: Float[Tensor, "B v C h w"]) -> Float[Tensor, "B v D _ _"]:
+    return layer(x.flatten(0, 1)).unflatten(0, x.shape[:2])

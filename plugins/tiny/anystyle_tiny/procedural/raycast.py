@@ -1,0 +1,158 @@
+"""A ray caster for scenes of a few solids: colour by supersampling, depth exact at pixel centres."""
+
+from typing import no_type_check
+
+import numpy as np
+
+from anystyle.compiled import compiled
+from anystyle_tiny.procedural.light import hit_surroundings, shade
+from anystyle_tiny.procedural.solids import BOUND, CENTRE, SOLIDS, hit_solid
+
+CALM = 0.05
+"""Two samples of a pixel that differ by less than this share of their sum are enough."""
+
+
+@compiled
+@no_type_check
+def _ray(
+    pose: np.ndarray, focal: float, height: int, width: int, row: float, column: float
+) -> tuple[float, float, float]:
+    """The world direction through a place of the image, of unit depth."""
+    x, y = (column - width / 2) / focal, (row - height / 2) / focal
+    return (
+        pose[0, 0] * x + pose[0, 1] * y + pose[0, 2],
+        pose[1, 0] * x + pose[1, 1] * y + pose[1, 2],
+        pose[2, 0] * x + pose[2, 1] * y + pose[2, 2],
+    )
+
+
+@compiled
+@no_type_check
+def _nearest(
+    g: np.ndarray,
+    solids: np.ndarray,
+    chosen: np.ndarray,
+    count: int,
+    ox: float,
+    oy: float,
+    oz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+) -> tuple[float, int]:
+    best, label = hit_surroundings(g, ox, oy, oz, dx, dy, dz)
+    for k in range(count):
+        i = chosen[k]
+        t = hit_solid(solids, i, ox, oy, oz, dx, dy, dz, 1e-3)
+        if t < best:
+            best, label = t, i + SOLIDS
+    return best, label
+
+
+@compiled
+@no_type_check
+def _bounds(solids: np.ndarray, pose: np.ndarray, focal: float, height: int, width: int) -> np.ndarray:
+    """Rectangles of the image that hold the solids' bounding spheres: left, right, top, bottom."""
+    bounds = np.empty((len(solids), 4), np.float64)
+    for i in range(len(solids)):
+        vx, vy, vz = (
+            solids[i, CENTRE] - pose[0, 3],
+            solids[i, CENTRE + 1] - pose[1, 3],
+            solids[i, CENTRE + 2] - pose[2, 3],
+        )
+        r, cz = solids[i, BOUND], pose[0, 2] * vx + pose[1, 2] * vy + pose[2, 2] * vz
+        for axis in range(2):
+            middle = (height if axis else width) / 2
+            c = pose[0, axis] * vx + pose[1, axis] * vy + pose[2, axis] * vz
+            if cz + r <= 0:
+                bounds[i, 2 * axis], bounds[i, 2 * axis + 1] = 1.0, 0.0
+            elif cz - r <= 0.05:
+                bounds[i, 2 * axis], bounds[i, 2 * axis + 1] = -1e9, 1e9
+            else:
+                lo, hi = c - r, c + r
+                bounds[i, 2 * axis] = middle + focal * lo / (cz - r if lo < 0 else cz + r)
+                bounds[i, 2 * axis + 1] = middle + focal * hi / (cz - r if hi > 0 else cz + r)
+    return bounds
+
+
+@compiled
+@no_type_check
+def cast(
+    g: np.ndarray,
+    solids: np.ndarray,
+    materials: np.ndarray,
+    bytes_: np.ndarray,
+    pose: np.ndarray,
+    focal: float,
+    color: np.ndarray,
+    depth: np.ndarray,
+    labels: np.ndarray,
+    samples: int,
+) -> None:
+    """Fill ``color`` (H W 3, linear light), ``depth`` (H W, along the camera's z axis) and ``labels`` (H W).
+
+    Args:
+        g: Settings of the scene, see :mod:`anystyle_tiny.procedural.light`.
+        solids: A row a solid, see :mod:`anystyle_tiny.procedural.solids`.
+        materials: A row a material, see :mod:`anystyle_tiny.procedural.textures`.
+        bytes_: The volumes of :func:`anystyle_tiny.procedural.volumes.volumes`.
+        pose: World from camera, 4x4, OpenCV axes in the camera, y up in the world.
+        focal: In pixels; the principal point is the middle of the image.
+        color: Written to.
+        depth: Written to.
+        labels: Written to: what is seen at the pixel's centre.
+        samples: Rays a pixel's side for colour; 0 leaves it black.
+    """
+    height, width = depth.shape
+    ox, oy, oz = pose[0, 3], pose[1, 3], pose[2, 3]
+    bounds = _bounds(solids, pose, focal, height, width)
+    in_row, chosen = np.empty(len(solids), np.int64), np.empty(len(solids), np.int64)
+    for row in range(height):
+        rows = 0
+        for i in range(len(solids)):
+            if bounds[i, 2] <= row + 1 and bounds[i, 3] >= row:
+                in_row[rows] = i
+                rows += 1
+        for column in range(width):
+            num_chosen = 0
+            for k in range(rows):
+                if bounds[in_row[k], 0] <= column + 1 and bounds[in_row[k], 1] >= column:
+                    chosen[num_chosen] = in_row[k]
+                    num_chosen += 1
+            dx, dy, dz = _ray(pose, focal, height, width, row + 0.5, column + 0.5)
+            depth[row, column], labels[row, column] = _nearest(g, solids, chosen, num_chosen, ox, oy, oz, dx, dy, dz)
+            red, green, blue, taken = 0.0, 0.0, 0.0, 0
+            # A pixel asks only once for each thing it sees how open it is to ambient light.
+            last, known, contrast = labels[row, column], -1.0, 0.0
+            for sample in range(samples * samples):
+                if sample == 2 and samples == 2 and contrast < CALM * (red + green + blue):
+                    break
+                # For two samples a side: one diagonal first, then the other.
+                i, j = sample // samples, sample % samples
+                if samples == 2:
+                    i, j = sample & 1, (sample & 1) ^ (sample >> 1)
+                fy, fx = (i + 0.5) / samples, (j + 0.5) / samples
+                dx, dy, dz = _ray(pose, focal, height, width, row + fy, column + fx)
+                t, label = _nearest(g, solids, chosen, num_chosen, ox, oy, oz, dx, dy, dz)
+                length = np.sqrt(dx * dx + dy * dy + dz * dz)
+                r, gr, b, known = shade(
+                    g,
+                    solids,
+                    materials,
+                    bytes_,
+                    label,
+                    (ox + t * dx, oy + t * dy, oz + t * dz),
+                    (dx / length, dy / length, dz / length),
+                    t * length / (focal * samples) * 1.2,
+                    (2 * fx - 1, 2 * fy - 1),
+                    known if label == last else -1.0,
+                )
+                if label != last:
+                    contrast = 1e9
+                elif sample == 1:
+                    contrast += abs(r - red) + abs(gr - green) + abs(b - blue)
+                last, taken = label, taken + 1
+                red, green, blue = red + r, green + gr, blue + b
+            color[row, column, 0] = red / max(taken, 1)
+            color[row, column, 1] = green / max(taken, 1)
+            color[row, column, 2] = blue / max(taken, 1)

@@ -1,0 +1,231 @@
+"""Training the tiny style encoder: pictures of styles and their captions, brought together."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle import perception
+from anystyle.training.optim import decayed_groups, scheduled
+from anystyle_tiny.style_encoder import KNOTS, SIDE, Tiny, colors, shorter_side
+from anystyle_tiny.training.styles import StyleBatch, StyleTraining, TraitHeads, retrieval
+
+
+class EmbeddingTraining(StyleTraining):
+    """Bring pictures and captions of procedural styles into one space in which patterns and palettes are plain to see.
+
+    Contrast alone lets colours crowd out patterns, so both modalities must also name pattern and scale and give the
+    palette, each from the embedding alone; the palette by a linear map, so that mixtures of embeddings are mixtures of
+    palettes. Part of the way through, centres and whitening are fixed and learning goes on behind them.
+
+    Args:
+        style_encoder: What learns.
+        texture: Start the convolutions from this network of :func:`anystyle.perception.load`; none for random ones.
+        tune_texture: Whether the convolutions go on learning. If not, their features are computed once a picture, and
+            a step takes a tenth of the time.
+        batch_size: Styles a step.
+        photos: Photographs a step, which stand for no style.
+        pool: Styles to draw from, kept in memory; none means all there are.
+        feature_noise: Relative noise on remembered features, in place of variations of the pictures.
+        names_weight: Of naming pattern, scale and brushwork.
+        palette_weight: Of the palette, the squared error of the ramp over the variance of uniform colours.
+        noise_words: Fraction of captions with a word put in that means nothing.
+        whiten_at: Where whitening is fixed, as a fraction of the training.
+        whiten_on: How many styles it is computed from.
+        learning_rate: Peak, of AdamW.
+        texture_rate: Of the convolutions, times ``learning_rate``.
+        warmup: Steps of the warm-up.
+        weight_decay: Of matrices.
+        bf16: Whether the image tower computes in bfloat16.
+    """
+
+    def __init__(
+        self,
+        *,
+        style_encoder: Tiny,
+        texture: str | None = "texture",
+        tune_texture: bool = False,
+        batch_size: int = 192,
+        photos: int = 16,
+        pool: int | None = 12000,
+        feature_noise: float = 0.05,
+        names_weight: float = 0.5,
+        palette_weight: float = 40.0,
+        noise_words: float = 0.2,
+        whiten_at: float = 0.6,
+        whiten_on: int = 2048,
+        learning_rate: float = 2e-3,
+        texture_rate: float = 0.2,
+        warmup: int = 50,
+        weight_decay: float = 0.05,
+        bf16: bool = True,
+    ) -> None:
+        super().__init__()
+        self.style_encoder = style_encoder
+        if texture is not None:
+            start = dict(perception.load(texture).named_parameters())
+            with torch.no_grad():
+                for name, parameter in style_encoder.image_tower.texture.named_parameters():
+                    parameter.copy_(start[name])
+        style_encoder.image_tower.texture.requires_grad_(tune_texture)
+        self.tune_texture, self.feature_noise = tune_texture, feature_noise
+        self._known: dict[int, tuple[Tensor, Tensor]] = {}
+        self.batch_size, self.photos, self.pool = batch_size, photos, pool
+        self.names_weight, self.noise_words = names_weight, noise_words
+        self.palette_weight = palette_weight
+        self.whiten_at, self.whiten_on = whiten_at, whiten_on
+        self.learning_rate, self.texture_rate = learning_rate, texture_rate
+        self.warmup, self.weight_decay, self.bf16 = warmup, weight_decay, bf16
+        self.traits = TraitHeads(style_encoder.dim)
+        self.log_temperature = nn.Parameter(torch.tensor(0.07).log())
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """A few small pictures."""
+        return {"texture": None, "batch_size": 4, "photos": 2, "pool": 8, "whiten_on": 8, "warmup": 1, "bf16": False}
+
+    def exports(self) -> Mapping[str, nn.Module]:
+        """The encoder."""
+        return {"style_encoder": self.style_encoder}
+
+    def on_train_batch_start(self, batch: StyleBatch, batch_idx: int) -> None:
+        """Fix the whitening when it is time."""
+        if self.global_step == int(self.whiten_at * self.trainer.max_steps):
+            self.whiten()
+
+    def whiten(self) -> None:
+        """Fix centres and whitening from the first styles of the source."""
+        assert self.source is not None
+        examples = self.source.examples(self.whiten_on)
+        self.style_encoder.eval()
+        self.style_encoder.whiten(examples.images, examples.texts)
+        self.style_encoder.train()
+
+    def training_step(self, batch: StyleBatch, step: int) -> Tensor:
+        """Contrast between modalities, and what each must say of the style by itself."""
+        styles = len(batch.texts)
+        images = torch.cat([batch.images, batch.photos])
+        if self.tune_texture:
+            raw, ramps = self.varied_pictures(images)
+        else:
+            raw, ramps = self.known_pictures(images, batch.keys)
+        pictures = self.style_encoder.from_image_tower(raw)
+        captions = self.style_encoder.embed_texts(
+            [_noisy(text, self.noise_words) for text in batch.texts + batch.photo_texts]
+        )
+        terms = {"contrast": self.contrast(pictures, captions, len(batch.photos))}
+        for name, vectors in (("image", pictures), ("text", captions)):
+            named = self.traits.losses(self._scaled(vectors[:styles]), batch.traits)
+            terms[f"{name}_names"] = torch.stack([*named.values()]).sum()
+            terms[f"{name}_palette"] = self.palette_error(vectors, ramps)
+        weights = {"contrast": 1.0, "names": self.names_weight, "palette": self.palette_weight}
+        total = torch.stack([weights[name.split("_")[-1]] * value for name, value in terms.items()]).sum()
+        self.log("train/loss", total, batch_size=styles, prog_bar=True)
+        self.log_dict({f"train/{name}": value for name, value in terms.items()}, batch_size=styles)
+        return total
+
+    def palette_error(self, vectors: Float[Tensor, "M D"], ramps: Float[Tensor, "M knots 3"]) -> Float[Tensor, ""]:
+        """Squared error of the ramps that embeddings give back, over the variance of uniform colours."""
+        target = F.adaptive_avg_pool1d(ramps.mT, KNOTS).mT
+        return 12 * (self.style_encoder.palette(vectors) - target).square().mean()
+
+    def varied_pictures(
+        self, images: Float[Tensor, "M 3 H W"]
+    ) -> tuple[Float[Tensor, "M D"], Float[Tensor, "M knots 3"]]:
+        """What the image tower says of varied pictures, and their ramps; all of it learns."""
+        tower = self.style_encoder.image_tower
+        images = varied(images)
+        small = shorter_side(images, SIDE).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.bf16):
+            textures = tower.textures(small)
+        ramps = colors(images)
+        return tower.join(textures.float(), ramps), ramps
+
+    def known_pictures(
+        self, images: Float[Tensor, "M 3 H W"], keys: tuple[int, ...]
+    ) -> tuple[Float[Tensor, "M D"], Float[Tensor, "M knots 3"]]:
+        """What the image tower says of pictures whose textures and ramps are remembered; only what follows learns."""
+        tower = self.style_encoder.image_tower
+        with torch.no_grad():
+            for key, image in zip(keys, images[:, None], strict=True):
+                if key not in self._known:
+                    # One by one, so that a picture's features do not depend on its company.
+                    self._known[key] = tower.textures(shorter_side(image, SIDE))[0], colors(image)[0]
+        textures = torch.stack([self._known[key][0] for key in keys])
+        ramps = torch.stack([self._known[key][1] for key in keys])
+        textures = textures * (1 + self.feature_noise * torch.randn_like(textures))
+        return tower.join(textures, ramps), ramps
+
+    def contrast(
+        self, pictures: Float[Tensor, "M D"], captions: Float[Tensor, "M D"], photos: int
+    ) -> Float[Tensor, ""]:
+        """Symmetric cross-entropy of who belongs to whom.
+
+        Args:
+            pictures: Of styles, then of ``photos`` photographs.
+            captions: In the same order.
+            photos: How many of the last rows belong to each other's captions as much as to their own.
+        """
+        logits = pictures @ captions.T / self.log_temperature.exp().clamp(0.02, 1.0)
+        together = torch.eye(len(pictures), device=pictures.device)
+        if photos:
+            together[-photos:, -photos:] = 1 / photos
+        return (F.cross_entropy(logits, together) + F.cross_entropy(logits.T, together)) / 2
+
+    def validation_step(self, batch: StyleBatch, step: int) -> None:
+        """Log how often the right partner is found among the styles of a batch, and what embeddings tell."""
+        pictures = self.style_encoder.embed_images(batch.images)
+        captions = self.style_encoder.embed_texts(batch.texts)
+        ramps = colors(batch.images)
+        figures = retrieval(pictures, captions)
+        for name, vectors in (("image", pictures), ("text", captions)):
+            named = self.traits.accuracies(self._scaled(vectors), batch.traits)
+            figures |= {f"{name}_{trait}": value for trait, value in named.items()}
+            figures[f"{name}_palette_error"] = self.palette_error(vectors, ramps)
+        self.log_dict({f"val/{name}": value for name, value in figures.items()}, batch_size=len(captions))
+
+    def _scaled(self, vectors: Float[Tensor, "M D"]) -> Float[Tensor, "M D"]:
+        """Unit vectors with elements of about unit size, as linear layers expect them."""
+        return vectors * self.style_encoder.dim**0.5
+
+    def configure_optimizers(self) -> Any:
+        """AdamW with a warm-up and a cosine to 1 % of the rate."""
+        texture = self.style_encoder.image_tower.texture
+        slow = {id(parameter) for parameter in texture.parameters()}
+        groups = decayed_groups([self], lr=self.learning_rate, weight_decay=self.weight_decay)
+        for group in groups:
+            group["params"] = [parameter for parameter in group["params"] if id(parameter) not in slow]
+        groups += decayed_groups([texture], lr=self.texture_rate * self.learning_rate, weight_decay=self.weight_decay)
+        groups = [group for group in groups if group["params"]]
+        return scheduled(
+            torch.optim.AdamW(groups, betas=(0.9, 0.98)),
+            total=self.trainer.max_steps - self.warmup,
+            warmup=self.warmup,
+            floor=0.01 * self.texture_rate * self.learning_rate,
+        )
+
+
+def _noisy(text: str, chance: float) -> str:
+    """The caption, at times with a made-up word in it, so that unknown words come to mean nothing."""
+    if torch.rand(()) >= chance:
+        return text
+    letters = torch.randint(26, (int(torch.randint(2, 9, ())),)).tolist()
+    words = text.split()
+    words.insert(int(torch.randint(len(words) + 1, ())), "".join(chr(97 + letter) for letter in letters))
+    return " ".join(words)
+
+
+def varied(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 h w"]:
+    """Pictures mirrored, cut to nine tenths and more, a little noisy."""
+    _, _, height, width = images.shape
+    keep = 0.9 + 0.1 * float(torch.rand(()))
+    tall, wide = round(keep * height), round(keep * width)
+    top, left = int(torch.randint(height - tall + 1, ())), int(torch.randint(width - wide + 1, ()))
+    cut = images[..., top : top + tall, left : left + wide]
+    flips = [axis for axis in (-2, -1) if torch.rand(()) < 0.5]
+    cut = cut.flip(flips) if flips else cut
+    return (cut + 0.02 * torch.randn_like(cut)).clamp(0, 1)

@@ -1,0 +1,152 @@
+"""Auxiliary supervision of a backbone's features: which patches of two views show the same point, and where it lies.
+
+A small network does not find poses from pose errors alone. What it must do on the way, match patches across views and
+carry positions along the matches, is taught directly here, through projections that exist in training only.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+
+from anystyle.training.supervision import project
+from anystyle.types import Cameras, Features, Geometry, Tokens
+
+
+@dataclass(frozen=True)
+class PatchMatches:
+    """What is known of patch centres, and of where the first view sees them.
+
+    Args:
+        points: World points.
+        known: Whether a centre has a point.
+        target: The patch of the first view that shows the same point.
+        visible: Whether there is one: inside the image, and not hidden.
+        shift: From where a view sees the point to where the first view does, in half images.
+        centers: Of the patches in their image, in [-1, 1].
+    """
+
+    points: Float[Tensor, "B V P 3"]
+    known: Bool[Tensor, "B V P"]
+    target: Int[Tensor, "B V P"]
+    visible: Bool[Tensor, "B V P"]
+    shift: Float[Tensor, "B V P 2"]
+    centers: Float[Tensor, "P 2"]
+
+
+def patch_matches(
+    cameras: Cameras, depth: Float[Tensor, "B V H W"], grid: tuple[int, int], *, tolerance: float = 0.05
+) -> PatchMatches:
+    """Correspondences of the patches of all views with those of the first.
+
+    Args:
+        cameras: True cameras.
+        depth: True depth; 0 where it is not known.
+        grid: Rows and columns of patches.
+        tolerance: A point is hidden where the first view's depth differs by more than this fraction.
+    """
+    (height, width), (rows, columns) = cameras.size, grid
+    v = ((torch.arange(rows, device=depth.device) + 0.5) * height / rows).long()
+    u = ((torch.arange(columns, device=depth.device) + 0.5) * width / columns).long()
+    world = Geometry(cameras, depth, depth).points()[:, :, v][:, :, :, u].flatten(2, 3)
+    known = (depth[:, :, v][:, :, :, u] > 0).flatten(2, 3)
+    pixel, distance = project(cameras.select([0]), world.flatten(1, 2))
+    pixel, distance = pixel[:, 0].unflatten(1, known.shape[1:]), distance[:, 0].unflatten(1, known.shape[1:])
+    x, y = pixel[..., 0], pixel[..., 1]
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (distance > 1e-3)
+    column, row = x.clamp(0, width - 1).long(), y.clamp(0, height - 1).long()
+    seen = depth[:, 0].flatten(1).gather(1, (row * width + column).flatten(1)).unflatten(1, known.shape[1:])
+    unhidden = (seen - distance).abs() < tolerance * distance.clamp_min(1e-3)
+    line_v, line_u = torch.meshgrid(v + 0.5, u + 0.5, indexing="ij")
+    scale = depth.new_tensor([2 / width, 2 / height])
+    centers = torch.stack([line_u, line_v], dim=-1).flatten(0, 1) * scale - 1
+    return PatchMatches(
+        points=world,
+        known=known,
+        target=row * rows // height * columns + column * columns // width,
+        visible=inside & unhidden & known,
+        shift=(pixel * scale - 1).clamp(-2, 2) - centers,
+        centers=centers,
+    )
+
+
+class FeatureProbes(nn.Module):
+    """Projections of tapped features that must tell matches, points and shifts.
+
+    Args:
+        dims: Channels of each tapped layer.
+        descriptor: Channels in which patches are compared.
+        temperature: Of the comparison.
+    """
+
+    def __init__(self, dims: Mapping[int, int], *, descriptor: int = 64, temperature: float = 0.07) -> None:
+        super().__init__()
+        self.temperature = temperature
+        self.normal = nn.ModuleDict({str(layer): nn.LayerNorm(dim) for layer, dim in dims.items()})
+        self.compare = nn.ModuleDict({str(layer): nn.Linear(dim, descriptor) for layer, dim in dims.items()})
+        self.locate = nn.ModuleDict({str(layer): nn.Linear(dim, 5) for layer, dim in dims.items()})
+
+    def forward(self, features: Features, matches: PatchMatches) -> dict[str, Float[Tensor, ""]]:
+        """Means over layers.
+
+        Returns:
+            ``match``: cross entropy of each patch's match in the first view; ``glide``: how far the expected match
+            lies from the true one, in half images; ``locate``: how far the patch's world point is off, as a fraction of
+            its distance; ``shift``: how far its shift toward the first view is off, in half images.
+        """
+        terms: dict[str, list[Tensor]] = {"match": [], "glide": [], "locate": [], "shift": []}
+        others = matches.visible[:, 1:]
+        for layer, tokens in features.items():
+            patches = self.normal[str(layer)](in_input_order(tokens).patches.float())
+            alike = self._alike(self.compare[str(layer)](patches))
+            entropy = F.cross_entropy(alike.movedim(-1, 1), matches.target[:, 1:], reduction="none")
+            expected = alike.softmax(-1) @ matches.centers
+            glide = (expected - (matches.centers + matches.shift[:, 1:])).abs().mean(-1)
+            located = self.locate[str(layer)](patches)
+            point = (located[..., :3] - matches.points).norm(dim=-1) / matches.points.norm(dim=-1).clamp_min(0.1)
+            shift = (located[..., 3:] - matches.shift).abs().mean(-1)[:, 1:]
+            terms["match"].append(_mean(entropy, others))
+            terms["glide"].append(_mean(glide, others))
+            terms["locate"].append(_mean(point, matches.known))
+            terms["shift"].append(_mean(shift, matches.known[:, 1:]))
+        return {name: torch.stack(values).mean() for name, values in terms.items()}
+
+    def _alike(self, descriptors: Float[Tensor, "B V P d"]) -> Float[Tensor, "B v P P"]:
+        """How alike the patches of the other views are to those of the first."""
+        unit = F.normalize(descriptors, dim=-1)
+        return torch.einsum("bipd,bqd->bipq", unit[:, 1:], unit[:, 0]) / self.temperature
+
+
+def correlation_loss(correlation: Float[Tensor, "B v r c r c"], matches: PatchMatches) -> Float[Tensor, ""]:
+    """Cross entropy of a backbone's matches with the first view.
+
+    The truth is spread over the four cells around it, as bilinear interpolation does, so that the expected position of
+    a perfect match is exact.
+    """
+    rows, columns = correlation.shape[-2:]
+    logits = correlation.flatten(4).flatten(2, 3)
+    position = (matches.centers + matches.shift[:, 1:] + 1) / 2 * logits.new_tensor([columns, rows]) - 0.5
+    left, top = position.floor().unbind(-1)
+    log_probability = logits.log_softmax(-1)
+    entropy = torch.zeros_like(left)
+    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        column, row = left + dx, top + dy
+        weight = (1 - (position[..., 0] - column).abs()) * (1 - (position[..., 1] - row).abs())
+        index = row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
+        entropy = entropy - weight * log_probability.gather(-1, index.long()[..., None])[..., 0]
+    return _mean(entropy, matches.visible[:, 1:])
+
+
+def _mean(values: Float[Tensor, "B V P"], chosen: Bool[Tensor, "B V P"]) -> Float[Tensor, ""]:
+    return (values * chosen).sum() / chosen.sum().clamp_min(1)
+
+
+def in_input_order(tokens: Tokens) -> Tokens:
+    """Tokens with the views in the order of the input, where a backbone reorders them."""
+    if tokens.order is None:
+        return tokens
+    index = tokens.order.argsort(dim=1)[..., None, None].expand_as(tokens.data)
+    return Tokens(data=tokens.data.gather(1, index), grid=tokens.grid, special=tokens.special)

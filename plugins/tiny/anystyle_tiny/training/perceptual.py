@@ -1,0 +1,205 @@
+"""Training the texture network: a small VGG that names patterns, whatever their colours."""
+
+import copy
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+from anystyle.perception.features import walk
+from anystyle.perception.statistics import pooled_moments
+from anystyle.perception.texture import Texture, centred
+from anystyle.training.optim import decayed_groups, scheduled
+from anystyle_tiny.training.palette import COLORS, palette_loss
+from anystyle_tiny.training.styles import TRAITS, UNKNOWN, StyleBatch, StyleTraining, TraitHeads
+
+TAPS = ("relu2_2", "relu3_2", "relu4_1")
+POOLED = 2 * (64 + 96 + 128)
+
+
+class PerceptualTraining(StyleTraining):
+    """Teach a small convolutional network to tell procedural patterns, their scales and their brushwork apart.
+
+    What makes it a judge of texture is what it may not rely on: in half of the pictures the colours are permuted and
+    inverted, through a part a photograph shines, and all are turned, cropped and re-lit. A palette is asked for as
+    well, of the colours as they then are.
+
+    Args:
+        batch_size: Pictures a step.
+        photos: Photographs a step, which only shine through.
+        crop: Side of the squares that the network sees, in pixels.
+        shrink: Fraction of pictures of which the square is all, made smaller, rather than a cut-out; these are not
+            asked for their scale.
+        pool: Styles to draw from, kept in memory; none means all there are.
+        recolor: Fraction of pictures whose channels are permuted and inverted.
+        blend: Fraction of pictures that a photograph shines through.
+        scale_weight: Of naming the scale and the brushwork; naming the pattern has 1.
+        palette_weight: Of the palette.
+        learning_rate: Peak, of AdamW.
+        warmup: Steps of the warm-up.
+        weight_decay: Of filters and matrices.
+        bf16: Whether convolutions compute in bfloat16, which halves the time on processors that know it.
+    """
+
+    def __init__(
+        self,
+        *,
+        batch_size: int = 48,
+        photos: int = 8,
+        crop: int = 64,
+        shrink: float = 0.4,
+        pool: int | None = 8000,
+        recolor: float = 0.5,
+        blend: float = 0.3,
+        scale_weight: float = 0.5,
+        palette_weight: float = 5.0,
+        learning_rate: float = 3e-3,
+        warmup: int = 30,
+        weight_decay: float = 0.01,
+        bf16: bool = True,
+    ) -> None:
+        super().__init__()
+        self.batch_size, self.photos, self.crop, self.pool = batch_size, photos, crop, pool
+        self.recolor, self.blend, self.shrink = recolor, blend, shrink
+        self.scale_weight, self.palette_weight = scale_weight, palette_weight
+        self.learning_rate, self.warmup, self.weight_decay = learning_rate, warmup, weight_decay
+        self.bf16 = bf16
+        self.network = NormedTexture()
+        self.norm = nn.BatchNorm1d(POOLED)
+        self.traits = TraitHeads(POOLED)
+        self.palette = nn.Linear(POOLED, 3 * COLORS)
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """A few small pictures."""
+        return {"batch_size": 4, "photos": 2, "pool": 8, "crop": 24, "warmup": 1, "bf16": False}
+
+    def exports(self) -> Mapping[str, nn.Module]:
+        """The network, without its normalisations."""
+        return {"texture": self.network.folded()}
+
+    def training_step(self, batch: StyleBatch, step: int) -> Tensor:
+        """Cross-entropies of the traits, and the palette's distance."""
+        shrunk = torch.rand(len(batch.images), device=batch.images.device) < self.shrink
+        images = self.varied(batch, shrunk)
+        pooled = self.pooled(images)
+        traits = batch.traits.clone()
+        traits[shrunk, list(TRAITS).index("scale")] = UNKNOWN
+        named = self.traits.losses(pooled, traits, smoothing=0.05)
+        palette = palette_loss(self.colors(pooled), images).mean()
+        total = named["pattern"] + self.scale_weight * (named["scale"] + named["brushwork"])
+        total = total + self.palette_weight * palette
+        self.log("train/loss", total, batch_size=len(images), prog_bar=True)
+        self.log_dict({f"train/{name}": value for name, value in named.items()}, batch_size=len(images))
+        self.log("train/palette", palette, batch_size=len(images))
+        return total
+
+    def validation_step(self, batch: StyleBatch, step: int) -> None:
+        """Log the fractions of traits that are named right, of squares cut from the middle of pictures as they are."""
+        top, left = ((side - self.crop) // 2 for side in batch.images.shape[-2:])
+        images = batch.images[..., top : top + self.crop, left : left + self.crop]
+        pooled = self.pooled(images)
+        figures = self.traits.accuracies(pooled, batch.traits)
+        figures["palette_rms"] = palette_loss(self.colors(pooled), images).sqrt().mean()
+        self.log_dict({f"val/{name}": value for name, value in figures.items()}, batch_size=len(images))
+
+    def pooled(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M C"]:
+        """Mean and deviation of the features of three scales."""
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.bf16):
+            taps = self.network(images.contiguous(memory_format=torch.channels_last), TAPS)
+        return self.norm(torch.cat([pooled_moments(tap.float()) for tap in taps], dim=-1))
+
+    def colors(self, pooled: Float[Tensor, "M C"]) -> Float[Tensor, "M colors 3"]:
+        """Palettes in sRGB."""
+        return self.palette(pooled).sigmoid().unflatten(-1, (COLORS, 3))
+
+    def varied(self, batch: StyleBatch, shrunk: Bool[Tensor, " M"]) -> Float[Tensor, "M 3 c c"]:
+        """The styles of a batch turned, cropped or made smaller, recoloured, some with a photograph through them."""
+        images, count = _cropped(batch.images, self.crop), len(batch.images)
+        whole = F.interpolate(batch.images, size=(self.crop, self.crop), mode="bilinear", antialias=True)
+        images = torch.where(shrunk[:, None, None, None], whole, images)
+        if len(batch.photos):
+            photos = _cropped(batch.photos, self.crop)[torch.randint(len(batch.photos), (count,))]
+            amount = 0.5 * torch.rand(count, 1, 1, 1) * (torch.rand(count, 1, 1, 1) < self.blend)
+            images = torch.lerp(images, photos, amount.to(images).expand_as(images))
+        chosen = torch.rand(count, 1, 1, 1) < self.recolor
+        images = torch.where(chosen.to(images.device), _recolored(images), images)
+        gain, shift = 0.7 + 0.3 * torch.rand(count, 1, 1, 1), torch.rand(count, 1, 1, 1)
+        return images * gain.to(images) + (shift * (1 - gain)).to(images)
+
+    def configure_optimizers(self) -> Any:
+        """AdamW with a warm-up and a cosine to 1 % of the rate."""
+        groups = decayed_groups([self], lr=self.learning_rate, weight_decay=self.weight_decay)
+        return scheduled(
+            torch.optim.AdamW(groups),
+            total=self.trainer.max_steps - self.warmup,
+            warmup=self.warmup,
+            floor=0.01 * self.learning_rate,
+        )
+
+
+class Normed(nn.Module):
+    """A convolution and a batch normalisation.
+
+    Args:
+        convolution: Taken over as it is.
+    """
+
+    def __init__(self, convolution: nn.Conv2d) -> None:
+        super().__init__()
+        self.convolution = convolution
+        self.norm = nn.BatchNorm2d(convolution.out_channels)
+
+    def forward(self, maps: Float[Tensor, "M C h w"]) -> Float[Tensor, "M c h w"]:
+        """Filter, then normalise."""
+        return self.norm(self.convolution(maps))
+
+
+class NormedTexture(nn.Module):
+    """The texture network with a batch normalisation after each convolution, which learning needs and use does not."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        plain = Texture()
+        self.names = plain.names
+        self.features = nn.Sequential(
+            *(Normed(stage) if isinstance(stage, nn.Conv2d) else stage for stage in plain.features)
+        )
+
+    def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
+        """The features of the layers that are asked for."""
+        return walk(self.features, self.names, images, centred(images), layers)
+
+    def folded(self) -> Texture:
+        """The network that computes the same out of training, its normalisations drawn into its convolutions."""
+        plain, trained = Texture(), copy.deepcopy(self).eval()
+        for target, stage in zip(plain.features, trained.features, strict=True):
+            if isinstance(stage, Normed):
+                target.load_state_dict(fuse_conv_bn_eval(stage.convolution, stage.norm).state_dict())
+        return plain
+
+
+def _cropped(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "M 3 side side"]:
+    """One random square of each, mirrored and turned by quarters."""
+    _, _, height, width = images.shape
+    cut = []
+    for image in images:
+        top, left = torch.randint(height - side + 1, ()).item(), torch.randint(width - side + 1, ()).item()
+        piece = image[:, top : top + side, left : left + side]
+        flips = [axis for axis in (-2, -1) if torch.rand(()) < 0.5]
+        piece = piece.flip(flips) if flips else piece
+        cut.append(piece.mT if torch.rand(()) < 0.5 else piece)
+    return torch.stack(cut) if cut else images[..., :side, :side]
+
+
+def _recolored(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 H W"]:
+    """Channels permuted, and half of them inverted, anew for each picture."""
+    order = torch.rand(len(images), 3).argsort(dim=1).to(images.device)
+    permuted = images.gather(1, order[:, :, None, None].expand_as(images))
+    inverted = (torch.rand(len(images), 3, 1, 1) < 0.5).to(images.device)
+    return torch.where(inverted, 1 - permuted, permuted)

@@ -1,0 +1,219 @@
+"""Batches of procedural styles with their traits, some photographs among them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from anystyle.contracts import SceneSource, StyleSource
+from anystyle.training.contract import Training, required
+from anystyle.training.sampling import generator
+from anystyle.types import Value
+from anystyle_tiny.procedural.captions import SCALES
+from anystyle_tiny.procedural.painting import BRUSHWORK
+from anystyle_tiny.procedural.patterns import PATTERNS
+from anystyle_tiny.procedural.scenes import ProceduralScenes
+from anystyle_tiny.procedural.styles import ProceduralStyles
+
+TRAITS = {"pattern": len(PATTERNS), "scale": len(SCALES), "brushwork": len(BRUSHWORK)}
+"""What a style is asked for, and how many answers there are."""
+
+UNKNOWN = -100
+"""An answer that is not asked for; what cross-entropy ignores."""
+
+PHOTO_TEXTS = (
+    "a photo",
+    "a photograph",
+    "a plain photo",
+    "a realistic photograph",
+    "a photo of a room",
+    "a photo of some objects",
+    "an ordinary photo",
+    "an unedited photograph",
+)
+"""What a picture of a scene is called: the neutral end of the style space."""
+
+
+@dataclass(frozen=True)
+class StyleBatch(Value):
+    """What one step of a style training sees.
+
+    Args:
+        images: sRGB in [0, 1] of styles.
+        texts: A caption of each.
+        traits: The number of each style's answer to each of :data:`TRAITS`.
+        photos: Pictures of scenes, as large as the styles.
+        photo_texts: A caption of each.
+        keys: One number a picture, styles first; equal numbers mean equal pictures.
+    """
+
+    images: Float[Tensor, "M 3 H W"]
+    texts: tuple[str, ...]
+    traits: Int[Tensor, "M T"]
+    photos: Float[Tensor, "P 3 H W"]
+    photo_texts: tuple[str, ...]
+    keys: tuple[int, ...] = ()
+
+    @property
+    def num_images(self) -> int:
+        """Styles and photographs."""
+        return self.images.shape[0] + self.photos.shape[0]
+
+
+class StyleBatches:
+    """Batches of styles with their traits, and of photographs of scenes.
+
+    Styles are kept in memory as bytes once they are painted.
+
+    Args:
+        styles: Procedural styles.
+        scenes: What the photographs are of; of the same size.
+        seed: Of every choice.
+        batch_size: Styles a step over all processes.
+        photos: Photographs a step over all processes.
+        pool: Draw from the first so many styles; ``None`` means all.
+        photo_pool: Draw from so many photographs.
+
+    Raises:
+        ValueError: A source is missing, or the styles are not procedural.
+    """
+
+    def __init__(
+        self,
+        styles: StyleSource | None,
+        scenes: SceneSource | None,
+        *,
+        seed: int = 0,
+        batch_size: int = 64,
+        photos: int = 8,
+        pool: int | None = None,
+        photo_pool: int = 512,
+    ) -> None:
+        source = required(styles, "styles")
+        if not isinstance(source, ProceduralStyles):
+            raise ValueError(f"the traits of {type(source).__name__} are not known; use styles=procedural")
+        self.styles, self.scenes = source, required(scenes, "scenes")
+        self.seed = seed
+        self.pool = len(source) if pool is None else min(pool, len(source))
+        if self.pool < batch_size:
+            raise ValueError(f"a batch of {batch_size} needs as many styles, and there are {self.pool}")
+        self.batch_size, self.photos, self.photo_pool = batch_size, photos, photo_pool
+        self._styles: dict[int, tuple[Tensor, str, Tensor]] = {}
+        self._photos: dict[int, Tensor] = {}
+
+    def batch(self, step: int, rank: int = 0, world: int = 1) -> StyleBatch:
+        """The rows of ``step`` that process ``rank`` of ``world`` works on.
+
+        Raises:
+            ValueError: Styles and scenes differ in size.
+        """
+        rng = generator(self.seed, 7, step)
+        styles = rng.choice(self.pool, self.batch_size, replace=False)[rank::world].tolist()
+        scenes = rng.integers(0, self.photo_pool, self.photos)[rank::world].tolist()
+        texts = rng.integers(0, len(PHOTO_TEXTS), self.photos)[rank::world].tolist()
+        batch, photos = self._styles_only(styles), [self._photo(photo) for photo in scenes]
+        if photos and photos[0].shape != batch.images.shape[1:]:
+            raise ValueError(
+                f"styles are {_size(batch.images)} and scenes {_size(photos[0])} pixels; set styles.size and "
+                "scenes.size to the same"
+            )
+        return replace(
+            batch,
+            photos=torch.stack(photos).float() / 255 if photos else batch.photos,
+            photo_texts=tuple(PHOTO_TEXTS[text] for text in texts),
+            # Styles count up from 0, photographs down from -1.
+            keys=(*styles, *(-1 - photo for photo in scenes)),
+        )
+
+    def examples(self, count: int) -> StyleBatch:
+        """The first styles of the pool, up to ``count``, without photographs."""
+        return self._styles_only(range(min(count, self.pool)))
+
+    def _styles_only(self, styles: Sequence[int]) -> StyleBatch:
+        images, texts, traits = zip(*(self._style(style) for style in styles), strict=True)
+        pictures = torch.stack(images).float() / 255
+        return StyleBatch(pictures, texts, torch.stack(traits), photos=pictures[:0], photo_texts=())
+
+    def _style(self, style: int) -> tuple[Tensor, str, Tensor]:
+        if style not in self._styles:
+            source, traits = self.styles.read(style), self.styles.traits(style)
+            assert source.image is not None and source.text is not None
+            answers = torch.tensor([getattr(traits, name) for name in TRAITS])
+            self._styles[style] = (source.image[0] * 255).round().byte(), source.text[0], answers
+        return self._styles[style]
+
+    def _photo(self, photo: int) -> Tensor:
+        if photo not in self._photos:
+            scene = photo % len(self.scenes)
+            view = photo // len(self.scenes) % self.scenes.num_views(scene)
+            self._photos[photo] = (self.scenes.read(scene, [view]).images[0, 0] * 255).round().byte()
+        return self._photos[photo]
+
+
+class StyleTraining(Training):
+    """What the trainings on procedural styles share: their batches and their sources for checks.
+
+    The constructor sets ``batch_size``, ``photos`` and ``pool``; see :class:`StyleBatches`.
+    """
+
+    batch_size: int
+    photos: int
+    pool: int | None
+    source: StyleBatches | None = None
+
+    @classmethod
+    def example_sources(cls) -> tuple[SceneSource, StyleSource]:
+        """Procedural ones, of one size."""
+        return ProceduralScenes(size=32, num_scenes=4, views=3), ProceduralStyles(size=32, num_styles=8)
+
+    def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> StyleBatches:
+        """Styles with captions, and photographs of scenes."""
+        self.source = StyleBatches(
+            styles, scenes, seed=seed, batch_size=self.batch_size, photos=self.photos, pool=self.pool
+        )
+        return self.source
+
+
+def retrieval(images: Float[Tensor, "M D"], texts: Float[Tensor, "M D"]) -> dict[str, Float[Tensor, ""]]:
+    """How often the nearest text of an image is its own, and the nearest image of a text; rows belong together."""
+    similarity = F.normalize(images, dim=-1) @ F.normalize(texts, dim=-1).T
+    index = torch.arange(len(texts), device=similarity.device)
+    return {
+        "retrieval_image_to_text": (similarity.argmax(1) == index).float().mean(),
+        "retrieval_text_to_image": (similarity.argmax(0) == index).float().mean(),
+    }
+
+
+class TraitHeads(nn.ModuleDict):
+    """A linear answer to each of :data:`TRAITS`.
+
+    Args:
+        channels: Of what it reads.
+    """
+
+    def __init__(self, channels: int) -> None:
+        super().__init__({name: nn.Linear(channels, answers) for name, answers in TRAITS.items()})
+
+    def losses(
+        self, features: Float[Tensor, "M C"], traits: Int[Tensor, "M T"], *, smoothing: float = 0.0
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Cross-entropy of each trait, over the rows where it is not :data:`UNKNOWN`; 0 where it is in none."""
+        losses = {}
+        for (name, head), target in zip(self.items(), traits.unbind(1), strict=True):
+            total = F.cross_entropy(head(features), target, label_smoothing=smoothing, reduction="sum")
+            losses[name] = total / (target != UNKNOWN).sum().clamp_min(1)
+        return losses
+
+    def accuracies(self, features: Float[Tensor, "M C"], traits: Int[Tensor, "M T"]) -> dict[str, Float[Tensor, ""]]:
+        """The fraction of right answers for each trait."""
+        return {
+            name: (head(features).argmax(-1) == target).float().mean()
+            for (name, head), target in zip(self.items(), traits.unbind(1), strict=True)
+        }
+
+
+def _size(image: Tensor) -> str:
+    return f"{image.shape[-2]}x{image.shape[-1]}"

@@ -1,0 +1,74 @@
+"""One configuration for each folder of an evaluation, and one process at a time."""
+
+import json
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from anystyle.evaluation.resume import forget
+from anystyle.io.atomic import atomic_path
+from anystyle.io.lock import folder_lock
+
+FILE = "bound.json"
+_STYLIZER = ("backbone", "style_encoder", "placement", "injector", "renderer", "branch", "seed")
+
+
+@contextmanager
+def bind(
+    config: DictConfig,
+    weights: Mapping[str, Any],
+    out: Path,
+    parts: Collection[str],
+    metric_weights: Mapping[str, Mapping[str, str]],
+) -> Iterator[None]:
+    """Tie a folder to a configuration, so that all files in it are of the same one, and lock it.
+
+    Metrics may be added and changed; the figures of a changed one are deleted.
+
+    Args:
+        config: Of the evaluation.
+        weights: What was loaded, with checksums.
+        out: The folder.
+        parts: The parts that the protocol takes; the configuration of others is ignored.
+        metric_weights: For each metric, the weights that it rests on, with checksums.
+
+    Raises:
+        ValueError: The folder holds an evaluation of another configuration, or another process is at work there.
+    """
+    names = ["protocol", *(name for name in ("scenes", "styles") if name in parts)]
+    names += _STYLIZER if "stylizer" in parts else ()
+    plain = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
+    assert isinstance(plain, dict)
+    images = {name: plain.get(name) for name in names}
+    images["weights"] = {part: row["sha256"] for part, row in weights.items()}
+    nodes = plain.get("metric") or {}
+    metrics = {
+        name: [nodes.get(name), plain.get("correspondence"), dict(files)] for name, files in metric_weights.items()
+    }
+    current = json.loads(json.dumps({"images": images, "metrics": metrics}))
+    path = out / FILE
+    refusal = f"another evaluation is at work in {out}; wait for its end, or give another --out"
+    with folder_lock(out, refusal):
+        earlier = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else current
+        before, now = dict(_flat(earlier["images"])), dict(_flat(current["images"]))
+        changed = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
+        if changed:
+            shown = ", ".join(f"{key} {before.get(key)} -> {now.get(key)}" for key in changed[:4])
+            raise ValueError(
+                f"{out} holds an evaluation of another configuration ({shown}{', …' if len(changed) > 4 else ''}); "
+                "choose another --out, or delete that folder"
+            )
+        forget(out, [name for name, row in current["metrics"].items() if earlier["metrics"].get(name) != row])
+        current["metrics"] = {**earlier["metrics"], **current["metrics"]}
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps(current, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+        yield
+
+
+def _flat(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
+    if isinstance(node, dict):
+        return [row for key, value in node.items() for row in _flat(value, f"{prefix}.{key}" if prefix else str(key))]
+    return [(prefix, node)]

@@ -1,0 +1,171 @@
+"""The folders of the paper's protocol: photographs, styles with texts, and the renders of any number of methods."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from anystyle.data.captions import read_captions
+from anystyle.data.folder import image_files, natural
+
+SCENES = ("Train", "Truck", "M60", "Garden")
+"""Of Tanks and Temples, the last of Mip-NeRF 360."""
+
+NUM_STYLES = 50
+NUM_FRAMES = 16
+
+_DESCRIPTION = (
+    "expected content/SCENE/FRAME.png, styles/STYLE.png with styles/captions.jsonl, "
+    "methods/METHOD/SCENE/STYLE/FRAME.png (or STYLE_FRAME.png)"
+)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A folder with everything that the paper's tables are computed from.
+
+    ``content/SCENE/`` holds photographs, ``styles/`` the style images with ``captions.jsonl``, and
+    ``methods/METHOD/SCENE/STYLE/`` what a method rendered; ``methods/METHOD/SCENE/STYLE_FRAME.png`` is read as well.
+    Names of scenes are compared without case, styles by their name or by the number at its end, and the n-th image of a
+    method belongs to the n-th photograph.
+
+    Args:
+        root: The folder.
+        scene_names: Which scenes are judged, in this order.
+        num_styles: The first so many styles are.
+        frames: The first so many photographs of each scene are.
+    """
+
+    root: Path
+    scene_names: tuple[str, ...] = SCENES
+    num_styles: int = NUM_STYLES
+    frames: int = NUM_FRAMES
+
+    @property
+    def content(self) -> Path:
+        """The folder of photographs."""
+        return self.root / "content"
+
+    @property
+    def styles(self) -> Path:
+        """The folder of style images."""
+        return self.root / "styles"
+
+    @cached_property
+    def style_files(self) -> list[Path]:
+        """The style images that are used, in natural order."""
+        return image_files(self.styles)[: self.num_styles] if self.styles.is_dir() else []
+
+    @cached_property
+    def methods(self) -> dict[str, Path]:
+        """The folders of methods, by name."""
+        folder = self.root / "methods"
+        return {path.name: path for path in _folders(folder)} if folder.is_dir() else {}
+
+    def photographs(self, scene: str) -> list[Path]:
+        """The photographs of a scene that are judged; none where it is absent."""
+        folder = _scene_folder(self.content, scene)
+        return _images(folder)[: self.frames] if folder else []
+
+    def scene_folder_name(self, scene: str) -> str:
+        """A scene's name as its folder of photographs has it."""
+        folder = _scene_folder(self.content, scene)
+        return folder.name if folder else scene
+
+    def renders(self, method: str) -> dict[tuple[str, str], list[Path]]:
+        """The images of a method by scene and style, the first frames of each."""
+        by_cell: dict[tuple[str, str], list[Path]] = {}
+        for scene in self.scene_names:
+            folder = _scene_folder(self.methods[method], scene)
+            by_style = _by_style(folder) if folder else {}
+            for path in self.style_files:
+                name = next((name for name in by_style if _same_style(name, path.stem)), None)
+                by_cell[scene, path.stem] = by_style[name][: self.frames] if name is not None else []
+        return by_cell
+
+    def problems(self, *, texts: bool = True, methods: Sequence[str] | None = None) -> list[str]:
+        """A line for each thing that is missing.
+
+        Args:
+            texts: Whether every style needs a text.
+            methods: Which methods are looked at; ``None`` takes all.
+        """
+        missing = [
+            f"content/{scene}: {count} photographs, fewer than {self.frames}"
+            for scene in self.scene_names
+            if (count := len(self.photographs(scene))) < self.frames
+        ]
+        if len(self.style_files) < self.num_styles:
+            missing.append(f"styles: {len(self.style_files)} images, fewer than {self.num_styles}")
+        if texts:
+            missing += self._without_text()
+        for method in self.methods if methods is None else methods:
+            missing += self._incomplete(method)
+        return missing
+
+    def require(self, *, texts: bool, methods: Sequence[str] | None) -> None:
+        """Hold the folder against what is asked for.
+
+        Raises:
+            ValueError: Something is missing; the message says what.
+        """
+        missing = self.problems(texts=texts, methods=methods)
+        if missing:
+            more = f" and {len(missing) - 3} more" if len(missing) > 3 else ""
+            raise ValueError(f"root={self.root}: {'; '.join(missing[:3])}{more}; {_DESCRIPTION}")
+
+    def _without_text(self) -> list[str]:
+        file = self.styles / "captions.jsonl"
+        captions = read_captions(file) if file.is_file() else {}
+        silent = [path.name for path in self.style_files if not captions.get(path.name, "").strip()]
+        return [f"styles/captions.jsonl: no text for {len(silent)} styles, such as {silent[0]}"] if silent else []
+
+    def _incomplete(self, method: str) -> list[str]:
+        if method not in self.methods:
+            return [f"methods/{method}: there is no such folder"]
+        short = [cell for cell, paths in self.renders(method).items() if len(paths) < self.frames]
+        if not short:
+            return []
+        scene, style = short[0]
+        return [
+            f"methods/{method}: {len(short)} scenes in a style have fewer than {self.frames} images, such as "
+            f"{scene} in {style}"
+        ]
+
+
+def is_layout(root: Path) -> bool:
+    """Whether a folder is laid out so."""
+    return (root / "content").is_dir() and (root / "styles").is_dir()
+
+
+def _folders(folder: Path) -> list[Path]:
+    inside = (path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    return sorted(inside, key=lambda path: natural(path.name))
+
+
+def _scene_folder(folder: Path, scene: str) -> Path | None:
+    if not folder.is_dir():
+        return None
+    return next((path for path in _folders(folder) if path.name.casefold() == scene.casefold()), None)
+
+
+def _images(folder: Path) -> list[Path]:
+    return image_files(folder / "images" if (folder / "images").is_dir() else folder)
+
+
+def _by_style(folder: Path) -> dict[str, list[Path]]:
+    """Images of a scene by style, in natural order of their frames: one folder a style, or ``STYLE_FRAME.png``."""
+    inside = [path for path in _folders(folder) if path.name != "images"]
+    if inside:
+        return {path.name: image_files(path) for path in inside}
+    by_style: dict[str, list[Path]] = {}
+    for path in _images(folder):
+        by_style.setdefault(path.stem.rpartition("_")[0], []).append(path)
+    return by_style
+
+
+def _same_style(name: str, style: str) -> bool:
+    # Stylos calls the folder of style 07 by a name that ends so.
+    number = re.search(r"\d+$", name)
+    return name == style or bool(number and style.isdecimal() and int(number[0]) == int(style))

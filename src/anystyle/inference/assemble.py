@@ -1,0 +1,280 @@
+"""From a configuration to a stylizer with its weights."""
+
+import contextlib
+import logging
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+from torch import Tensor, nn
+
+from anystyle.branch import StyleBranch, sites_of
+from anystyle.contracts import Backbone, Injector, Placement, Renderer, StyleEncoder
+from anystyle.errors import did_you_mean
+from anystyle.io.checkpoint import Header, has_header, load_part, read_header, sha256
+from anystyle.perception import weights
+from anystyle.published import Published
+from anystyle.registry.build import build
+from anystyle.registry.catalog import catalog
+from anystyle.stylizer import Stylizer, modules_in_bf16
+from anystyle.types import Site
+
+_log = logging.getLogger(__name__)
+
+PARTS = ("backbone", "style_encoder", "branch")
+State = Mapping[str, Tensor]
+
+
+def weights_file(name: str) -> Path:
+    """The file of a name that ``anystyle weights`` lists, or of a path.
+
+    Raises:
+        FileNotFoundError: It is neither.
+    """
+    known = weights.files()
+    path = weights.find(name) if name in known else Path(name).expanduser()
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"there is no weights file {path}, and no weights of that name.{did_you_mean(name, known)} "
+            "`anystyle weights list` names them"
+        )
+    return path
+
+
+def make_branch(
+    config: DictConfig, backbone: Backbone, style_dim: int, options: Mapping[str, Mapping[str, int]] | None = None
+) -> StyleBranch:
+    """A style branch at birth: copies of the backbone's parts, and injectors that are identities.
+
+    Args:
+        config: Nodes ``placement, injector, branch``.
+        backbone: What to copy from.
+        style_dim: Dimensions of the style embedding.
+        options: Options of the injector at some sites, instead of the configuration's.
+    """
+    placement = build(Placement, config.placement)
+
+    def make_injector(site: Site) -> Injector:
+        node: Any = OmegaConf.to_container(config.injector, resolve=True, enum_to_str=True)
+        node |= (options or {}).get(site.name, {})
+        return build(Injector, node, dim=site.dim, style_dim=style_dim)
+
+    return StyleBranch(
+        backbone,
+        sites=placement.select(sites_of(backbone, config.branch.sh_degree)),
+        make_injector=make_injector,
+        styled=tuple(config.branch.styled),
+        sh_degree=config.branch.sh_degree,
+    )
+
+
+def published_by(config: DictConfig) -> Published:
+    """How checkpoints of the configured backbone load that others published.
+
+    Raises:
+        ValueError: None are known.
+    """
+    plugin = catalog().owner("backbone", config.backbone._target_)
+    backbone = plugin.load()
+    published = backbone.published if issubclass(backbone, Backbone) else None
+    if published is None:
+        raise ValueError(
+            f"no published checkpoints of backbone={plugin.name} are known; give a file that anystyle wrote, or null"
+        )
+    return published
+
+
+def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
+    """Build a stylizer and load its weights.
+
+    Args:
+        config: Nodes ``backbone, style_encoder, placement, injector, renderer, branch, precision`` and ``weights``,
+            which names a file for each of ``backbone, style_encoder, branch``, or ``null`` for a part left as
+            initialised. A file is one of ours, or holds weights under the names that their publishers gave them.
+        learns: Whether the style branch is going to be trained; if not, an untrained one is warned of.
+
+    Returns:
+        The stylizer, and what was loaded: file name, SHA-256, provenance; by part, and where one has several networks
+        the further ones by ``part/network``.
+
+    Raises:
+        ValueError: A file does not fit, or was trained on top of other weights than those named.
+        FileNotFoundError: A file is missing.
+    """
+    files = {part: weights_file(name) for part, name in config.weights.items() if name is not None}
+    sums = {file: sha256(file) for file in set(files.values()) if file.is_file()}
+    digests = {part: sums[file] for part, file in files.items() if file in sums}
+    ours = {part: file for part, file in files.items() if has_header(file)}
+    # A file that several parts come from is read once.
+    states = {file: weights.read(file) for file in {files[part] for part in files if part not in ours}}
+    if "branch" in ours:
+        _check_base(ours["branch"], digests)
+    published = {part: states[file] for part, file in files.items() if part not in ours}
+    stylizer, headers = build_and_load(config, ours, published)
+    loaded = {
+        part: {
+            "file": file.name,
+            "sha256": digests[part],
+            "provenance": dict(headers[part].provenance) if part in headers else {},
+        }
+        for part, file in files.items()
+    }
+    for part, sources in (("style_encoder", stylizer.style_encoder.sources), ("branch", stylizer.branch.sources)):
+        for index, source in enumerate(() if part in files else sources):
+            name = part if index == 0 else f"{part}/{source.network}"
+            loaded[name] = {"file": source.file, "sha256": source.sha256, "provenance": {}}
+    if "branch" not in loaded and not learns:
+        _log.warning(
+            "the style branch is untrained and changes nothing, for no weights of one on this backbone are named; "
+            "train one, or give its file as weights.branch"
+        )
+    return stylizer, loaded
+
+
+def assemble_frozen(config: DictConfig) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
+    """As :func:`assemble`, for inference: in ``eval`` mode, without gradients."""
+    stylizer, loaded = assemble(config)
+    return stylizer.requires_grad_(False).eval(), loaded
+
+
+def default_poses(config: DictConfig) -> str:
+    """Where cameras come from where nothing is said: a small bundled network predicts them badly.
+
+    Args:
+        config: Its node ``weights.backbone`` is looked at.
+    """
+    known = weights.files()
+    name = config.weights.backbone
+    return "auto" if name in known and known[name].bundled else "predicted"
+
+
+def default_device() -> torch.device:
+    """A CUDA device if there is one, else the CPU."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def build_and_load(
+    config: DictConfig,
+    ours: Mapping[str, Path],
+    published: Mapping[str, State],
+    style_encoder: StyleEncoder | None = None,
+) -> tuple[Stylizer, dict[str, Header]]:
+    """Build the parts and load each; what a published state dict holds is taken as it is, with no copy on the way.
+
+    Args:
+        config: As for :func:`assemble`.
+        ours: Files that anystyle wrote, by part.
+        published: State dicts with their publishers' names, by part.
+        style_encoder: Instead of the configured one.
+
+    Returns:
+        The stylizer, and the headers of our files.
+    """
+    headers: dict[str, Header] = {}
+    encoder = style_encoder or _style_encoder(config, ours, published, headers)
+    whole = "backbone" in published and published_by(config).complete(published["backbone"])
+    with _on_meta(whole):
+        backbone = build(Backbone, config.backbone)
+    options = _injector_options(config, backbone, published, encoder)
+    branch = None
+    if whole and "branch" in published:
+        with _on_meta(True):
+            branch = make_branch(config, backbone, encoder.dim, options)
+    if whole:
+        # While nothing is in memory: tensors are cast to these types as they come from their file.
+        for module in modules_in_bf16(config.precision, backbone, branch):
+            module.to(torch.bfloat16)
+    if "backbone" in published:
+        published_by(config).load_backbone(backbone, published["backbone"])
+    elif "backbone" in ours:
+        headers["backbone"] = load_part(ours["backbone"], backbone, "backbone")
+    branch = branch or make_branch(config, backbone, encoder.dim, options)
+    if "branch" in published:
+        published_by(config).load_branch(branch, published["branch"])
+    elif "branch" in ours:
+        headers["branch"] = load_part(ours["branch"], branch, "branch")
+    renderer = build(Renderer, config.renderer)
+    stylizer = Stylizer(
+        backbone=backbone, style_encoder=encoder, branch=branch, renderer=renderer, fit_colors=config.fit_colors
+    )
+    return stylizer.set_precision(config.precision), headers
+
+
+def _style_encoder(
+    config: DictConfig, ours: Mapping[str, Path], published: Mapping[str, State], headers: dict[str, Header]
+) -> StyleEncoder:
+    given = published.get("style_encoder")
+    with _on_meta(given is not None):
+        encoder = build(StyleEncoder, config.style_encoder)
+    if "style_encoder" in ours:
+        headers["style_encoder"] = load_part(ours["style_encoder"], encoder, "style_encoder")
+    if given is None and "branch" not in published:
+        return encoder
+    loader = encoder.published
+    if loader is None:
+        if given is None:
+            return encoder
+        raise ValueError(f"no published weights of a {type(encoder).__name__} are known; give a file of ours, or null")
+    if "branch" in published:
+        loader.load_text_adapter(encoder, published_by(config).text_adapter(published["branch"]))
+    if given is not None:
+        loader.load(encoder, given)
+    return encoder
+
+
+def _injector_options(
+    config: DictConfig, backbone: Backbone, published: Mapping[str, State], encoder: StyleEncoder
+) -> dict[str, dict[str, int]]:
+    """Widths of the injectors that a published branch holds."""
+    if "branch" not in published:
+        return {}
+    sites = build(Placement, config.placement).select(sites_of(backbone, config.branch.sh_degree))
+    options = published_by(config).injector_options(published["branch"], sites)
+    trained = {widths.pop("style_dim") for widths in options.values()}
+    if trained - {encoder.dim}:
+        raise ValueError(
+            f"the style branch was trained with embeddings of {max(trained)} numbers, and the style encoder's have "
+            f"{encoder.dim}; choose the encoder it was trained with (style_encoder=long_clip)"
+        )
+    return options
+
+
+@contextlib.contextmanager
+def _on_meta(enabled: bool) -> Iterator[None]:
+    """Build modules on the meta device where it is enabled: without memory, and without initial values."""
+    with torch.device("meta") if enabled else contextlib.nullcontext():
+        yield
+
+
+def _check_base(file: Path, digests: dict[str, str]) -> None:
+    """Refuse a branch that was trained on top of other weights."""
+    for part, digest in read_header(file).base.items():
+        if digests.get(part) != digest:
+            raise ValueError(
+                f"{file} was trained on a {part} with SHA-256 {digest[:12]}…, and weights.{part} is "
+                f"{digests.get(part, 'not given')[:12]}; name the file it was trained on"
+            )
+
+
+def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str, Any]) -> Header:
+    """The header of a style branch trained under ``config``; copies that did not learn are left out of its file."""
+    files = {part: weights_file(name) for part, name in config.weights.items() if name is not None and part != "branch"}
+    if not any(name in ("aggregator", "gaussian_head") for name, _ in branch.named_children()):
+        # It holds nothing of the backbone, and fits any.
+        files.pop("backbone", None)
+    nodes = ("backbone", "style_encoder", "placement", "injector", "branch")
+    return Header(
+        part="branch",
+        config={name: OmegaConf.to_container(config[name], resolve=True, enum_to_str=True) for name in nodes},
+        base={part: sha256(file) for part, file in files.items()},
+        provenance=provenance,
+        # Without a file of the backbone nothing says what was copied.
+        omitted=tuple(name for name, part in branch.named_children() if "backbone" in files and _is_frozen(part)),
+    )
+
+
+def _is_frozen(part: nn.Module) -> bool:
+    parameters = list(part.parameters())
+    return bool(parameters) and not any(parameter.requires_grad for parameter in parameters)

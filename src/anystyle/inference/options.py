@@ -1,0 +1,81 @@
+"""Options of a stylization, resolved and checked: what flows down from the configuration or from a caller."""
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """How photographs are read, and how many are encoded together.
+
+    Args:
+        short_side: Shorter side of the views in pixels; ``None`` is the size that the backbone's weights were made for.
+        resize: Whether photographs are brought to one size; otherwise they are taken pixel by pixel as they are.
+        take: Of more photographs, so many are taken, evenly spaced.
+        max_views: More views than this are encoded in groups that overlap; ``None`` takes all in one pass.
+        overlap: Views that neighbouring groups share; ``None`` is a quarter of a group.
+    """
+
+    short_side: int | None = None
+    resize: bool = True
+    take: int = 48
+    max_views: int | None = None
+    overlap: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.short_side is not None and not self.resize:
+            raise ValueError(f"views.short_side={self.short_side} with views.resize=false; give one of them")
+
+
+@dataclass(frozen=True)
+class PoseOptions:
+    """Where the cameras of photographs come from.
+
+    Args:
+        use: ``predicted``: from the backbone. ``known``: those stored beside the photographs. ``target``: predicted,
+            and the scene is rendered from the stored ones. ``sfm``: found by structure from motion. ``auto``: found
+            like that where it can be done, predicted elsewhere.
+        folder: Where they lie, if not in the photographs' folder or the one above.
+    """
+
+    use: str = "predicted"
+    folder: str | None = None
+
+    def __post_init__(self) -> None:
+        _expect("poses", self.use, ("predicted", "target", "known", "sfm", "auto"))
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Which files a result has besides its scene.
+
+    Args:
+        colmap: ``binary`` or ``text`` writes a COLMAP model, ``none`` does not.
+        y_up: Whether the PLY is turned to the axes that most viewers expect; everything else stays in OpenCV's.
+    """
+
+    colmap: str = "none"
+    y_up: bool = False
+
+    def __post_init__(self) -> None:
+        _expect("export.colmap", self.colmap, ("none", "binary", "text"))
+
+
+@dataclass(frozen=True)
+class VideoOptions:
+    """A flight through the cameras.
+
+    Args:
+        frames: How many frames.
+        fps: Frames a second.
+        scale: Size of a frame relative to the input views.
+    """
+
+    frames: int = 90
+    fps: int = 30
+    scale: float = 1.0
+
+
+def _expect(option: str, value: str, choices: Collection[str]) -> None:
+    if value not in choices:
+        raise ValueError(f"{option}={value}; choose one of {', '.join(choices)}")

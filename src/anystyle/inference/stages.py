@@ -1,0 +1,37 @@
+"""Stages of a run: timed, and announced as they begin."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+QUIET = 5.0
+"""Seconds between two announcements of progress."""
+
+
+class Stages:
+    """Times the stages of one run.
+
+    Args:
+        on_stage: Called with a stage's name and what it works on as the stage begins.
+    """
+
+    def __init__(self, on_stage: Callable[[str, str], None] = lambda name, note: None) -> None:
+        self.seconds: dict[str, float] = {}
+        self._on_stage = on_stage
+        self._announced = 0.0
+
+    @contextmanager
+    def __call__(self, name: str, note: str = "") -> Iterator[None]:
+        """Run one stage; the times of stages of one name add up."""
+        self._on_stage(name, note)
+        start = self._announced = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+    def progress(self, name: str, note: str) -> None:
+        """Announce where a stage is, unless something was announced in the last seconds."""
+        if time.perf_counter() - self._announced > QUIET:
+            self._announced = time.perf_counter()
+            self._on_stage(name, note)

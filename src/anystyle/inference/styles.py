@@ -1,0 +1,150 @@
+"""Styles as people give them: texts, images, and points between two styles."""
+
+import logging
+import re
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.data.images import read_image
+from anystyle.io.sheet import Cell, to_pil
+from anystyle.stylizer import Stylizer
+from anystyle.types import Style, StyleEmbedding, TextMatch
+
+_log = logging.getLogger(__name__)
+
+MAX_TEXT = 2000
+"""Characters of a description."""
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """The point at ``amount`` of the way from one style to another.
+
+    Args:
+        first: The style at 0.
+        second: The style at 1.
+        amount: In [0, 1].
+
+    Raises:
+        ValueError: The amount is outside.
+    """
+
+    first: "StyleInput"
+    second: "StyleInput"
+    amount: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.amount <= 1:
+            raise ValueError(f"a mixture takes an amount between 0 and 1, not {self.amount}")
+
+
+StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture
+"""A description, an image file, a batch of one style, an sRGB image in [0, 1], or a mixture."""
+
+
+@dataclass(frozen=True)
+class EmbeddedStyle:
+    """A style as the network reads it, with what people see of it.
+
+    Args:
+        name: Lower-case words joined by hyphens, for a folder.
+        title: For a heading.
+        cell: Its picture, where there is one.
+        embedding: A batch of one.
+        matches: Of each text that it is made of, what the encoder says of it.
+    """
+
+    name: str
+    title: str
+    cell: Cell
+    embedding: StyleEmbedding
+    matches: tuple[TextMatch, ...] = ()
+
+
+def check_text(text: str, what: str = "the text of a style") -> None:
+    """Refuse a description that says nothing or does not end.
+
+    Raises:
+        ValueError: It is empty, or longer than :data:`MAX_TEXT`.
+    """
+    if not text.strip():
+        raise ValueError(f"{what} is empty; say what the result should look like")
+    if len(text) > MAX_TEXT:
+        raise ValueError(f"{what} has {len(text)} characters; describe the style in at most {MAX_TEXT}")
+
+
+def embed_styles(styles: Sequence[StyleInput], stylizer: Stylizer) -> list[EmbeddedStyle]:
+    """Embed styles in their order; one that occurs in several mixtures is embedded once.
+
+    Raises:
+        ValueError: A text is empty or too long, a file is no image, or a :class:`~anystyle.types.Style` has neither an
+            image nor a text.
+    """
+    embedded: dict[int, EmbeddedStyle] = {}
+
+    def embed(style: StyleInput) -> EmbeddedStyle:
+        if isinstance(style, Mixture):
+            return mix(embed(style.first), embed(style.second), style.amount)
+        if id(style) not in embedded:
+            embedded[id(style)] = _embed(style, stylizer)
+        return embedded[id(style)]
+
+    return [embed(style) for style in styles]
+
+
+def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylizer) -> EmbeddedStyle:
+    match style:
+        case Style(image=None, text=(str() as text, *_)):
+            return _embed(text, stylizer)
+        case str():
+            check_text(style)
+            title = f"“{' '.join(style.split())}”"
+            embedding = stylizer.embed(text=style)
+            return EmbeddedStyle(slug(style), title, None, embedding, _matches(style, stylizer))
+        case Path():
+            title, image = style.stem, read_image(style)[None]
+        case Tensor():
+            title, image = "image", style[None]
+        case Style(image=Tensor() as image, names=names):
+            title = names[0] if names else "image"
+        case _:
+            raise ValueError("a style has neither an image nor a text")
+    return EmbeddedStyle(slug(title), title, to_pil(image[0]), stylizer.embed(image=image.to(stylizer.device)))
+
+
+def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
+    match = stylizer.style_encoder.match_text(text)
+    if match is None:
+        return ()
+    if match.unknown_words:
+        _log.warning(
+            "of the style %r the encoder never learnt: %s; it comes nearest to %r (similarity %.2f of 1)",
+            text,
+            ", ".join(match.unknown_words),
+            match.description,
+            match.similarity,
+        )
+    return (match,)
+
+
+def mix(first: EmbeddedStyle, second: EmbeddedStyle, amount: float) -> EmbeddedStyle:
+    """The point between two styles, at ``amount`` in [0, 1] of the way from the first."""
+    return EmbeddedStyle(
+        name=f"{slug(first.name, 24)}_{amount:.2f}_{slug(second.name, 24)}",
+        title=f"{1 - amount:.0%} {first.title}, {amount:.0%} {second.title}",
+        cell=first.cell if amount == 0 else second.cell if amount == 1 else None,
+        embedding=first.embedding.toward(second.embedding, amount),
+        matches=tuple(dict.fromkeys(first.matches + second.matches)),
+    )
+
+
+def slug(text: str, limit: int = 40) -> str:
+    """A text as part of a file name: lower-case ASCII words joined by hyphens."""
+    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode().lower()
+    words = re.sub(r"[^a-z0-9]+", "-", plain).strip("-")
+    return words[:limit].rstrip("-") or "style"

@@ -1,0 +1,35 @@
+"""What injectors have in common that change tokens one by one."""
+
+from abc import abstractmethod
+
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import Injector
+from anystyle.types import Tokens
+
+
+class TokenInjector(Injector):
+    """Changes patch tokens, and camera and register tokens if asked to; subclasses implement :meth:`styled`.
+
+    Args:
+        gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
+            at first; the root of ``style_dim`` makes up for it where training is short.
+        special_tokens: Whether camera and register tokens are styled too.
+    """
+
+    def __init__(self, gain: float, special_tokens: bool) -> None:
+        super().__init__()
+        self.gain = gain
+        self.special_tokens = special_tokens
+
+    def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
+        """See :meth:`anystyle.contracts.Injector.forward`."""
+        style = self.gain * style.to(next(self.parameters()).dtype)
+        if self.special_tokens:
+            return tokens.with_data(self.styled(tokens.data, style))
+        return tokens.with_patches(self.styled(tokens.patches, style))
+
+    @abstractmethod
+    def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
+        """The tokens in each style; ``data`` is left as it is."""

@@ -1,0 +1,105 @@
+"""3DGS PLY files, as SuperSplat, viser and the original viewer read them."""
+
+from math import isqrt
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from plyfile import PlyData, PlyElement, PlyParseError
+from torch import Tensor
+
+from anystyle.io.atomic import atomic_path
+
+MAX_DEGREE = 3
+"""What viewers read; higher coefficients are left out."""
+
+# Logits and logarithms stay finite: opacities of 0 and 1 and scales of 0 do occur.
+_OPACITY_MARGIN = 1e-6
+_SMALLEST_SCALE = 1e-12
+
+
+class Splats(NamedTuple):
+    """The tensors of one scene, with the meaning that :class:`anystyle.types.Gaussians` gives them."""
+
+    means: Float[Tensor, "N 3"]
+    rotations: Float[Tensor, "N 4"]
+    scales: Float[Tensor, "N 3"]
+    opacities: Float[Tensor, " N"]
+    harmonics: Float[Tensor, "N K 3"]
+
+
+def write(splats: Splats, path: Path) -> None:
+    """Write one scene; whole or not at all.
+
+    Every property is float32, in the order positions, normals (0), ``f_dc``, ``f_rest`` (colour-major), opacity
+    (logit), scales (logarithm), rotation (unit quaternion wxyz). Gaussians of no opacity are left out.
+    """
+    kept = splats.opacities > 0
+    means, rotations, scales, opacities, harmonics = (tensor[kept].detach().float().cpu() for tensor in splats)
+    degree = min(_degree(harmonics.shape[1]), MAX_DEGREE)
+    harmonics = harmonics[:, : (degree + 1) ** 2]
+    columns = torch.cat(
+        [
+            means,
+            torch.zeros_like(means),
+            harmonics[:, 0],
+            harmonics[:, 1:].mT.flatten(1),
+            torch.logit(opacities.clamp(_OPACITY_MARGIN, 1 - _OPACITY_MARGIN))[:, None],
+            scales.clamp_min(_SMALLEST_SCALE).log(),
+            torch.nn.functional.normalize(rotations, dim=-1),
+        ],
+        dim=1,
+    )
+    names = _properties(degree)
+    vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in names])[:, 0]
+    with atomic_path(path) as temporary:
+        PlyData([PlyElement.describe(vertices, "vertex")]).write(temporary)
+
+
+def read(path: Path) -> Splats:
+    """Read a file.
+
+    Raises:
+        ValueError: It is no PLY file, a damaged one, or not one of Gaussians.
+    """
+    try:
+        vertices = PlyData.read(path)["vertex"].data
+    except (PlyParseError, KeyError, ValueError) as error:
+        raise ValueError(f"{path} is no PLY file of Gaussians ({error})") from None
+    present = vertices.dtype.names or ()
+    rest = sum(name.startswith("f_rest_") for name in present)
+    if rest % 3:
+        raise ValueError(f"{path} has {rest} properties f_rest_*; a multiple of three is expected")
+    names = [name for name in _properties(_degree(rest // 3 + 1)) if name not in ("nx", "ny", "nz")]
+    missing = [name for name in names if name not in present]
+    if missing:
+        raise ValueError(f"{path} is a PLY file without the properties {', '.join(missing[:5])} of Gaussians")
+    columns = torch.from_numpy(np.stack([vertices[name].astype(np.float32) for name in names], axis=1))
+    if not bool(columns.isfinite().all()):
+        raise ValueError(f"{path} has properties that are infinite or no numbers; export it again")
+    means, constant, higher, opacity, scales, rotations = columns.split([3, 3, rest, 1, 3, 4], dim=1)
+    return Splats(
+        means=means,
+        rotations=rotations,
+        scales=scales.exp(),
+        opacities=opacity[:, 0].sigmoid(),
+        harmonics=torch.cat([constant[:, None], higher.unflatten(1, (3, rest // 3)).mT], dim=1),
+    )
+
+
+def _degree(coefficients: int) -> int:
+    degree = isqrt(coefficients) - 1
+    if (degree + 1) ** 2 != coefficients:
+        raise ValueError(f"{coefficients} spherical-harmonics coefficients a colour; expected 1, 4, 9 or 16")
+    return degree
+
+
+def _properties(degree: int) -> list[str]:
+    higher = 3 * ((degree + 1) ** 2 - 1)
+    return [
+        *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"),
+        *(f"f_rest_{index}" for index in range(higher)),
+        *("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
+    ]

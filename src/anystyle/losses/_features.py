@@ -1,0 +1,91 @@
+"""What losses on features of a frozen network have in common."""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle import perception
+from anystyle.contracts import Loss
+from anystyle.losses._style import mean_where, style_images
+from anystyle.types import Stylization
+
+
+class FeatureLoss(Loss):
+    """Reads features of some layers of a network; constructors of subclasses name the options.
+
+    Args:
+        network: A network of :func:`anystyle.perception.load`.
+        layers: Whose features.
+        size: Side of the square that images are resized to before; ``None`` leaves them as they are.
+        weight: In the objective.
+    """
+
+    def __init__(self, network: str, layers: Sequence[str], size: int | None, weight: float) -> None:
+        super().__init__()
+        self.network = perception.load(network)
+        self.layers = tuple(layers)
+        self.size = size
+        self.weight = weight
+
+    def features(self, images: Float[Tensor, "M 3 H W"]) -> list[Float[Tensor, "M _ _ _"]]:
+        """The features of sRGB images, their aspect not kept, as published."""
+        if self.size is not None and images.shape[-2:] != (self.size, self.size):
+            side = (self.size, self.size)
+            images = F.interpolate(images, size=side, mode="bilinear", align_corners=False, antialias=True)
+        return self.network(images, self.layers)
+
+
+class StatisticsLoss(FeatureLoss):
+    """Distance of statistics of stylized views and of the style image, the mean over views that have one.
+
+    A layer's distance is the sum over the K parts of the mean squared difference of their D numbers; layers are added.
+
+    Args:
+        network: As above.
+        layers: As above.
+        size: As above.
+        relative: Divide each view's distance by that of its photograph and take the square root, then average over
+            the layers: 1 means as far from the style as the photograph, 0 means there. Colour, which is quickly
+            matched, then no longer drowns the small differences that make a pattern.
+        weight: As above.
+    """
+
+    def __init__(self, network: str, layers: Sequence[str], size: int | None, relative: bool, weight: float) -> None:
+        super().__init__(network, layers, size, weight)
+        self.relative = relative
+        self.reduction = "mean"
+
+    @abstractmethod
+    def statistics(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M K D"]:
+        """The statistics of one layer's features: K parts of D numbers each."""
+
+    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+        """See :meth:`anystyle.contracts.Loss.forward`."""
+        return self.distance(result, result.renders.color.flatten(0, 1))
+
+    def distance(self, result: Stylization, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, ""]:
+        """The loss of images in place of the renders of ``result``."""
+        styles = style_images(result)
+        if styles is None:
+            return images.new_zeros(())
+        style, given = styles
+        num_views = result.renders.color.shape[1]
+        with torch.no_grad():
+            targets = [self.statistics(features).repeat_interleave(num_views, 0) for features in self.features(style)]
+            photographs = self.features(result.views.images.flatten(0, 1)) if self.relative else []
+            starts = [self.statistics(features) for features in photographs]
+        total = images.new_zeros(())
+        for layer, features in enumerate(self.features(images)):
+            distance = self._distance(self.statistics(features), targets[layer])
+            if self.relative:
+                distance = (distance / self._distance(starts[layer], targets[layer]).clamp_min(1e-12) + 1e-3).sqrt()
+            total = total + mean_where(distance, given.repeat_interleave(num_views))
+        return total / len(self.layers) if self.relative else total
+
+    def _distance(self, first: Float[Tensor, "M K D"], second: Float[Tensor, "M K D"]) -> Float[Tensor, " M"]:
+        squares = (first - second).square()
+        return (squares.mean(-1) if self.reduction == "mean" else squares.sum(-1)).sum(-1)

@@ -1,0 +1,88 @@
+"""Style retrieval: whether a stylized scene leads back to its style image, by a network that trained nothing."""
+
+import warnings
+import zlib
+from collections.abc import Mapping
+from typing import ClassVar
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from anystyle.contracts import Metric
+from anystyle.metrics._pairs import with_style_images
+from anystyle.perception import efficientnet
+from anystyle.perception.sources import checksums, published
+from anystyle.perception.style_statistics import centered_cosines, equalized_gray, style_statistics
+from anystyle.perception.weights import find
+from anystyle.types import Comparison
+
+COLOR, GRAY = "style_retrieval", "style_retrieval_gray"
+"""As it is, and in equalised grey, so that a palette alone does not count."""
+
+
+class StyleRetrieval(Metric):
+    """The share of stylized scenes whose style image is the nearest of all, by statistics of EfficientNet-Lite0.
+
+    A row is described by means and deviations of features over its views. Rows are centred over all styles of their
+    scene, style images over all of theirs, so that what a scene shows does not count. Chance is one over the number of
+    style images, and figures of other numbers cannot be compared.
+    """
+
+    better: ClassVar[Mapping[str, str]] = {COLOR: "higher", GRAY: "higher"}
+    higher_is_better = True
+    is_differentiable = False
+    full_state_update = False
+    rows: list[Tensor]
+    styles: list[Tensor]
+    scenes: list[Tensor]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.network = efficientnet.load()
+        self.weights = checksums(published("efficientnet_lite0", find("efficientnet_lite0")))
+        for state in ("rows", "styles", "scenes"):
+            self.add_state(state, [], dist_reduce_fx="cat")
+
+    @torch.no_grad()
+    def update(self, comparison: Comparison) -> None:
+        """See :meth:`anystyle.contracts.Metric.update`; rows without a style image are left out."""
+        comparison, image = with_style_images(comparison)
+        for row, stylized in enumerate(comparison.stylized):
+            scene = comparison.scenes[row] if comparison.scenes else ""
+            self.rows.append(self._describe(stylized))
+            self.styles.append(self._describe(image[row : row + 1]))
+            self.scenes.append(torch.tensor([zlib.crc32(scene.encode())], device=image.device))
+
+    def compute(self) -> dict[str, Tensor]:
+        """See :meth:`anystyle.contracts.Metric.compute`; ``nan`` with fewer than two style images."""
+        rows, styles, scenes = _joined(self.rows), _joined(self.styles), _joined(self.scenes)
+        gallery, target = styles.unique(dim=0, return_inverse=True)  # G 2 D, N
+        if len(gallery) < 2:
+            warnings.warn(
+                f"style_retrieval: of {len(gallery)} style images there is nothing to choose, the figures are nan",
+                stacklevel=2,
+            )
+            return {name: torch.full((), float("nan"), device=rows.device) for name in (COLOR, GRAY)}
+        hits = [
+            torch.stack([hit(rows[of, index], gallery[:, index], target[of]) for index in range(2)])
+            for of in (scenes == scene for scene in scenes.unique())
+        ]
+        return dict(zip((COLOR, GRAY), torch.cat(hits, dim=1).mean(1), strict=True))
+
+    def _describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "1 2 D"]:
+        """In colour and in grey, the means over images."""
+        seen = (images, equalized_gray(images))
+        return torch.stack([style_statistics(self.network, each).mean(0) for each in seen])[None]
+
+
+def hit(rows: Float[Tensor, "N D"], gallery: Float[Tensor, "G D"], target: Int[Tensor, " N"]) -> Float[Tensor, " N"]:
+    """1 for each row that is nearest to its own style, else 0."""
+    return (centered_cosines(rows, gallery).argmax(1) == target).to(rows.dtype)
+
+
+def _joined(parts: list[Tensor] | Tensor) -> Tensor:
+    # After a reduction over processes the list has become one tensor.
+    if torch.is_tensor(parts):
+        return parts
+    return torch.cat(parts) if parts else torch.zeros(0, 2, 1)

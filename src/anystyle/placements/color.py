@@ -1,0 +1,18 @@
+"""Style in the colours alone."""
+
+from collections.abc import Sequence
+
+from anystyle.contracts import Placement
+from anystyle.placements._matching import matching
+from anystyle.types import Site
+
+
+class Color(Placement):
+    """Style enters the colours that the Gaussian head gives, and nothing is copied.
+
+    It fits every backbone, and a further style costs the injector alone.
+    """
+
+    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
+        """The site of the colours."""
+        return matching(sites, ["color"])

@@ -1,0 +1,34 @@
+"""Style at sites that are named one by one."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from anystyle.contracts import Placement
+from anystyle.placements._matching import matching
+from anystyle.types import Site
+
+
+class Sites(Placement):
+    """Style enters the sites that patterns name.
+
+    Args:
+        patterns: Names of sites such as ``head/direct`` and ``color``, or patterns of them such as ``aggregator/1?``
+            and ``head/*``.
+
+    Raises:
+        ValueError: There is no pattern.
+    """
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """All that there are."""
+        return {"patterns": ("*",)}
+
+    def __init__(self, *, patterns: Sequence[str]) -> None:
+        if not patterns:
+            raise ValueError("placement.patterns is empty; name a site, such as placement.patterns=[color]")
+        self.patterns = tuple(patterns)
+
+    def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
+        """The sites that match any of the patterns."""
+        return matching(sites, self.patterns, every_layer=True)

@@ -1,0 +1,193 @@
+"""Colours of given Gaussians for given pictures, by least squares: a render is linear in its colours."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from anystyle.contracts import Renderer
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.types import Cameras, Gaussians
+
+MIN_WEIGHT = 1e-3
+"""A Gaussian that all views together show less of than so many pixels keeps its colour."""
+
+
+FitColors = Literal["off", "mean"] | int
+"""``off``: each Gaussian has the colour of the pixel it comes from; ``mean``: the weighted mean of the pixels that show
+it; a number: so many steps of least squares after that."""
+
+
+def checked_steps(value: str | int) -> FitColors:
+    """A configured value of :data:`FitColors`.
+
+    Raises:
+        ValueError: It is none.
+    """
+    if value in ("off", "mean"):
+        return value  # pyright: ignore[reportReturnType]
+    if not str(value).isdigit():
+        raise ValueError(f"fit_colors={value}; give off, mean, or a number of steps")
+    return int(value)
+
+
+def color_gaussians(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    targets: Float[Tensor, "V 3 H W"],
+    renderer: Renderer,
+    origins: Int[Tensor, "N 3"] | None,
+    how: FitColors,
+) -> Gaussians:
+    """Colour Gaussians by pictures of them.
+
+    Args:
+        gaussians: A batch of one scene.
+        cameras: A batch of one scene, for images of the targets' size.
+        targets: sRGB in [0, 1].
+        renderer: Differentiable in colours.
+        origins: View, row and column of the pixel that each Gaussian comes from, where they are known.
+        how: See :data:`FitColors`.
+
+    Raises:
+        ValueError: Origins are asked for, and there are none.
+    """
+    if how != "off":
+        return fit_colors(gaussians, cameras, targets, renderer, steps=0 if how == "mean" else how)
+    if origins is None:
+        raise ValueError(
+            "fit_colors=off takes colours from pixels, and it is not known which Gaussian comes from which"
+        )
+    view, row, column = origins.unbind(1)
+    return replace(gaussians, harmonics=constant_from_rgb(targets[view, :, row, column])[None, :, None])
+
+
+def fit_colors(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    targets: Float[Tensor, "V 3 H W"],
+    renderer: Renderer,
+    *,
+    steps: int = 4,
+    damping: float = 0.01,
+) -> Gaussians:
+    """Colour Gaussians so that their renders are as near as can be to targets, in squared error.
+
+    It begins with the mean of the pixels that each Gaussian is seen in, weighted by how much of them it covers, and
+    goes on with steps of preconditioned conjugate gradients on the normal equations. Colours do not depend on
+    the direction afterwards, and lie in [0, 1].
+
+    Args:
+        gaussians: A batch of one scene; their colours are kept only where no view sees them.
+        cameras: A batch of one scene, for images of the targets' size.
+        targets: sRGB in [0, 1].
+        renderer: Differentiable in colours; what it has behind the scene is taken out of the targets.
+        steps: Of conjugate gradients; none gives the weighted means. A step costs a render of every view and its
+            backward pass.
+        damping: Pulls each colour towards its weighted mean, with this share of its own weight.
+
+    Raises:
+        ValueError: There are several scenes, or targets and cameras do not belong together.
+    """
+    if gaussians.means.shape[0] != 1 or cameras.world_from_camera.shape[:2] != (1, len(targets)):
+        raise ValueError(
+            f"fit_colors got Gaussians of {gaussians.means.shape[0]} scenes, cameras "
+            f"{tuple(cameras.world_from_camera.shape[:2])} and {len(targets)} targets; "
+            "give one scene and a camera a target"
+        )
+    if cameras.size != tuple(targets.shape[-2:]):
+        raise ValueError(
+            f"targets of {tuple(targets.shape[-2:])} and cameras for {cameras.size}; resize one of the two"
+        )
+    system = _System(gaussians.detach(), cameras.detach(), renderer)
+    weights, means = system.weighted_means(targets)  # N, N 3
+    seen = weights > MIN_WEIGHT
+    colors = _conjugate_gradients(system, targets, weights * seen, means, steps, damping) if steps else means
+    constant = constant_from_rgb(colors.clamp(0, 1))
+    constant = torch.where(seen[:, None], constant, gaussians.harmonics[0, :, 0])
+    return replace(gaussians, harmonics=constant[None, :, None])
+
+
+def _conjugate_gradients(
+    system: "_System",
+    targets: Float[Tensor, "V 3 H W"],
+    weights: Float[Tensor, " N"],
+    means: Float[Tensor, "N 3"],
+    steps: int,
+    damping: float,
+) -> Float[Tensor, "N 3"]:
+    """Solve ``(AᵀA + damping W) c = Aᵀ targets + damping W means``, each channel by itself, beginning at the means.
+
+    ``W`` holds the weights, the sums of rows of ``Aᵀ``; where pixels are opaque they are the sums of rows of ``AᵀA``
+    too, which makes them the preconditioner.
+    """
+    inverse = torch.where(weights > 0, 1 / weights.clamp_min(MIN_WEIGHT), 0.0)[:, None]
+    colors = means
+    residual = system.backproject(lambda view: targets[view] - system.render(view, colors)) * (inverse > 0)
+    direction = inverse * residual
+    energy = (residual * direction).sum(0)  # 3
+    for step in range(steps):
+        curvature = system.normal(direction) * (inverse > 0) + damping * weights[:, None] * direction
+        length = energy / (direction * curvature).sum(0).clamp_min(1e-20)
+        colors = colors + length * direction
+        if step + 1 == steps:
+            break
+        residual = residual - length * curvature
+        previous, energy = energy, (residual * inverse * residual).sum(0)
+        direction = inverse * residual + energy / previous.clamp_min(1e-20) * direction
+    return colors
+
+
+@dataclass(frozen=True)
+class _System:
+    """Renders as a linear map ``A`` of colours, but for what shines through: a pass backward is ``Aᵀ``."""
+
+    gaussians: Gaussians
+    cameras: Cameras
+    renderer: Renderer
+
+    def render(self, view: int, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
+        """A view of colours in [0, 1], over the renderer's background."""
+        harmonics = constant_from_rgb(colors)[None, :, None]
+        return self.renderer(replace(self.gaussians, harmonics=harmonics), self.cameras.select([view])).color[0, 0]
+
+    @cached_property
+    def gray(self) -> Float[Tensor, "N 3"]:
+        """Colours far from both cuts: of those below 0, and of renders above 1."""
+        return self.gaussians.means.new_full((self.gaussians.means.shape[1], 3), 0.5).requires_grad_()
+
+    @cached_property
+    def gray_renders(self) -> list[Float[Tensor, "3 H W"]]:
+        """Each view of these colours, rendered once: every pass backward goes through them."""
+        return [self.render(view, self.gray) for view in range(self.cameras.intrinsics.shape[1])]
+
+    def transposed(self, view: int, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
+        """``Aᵀ`` of one view's pixels."""
+        return torch.autograd.grad(self.gray_renders[view], self.gray, pixels, retain_graph=True)[0]
+
+    def backproject(self, pixels: Callable[[int], Float[Tensor, "3 H W"]]) -> Float[Tensor, "N 3"]:
+        """``Aᵀ`` of what ``pixels`` gives for each view."""
+        total = torch.zeros_like(self.gray)
+        for view in range(len(self.gray_renders)):
+            total += self.transposed(view, pixels(view))
+        return total
+
+    def normal(self, direction: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+        """``AᵀA`` of a change of colours, by the difference of two renders."""
+        scale = direction.abs().amax(0).clamp_min(1e-20) / 0.45  # 3
+
+        def change(view: int) -> Float[Tensor, "3 H W"]:
+            with torch.no_grad():
+                return self.render(view, 0.5 + direction / scale) - self.gray_renders[view]
+
+        return self.backproject(change) * scale
+
+    def weighted_means(self, targets: Float[Tensor, "V 3 H W"]) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 3"]]:
+        """How many pixels each Gaussian covers in all views together, and the mean target in them."""
+        weights = self.backproject(lambda view: torch.ones_like(targets[view]))
+        moments = self.backproject(lambda view: targets[view])
+        return weights[:, 0], moments / weights.clamp_min(MIN_WEIGHT)

@@ -1,0 +1,141 @@
+"""Gaussians to begin a fit with: pixels of the photographs, lifted by their depth."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from anystyle.geometry.stereo import StereoDepth
+from anystyle.types import Cameras, Value
+
+BACKDROP = 3.0
+"""Sky and the like lie behind nearly all known depths by this factor."""
+
+NEIGHBORS = 3
+"""A Gaussian is as large as the mean distance of so many of its neighbours."""
+
+
+@dataclass(frozen=True)
+class InitialGaussians(Value):
+    """Isotropic Gaussians at pixels of photographs.
+
+    Args:
+        means: Centres in world space.
+        scales: Standard deviations.
+        colors: sRGB in [0, 1].
+        footprints: Side of a pixel at each centre, in world units.
+        pixels: View, row and column that each comes from.
+    """
+
+    means: Float[Tensor, "N 3"]
+    scales: Float[Tensor, " N"]
+    colors: Float[Tensor, "N 3"]
+    footprints: Float[Tensor, " N"]
+    pixels: Int[Tensor, "N 3"]
+
+
+def from_stereo(
+    images: Float[Tensor, "V 3 H W"],
+    cameras: Cameras,
+    stereo: StereoDepth,
+    *,
+    num_gaussians: int,
+    unsupported: float,
+    generator: torch.Generator,
+) -> InitialGaussians:
+    """Lift pixels of all views, evenly over the images, those first whose depth another view supports.
+
+    Args:
+        images: sRGB in [0, 1].
+        cameras: Of one scene, for images of this size.
+        stereo: The depth of these images.
+        num_gaussians: About how many Gaussians; fewer where there are not enough pixels.
+        unsupported: The share of pixels without support that is lifted all the same, in [0, 1].
+        generator: Of the random offsets.
+
+    Raises:
+        ValueError: No pixel has a supported depth.
+    """
+    lifted = (stereo.support >= 1) | (torch.rand(stereo.support.shape, generator=generator) < unsupported)
+    fraction = float(lifted.double().mean())
+    if not bool((stereo.support >= 1).any()):
+        raise ValueError("no depth is supported by a second view: nothing to begin a fit with")
+    num_views, height, width = images.shape[0], images.shape[-2], images.shape[-1]
+    stride = max(1.0, (num_views * height * width * fraction / num_gaussians) ** 0.5)
+    offsets = torch.rand(num_views, 2, generator=generator) * stride
+    pixels = []
+    for view in range(num_views):
+        rows = torch.arange(float(offsets[view, 0]), height, stride).long()
+        columns = torch.arange(float(offsets[view, 1]), width, stride).long()
+        y, x = (grid.flatten() for grid in torch.meshgrid(rows, columns, indexing="ij"))
+        keep = lifted[view, y, x]
+        pixels.append(torch.stack([torch.full_like(y, view), y, x], dim=1)[keep])
+    return lift(images, cameras, stereo.depth, torch.cat(pixels))
+
+
+def lift(
+    images: Float[Tensor, "V 3 H W"], cameras: Cameras, depth: Float[Tensor, "V H W"], pixels: Int[Tensor, "N 3"]
+) -> InitialGaussians:
+    """Gaussians at pixels of a scene whose depth is known, as large as the gaps between them."""
+    view, y, x = pixels.unbind(1)
+    return _at_depth(images, cameras, depth[view, y, x], pixels)
+
+
+def backdrop(
+    images: Float[Tensor, "V 3 H W"],
+    cameras: Cameras,
+    stereo: StereoDepth,
+    *,
+    num_gaussians: int,
+    generator: torch.Generator,
+) -> InitialGaussians | None:
+    """Large Gaussians behind everything, at pixels whose depth no view supports: sky, and whatever is too far or plain.
+
+    Without them, floaters near the cameras would have to show what lies at infinity.
+
+    Args:
+        images: sRGB in [0, 1].
+        cameras: Of one scene, for images of this size.
+        stereo: The depth of these images, supported somewhere.
+        num_gaussians: How many; fewer where there are not enough pixels.
+        generator: Of the choice of pixels.
+
+    Returns:
+        ``None`` where every depth is supported.
+    """
+    supported = stereo.support >= 1
+    candidates = (~supported).nonzero()
+    if len(candidates) == 0 or num_gaussians == 0:
+        return None
+    pixels = candidates[torch.randperm(len(candidates), generator=generator)[:num_gaussians]]
+    known = stereo.depth[supported]
+    far = BACKDROP * known[:: max(1, len(known) // 1_000_000)].quantile(0.98)
+    return _at_depth(images, cameras, far.expand(len(pixels)), pixels, largest=float("inf"))
+
+
+def _at_depth(
+    images: Float[Tensor, "V 3 H W"],
+    cameras: Cameras,
+    depth: Float[Tensor, " N"],
+    pixels: Int[Tensor, "N 3"],
+    largest: float = 6.0,
+) -> InitialGaussians:
+    """Gaussians at the depth of each pixel; they span at most ``largest`` footprints."""
+    view, y, x = pixels.unbind(1)
+    z = depth.double()
+    image = torch.stack([x + 0.5, y + 0.5, torch.ones_like(z)], dim=1)
+    pose, inverse = cameras.world_from_camera[0].double(), torch.linalg.inv(cameras.intrinsics[0].double())
+    local = torch.einsum("nij,nj->ni", inverse[view], image) * z[:, None]
+    means = torch.einsum("nij,nj->ni", pose[view, :3, :3], local) + pose[view, :3, 3]
+    footprints = z / cameras.intrinsics[0, view, 0, 0].double()
+    distances, _ = KDTree(means.numpy()).query(means.numpy(), k=min(NEIGHBORS + 1, len(means)))
+    gaps = torch.from_numpy(distances).view(len(means), -1)[:, 1:].mean(1).nan_to_num(1.0)
+    return InitialGaussians(
+        means=means.float(),
+        scales=(0.7 * gaps.clamp(0.5 * footprints, largest * footprints)).float(),
+        colors=images[view, :, y, x],
+        footprints=footprints.float(),
+        pixels=pixels,
+    )

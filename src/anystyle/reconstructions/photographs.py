@@ -1,0 +1,162 @@
+"""Posed photographs in, fitted Gaussians out."""
+
+import hashlib
+import logging
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import MappingProxyType
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import Renderer
+from anystyle.geometry.stereo import plane_sweep
+from anystyle.io.atomic import atomic_path
+from anystyle.reconstructions.fitting import Fit
+from anystyle.reconstructions.initial import InitialGaussians, backdrop, from_stereo
+from anystyle.reconstructions.options import FitOptions, FitResult, Progress
+from anystyle.types import Cameras
+
+logger = logging.getLogger(__name__)
+
+UNSUPPORTED, BEHIND = 0.1, 0.05
+"""Of the pixels without a supported depth, the share that is lifted all the same; Gaussians of the backdrop, as a share
+of all others."""
+
+
+@dataclass(frozen=True)
+class Quality:
+    """What a fit costs.
+
+    Args:
+        short_side: Of the photographs, in pixels.
+        num_gaussians: At the start, about; fewer where there are not enough pixels.
+        options: How they are fitted.
+    """
+
+    short_side: int
+    num_gaussians: int
+    options: FitOptions
+
+
+QUALITIES: Mapping[str, Quality] = MappingProxyType(
+    {
+        "draft": Quality(192, 15_000, FitOptions(num_steps=400, final_steps=60, evaluate_every=100)),
+        "good": Quality(256, 30_000, FitOptions(num_steps=1000, final_steps=100, evaluate_every=100, patience=3)),
+        "best": Quality(384, 80_000, FitOptions(num_steps=5000, final_steps=500, evaluate_every=250, patience=4)),
+    }
+)
+
+
+def quality_named(name: str) -> Quality:
+    """One of :data:`QUALITIES`.
+
+    Raises:
+        ValueError: There is none of that name.
+    """
+    if name not in QUALITIES:
+        raise ValueError(f"reconstruction.quality={name}; choose one of {', '.join(QUALITIES)}")
+    return QUALITIES[name]
+
+
+def held_out(num_views: int, every: int) -> tuple[int, ...]:
+    """Every so many-th view, beginning in the middle of the first stretch; none where less than one stretch is."""
+    return tuple(range(every // 2, num_views, every)) if 0 < every <= num_views else ()
+
+
+def fit_photographs(
+    images: Float[Tensor, "V 3 H W"],
+    cameras: Cameras,
+    renderer: Renderer,
+    *,
+    num_gaussians: int,
+    options: FitOptions,
+    points: Sequence[Float[Tensor, "_ 3"]] | None = None,
+    heldout: Sequence[int] = (),
+    state: Path | None = None,
+    on_progress: Callable[[Progress], None] | None = None,
+) -> FitResult:
+    """Fit Gaussians to photographs: initial ones by stereo, then all their attributes through the renderer.
+
+    Args:
+        images: sRGB in [0, 1].
+        cameras: Of one scene, for images of this size.
+        renderer: Differentiable, on the device of the images.
+        num_gaussians: At the start, about.
+        options: How they are fitted.
+        points: For each view, points in world space that it shows, where some are known; see
+            :func:`~anystyle.geometry.stereo.plane_sweep`.
+        heldout: Views that no step sees before the final ones.
+        state: A file to write the fit to as it goes, and to resume it from where one of the same photographs and
+            options is there; removed at the end. The result is the same with and without a break.
+        on_progress: Called after every evaluation.
+
+    Raises:
+        ValueError: No depth agrees between the photographs.
+    """
+    training = [view for view in range(len(images)) if view not in heldout]
+    begin = _initial(images, cameras, training, points, num_gaussians, options.seed)
+    fit = Fit(images, cameras, begin, renderer, options, heldout=tuple(heldout))
+    key = _fingerprint(images, cameras, begin, options, heldout)
+    if state is not None:
+        _resume(fit, state, key)
+    result = fit.run(on_progress, None if state is None else lambda: _write(fit, state, key))
+    if state is not None:
+        state.unlink(missing_ok=True)
+    return result
+
+
+def _initial(
+    images: Float[Tensor, "V 3 H W"],
+    cameras: Cameras,
+    training: list[int],
+    points: Sequence[Float[Tensor, "_ 3"]] | None,
+    num_gaussians: int,
+    seed: int,
+) -> InitialGaussians:
+    """Gaussians at pixels of the views that are fitted to, on the device of the images."""
+    device = images.device
+    chosen, posed = images[training].cpu(), cameras.select(training).to("cpu")
+    stereo = plane_sweep(chosen, posed, points=None if points is None else [points[view].cpu() for view in training])
+    generator = torch.Generator().manual_seed(seed)
+    lifted = from_stereo(
+        chosen, posed, stereo, num_gaussians=num_gaussians, unsupported=UNSUPPORTED, generator=generator
+    )
+    behind = backdrop(chosen, posed, stereo, num_gaussians=round(BEHIND * num_gaussians), generator=generator)
+    begin = lifted if behind is None else InitialGaussians.cat([lifted, behind])
+    view, row, column = begin.pixels.unbind(1)
+    return replace(begin, pixels=torch.stack([torch.tensor(training)[view], row, column], dim=1)).to(device)
+
+
+def _fingerprint(
+    images: Tensor, cameras: Cameras, begin: InitialGaussians, options: FitOptions, heldout: Sequence[int]
+) -> str:
+    """What a state must have been written for."""
+    digest = hashlib.sha256(repr((options, tuple(heldout), cameras.size)).encode())
+    for tensor in (images, cameras.world_from_camera, cameras.intrinsics, begin.means):
+        digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()
+
+
+def _write(fit: Fit, path: Path, key: str) -> None:
+    with atomic_path(path) as temporary:
+        torch.save({"key": key, "fit": fit.state_dict()}, temporary)
+
+
+def _resume(fit: Fit, path: Path, key: str) -> None:
+    """Take up a fit that was broken off; one of other photographs or options is begun anew, with a line in the log."""
+    if not path.is_file():
+        return
+    try:
+        written = torch.load(path, map_location=fit.images.device, weights_only=True)
+        same = written["key"] == key
+    except Exception as error:
+        # Damaged archives raise nearly anything.
+        raise ValueError(f"{path} is no state of a fit ({type(error).__name__}); name another file as state") from None
+    if not same:
+        logger.warning("%s was written for other photographs or options; the fit begins anew", path)
+        return
+    fit.load_state_dict(written["fit"])
+    logger.info("the fit goes on at step %d of %d", fit.step, fit.last_step)

@@ -1,0 +1,140 @@
+"""How far renders are from photographs: L1 and structural dissimilarity, with a gradient written by hand."""
+
+from functools import partial
+from typing import Any, no_type_check
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+from torch.nn.functional import conv2d
+
+from anystyle import compiled as compilation
+
+RADIUS, SIGMA = 5, 1.5
+"""The published window of SSIM (Wang et al. 2004): a Gaussian of 11 x 11 pixels."""
+C1, C2 = 0.01**2, 0.03**2
+
+Array = np.ndarray
+
+compiled = partial(compilation.compiled, fastmath=compilation.CONTRACT)
+
+
+def photometric_loss(
+    images: Float[Tensor, "M 3 H W"], targets: Float[Tensor, "M 3 H W"], *, dssim: float
+) -> Float[Tensor, ""]:
+    """The loss of 3D Gaussian splatting: ``(1 - dssim) L1 + dssim (1 - SSIM)``, differentiable in ``images``."""
+    return (1 - dssim) * (images - targets).abs().mean() + dssim * _Dissimilarity.apply(images, targets)
+
+
+def ssim(images: Float[Tensor, "M 3 H W"], targets: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M"]:
+    """Structural similarity of each pair, over those pixels whose window lies inside of the image."""
+    similarity, _ = _similarity(images, targets)
+    return similarity[..., RADIUS:-RADIUS, RADIUS:-RADIUS].mean((1, 2, 3))
+
+
+def psnr(images: Float[Tensor, "M 3 H W"], targets: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M"]:
+    """Peak signal-to-noise ratio of each pair in dB, of values in [0, 1]."""
+    return -10 * (images - targets).square().mean((1, 2, 3)).clamp_min(1e-12).log10()
+
+
+def match_colors(image: Float[Tensor, "3 H W"], target: Float[Tensor, "3 H W"]) -> Float[Tensor, "3 H W"]:
+    """An image after the affine change of its colours that brings it nearest to a target in squared error."""
+    # In double precision: the solver loses several dB of a dark image in single.
+    colors = torch.cat([image.flatten(1), torch.ones_like(image[:1]).flatten(1)]).T.double()  # (H W) 4
+    change = torch.linalg.lstsq(colors, target.flatten(1).T.double()).solution
+    return (colors @ change).T.view_as(image).to(image.dtype)
+
+
+class _Dissimilarity(torch.autograd.Function):
+    """1 - SSIM averaged over all pixels, as in 3D Gaussian splatting: images are zero behind their borders."""
+
+    @staticmethod
+    def forward(ctx: Any, first: Tensor, second: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        similarity, derivatives = _similarity(first, second)
+        # The window is symmetric, so that its blur is its own adjoint.
+        by_a, by_aa, by_ab = blur(derivatives.flatten(0, 2)).view_as(derivatives)
+        gradient = torch.addcmul(by_a, second, by_ab).addcmul_(first, by_aa, value=2)
+        ctx.save_for_backward(gradient.mul_(-1 / first.numel()))
+        return 1 - similarity.mean()
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, grad_output: Tensor) -> tuple[Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return grad_output * ctx.saved_tensors[0], None
+
+
+def _similarity(
+    first: Float[Tensor, "M 3 H W"], second: Float[Tensor, "M 3 H W"]
+) -> tuple[Float[Tensor, "M 3 H W"], Float[Tensor, "3 M 3 H W"]]:
+    """SSIM of every pixel, and its derivatives by the blurred ``a``, ``a²`` and ``ab``, of images ``a`` and ``b``."""
+    moments = torch.stack([first, second, first * first, second * second, first * second])
+    moments = blur(moments.flatten(0, 2)).view_as(moments)
+    similarity, derivatives = torch.empty_like(first), first.new_empty(3, *first.shape)
+    if first.device.type == "cpu" and first.dtype == torch.float32:
+        _compare(moments.flatten(1).numpy(), similarity.view(-1).numpy(), derivatives.flatten(1).numpy())
+        return similarity, derivatives
+    a, b, aa, bb, ab = moments
+    light, structure = 2 * a * b + C1, 2 * (ab - a * b) + C2
+    light_scale, structure_scale = a * a + b * b + C1, aa - a * a + bb - b * b + C2
+    scale = light_scale * structure_scale
+    similarity = light * structure / scale
+    by_a = 2 * (b * (structure - light) / scale + a * similarity * (1 / structure_scale - 1 / light_scale))
+    return similarity, torch.stack([by_a, -similarity / structure_scale, 2 * light / scale])
+
+
+def blur(planes: Float[Tensor, "P H W"]) -> Float[Tensor, "P H W"]:
+    """Convolve planes with SSIM's window; they are zero behind their borders."""
+    steps = torch.arange(-RADIUS, RADIUS + 1, dtype=planes.dtype, device=planes.device)
+    window = (-0.5 * (steps / SIGMA).square()).exp()
+    window /= window.sum()
+    if planes.device.type == "cpu" and planes.dtype == torch.float32:
+        blurred = torch.empty_like(planes, memory_format=torch.contiguous_format)
+        _blur(planes.detach().contiguous().numpy(), window.numpy(), blurred.numpy())
+        return blurred
+    rows = conv2d(planes[:, None], window.view(1, 1, 1, -1), padding=(0, RADIUS))
+    return conv2d(rows, window.view(1, 1, -1, 1), padding=(RADIUS, 0))[:, 0]
+
+
+@compiled
+@no_type_check
+def add_scaled(source: Array, weight: float, target: Array) -> None:
+    """Add ``weight`` times a row to another, as long as ``target``."""
+    for x in range(target.shape[0]):
+        target[x] += weight * source[x]
+
+
+@compiled
+@no_type_check
+def _blur(planes: Array, window: Array, blurred: Array) -> None:
+    """Write planes ``[P, H, W]`` convolved with a window in both directions."""
+    num_planes, height, width = planes.shape
+    radius = window.shape[0] // 2
+    row = np.zeros(width + 2 * radius, np.float32)
+    for p in range(num_planes):
+        for y in range(height):
+            row[radius : radius + width] = np.float32(0)
+            for k in range(max(-radius, -y), min(radius, height - 1 - y) + 1):
+                add_scaled(planes[p, y + k], window[k + radius], row[radius : radius + width])
+            blurred[p, y] = np.float32(0)
+            for k in range(window.shape[0]):
+                add_scaled(row[k : k + width], window[k], blurred[p, y])
+
+
+@compiled
+@no_type_check
+def _compare(moments: Array, similarity: Array, derivatives: Array) -> None:
+    """Write SSIM ``[n]`` and its derivatives ``[3, n]`` from blurred moments ``[5, n]``; see :func:`_similarity`."""
+    one, two, c1, c2 = np.float32(1), np.float32(2), np.float32(C1), np.float32(C2)
+    for i in range(similarity.shape[0]):
+        a, b = moments[0, i], moments[1, i]
+        light, structure = two * a * b + c1, two * (moments[4, i] - a * b) + c2
+        light_scale = a * a + b * b + c1
+        structure_scale = moments[2, i] - a * a + moments[3, i] - b * b + c2
+        scale = one / (light_scale * structure_scale)
+        value = light * structure * scale
+        similarity[i] = value
+        derivatives[0, i] = two * scale * (b * (structure - light) + a * value * (light_scale - structure_scale))
+        derivatives[1, i] = -value * scale * light_scale
+        derivatives[2, i] = two * light * scale

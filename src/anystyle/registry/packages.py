@@ -1,0 +1,64 @@
+"""What plugin packages carry beside their modules: presets in ``conf``, weights in ``weights.toml`` and ``assets``."""
+
+from functools import cache
+from pathlib import Path
+
+from anystyle import paths
+from anystyle.registry.builtin import KINDS
+from anystyle.registry.catalog import PluginError, catalog
+from anystyle.registry.source_docs import source_file
+
+
+def packages() -> list[Path]:
+    """The folder of each plugin's top-level module, for all plugins that are not built in; none is imported."""
+    modules = {(row.target.partition(":")[0].partition(".")[0], row.root) for row in catalog() if row.defined is None}
+    folders = {_folder(module, root) for module, root in modules}
+    return sorted(folder for folder in folders if folder is not None and folder != paths.PACKAGE)
+
+
+@cache
+def _folder(module: str, root: Path | None) -> Path | None:
+    try:
+        file = source_file(module, root)
+    except (ImportError, ValueError):
+        return None
+    return None if file is None else file.parent
+
+
+def preset_folders() -> list[Path]:
+    """The folders ``conf`` of plugin packages."""
+    return [folder for package in packages() if (folder := package / "conf").is_dir()]
+
+
+def package_presets(group: str) -> dict[str, Path]:
+    """The configuration files that plugin packages add to a group, by name.
+
+    Raises:
+        PluginError: Two packages have a preset of one name.
+    """
+    files: dict[str, Path] = {}
+    for folder in preset_folders():
+        for file in sorted((folder / group).glob("*.yaml")):
+            other = files.setdefault(file.stem, file)
+            if other != file:
+                both = f"{paths.shown(other)} and {paths.shown(file)}"
+                raise PluginError(f"{group}={file.stem} is declared more than once: {both}; rename one")
+    return files
+
+
+def presets(group: str) -> dict[str, Path]:
+    """Every configuration file of a group by name: those of ``conf/`` and those of plugin packages."""
+    local = {file.stem: file for file in sorted((paths.CONF / group).glob("*.yaml"))}
+    return dict(sorted((package_presets(group) | local).items()))
+
+
+def groups() -> list[str]:
+    """Every configuration group: the kinds of plugins, then the folders of presets."""
+    folders = {
+        path.name
+        for folder in (paths.CONF, *preset_folders())
+        if folder.is_dir()
+        for path in folder.iterdir()
+        if path.is_dir()
+    }
+    return [*KINDS, *sorted(folders - set(KINDS))]

@@ -1,0 +1,98 @@
+"""What a plugin's source says of it, read without importing the plugin."""
+
+import ast
+import importlib.machinery
+import importlib.util
+import inspect
+from dataclasses import dataclass
+from pathlib import Path
+
+from anystyle.registry.catalog import Plugin, kind_named
+
+_HOPS = 3
+"""How many modules a class may be handed on by."""
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A plugin at a glance.
+
+    Args:
+        description: The first line of the class's docstring.
+        options: The constructor's options as the source writes them, such as ``pairs: int = 2``.
+    """
+
+    description: str
+    options: tuple[str, ...] = ()
+
+
+def peek(plugin: Plugin) -> Summary:
+    """Read a plugin's description and options from its source; what is wrong with it stands in the description."""
+    if plugin.defined is not None:
+        return Summary((inspect.getdoc(plugin.defined) or "").partition("\n")[0])
+    module, _, name = plugin.target.partition(":")
+    try:
+        definition = _class(module, name, plugin.root, _HOPS)
+    except (OSError, SyntaxError, ValueError, ImportError) as error:
+        return Summary(f"(cannot be read: {str(error).partition(chr(10))[0]})")
+    if definition is None:
+        return Summary(f"(no class {name} in {module})")
+    text = ast.get_docstring(definition) or ""
+    return Summary(text.partition("\n")[0], tuple(_options(definition, kind_named(plugin.kind).runtime)))
+
+
+def source_file(module: str, root: Path | None) -> Path | None:
+    """The file of a module; no package on the way is imported, as ``find_spec`` of a dotted name would.
+
+    Args:
+        module: Its name, dots and all.
+        root: The folder it is imported from; ``None`` looks where Python does.
+    """
+    top, *rest = module.split(".")
+    if root is not None:
+        spec = importlib.machinery.PathFinder.find_spec(top, [str(root)])
+    else:
+        spec = importlib.util.find_spec(top)
+    full = top
+    for part in rest:
+        if spec is None or spec.submodule_search_locations is None:
+            return None
+        full = f"{full}.{part}"
+        spec = importlib.machinery.PathFinder.find_spec(full, list(spec.submodule_search_locations))
+    origin = None if spec is None else spec.origin
+    return Path(origin) if origin is not None and origin.endswith(".py") else None
+
+
+def _class(module: str, name: str, root: Path | None, hops: int) -> ast.ClassDef | None:
+    file = source_file(module, root)
+    if file is None:
+        raise ImportError(f"no source file of module {module}")
+    tree = ast.parse(file.read_bytes())
+    for statement in tree.body:
+        if isinstance(statement, ast.ClassDef) and statement.name == name:
+            return statement
+        if isinstance(statement, ast.ImportFrom) and hops:
+            for alias in statement.names:
+                if (alias.asname or alias.name) == name:
+                    package = module if file.name == "__init__.py" else module.rpartition(".")[0]
+                    relative = "." * statement.level + (statement.module or "")
+                    origin = importlib.util.resolve_name(relative, package) if statement.level else relative
+                    return _class(origin, alias.name, root, hops - 1)
+    return None
+
+
+def _options(definition: ast.ClassDef, runtime: tuple[str, ...]) -> list[str]:
+    for statement in definition.body:
+        if isinstance(statement, ast.FunctionDef) and statement.name == "__init__":
+            signature = statement.args
+            plain = signature.posonlyargs + signature.args
+            defaults = [None] * (len(plain) - len(signature.defaults)) + list(signature.defaults)
+            pairs = [*zip(plain, defaults, strict=True)][1:]
+            pairs += zip(signature.kwonlyargs, signature.kw_defaults, strict=True)
+            return [_written(argument, default) for argument, default in pairs if argument.arg not in runtime]
+    return []
+
+
+def _written(argument: ast.arg, default: ast.expr | None) -> str:
+    hint = f": {ast.unparse(argument.annotation)}" if argument.annotation is not None else ""
+    return f"{argument.arg}{hint}" + (f" = {ast.unparse(default)}" if default is not None else "")

@@ -1,0 +1,109 @@
+"""Compiled kernels: covariances of Gaussians, packed as ``xx, xy, xz, yy, yz, zz``, and back for gradients.
+
+They follow :func:`anystyle.geometry.projection.covariances`, one Gaussian at a time in double precision.
+"""
+
+from math import sqrt
+from typing import no_type_check
+
+import numpy as np
+
+from anystyle.renderers.cpu.compiled import compiled
+
+Array = np.ndarray
+
+
+@compiled
+@no_type_check
+def unit(quaternion: Array) -> tuple[float, float, float, float, float]:
+    """A quaternion wxyz over its norm, and the norm, which is kept above 0."""
+    w, x, y, z = float(quaternion[0]), float(quaternion[1]), float(quaternion[2]), float(quaternion[3])
+    norm = max(sqrt(w * w + x * x + y * y + z * z), 1e-12)
+    return w / norm, x / norm, y / norm, z / norm, norm
+
+
+@compiled
+@no_type_check
+def matrix(w: float, x: float, y: float, z: float, rotation: Array) -> None:
+    """Write the rotation matrix ``[3, 3]`` of a unit quaternion."""
+    rotation[0, 0] = 1.0 - 2.0 * (y * y + z * z)
+    rotation[0, 1] = 2.0 * (x * y - w * z)
+    rotation[0, 2] = 2.0 * (x * z + w * y)
+    rotation[1, 0] = 2.0 * (x * y + w * z)
+    rotation[1, 1] = 1.0 - 2.0 * (x * x + z * z)
+    rotation[1, 2] = 2.0 * (y * z - w * x)
+    rotation[2, 0] = 2.0 * (x * z - w * y)
+    rotation[2, 1] = 2.0 * (y * z + w * x)
+    rotation[2, 2] = 1.0 - 2.0 * (x * x + y * y)
+
+
+@compiled
+@no_type_check
+def covariances(rotations: Array, scales: Array, start: int, stop: int, packed: Array) -> None:
+    """Write the covariances ``start .. stop``.
+
+    Args:
+        rotations: ``[N, 4]`` wxyz, of any norm.
+        scales: ``[N, 3]`` standard deviations.
+        start: The first.
+        stop: One behind the last.
+        packed: ``[N, 6]``, written.
+    """
+    r = np.empty((3, 3))
+    for g in range(start, stop):
+        w, x, y, z, _ = unit(rotations[g])
+        matrix(w, x, y, z, r)
+        xx = xy = xz = yy = yz = zz = 0.0
+        for k in range(3):
+            variance = float(scales[g, k]) * float(scales[g, k])
+            xx += variance * r[0, k] * r[0, k]
+            xy += variance * r[0, k] * r[1, k]
+            xz += variance * r[0, k] * r[2, k]
+            yy += variance * r[1, k] * r[1, k]
+            yz += variance * r[1, k] * r[2, k]
+            zz += variance * r[2, k] * r[2, k]
+        row = packed[g]
+        row[0], row[1], row[2], row[3], row[4], row[5] = xx, xy, xz, yy, yz, zz
+
+
+@compiled
+@no_type_check
+def covariances_backward(
+    rotations: Array, scales: Array, start: int, stop: int, d_packed: Array, d_rotations: Array, d_scales: Array
+) -> None:
+    """Write the gradients of rotations and scales.
+
+    Args:
+        rotations: ``[N, 4]`` wxyz, of any norm.
+        scales: ``[N, 3]`` standard deviations.
+        start: The first.
+        stop: One behind the last.
+        d_packed: ``[N, 6]``: the gradient of the packed covariances.
+        d_rotations: ``[N, 4]``, written.
+        d_scales: ``[N, 3]``, written.
+    """
+    r, d_r = np.empty((3, 3)), np.empty((3, 3))
+    for g in range(start, stop):
+        w, x, y, z, norm = unit(rotations[g])
+        matrix(w, x, y, z, r)
+        d = d_packed[g]
+        # The sum of the symmetric gradient and its transpose: an entry off the diagonal is packed once for two.
+        xx, xy, xz, yy, yz, zz = 2.0 * d[0], float(d[1]), float(d[2]), 2.0 * d[3], float(d[4]), 2.0 * d[5]
+        for k in range(3):
+            scale = float(scales[g, k])
+            a = xx * r[0, k] + xy * r[1, k] + xz * r[2, k]
+            b = xy * r[0, k] + yy * r[1, k] + yz * r[2, k]
+            c = xz * r[0, k] + yz * r[1, k] + zz * r[2, k]
+            d_scales[g, k] = scale * (a * r[0, k] + b * r[1, k] + c * r[2, k])
+            d_r[0, k], d_r[1, k], d_r[2, k] = scale * scale * a, scale * scale * b, scale * scale * c
+        turn_x, turn_y, turn_z = d_r[2, 1] - d_r[1, 2], d_r[0, 2] - d_r[2, 0], d_r[1, 0] - d_r[0, 1]
+        sum_yz, sum_xz, sum_xy = d_r[2, 1] + d_r[1, 2], d_r[0, 2] + d_r[2, 0], d_r[1, 0] + d_r[0, 1]
+        dw = 2.0 * (x * turn_x + y * turn_y + z * turn_z)
+        dx = 2.0 * (w * turn_x + y * sum_xy + z * sum_xz - 2.0 * x * (d_r[1, 1] + d_r[2, 2]))
+        dy = 2.0 * (w * turn_y + x * sum_xy + z * sum_yz - 2.0 * y * (d_r[0, 0] + d_r[2, 2]))
+        dz = 2.0 * (w * turn_z + x * sum_xz + y * sum_yz - 2.0 * z * (d_r[0, 0] + d_r[1, 1]))
+        along = w * dw + x * dx + y * dy + z * dz
+        d_rotations[g, 0] = (dw - along * w) / norm
+        d_rotations[g, 1] = (dx - along * x) / norm
+        d_rotations[g, 2] = (dy - along * y) / norm
+        d_rotations[g, 3] = (dz - along * z) / norm

@@ -1,0 +1,278 @@
+"""Compiled kernels: blend splats into rows of tiles, nearest first, and back for gradients.
+
+A tile is narrow, and its planes lie in one array, row behind row: the rows that a splat reaches are one run of pixels,
+through which a single loop without branches goes, that compiles to vector instructions. For that, all numbers in it are
+of single precision. No loop makes views of arrays, whose counting of references would cost more than a splat does.
+"""
+
+from typing import no_type_check
+
+import numpy as np
+
+from anystyle.renderers.cpu.compiled import compiled, summed
+from anystyle.renderers.cpu.sorting import HEIGHT, WIDTH
+
+Array = np.ndarray
+
+MOMENTS = 10
+"""What the gradient of a splat follows from, summed over pixels: the gradients of red, green, blue and depth; and with
+the gradient ``s`` of ``sigma`` in a pixel at ``(dx, dy)`` from it, ``s, s dx, s dy, s dx², s dx dy, s dy²``."""
+
+ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
+MIN_ALPHA = np.float32(1 / 255)
+MIN_TRANSMITTANCE = np.float32(1e-4)
+LOG2_E = np.float32(1.4426950408889634)
+
+
+@compiled
+@no_type_check
+def falloff(sigma: float) -> float:
+    """``exp(-sigma)`` in single precision, exact to about two units in the last place; 0 behind 80."""
+    power = -LOG2_E * min(max(sigma, ZERO), np.float32(80))
+    whole = np.int32(power - HALF)
+    part = power - np.float32(whole)
+    # The Taylor series of 2 ** part, for part within half of 0.
+    value = np.float32(1.5403530393381610e-4)
+    value = value * part + np.float32(1.3333558146428443e-3)
+    value = value * part + np.float32(9.6181291076284772e-3)
+    value = value * part + np.float32(5.5504108664821580e-2)
+    value = value * part + np.float32(2.4022650695910072e-1)
+    value = value * part + np.float32(6.9314718055994531e-1)
+    value = value * part + ONE
+    return value * np.int32((whole + np.int32(127)) << np.int32(23)).view(np.float32)
+
+
+WIDE = np.uint64(WIDTH)
+"""Unsigned, as are the indices in the loops: others could count from the end, and would not compile to vectors."""
+ALMOST = np.float32(0.9999)
+"""Added before a cut to a whole number, it rounds up."""
+MARGIN = np.float32(0.01)
+"""Pixels that a splat is taken to reach farther, so that none is lost by rounding."""
+
+
+@compiled
+@no_type_check
+def reach(splats: Array, g: int, x: float, y: float, border: float, bottom: float) -> tuple[int, int]:
+    """The rows of a tile in which a splat covers enough of a pixel to be seen.
+
+    Args:
+        splats: ``[n, SPLAT]``.
+        g: Which of them.
+        x: Its column in the tile, where the centre of the first column is 0.
+        y: Its row, likewise.
+        border: The last column of the tile that the image has.
+        bottom: The last row.
+
+    Returns:
+        The first row, and one behind the last, which is the first where there is none.
+    """
+    wide, peak, lean, bend = splats[g, 10], splats[g, 12], splats[g, 13], splats[g, 14]
+    # The lowest and the highest point of the ellipse, moved along it into the columns of the tile.
+    near, far = -x - MARGIN, border - x + MARGIN
+    right, left = min(max(peak, near), far), min(max(-peak, near), far)
+    high = lean * right + bend * np.sqrt(max(wide * wide - right * right, ZERO))
+    low = lean * left - bend * np.sqrt(max(wide * wide - left * left, ZERO))
+    first = np.uint64(max(y + low - MARGIN + ALMOST, ZERO))
+    return first, max(np.uint64(max(min(y + high + MARGIN, bottom) + ONE, ZERO)), first)
+
+
+@compiled
+@no_type_check
+def blend(splats: Array, lists: Array, offsets: Array, top: int, cap: float, image: Array, last: Array) -> None:
+    """Blend one row of tiles.
+
+    Args:
+        splats: ``[n, SPLAT]``.
+        lists: Which of them each tile may show, nearest first, one list behind the other.
+        offsets: ``[columns + 1]``: where the list of each tile begins and ends.
+        top: The first row of pixels.
+        cap: The most that one covers of a pixel.
+        image: ``[5, H, W]``, written: red, green, blue, depth and transmittance.
+        last: ``[H, W]``, written: the last entry of a tile's list that a pixel was open for; -1 where there is none.
+    """
+    for column in range(offsets.shape[0] - 1):
+        entries = lists[offsets[column] : offsets[column + 1]]
+        blend_tile(splats, entries, top, column * WIDTH, cap, image, last)
+
+
+@compiled
+@no_type_check
+def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, image: Array, last: Array) -> None:
+    """Blend the splats ``entries`` of one tile; see :func:`blend`."""
+    tall, wide = min(HEIGHT, last.shape[0] - top), min(WIDTH, last.shape[1] - left)
+    border, bottom = np.float32(wide - 1), np.float32(tall - 1)
+    # Of each pixel: red, green, blue, depth, what passes while it is open, what passes once it is full, last entry,
+    # column and row.
+    tile = np.empty((9, HEIGHT * WIDTH), np.float32)
+    for i in range(HEIGHT * WIDTH):
+        for k in range(6):
+            tile[k, i] = ZERO
+        tile[4, i] = ONE if (i // WIDTH < tall) & (i % WIDTH < wide) else ZERO
+        tile[6, i] = -ONE
+        tile[7, i], tile[8, i] = np.float32(i % WIDTH), np.float32(i // WIDTH)
+    for entry in range(entries.shape[0]):
+        g = np.uint64(entries[entry])
+        index = np.float32(entry)
+        x, y = np.float32(splats[g, 0] - left - 0.5), np.float32(splats[g, 1] - top - 0.5)
+        first, stop = reach(splats, g, x, y, border, bottom)
+        xx, xy, yy, opacity = HALF * splats[g, 2], splats[g, 3], HALF * splats[g, 4], splats[g, 5]
+        red, green, blue, depth = splats[g, 6], splats[g, 7], splats[g, 8], splats[g, 9]
+        for i in range(first * WIDE, stop * WIDE):
+            dx, dy = tile[7, i] - x, tile[8, i] - y
+            sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
+            alpha = min(cap, opacity * falloff(sigma))
+            alpha = alpha if (sigma >= ZERO) & (alpha >= MIN_ALPHA) else ZERO
+            before = tile[4, i]
+            after = before - before * alpha
+            full = after <= MIN_TRANSMITTANCE
+            weight = ZERO if full else alpha * before
+            tile[0, i] += weight * red
+            tile[1, i] += weight * green
+            tile[2, i] += weight * blue
+            tile[3, i] += weight * depth
+            tile[5, i] += before if full else ZERO
+            tile[4, i] = ZERO if full else after
+            tile[6, i] = max(tile[6, i], -ONE if full else index)
+        if entry % 16 == 15 and passing(tile) == ZERO:
+            break
+    for j in range(tall):
+        for i in range(wide):
+            at = j * WIDTH + i
+            for k in range(4):
+                image[k, top + j, left + i] = tile[k, at]
+            image[4, top + j, left + i] = tile[4, at] + tile[5, at]
+            last[top + j, left + i] = int(tile[6, at])
+
+
+@summed
+@no_type_check
+def passing(tile: Array) -> float:
+    """The sum over a tile of what passes its open pixels."""
+    value = ZERO
+    for i in range(HEIGHT * WIDTH):
+        value += tile[4, i]
+    return value
+
+
+@compiled
+@no_type_check
+def blend_backward(
+    splats: Array,
+    lists: Array,
+    offsets: Array,
+    numbers: Array,
+    starts: Array,
+    top: int,
+    cap: float,
+    image: Array,
+    last: Array,
+    d_image: Array,
+    moments: Array,
+) -> None:
+    """Sum the gradients of the splats of one row of tiles.
+
+    Args:
+        splats: ``[n, SPLAT]``.
+        lists: Which of them each tile may show, nearest first, one list behind the other.
+        offsets: ``[columns + 1]``: where the list of each tile begins and ends.
+        numbers: The number of each entry of the lists when entries are counted splat by splat.
+        starts: ``[m + 1]``: where the entries of each of the row's ``m`` splats begin and end in that count.
+        top: The first row of pixels.
+        cap: The most that one covers of a pixel.
+        image: ``[5, H, W]``, as blended.
+        last: ``[H, W]``, as blended.
+        d_image: ``[5, H, W]``: the gradient of ``image``.
+        moments: ``[m, MOMENTS]``, of zeros; written.
+    """
+    # One row an entry, summed splat by splat in the end, so that no sum depends on the order of tiles.
+    parts = np.zeros((lists.shape[0], MOMENTS), np.float32)
+    for column in range(offsets.shape[0] - 1):
+        here = slice(offsets[column], offsets[column + 1])
+        blend_tile_backward(splats, lists[here], numbers[here], top, column * WIDTH, cap, image, last, d_image, parts)
+    for i in range(moments.shape[0]):
+        for number in range(starts[i], starts[i + 1]):
+            for k in range(MOMENTS):
+                moments[i, k] += parts[number, k]
+
+
+@compiled
+@no_type_check
+def scatter(members: Array, row_moments: Array, moments: Array) -> None:
+    """Add the moments ``[m, MOMENTS]`` of the splats ``members`` of one row of tiles to those of all splats."""
+    for i in range(members.shape[0]):
+        for k in range(MOMENTS):
+            moments[members[i], k] += row_moments[i, k]
+
+
+@summed
+@no_type_check
+def blend_tile_backward(
+    splats: Array,
+    entries: Array,
+    numbers: Array,
+    top: int,
+    left: int,
+    cap: float,
+    image: Array,
+    last: Array,
+    d_image: Array,
+    parts: Array,
+) -> None:
+    """Write the gradients of the splats ``entries`` of one tile to the rows ``numbers``; see :func:`blend_backward`."""
+    tall, wide = min(HEIGHT, last.shape[0] - top), min(WIDTH, last.shape[1] - left)
+    border, bottom = np.float32(wide - 1), np.float32(tall - 1)
+    # Of each pixel: the gradients of red, green, blue and depth, what passes, the worth of what is behind, last entry,
+    # column and row.
+    tile = np.empty((9, HEIGHT * WIDTH), np.float32)
+    deepest = -1
+    for i in range(HEIGHT * WIDTH):
+        for k in range(6):
+            tile[k, i] = ZERO
+        tile[6, i] = -ONE
+        tile[7, i], tile[8, i] = np.float32(i % WIDTH), np.float32(i // WIDTH)
+    for j in range(tall):
+        for i in range(wide):
+            at = j * WIDTH + i
+            for k in range(4):
+                tile[k, at] = d_image[k, top + j, left + i]
+            tile[4, at] = image[4, top + j, left + i]
+            tile[5, at] = d_image[4, top + j, left + i] * image[4, top + j, left + i]
+            tile[6, at] = last[top + j, left + i]
+            deepest = max(deepest, last[top + j, left + i])
+    for entry in range(deepest, -1, -1):
+        g = np.uint64(entries[entry])
+        index = np.float32(entry)
+        x, y = np.float32(splats[g, 0] - left - 0.5), np.float32(splats[g, 1] - top - 0.5)
+        first, stop = reach(splats, g, x, y, border, bottom)
+        xx, xy, yy, opacity = HALF * splats[g, 2], splats[g, 3], HALF * splats[g, 4], splats[g, 5]
+        red, green, blue, depth = splats[g, 6], splats[g, 7], splats[g, 8], splats[g, 9]
+        d_red = d_green = d_blue = d_depth = m0 = mx = my = mxx = mxy = myy = ZERO
+        for i in range(first * WIDE, stop * WIDE):
+            dx, dy = tile[7, i] - x, tile[8, i] - y
+            sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
+            covered = opacity * falloff(sigma)
+            alpha = min(cap, covered)
+            shown = (sigma >= ZERO) & (alpha >= MIN_ALPHA) & (index <= tile[6, i])
+            alpha = alpha if shown else ZERO
+            inverse = ONE / (ONE - alpha)
+            before = tile[4, i] * inverse
+            weight = alpha * before
+            value = red * tile[0, i] + green * tile[1, i] + blue * tile[2, i] + depth * tile[3, i]
+            slope = covered * (tile[5, i] * inverse - before * value)
+            slope = slope if shown & (covered <= cap) else ZERO
+            tile[4, i] = before
+            tile[5, i] += weight * value
+            d_red += weight * tile[0, i]
+            d_green += weight * tile[1, i]
+            d_blue += weight * tile[2, i]
+            d_depth += weight * tile[3, i]
+            m0 += slope
+            mx += slope * dx
+            my += slope * dy
+            mxx += slope * dx * dx
+            mxy += slope * dx * dy
+            myy += slope * dy * dy
+        part = np.uint64(numbers[entry])
+        parts[part, 0], parts[part, 1], parts[part, 2], parts[part, 3] = d_red, d_green, d_blue, d_depth
+        parts[part, 4], parts[part, 5], parts[part, 6] = m0, mx, my
+        parts[part, 7], parts[part, 8], parts[part, 9] = mxx, mxy, myy

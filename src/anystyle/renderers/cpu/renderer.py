@@ -1,0 +1,159 @@
+"""The renderer for processors: compiled kernels, with gradients written by hand."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from anystyle.contracts import Renderer
+from anystyle.geometry.harmonics import degree_of, normalisation
+from anystyle.renderers._common import at_least_single, check, over
+from anystyle.renderers.cpu import stages
+from anystyle.types import Cameras, Gaussians, Renders
+
+
+class CpuRenderer(Renderer):
+    """Tiles in compiled code, on as many threads as ``torch.get_num_threads()`` says; the same bits for any number.
+
+    It computes in single precision and is differentiable once, in the Gaussians, the poses and the intrinsics.
+
+    Args:
+        background: Colour in [0, 1] behind the scene.
+        near: Distance along z, above 0, under which centres are not seen; the published renderer's default.
+        far: Distance along z over which centres are not seen.
+        eps2d: Low-pass filter of a pixel: variance in pixels² added to every Gaussian in the image.
+        alpha_cap: The most one Gaussian covers of a pixel: 0.999 in gsplat to 1.5.3, which the published models used,
+            0.99 in gsplat 1.6.
+    """
+
+    def __init__(
+        self,
+        *,
+        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        near: float = 1e-10,
+        far: float = 1e10,
+        eps2d: float = 0.3,
+        alpha_cap: float = 0.999,
+    ) -> None:
+        self.background = background
+        self.near = near
+        self.far = far
+        self.eps2d = eps2d
+        self.alpha_cap = alpha_cap
+
+    def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        """Render every camera of every scene.
+
+        Raises:
+            ValueError: The tensors are not on the CPU, or do not belong together.
+        """
+        check(gaussians, cameras, self.background, self.near)
+        return over(self.accumulate(gaussians, cameras), self.background)
+
+    def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
+        """Red, green, blue and depth over black and before any cut, and the share of light that passes."""
+        if gaussians.means.device.type != "cpu":
+            raise ValueError(
+                f"the renderer 'cpu' was given tensors on {gaussians.means.device}; "
+                "use renderer=gsplat there, or move the Gaussians and cameras with .to('cpu')"
+            )
+        with torch.autocast("cpu", enabled=False):
+            gaussians, cameras = at_least_single(gaussians, cameras)
+            image = _Splatting.apply(
+                gaussians.means.float(),
+                gaussians.rotations.float(),
+                gaussians.scales.float(),
+                gaussians.opacities.float(),
+                gaussians.harmonics.float(),
+                cameras.camera_from_world.double(),
+                cameras.world_from_camera[..., :3, 3].double(),
+                cameras.intrinsics.double(),
+                _Settings(*cameras.size, self.near, self.far, self.eps2d, self.alpha_cap),
+            )
+        assert isinstance(image, Tensor)
+        return image.to(gaussians.means.dtype)
+
+
+class _Settings(NamedTuple):
+    height: int
+    width: int
+    near: float
+    far: float
+    eps2d: float
+    alpha_cap: float
+
+
+class _Splatting(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *inputs: Any) -> Tensor:
+        *tensors, settings = inputs
+        scenes, views = _read(tensors, settings)
+        size = len(scenes), tensors[-1].shape[1], settings.height, settings.width
+        images, last = torch.empty(*size[:2], 5, *size[2:]), np.empty(size, np.int32)
+        with stages.workers() as run:
+            for b, scene in enumerate(scenes):
+                stages.shape(scene, run)
+                for v, view in enumerate(views[b]):
+                    splats = stages.project(scene, view, settings.height, run)
+                    stages.blend(splats, np.float32(settings.alpha_cap), images[b, v].numpy(), last[b, v], run)
+        ctx.save_for_backward(*tensors, images)
+        ctx.last, ctx.settings = last, settings
+        return images
+
+    @staticmethod
+    @once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, *grad_outputs: Tensor
+    ) -> tuple[Tensor | None, ...]:
+        *tensors, images = ctx.saved_tensors
+        scenes, views = _read(tensors, ctx.settings)
+        cap = np.float32(ctx.settings.alpha_cap)
+        sums = [torch.zeros(tensor.shape, dtype=tensor.dtype) for tensor in tensors]
+        with stages.workers() as run:
+            for b, scene in enumerate(scenes):
+                stages.shape(scene, run)
+                into = stages.Scene._make([*(total[b].numpy() for total in sums[:5]), np.zeros_like(scene.shapes)])
+                for v, view in enumerate(views[b]):
+                    # Projected again, as the splats of many views would not fit; blending takes far longer.
+                    splats = stages.project(scene, view, ctx.settings.height, run)
+                    image, d_image = images[b, v].numpy(), grad_outputs[0][b, v].contiguous().numpy()
+                    moments = stages.blend_backward(splats, cap, image, ctx.last[b, v], d_image, run)
+                    d_camera = stages.project_backward(scene, view, splats, moments, into, run)
+                    _write(torch.from_numpy(d_camera), *(total[b, v] for total in sums[5:]))
+                stages.shape_backward(scene, into, run)
+        return *sums, None
+
+
+def _read(tensors: list[Tensor], settings: _Settings) -> tuple[list[stages.Scene], list[list[stages.View]]]:
+    """The scenes, with room for their shapes, and the views of each, as the kernels read them."""
+    *gaussians, poses, origins, intrinsics = (tensor.detach() for tensor in tensors)
+    rows = [[tensor[b].contiguous().numpy() for tensor in gaussians] for b in range(len(poses))]
+    scenes = [stages.Scene._make([*row, np.empty((len(row[0]), 6), np.float32)]) for row in rows]
+    rotation, translation = poses[..., :3, :3].flatten(-2), poses[..., :3, 3]
+    focal, center = intrinsics.diagonal(dim1=-2, dim2=-1)[..., :2], intrinsics[..., :2, 2]
+    cameras = torch.cat([rotation, translation, origins, focal, center], dim=-1).contiguous().numpy()
+    limits = np.array([settings.width, settings.height, settings.near, settings.far, settings.eps2d])
+    tables = _tables(degree_of(gaussians[-1].shape[2]))
+    return scenes, [[stages.View(camera, limits, tables) for camera in row] for row in cameras]
+
+
+def _tables(degree: int) -> np.ndarray:
+    """What :func:`anystyle.renderers.cpu.projection.harmonics_at` reads."""
+    tables = np.zeros((3, degree + 1, degree + 1))
+    for n in range(degree + 1):
+        for m in range(n + 1):
+            tables[0, n, m] = normalisation(n, m)
+            if n > m:
+                tables[1:, n, m] = (2 * n - 1) / (n - m), (n + m - 1) / (n - m)
+    return tables
+
+
+def _write(d_camera: Tensor, d_pose: Tensor, d_origin: Tensor, d_intrinsics: Tensor) -> None:
+    d_pose[:3, :3] = d_camera[:9].view(3, 3)
+    d_pose[:3, 3] = d_camera[9:12]
+    d_origin[:] = d_camera[12:15]
+    d_intrinsics.diagonal()[:2] = d_camera[15:17]
+    d_intrinsics[:2, 2] = d_camera[17:]

@@ -1,0 +1,98 @@
+"""What losses, metrics and correspondences are given."""
+
+from dataclasses import dataclass
+
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from anystyle.types.scene import Gaussians, Renders, Scene
+from anystyle.types.value import Value
+from anystyle.types.views import Cameras, Style, StyleEmbedding, Views
+
+
+@dataclass(frozen=True)
+class Comparison(Value):
+    """What a metric needs of stylized scenes; also built from folders of images.
+
+    Args:
+        content: The photographs.
+        stylized: The results, view by view.
+        style: The references.
+        cameras: Of the views, where known.
+        depth: Distance along z in each view, where known; 0 where there is none.
+        scenes: One name a row of the batch.
+        styles: One name a row of the batch.
+        seconds: That each row took, from the style to the rendered views, where known.
+    """
+
+    content: Float[Tensor, "B V 3 H W"]
+    stylized: Float[Tensor, "B V 3 H W"]
+    style: Style | None = None
+    cameras: Cameras | None = None
+    depth: Float[Tensor, "B V H W"] | None = None
+    scenes: tuple[str, ...] = ()
+    styles: tuple[str, ...] = ()
+    seconds: Float[Tensor, " B"] | None = None
+
+
+@dataclass(frozen=True)
+class Stylization(Value):
+    """A stylized scene with all that led to it: what every loss sees.
+
+    Args:
+        views: The photographs.
+        style: Image, text, or both of each scene.
+        embedding: What the style entered as.
+        scene: As the backbone encoded it.
+        gaussians: Stylized.
+        renders: Of the stylized scene at the scene's own cameras.
+        unstyled: Of the scene without a style, where a loss asks for it (``Loss.needs_unstyled``).
+    """
+
+    views: Views
+    style: Style
+    embedding: StyleEmbedding
+    scene: Scene
+    gaussians: Gaussians
+    renders: Renders
+    unstyled: Renders | None = None
+
+    def comparison(self) -> Comparison:
+        """What metrics compare."""
+        return Comparison(
+            content=self.views.images,
+            stylized=self.renders.color,
+            style=self.style,
+            cameras=self.scene.cameras,
+            depth=self.renders.depth / self.renders.alpha.clamp_min(1e-6),
+        )
+
+
+@dataclass(frozen=True)
+class Frames(Value):
+    """Single images with what is known of each: what correspondences are computed between.
+
+    Args:
+        images: sRGB in [0, 1].
+        depth: Distance along z; 0 where there is none.
+        world_from_camera: Rigid motions in OpenCV axes.
+        intrinsics: In pixels.
+    """
+
+    images: Float[Tensor, "M 3 H W"]
+    depth: Float[Tensor, "M H W"] | None = None
+    world_from_camera: Float[Tensor, "M 4 4"] | None = None
+    intrinsics: Float[Tensor, "M 3 3"] | None = None
+
+
+@dataclass(frozen=True)
+class Flow(Value):
+    """Where each pixel of a source frame is seen in a target frame.
+
+    Args:
+        displacement: (x, y) in pixels, to be added to the source pixel.
+        visible: Whether the point is seen in the target.
+    """
+
+    displacement: Float[Tensor, "M 2 H W"]
+    visible: Bool[Tensor, "M H W"]

@@ -1,0 +1,148 @@
+"""Tokens, sites and raw predictions: what flows inside a network."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from anystyle.types.value import Value
+from anystyle.types.views import Cameras
+
+
+@dataclass(frozen=True)
+class Tokens(Value):
+    """Tokens of views.
+
+    Args:
+        data: The special tokens of a view first, then its patches in row-major order.
+        grid: Rows and columns of patches.
+        special: How many special tokens (camera, registers) lead.
+        order: Where a backbone reorders the views: the index in the input of each view here; ``None`` means in order.
+    """
+
+    data: Float[Tensor, "B V P C"]
+    grid: tuple[int, int]
+    special: int = 0
+    order: Int[Tensor, "B V"] | None = None
+
+    @property
+    def patches(self) -> Float[Tensor, "B V p C"]:
+        """The tokens that stand for patches."""
+        return self.data[:, :, self.special :]
+
+    def contiguous(self) -> "Tokens":
+        """These tokens in row-major memory; they themselves where they are."""
+        return self if self.data.is_contiguous() else replace(self, data=self.data.contiguous())
+
+    def with_data(self, data: Float[Tensor, "B V P C"]) -> "Tokens":
+        """These tokens with other values."""
+        return replace(self, data=data)
+
+    def with_patches(self, patches: Float[Tensor, "B V p C"]) -> "Tokens":
+        """These tokens with other patches and the special tokens untouched."""
+        if self.special == 0:
+            return replace(self, data=patches)
+        return replace(self, data=torch.cat([self.data[:, :, : self.special], patches], dim=2))
+
+
+Features = Mapping[int, Tokens]
+"""The tokens that heads read, by the layer they were tapped at."""
+
+
+def contiguous(features: Features) -> Features:
+    """Features in row-major memory."""
+    return {layer: tokens.contiguous() for layer, tokens in features.items()}
+
+
+@dataclass(frozen=True)
+class Site:
+    """A point of a network where style may enter.
+
+    Args:
+        name: Part and position, such as ``aggregator/4`` or ``head/tokens/0``; the first word is the part.
+        dim: Channels of the tokens there.
+        tapped: Whether it is the first layer or one that a head reads; the published method injects at these.
+    """
+
+    name: str
+    dim: int
+    tapped: bool = True
+
+
+Inject = Callable[[str, Tokens], Tokens]
+"""Called with a site's name and the tokens there; returns the tokens to go on with."""
+
+
+def untouched(site: str, tokens: Tokens) -> Tokens:
+    """The :data:`Inject` of a network without style: every site passes its tokens on."""
+    return tokens
+
+
+@dataclass(frozen=True)
+class Geometry(Value):
+    """What a backbone knows of the shape of a scene.
+
+    Args:
+        cameras: The predicted cameras, for the input views' size.
+        depth: As the backbone defines it (its adapter knows), in the scene's units.
+        confidence: Of the depth, at least 0; larger is surer.
+    """
+
+    cameras: Cameras
+    depth: Float[Tensor, "B V H W"]
+    confidence: Float[Tensor, "B V H W"]
+
+    def points(self, pixel_center: float = 0.5) -> Float[Tensor, "B V H W 3"]:
+        """World points of every pixel, with ``depth`` read as distance along z.
+
+        Args:
+            pixel_center: Where in the pixel the ray passes; the published AnySplat weights were trained with 0.
+        """
+        height, width = self.depth.shape[-2:]
+        intrinsics, pose = self.cameras.intrinsics, self.cameras.world_from_camera
+        v = torch.arange(height, device=self.depth.device, dtype=self.depth.dtype) + pixel_center
+        u = torch.arange(width, device=self.depth.device, dtype=self.depth.dtype) + pixel_center
+        x = (u - intrinsics[..., 0, 2, None]) / intrinsics[..., 0, 0, None]  # B V W
+        y = (v - intrinsics[..., 1, 2, None]) / intrinsics[..., 1, 1, None]  # B V H
+        # Row by row of the rotation, for a matrix product would be rounded under autocast.
+        rotation, origin = pose[..., :3, :3, None, None], pose[..., :3, 3, None, None]
+        horizontal, vertical = x[..., None, :] * self.depth, y[..., :, None] * self.depth
+        world = [
+            rotation[:, :, row, 0] * horizontal
+            + rotation[:, :, row, 1] * vertical
+            + rotation[:, :, row, 2] * self.depth
+            + origin[:, :, row]
+            for row in range(3)
+        ]
+        return torch.stack(world, dim=-1)
+
+
+@dataclass(frozen=True)
+class Attributes(Value):
+    """Raw outputs of a Gaussian head, one Gaussian a pixel, before any activation.
+
+    Args:
+        opacity: Logits.
+        scale: Before the adapter's activation.
+        rotation: Quaternions, in the order the adapter reads, of any norm.
+        color: Spherical-harmonics coefficients, colour-major; index 0 of K is the constant one.
+        offset: What else moves a Gaussian from its pixel, where a backbone predicts it.
+        confidence: Logits that weigh a pixel where Gaussians are fused, where a backbone predicts them.
+    """
+
+    opacity: Float[Tensor, "B V H W"]
+    scale: Float[Tensor, "B V H W 3"]
+    rotation: Float[Tensor, "B V H W 4"]
+    color: Float[Tensor, "B V H W 3 K"]
+    offset: Float[Tensor, "B V H W E"] | None = None
+    confidence: Float[Tensor, "B V H W"] | None = None
+
+    def with_(self, styled: "Attributes", names: "tuple[str, ...] | list[str]") -> "Attributes":
+        """These attributes with the named ones taken from ``styled``; the others are the same tensors."""
+        return replace(self, **{name: getattr(styled, name) for name in names})
+
+    def with_degree(self, degree: int) -> "Attributes":
+        """These attributes with colours cut to the spherical harmonics up to ``degree``."""
+        return replace(self, color=self.color[..., : (degree + 1) ** 2])

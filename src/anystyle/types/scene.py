@@ -1,0 +1,123 @@
+"""Gaussians, encoded scenes and renders."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from anystyle.io import ply
+from anystyle.types.network import Attributes, Features, Geometry, Tokens
+from anystyle.types.value import Value
+from anystyle.types.views import Cameras, Views
+
+
+@dataclass(frozen=True)
+class Clusters(Value):
+    """How pixels are fused into Gaussians; independent of style.
+
+    Args:
+        index: The Gaussian each pixel belongs to, views and pixels flattened.
+        weight: Its share in that Gaussian.
+        means: The fused positions.
+        valid: Which Gaussians exist; scenes of a batch are padded to one count.
+    """
+
+    index: Int[Tensor, "B M"]
+    weight: Float[Tensor, "B M"]
+    means: Float[Tensor, "B N 3"]
+    valid: Bool[Tensor, "B N"]
+
+
+@dataclass(frozen=True)
+class Gaussians(Value):
+    """3D Gaussians in world space.
+
+    Args:
+        means: Centres.
+        rotations: Quaternions wxyz, of any norm; renderers normalise.
+        scales: Standard deviations, at least 0.
+        opacities: In [0, 1]; a padded Gaussian has 0.
+        harmonics: Colour is ``max(sum_k Y_k(direction) * harmonics_k + 0.5, 0)``, as in 3DGS.
+    """
+
+    means: Float[Tensor, "B N 3"]
+    rotations: Float[Tensor, "B N 4"]
+    scales: Float[Tensor, "B N 3"]
+    opacities: Float[Tensor, "B N"]
+    harmonics: Float[Tensor, "B N K 3"]
+
+    def save(self, path: str | Path, *, scene: int = 0) -> None:
+        """Write one scene of the batch as a 3DGS PLY file (see :func:`anystyle.io.ply.write`)."""
+        tensors = (self.means, self.rotations, self.scales, self.opacities, self.harmonics)
+        ply.write(ply.Splats(*(tensor[scene] for tensor in tensors)), Path(path))
+
+    @classmethod
+    def load(cls, path: str | Path) -> "Gaussians":
+        """Read a 3DGS PLY file as a batch of one scene (see :func:`anystyle.io.ply.read`)."""
+        return cls(*(tensor[None] for tensor in ply.read(Path(path))))
+
+
+@dataclass(frozen=True)
+class Scene(Value):
+    """All that does not depend on style, computed once: the cache between ``encode`` and ``restyle``.
+
+    Args:
+        views: What was encoded.
+        stem: From the backbone's embedder.
+        features: From its aggregator.
+        geometry: Cameras and depth.
+        attributes: One raw Gaussian a pixel.
+        clusters: Which pixels become which Gaussian; ``None`` where each is its own.
+        gaussians: The scene itself, where it is none of the backbone's: fitted or given Gaussians. They are coloured
+            by the pixels that a style branch predicts.
+        origins: Which pixel each of these comes from: view, row and column, where that is known.
+    """
+
+    views: Views
+    stem: Tokens
+    features: Features
+    geometry: Geometry
+    attributes: Attributes
+    clusters: Clusters | None
+    gaussians: Gaussians | None = None
+    origins: Int[Tensor, "B N 3"] | None = None
+
+    @property
+    def cameras(self) -> Cameras:
+        """The cameras of the input views, in the scene's own frame."""
+        return self.geometry.cameras
+
+    @property
+    def batch(self) -> int:
+        """How many scenes it holds."""
+        return self.views.images.shape[0]
+
+
+class Reconstructed(NamedTuple):
+    """What comes of views of a scene.
+
+    Args:
+        scene: What is styled.
+        measures: What was measured of it, by name, for a report.
+    """
+
+    scene: Scene
+    measures: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Renders(Value):
+    """Rendered images.
+
+    Args:
+        color: In [0, 1], over the renderer's background.
+        depth: Accumulated ``sum w z``; divide by ``alpha`` for the expected depth.
+        alpha: Accumulated opacity in [0, 1].
+    """
+
+    color: Float[Tensor, "B V 3 H W"]
+    depth: Float[Tensor, "B V H W"]
+    alpha: Float[Tensor, "B V H W"]

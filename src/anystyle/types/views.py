@@ -1,0 +1,129 @@
+"""Photographs, cameras and styles: what goes in."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from anystyle.types.value import Value
+
+
+@dataclass(frozen=True)
+class Cameras(Value):
+    """Pinhole cameras in OpenCV axes.
+
+    Args:
+        world_from_camera: Rigid motions.
+        intrinsics: ``[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]`` in pixels of an image of ``size``.
+        size: Height and width in pixels.
+    """
+
+    world_from_camera: Float[Tensor, "B V 4 4"]
+    intrinsics: Float[Tensor, "B V 3 3"]
+    size: tuple[int, int]
+
+    @property
+    def camera_from_world(self) -> Float[Tensor, "B V 4 4"]:
+        """The inverse rigid motions, in closed form."""
+        rotation, origin = self.world_from_camera[..., :3, :3], self.world_from_camera[..., :3, 3:]
+        # Sums of products, for a matrix product would be rounded under autocast.
+        back = -(rotation * origin).sum(-2)[..., None]
+        inverse = torch.cat([rotation.mT, back], dim=-1)
+        return torch.cat([inverse, self.world_from_camera[..., 3:, :]], dim=-2)
+
+    def resized(self, size: tuple[int, int]) -> "Cameras":
+        """The same cameras for images stretched to ``size``."""
+        height, width = size
+        scale = self.intrinsics.new_tensor([width / self.size[1], height / self.size[0], 1.0])
+        return replace(self, intrinsics=self.intrinsics * scale[:, None], size=size)
+
+    def select(self, views: "slice | list[int] | Int[Tensor, ' V']") -> "Cameras":
+        """The cameras of some views."""
+        return replace(self, world_from_camera=self.world_from_camera[:, views], intrinsics=self.intrinsics[:, views])
+
+
+@dataclass(frozen=True)
+class Views(Value):
+    """Photographs of scenes, with what is known of them.
+
+    Args:
+        images: sRGB in [0, 1].
+        cameras: Where they are known.
+        depth: Distance along the camera's z axis, where it is known; 0 where a pixel has none.
+        names: One a view, the same for every scene of the batch; may be empty.
+    """
+
+    images: Float[Tensor, "B V 3 H W"]
+    cameras: Cameras | None = None
+    depth: Float[Tensor, "B V H W"] | None = None
+    names: tuple[str, ...] = ()
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return self.images.shape[-2], self.images.shape[-1]
+
+    def select(self, views: list[int]) -> "Views":
+        """Some of the views, in the order asked for."""
+        return Views(
+            images=self.images[:, views],
+            cameras=None if self.cameras is None else self.cameras.select(views),
+            depth=None if self.depth is None else self.depth[:, views],
+            names=tuple(self.names[view] for view in views) if self.names else (),
+        )
+
+
+@dataclass(frozen=True)
+class Style(Value):
+    """Style references: an image, a text, or both, for each scene of a batch.
+
+    Args:
+        image: sRGB in [0, 1]; undefined where ``has_image`` is false.
+        text: One description a scene; an empty one means there is none.
+        has_image: Which rows of ``image`` hold one; ``None`` means all.
+        names: One a style; may be empty.
+    """
+
+    image: Float[Tensor, "B 3 h w"] | None = None
+    text: tuple[str, ...] | None = None
+    has_image: Bool[Tensor, " B"] | None = None
+    names: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class StyleEmbedding(Value):
+    """A style as the network reads it.
+
+    Args:
+        vector: The embedding, as the style encoder gives it, or a mixture of two.
+        direction: The normalised difference from the neutral prompt's embedding; what the CLIP losses compare with.
+    """
+
+    vector: Float[Tensor, "B D"]
+    direction: Float[Tensor, "B D"]
+
+    def toward(self, other: "StyleEmbedding", amount: "float | Float[Tensor, ' B']") -> "StyleEmbedding":
+        """The point at ``amount`` in [0, 1] of the straight way to ``other``; not normalised again, as published."""
+        weight = torch.as_tensor(amount, dtype=self.vector.dtype, device=self.vector.device).reshape(-1, 1)
+        return StyleEmbedding(
+            vector=torch.lerp(self.vector, other.vector, weight),
+            direction=torch.lerp(self.direction, other.direction, weight),
+        )
+
+
+@dataclass(frozen=True)
+class TextMatch:
+    """What a style encoder makes of a text.
+
+    Args:
+        text: The text.
+        description: The nearest text of those that the encoder knows.
+        similarity: How near it is, by a measure of the encoder; 1 is the same.
+        unknown_words: Words of the text that the encoder never learnt, in their order.
+    """
+
+    text: str
+    description: str
+    similarity: float
+    unknown_words: tuple[str, ...]

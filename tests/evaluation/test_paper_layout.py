@@ -1,0 +1,132 @@
+"""The paper's protocol in one word: a folder that is held against its layout, and methods side by side."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from anystyle.commands import data, report
+from anystyle.commands._run import run
+from anystyle.errors import UserError
+from anystyle.evaluation import record
+from anystyle.evaluation.folders import pair
+from anystyle.evaluation.layout import NUM_FRAMES, NUM_STYLES, SCENES, Layout
+from anystyle.evaluation.protocols.tables import Tables
+from anystyle.testing.protocol import _parts
+from evaluation_cases import Mean, picture
+
+TEXTS = "".join(f'{{"image": "{style:02d}.png", "text": "style {style}"}}\n' for style in range(NUM_STYLES))
+
+
+def silent(stage, done, total):
+    pass
+
+
+@pytest.fixture
+def root(tmp_path):
+    """Two scenes, two styles, three frames; one method lays its renders out in folders, the other in names."""
+    folder = tmp_path / "root"
+    for s, scene in enumerate(("Train", "Garden")):
+        for frame in range(4):
+            picture(folder / "content" / scene / f"{frame:05d}.png", 40 * s + 10 * frame, (32, 24))
+        for style in range(2):
+            for frame in range(3):
+                picture(
+                    folder / "methods" / "Stylos" / scene.lower() / f"style_{style:02d}" / f"{frame}.png", 200, (16, 16)
+                )
+                picture(folder / "methods" / "Styl3R" / scene / f"{style:02d}_{frame:03d}.png", 100, (8, 8))
+    for style in range(2):
+        picture(folder / "styles" / f"{style:02d}.png", 90 + style, (20, 20))
+    (folder / "styles" / "captions.jsonl").write_text(TEXTS)
+    return folder
+
+
+def tables(folder, **options):
+    parts = {name: part for name, part in _parts().items() if name == "stylizer"} | {"metrics": {"mean": Mean()}}
+    parts |= {"metrics": options.pop("metrics")} if "metrics" in options else {}
+    known = {"scene_names": ["Train", "Garden"], "num_styles": 2, "frames": 3, "size": 16}
+    return Tables(**parts, **known | {"root": str(folder)} | options)
+
+
+def test_every_method_is_a_row_beside_the_model_and_the_photographs(root, tmp_path):
+    found = tables(root).run(tmp_path / "out", silent)
+    assert found.provenance["methods"] == ["model_image", "model_text", "Styl3R", "Stylos", "photographs"]
+    assert list(found.groups) == found.provenance["methods"][1:]
+    assert found.groups["Stylos"]["mean"] == pytest.approx(200 / 255, abs=1e-6)
+    assert found.groups["Styl3R"]["mean"] == pytest.approx(100 / 255, abs=1e-6)
+    # Photographs 0, 10, 20 and 40, 50, 60: the mean of the scenes.
+    assert found.groups["photographs"]["mean"] == pytest.approx(30 / 255, abs=0.01)
+    assert found.times["time_s"] > 0
+    stored = record.read(tmp_path / "out" / "methods" / "Stylos")
+    assert stored.n == 2 * 2 * 3 and set(stored.scenes) == {"Train", "Garden"}
+
+
+def test_rows_of_a_table_are_reported_beside_the_papers(root, tmp_path, capsys):
+    tables(root, metrics={"mean": Mean("art_fid")}, guides=[]).run(tmp_path / "out", silent)
+    folders = [str(path) for path in sorted((tmp_path / "out" / "methods").iterdir())]
+    assert report.main([*folders, "--paper", "table_2", "--out", str(tmp_path / "report")]) == 0
+    rows = [line for line in capsys.readouterr().out.splitlines() if line.startswith("| ")]
+    assert [row.split("|")[1].strip() for row in rows[-3:]] == ["Styl3R", "Stylos", "photographs"]
+    assert "0.7843" in rows[-2]
+
+
+def test_photographs_are_cut_to_the_size_of_the_renders(root, tmp_path):
+    tables(root, guides=[], photographs=0).run(tmp_path, silent)
+    assert sorted(path.name for path in (tmp_path / "content").iterdir()) == ["16x16", "8x8"]
+    assert len(list((tmp_path / "content" / "8x8" / "Train").iterdir())) == 3
+
+
+def test_the_layout_is_checked_before_anything_is_computed(root, capsys):
+    (root / "content" / "Train" / "00003.png").unlink()
+    (root / "content" / "Train" / "00002.png").unlink()
+    shutil.rmtree(root / "methods" / "Stylos" / "garden" / "style_01")
+    (root / "styles" / "captions.jsonl").write_text('{"image": "00.png", "text": "waves"}\n')
+    with pytest.raises(ValueError, match="content/Train: 2 photographs, fewer than 3") as caught:
+        tables(root)
+    for said in ("captions.jsonl: no text for 1 styles, such as 01.png", "methods/Stylos: 1 scenes", "Garden in 01"):
+        assert said in str(caught.value)
+    with pytest.raises(ValueError, match="methods/ARF: there is no such folder"):
+        tables(root, methods=["ARF"])
+    with pytest.raises(UserError, match="not complete for the paper's tables: content/Train: 2 photographs"):
+        data.check_command(data.check_parser().parse_args([str(root)]))
+    shown = capsys.readouterr().out
+    assert "methods   Styl3R, Stylos" in shown and "content/M60: 0 photographs, fewer than 16" in shown
+
+
+def test_a_complete_folder_passes(tmp_path, capsys):
+    for scene in SCENES:
+        for frame in range(NUM_FRAMES):
+            picture(tmp_path / "content" / scene / f"{frame}.png", 50)
+    for style in range(NUM_STYLES):
+        picture(tmp_path / "styles" / f"{style:02d}.png", 60)
+    (tmp_path / "styles" / "captions.jsonl").write_text(TEXTS)
+    run(lambda: data.main(["check", str(tmp_path)]))
+    assert f"anystyle evaluate protocol=table2 root={tmp_path}" in capsys.readouterr().out
+
+
+def test_a_table_takes_the_metrics_of_its_figures(root):
+    both = {"art_fid": Mean("art_fid"), "other": Mean("warp_rmse_short")}
+    assert list(tables(root, metrics=both, table="table_2").metrics) == ["art_fid"]
+    assert list(tables(root, metrics=both, table="table_4").metrics) == ["other"]
+    with pytest.raises(ValueError, match="no metric that is chosen has a figure of table_5"):
+        tables(root, metrics={"other": Mean("warp_rmse_short")}, table="table_5")
+    with pytest.raises(ValueError, match="root is not given"):
+        tables(root, root=None)
+
+
+def test_the_defaults_are_the_papers():
+    layout = Layout(Path())
+    assert (layout.scene_names, layout.num_styles, layout.frames) == (("Train", "Truck", "M60", "Garden"), 50, 16)
+
+
+def test_renders_in_a_folder_for_each_style_are_paired(root):
+    cells = pair(root / "content", root / "styles", root / "methods" / "Styl3R").cells
+    for path in (root / "methods" / "Styl3R").glob("*/*_*.png"):
+        style, _, frame = path.stem.rpartition("_")
+        (path.parent / style).mkdir(exist_ok=True)
+        path.rename(path.parent / style / f"{frame}.png")
+    nested = pair(root / "content", root / "styles", root / "methods" / "Styl3R").cells
+    assert [(c.scene, c.style, c.frames, c.content) for c in nested] == [
+        (c.scene, c.style, c.frames, c.content) for c in cells
+    ]
+    assert len(nested) == 4

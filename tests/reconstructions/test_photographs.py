@@ -1,0 +1,88 @@
+"""From posed photographs to fitted Gaussians: what is held out, quality, and fits that are broken off."""
+
+import logging
+from dataclasses import replace
+
+import pytest
+import torch
+
+from anystyle.reconstructions.options import FitOptions
+from anystyle.reconstructions.photographs import QUALITIES, fit_photographs, held_out, quality_named
+from anystyle.renderers.cpu.renderer import CpuRenderer
+from reconstructions.scenes import photographed_wall
+
+OPTIONS = FitOptions(num_steps=60, evaluate_every=20, final_steps=10, prune_every=25)
+RENDERER = CpuRenderer(background=(1.0, 0.5, 0.0))
+
+
+@pytest.fixture(scope="module")
+def photographs():
+    return photographed_wall(num_views=9)
+
+
+def fit(photographs, options=OPTIONS, **rest):
+    images, cameras, _ = photographs
+    return fit_photographs(images, cameras, RENDERER, num_gaussians=900, options=options, heldout=(4,), **rest)
+
+
+def test_every_so_many_th_view_is_held_out():
+    assert held_out(24, 8) == (4, 12, 20)
+    assert held_out(8, 8) == (4,)
+    assert held_out(7, 8) == () and held_out(24, 0) == ()
+
+
+def test_qualities_cost_more_and_more():
+    costs = [(q.short_side, q.num_gaussians, q.options.num_steps) for q in map(quality_named, QUALITIES)]
+    assert list(QUALITIES) == ["draft", "good", "best"] and costs == sorted(costs)
+    with pytest.raises(ValueError, match="quality=perfect; choose one of draft, good, best"):
+        quality_named("perfect")
+
+
+def test_photographs_alone_give_a_view_that_was_held_out(photographs):
+    """Stereo finds the wall, and the fit shows it from where no photograph was taken."""
+    result = fit(photographs)
+    assert result.steps == 70
+    assert result.heldout is not None and result.heldout.psnr > 22
+    assert 4 not in set(result.pixels[:, 0].tolist())
+    longer = fit(photographs, replace(OPTIONS, num_steps=150))
+    assert longer.heldout is not None and longer.heldout.psnr > result.heldout.psnr
+
+
+@pytest.mark.parametrize("steps", [20, 60], ids=["amid the fit", "before the final steps"])
+def test_a_fit_that_was_broken_off_comes_to_the_same(photographs, tmp_path, steps):
+    def stop(progress):
+        if progress.step > steps:
+            raise InterruptedError
+
+    state = tmp_path / "fit.state"
+    with pytest.raises(InterruptedError):
+        fit(photographs, state=state, on_progress=stop)
+    assert state.is_file()
+    seen = []
+    resumed = fit(photographs, state=state, on_progress=lambda progress: seen.append(progress.step))
+    assert min(seen) > steps and not state.exists()
+    whole = fit(photographs)
+    for name, value in vars(whole.gaussians).items():
+        assert torch.equal(value, getattr(resumed.gaussians, name)), name
+    assert whole.heldout == resumed.heldout and torch.equal(whole.gains, resumed.gains)
+
+
+def test_a_state_of_other_options_is_not_resumed(photographs, tmp_path, caplog):
+    def stop(progress):
+        if progress.step > 20:
+            raise InterruptedError
+
+    state, steps = tmp_path / "fit.state", []
+    with pytest.raises(InterruptedError):
+        fit(photographs, state=state, on_progress=stop)
+    with caplog.at_level(logging.WARNING):
+        fit(photographs, replace(OPTIONS, seed=1), state=state, on_progress=lambda it: steps.append(it.step))
+    assert steps[0] == 20 and "begins anew" in caplog.text
+
+
+def test_a_file_that_is_no_state_is_left_as_it_is(photographs, tmp_path):
+    state = tmp_path / "fit.state"
+    state.write_bytes(b"something else")
+    with pytest.raises(ValueError, match=r"fit\.state is no state of a fit"):
+        fit(photographs, state=state)
+    assert state.read_bytes() == b"something else"

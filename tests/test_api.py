@@ -1,0 +1,159 @@
+"""Stylizing as a library call."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import anystyle
+from anystyle.api import ExportOptions, Mixture, PoseOptions, Stages, VideoOptions, ViewOptions
+from anystyle.commands._compose import main
+from anystyle.commands.stylize import parser, stylize
+from anystyle.contracts import SceneSource
+from anystyle.data.folder import read_views
+from anystyle.inference.styles import slug
+from anystyle.types import Gaussians, Style
+
+VIEWS = ViewOptions(short_side=56, take=3)
+VIDEO = VideoOptions(frames=2, scale=0.5)
+
+
+@pytest.fixture(scope="module")
+def stylizer():
+    return anystyle.load()
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("photographs")
+    pixels = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
+    for number in range(3):
+        Image.fromarray(np.roll(pixels, 3 * number, 1)).save(folder / f"IMG {number}.png")
+    return folder
+
+
+def test_a_result_is_the_single_pass(photographs, stylizer):
+    results = anystyle.stylize(photographs, "red dots", model=stylizer, views=VIEWS)
+    (result,) = results
+    views, sources = read_views([photographs], short_side=56, multiple=stylizer.backbone.patch_size, max_views=3)
+    with torch.no_grad():
+        expected: Gaussians = stylizer(views, stylizer.embed(text="red dots"))
+    for name in ("means", "rotations", "scales", "opacities", "harmonics"):
+        assert torch.equal(getattr(result.gaussians, name), getattr(expected, name)), name
+    assert list(result.encoded.sources) == sources
+    rendered = torch.stack(list(result.render()))
+    torch.testing.assert_close(rendered, stylizer.render(expected, result.cameras).color[0])
+    assert [image.shape for image in result.render(result.cameras.select([1]))] == [(3, *views.size)]
+
+
+def test_the_call_writes_what_the_command_writes(photographs, stylizer, tmp_path):
+    words = ["views.short_side=56", "views.take=3", "video.frames=2", "video.scale=0.5", "export.colmap=binary"]
+    main("stylize", stylize, parser(), [str(photographs), "--text", "dots", "--out", str(tmp_path / "a"), *words])
+    export = ExportOptions(colmap="binary")
+    anystyle.stylize(str(photographs), ["dots"], views=VIEWS, video=VIDEO, export=export, out=tmp_path / "b")
+    files = [
+        sorted(path.relative_to(tmp_path / name) for path in (tmp_path / name).rglob("*") if path.is_file())
+        for name in ("a", "b")
+    ]
+    assert files[0] == files[1] and Path("sparse/0/images.bin") in files[0]
+    for file in files[0]:
+        if file.suffix != ".mp4" and file.name != "report.json":
+            assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
+    reports = [json.loads((tmp_path / name / "report.json").read_text()) for name in ("a", "b")]
+    for report in reports:
+        del report["seconds"], report["reconstruction"]["seconds"]
+    assert reports[0]["config"]["views"]["take"] == 3
+    assert {key: reports[0][key] for key in reports[1]} == reports[1]
+
+
+def test_one_encoding_serves_all_styles_and_results_come_when_they_are_asked_for(photographs, stylizer, monkeypatch):
+    calls = []
+
+    def recorded(name, function):
+        return lambda *given, **named: calls.append(name) or function(*given, **named)
+
+    for name in ("encode", "restyle"):
+        monkeypatch.setattr(stylizer, name, recorded(name, getattr(stylizer, name)))
+    results = anystyle.stylize(photographs, ["a", "b", "c"], model=stylizer, views=VIEWS)
+    assert len(results) == 3 and calls == ["encode"]
+    assert results[-1].style.name == "c" and calls == ["encode", "restyle"]
+    assert [result.style.name for result in results] == ["a", "b", "c"] and calls.count("restyle") == 4
+    with pytest.raises(IndexError):
+        results[3]
+
+
+def test_styles_are_texts_files_tensors_and_points_between(photographs, stylizer, tmp_path):
+    Image.new("RGB", (40, 30), (200, 30, 30)).save(tmp_path / "Red Painting.png")
+    image = torch.tensor([200, 30, 30])[:, None, None].expand(3, 30, 40) / 255
+    file, text = tmp_path / "Red Painting.png", "blue ink"
+    styles = [file, image, Style(image=image[None], names=("No. 4",)), Style(text=(text,)), text]
+    styles += [Mixture(text, file, amount) for amount in (0.0, 0.25, 1.0)]
+    results = anystyle.stylize(photographs, styles, model=stylizer, views=VIEWS)
+    titles = ["Red Painting", "image", "No. 4", "“blue ink”", "“blue ink”"]
+    assert [style.title for style in results.styles[:5]] == titles
+    assert [style.name for style in results.styles[:3]] == ["red-painting", "image", "no-4"]
+    assert results.styles[6].name == "blue-ink_0.25_red-painting"
+    vectors = [style.embedding.vector for style in results.styles]
+    for index in (1, 2, 7):
+        torch.testing.assert_close(vectors[index], vectors[0], rtol=0, atol=1e-6)
+    assert torch.equal(vectors[3], vectors[4]) and torch.equal(vectors[5], vectors[4])
+    torch.testing.assert_close(vectors[6], torch.lerp(vectors[4], vectors[0], 0.25))
+    assert [style.cell is None for style in results.styles] == [False] * 3 + [True] * 4 + [False]
+
+
+def test_views_that_were_read_already_keep_their_known_cameras(stylizer):
+    node = {"_target_": anystyle.catalog().find("scenes", "procedural").path, "size": 56}
+    source = anystyle.build(SceneSource, node)
+    views = source.read(0, range(3))
+    predicted = anystyle.stylize(views, "dots", model=stylizer)
+    targets = anystyle.stylize(views, "dots", model=stylizer, poses=PoseOptions("target")).encoded
+    known = anystyle.stylize(views, "dots", model=stylizer, poses=PoseOptions("known")).encoded
+    assert predicted.encoded.targets is None and predicted.encoded.scene_from_known is None
+    assert targets.targets is not None and targets.targets[0] == ("view-00", "view-01", "view-02")
+    assert torch.equal(targets.cameras.world_from_camera, predicted.encoded.cameras.world_from_camera)
+    assert known.scene_from_known is not None
+    expected = known.scene_from_known.poses(views.cameras.world_from_camera)
+    torch.testing.assert_close(known.cameras.world_from_camera, expected)
+    torch.testing.assert_close(targets.targets[1].world_from_camera, expected)
+    with pytest.raises(ValueError, match="this source knows no cameras"):
+        anystyle.stylize(replace(views, cameras=None), "dots", model=stylizer, poses=PoseOptions("known"))
+
+
+def test_stages_are_announced_and_timed(photographs, stylizer):
+    announced = []
+    stages = Stages(lambda name, note: announced.append((name, note)))
+    next(iter(anystyle.stylize(photographs, "dots", model=stylizer, views=VIEWS, stages=stages)))
+    assert [name for name, _ in announced] == ["read", "encode", "embed", "restyle"] == list(stages.seconds)
+    assert announced[1] == ("encode", "3 views of 70x56") and announced[3] == ("restyle", "1/1: “dots”")
+
+
+def test_what_cannot_be_done_is_one_line_and_leaves_nothing(photographs, stylizer, tmp_path):
+    out = tmp_path / "out"
+    cases = [
+        ("no style is given", lambda: anystyle.stylize(photographs, [], model=stylizer, out=out)),
+        ("the text of a style is empty", lambda: anystyle.stylize(photographs, " ", model=stylizer, out=out)),
+        ("has 5000 characters", lambda: anystyle.stylize(photographs, "x" * 5000, model=stylizer, out=out)),
+        ("there is no image", lambda: anystyle.stylize(photographs, tmp_path / "a.png", model=stylizer, out=out)),
+        ("neither an image nor a text", lambda: anystyle.stylize(photographs, Style(), model=stylizer, out=out)),
+        ("no folder, image or video", lambda: anystyle.stylize(tmp_path / "none", "a", model=stylizer, out=out)),
+        ("between 0 and 1, not 1.5", lambda: Mixture("a", "b", 1.5)),
+        ("poses=guessed; choose one of", lambda: PoseOptions("guessed")),
+        (r"export\.colmap=zip; choose one of", lambda: ExportOptions("zip")),
+        ("give one of them", lambda: ViewOptions(short_side=56, resize=False)),
+        ("Did you mean 'tiny'", lambda: anystyle.stylize(photographs, "a", model="tyny", out=out)),
+    ]
+    for expected, call in cases:
+        with pytest.raises(ValueError, match=expected) as caught:
+            call()
+        assert "\n" not in str(caught.value)
+        assert not out.exists()
+
+
+def test_names_are_plain_and_bounded():
+    assert slug("Étude in Blau/Weiß\n../../etc") == "etude-in-blau-wei-etc"
+    assert slug("…") == "style"
+    assert len(slug("word " * 100)) <= 40

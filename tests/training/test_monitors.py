@@ -1,0 +1,341 @@
+"""What one sees of a run, what stops it, and which options are refused."""
+
+import csv
+from unittest.mock import Mock
+
+import pytest
+import torch
+from lightning.pytorch.loggers import CSVLogger, MLFlowLogger, TensorBoardLogger, WandbLogger
+from PIL import Image
+
+from anystyle.contracts import StyleSource
+from anystyle.training.data import ATTEMPTS, SceneBatches
+from anystyle.training.feature_store import FeatureStore
+from anystyle.training.loggers import log_picture, make_loggers
+from anystyle.training.options import check_options, check_trainer
+from anystyle.training.run import make_data, make_training, train
+from anystyle.training.safeguards import FiniteLoss
+from anystyle.training.scene_cache import EncodedScenes
+from anystyle.training.sharding import Sharded
+from anystyle.training.trainer import make_trainer
+from anystyle.types import Style, Views
+from oracle import hashed
+from training_cases import STYLIZATION, configuration
+
+TRACKED = (*STYLIZATION, "loggers=[tensorboard]", "training.preview_every=2", 'training.preview_texts=["red dots"]')
+
+
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory):
+    out = tmp_path_factory.mktemp("tracked")
+    train(configuration((*TRACKED, "trainer.max_steps=4"), out), out)
+    return out
+
+
+def test_terms_rates_gradients_and_speed_are_logged_to_a_table_and_to_tensorboard(tracked):
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    with (tracked / "log" / "version_0" / "metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    names = {
+        "train/loss", "train/total_variation", "train/luminance", "train/clip_directional", "train/gradient_norm",
+        "lr/head", "lr/head injectors", "train/samples", "data/skipped",
+    }  # fmt: skip
+    assert names <= set(rows[0])
+    columns = {name: [float(row[name]) for row in rows if row[name]] for name in names}
+    assert len(columns["train/gradient_norm"]) == 4 and min(columns["train/gradient_norm"]) > 0
+    # Two scenes a step of two views each.
+    assert columns["train/samples"] == [4, 8, 12, 16]
+    # Warm-up of one step from a hundredth of the peak.
+    assert columns["lr/head"][:2] == pytest.approx([5e-6, 5e-4])
+    events = EventAccumulator(str(tracked / "tensorboard" / "version_0"))
+    events.Reload()
+    assert names <= set(events.Tags()["scalars"])
+    assert [event.step for event in events.Images("previews")] == [2, 4]
+
+
+def test_the_grid_always_shows_the_same_scene_in_the_same_styles(tracked):
+    first, second = (Image.open(path).convert("RGB") for path in sorted((tracked / "previews").glob("*.png")))
+    # Two views of 28 pixels; photographs, unstyled, one text, one image.
+    assert first.size == second.size == (56, 4 * 28)
+    above = (0, 0, 56, 56)
+    assert first.crop(above).tobytes() == second.crop(above).tobytes()
+    assert first.tobytes() != second.tobytes()
+
+
+def test_a_trial_exercises_everything_and_leaves_nothing(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr("anystyle.training.stylization.log_picture", lambda logger, *rest: seen.append(type(logger)))
+    config = configuration((*TRACKED, "fast_dev_run=true", "checkpoint.every_steps=1"), tmp_path)
+    outcome = train(config, tmp_path)
+    assert outcome.finished and outcome.steps == 2 and outcome.weights == ()
+    assert seen == 2 * [CSVLogger, TensorBoardLogger]
+    assert [path.name for path in tmp_path.iterdir()] == [".lock"]
+
+
+def test_a_loss_that_explodes_stops_the_run(tmp_path):
+    config = configuration(STYLIZATION, tmp_path)
+    trainer = make_trainer(config, tmp_path, [])
+    guard = FiniteLoss(tmp_path / "batch.pt", growth=10.0)
+    training = make_training(config)
+    for step in range(25):
+        guard.on_train_batch_start(trainer, training, torch.tensor(step), step)
+        guard.on_before_backward(trainer, training, torch.tensor(2.0 + step % 3))
+    with pytest.raises(ValueError, match=r"the loss is 31, 1\d times the usual; the batch is in"):
+        guard.on_before_backward(trainer, training, torch.tensor(31.0))
+    assert torch.load(tmp_path / "batch.pt", weights_only=True)["batch"] == 24
+    with pytest.raises(ValueError, match="factor above 1"):
+        FiniteLoss(tmp_path / "batch.pt", growth=1.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("trainer.max_steps=-1",), "needs an end"),
+        (("trainer.deterministic=true", "trainer.benchmark=true"), "trainer.deterministic=true and trainer.benchmark"),
+        (("trainer.precision=16-mixed",), "use bf16-mixed"),
+        (("trainer.strategy=fsdp2", "average=0.9"), "use trainer=ddp or average=null"),
+        (("trainer.strategy=dpp",), "dpp"),
+        (("+trainer.logger=true",), "a run sets that itself"),
+        (("+trainer.max_epochs=3",), "trainer.max_epochs=3: a run sets that itself"),
+        (("trainer.max_steps=0",), "trainer.max_steps=0: .* at least 1"),
+        (("trainer.max_steps=2.5",), "trainer.max_steps=2.5"),
+        (("trainer.gradient_clip_val=-1",), "trainer.gradient_clip_val=-1: give a norm"),
+        (("trainer.val_check_interval=0",), "trainer.val_check_interval=0"),
+        (("trainer.devices=0",), "devices=0"),
+        (("loggers=tensorboard",), r"loggers=\[tensorboard\]"),
+        (("seed=abc",), "seed=abc: give a whole number"),
+        (("workers=-1",), "workers=-1"),
+        (("validation_steps=-1",), "validation_steps=-1"),
+        (("checkpoint.every_steps=0",), "checkpoint.every_steps=0: .* at least 1"),
+        (("checkpoint.every_minutes=0",), "checkpoint.every_minutes=0"),
+        (("average=2",), "average=2: .* between 0 and 1"),
+        (("average=soon",), "average=soon"),
+        (("explosion=0.5",), "explosion=0.5: .* factor above 1"),
+        (("resume=maybe",), "resume=maybe: choose from auto, never, changed"),
+        (("skip_outliers=maybe",), "skip_outliers=maybe"),
+        (("trainer.accelerator=gpu",), "gpu"),
+        (("loggers=[tensorbord]",), "Did you mean 'tensorboard'"),
+    ],
+)
+def test_contradictory_options_are_refused_in_one_line(tmp_path, words, told):
+    if "trainer.accelerator=gpu" in words and torch.cuda.is_available():
+        pytest.skip("there is a graphics card")
+    config = configuration((*STYLIZATION, *words), tmp_path)
+    with pytest.raises(ValueError, match=told) as caught:
+        check_options(config)
+        make_trainer(config, tmp_path, [])
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("training.batch_size=0",), "training.batch_size=0: give at least 1"),
+        (("training.batch_size=-2",), "training.batch_size=-2"),
+        (("training.batch_size=null", "training.images=0"), "training.images=0"),
+        (("training.pool=0",), "training.pool=0"),
+        (("training.context_views=[3]",), r"training.context_views=\[3\]: give the least and the greatest"),
+        (("training.context_views=[5,2]",), r"training.context_views=\[5, 2\]"),
+        (("training.heights=[28,10]",), r"training.heights=\[28, 10\]"),
+        (("training.heights=[30,40]",), r"no multiple of that lies between; give one, such as \[28, 42\]"),
+        (("training.heights=[28,28]", "training.width=40"), "training.width=40: .* such as 42"),
+        (("training.learning_rate=0",), "training.learning_rate=0.0"),
+        (("training.aggregator_rate=-1",), "training.aggregator_rate"),
+        (("training.warmup=-1",), "training.warmup=-1"),
+        (("training.decay_steps=0",), "training.decay_steps=0"),
+        (("training.betas=[0.9]",), r"training.betas=\[0.9\]: give two numbers"),
+        (("training.text_ratio=2",), "training.text_ratio is 2"),
+        (("~styles",), "this training needs styles; add styles=NAME"),
+        (("scenes.size=30",), r"images are 30x30 pixels.*scenes.multiple=14"),
+    ],
+)
+def test_options_of_a_training_that_no_step_can_have_are_refused_in_one_line(tmp_path, words, told):
+    given = [word for word in STYLIZATION if not (word.startswith("styles") and "~styles" in words)]
+    config = configuration((*given, *words), tmp_path)
+    with pytest.raises(ValueError, match=told) as caught:
+        make_data(config, make_training(config)).train.batch(0)
+    assert "\n" not in str(caught.value)
+
+
+def test_mistakes_in_the_data_show_before_networks_are_loaded(tmp_path, monkeypatch):
+    monkeypatch.setattr("anystyle.training.run.make_training", lambda config: pytest.fail("networks were built"))
+    given = [word for word in STYLIZATION if not word.startswith("styles")]
+    config = configuration((*given, "styles=wikiart", f"styles.root={tmp_path / 'gone'}"), tmp_path)
+    with pytest.raises(ValueError, match="there is no such folder of paintings"):
+        train(config, tmp_path)
+
+
+@pytest.mark.parametrize("devices", ["auto", "1"])
+def test_devices_are_what_lightning_takes_whatever_the_strategy(tmp_path, devices):
+    words = (*STYLIZATION, "trainer.strategy=fsdp2", f"trainer.devices={devices}")
+    trainer = make_trainer(configuration(words, tmp_path), tmp_path, [])
+    assert trainer.num_devices == 1 and isinstance(trainer.strategy, Sharded)
+
+
+def test_usual_options_contradict_nothing():
+    for precision in ("32-true", "bf16-mixed"):
+        options = {"max_steps": 3, "accelerator": "cpu", "precision": precision, "strategy": "fsdp2"}
+        check_trainer(options, average=False)
+
+
+@pytest.mark.parametrize(("name", "extra"), [("wandb", "wandb"), ("mlflow", "mlflow"), ("tensorboard", "tracking")])
+def test_a_tracker_that_is_not_installed_names_its_extra(tmp_path, monkeypatch, name, extra):
+    def absent(*args, **kwargs):
+        raise ModuleNotFoundError(name)
+
+    loggers = {"wandb": "WandbLogger", "mlflow": "MLFlowLogger", "tensorboard": "TensorBoardLogger"}
+    monkeypatch.setattr(f"anystyle.training.loggers.{loggers[name]}", absent)
+    with pytest.raises(ImportError, match=rf'pip install "anystyle\[{extra}\]"'):
+        make_loggers([name], tmp_path)
+
+
+def test_every_tracker_gets_pictures_in_its_own_way():
+    picture = (hashed(1, (4, 5, 3)) * 255).byte().numpy()
+    table, board, wandb, mlflow = (
+        Mock(spec=kind) for kind in (CSVLogger, TensorBoardLogger, WandbLogger, MLFlowLogger)
+    )
+    for logger in (table, board, wandb, mlflow):
+        log_picture(logger, "previews", picture, 7)
+    assert table.mock_calls == []
+    board.experiment.add_image.assert_called_once_with("previews", picture, 7, dataformats="HWC")
+    wandb.log_image.assert_called_once_with(key="previews", images=[picture], step=7)
+    mlflow.experiment.log_image.assert_called_once_with(mlflow.run_id, picture, key="previews", step=7)
+
+
+class Torn(StyleSource):
+    """Styles of which every third cannot be read."""
+
+    def __len__(self) -> int:
+        return 9
+
+    def read(self, style: int) -> Style:
+        if style % 3 == 0:
+            raise ValueError(f"style_{style}.png is a damaged image")
+        return Style(image=hashed(style, (1, 3, 28, 28)))
+
+
+def test_what_cannot_be_read_is_drawn_anew_counted_and_listed(tmp_path):
+    config = configuration((*STYLIZATION, "trainer.max_steps=8"), tmp_path)
+    scenes = make_data(config, make_training(config)).train.scenes
+    source, again = (SceneBatches(scenes, Torn(), batch_size=4, context_views=(2, 2), spread="any") for _ in range(2))
+    skipped = []
+    for step in range(8):
+        batch, other = source.batch(step), again.batch(step)
+        assert torch.equal(batch.views.images, other.views.images) and batch.skipped == other.skipped
+        assert batch.style.has_image.all() and len(batch.keys) == 4
+        skipped += batch.skipped
+        # Each process meets its own rows' failures.
+        shares = [source.batch(step, rank, 2) for rank in range(2)]
+        assert sorted(shares[0].skipped + shares[1].skipped) == sorted(batch.skipped)
+    assert 5 < len(skipped) < 30 and all("is a damaged image" in line for line in skipped)
+    nothing = SceneBatches(scenes, batch_size=1, context_views=(900, 900), spread="any")
+    with pytest.raises(ValueError, match=rf"{ATTEMPTS} draws .* could not be read; the last one: .*900 context"):
+        nothing.batch(0)
+
+
+def test_a_run_lists_what_it_skipped(tmp_path, monkeypatch):
+    monkeypatch.setattr("anystyle.training.run.build", building := _with(Torn()))
+    assert building
+    train(configuration((*STYLIZATION, "trainer.max_steps=6", "training.batch_size=4"), tmp_path), tmp_path)
+    lines = (tmp_path / "skipped.txt").read_text().splitlines()
+    assert lines and len(set(lines)) == len(lines) and all("is a damaged image" in line for line in lines)
+    with (tmp_path / "log" / "version_0" / "metrics.csv").open() as file:
+        assert float(list(csv.DictReader(file))[-1]["data/skipped"]) >= len(lines)
+
+
+def _with(styles):
+    from anystyle.registry.build import build
+
+    return lambda base, *args, **named: styles if base is StyleSource else build(base, *args, **named)
+
+
+def test_features_on_disk_spare_the_backbone_and_change_nothing(tmp_path, monkeypatch):
+    cached = (*STYLIZATION, "cache=features", f"features.folder={tmp_path / 'features'}", "training.cache_scenes=0")
+    train(configuration(STYLIZATION, tmp_path / "plain"), tmp_path / "plain")
+    train(configuration(cached, tmp_path / "first"), tmp_path / "first")
+    store = next((tmp_path / "features").iterdir())
+    assert len(list(store.glob("*.safetensors"))) == 2
+
+    def encode(self, views):
+        raise AssertionError("the backbone ran")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("anystyle.stylizer.Stylizer.encode", encode)
+        train(configuration(cached, tmp_path / "second"), tmp_path / "second")
+    files = [(tmp_path / name / "branch.safetensors").read_bytes() for name in ("plain", "first", "second")]
+    from safetensors.torch import load
+
+    states = [load(file) for file in files]
+    assert all(torch.equal(states[0][key], other[key]) for other in states[1:] for key in states[0])
+    # Another backbone has another folder.
+    other = (*cached, "backbone.depth_hidden=8")
+    train(configuration((*other, "trainer.max_steps=1"), tmp_path / "other"), tmp_path / "other")
+    assert len(list((tmp_path / "features").iterdir())) == 2
+
+
+def test_features_stay_within_their_stated_size(tmp_path, caplog):
+    config = configuration(STYLIZATION, tmp_path)
+    training = make_training(config)
+    source = make_data(config, training).train
+    batch = source.batch(0)
+    scene = training.stylizer.encode(Views(images=batch.inputs.images[:1]))
+    whole = FeatureStore(tmp_path / "a", {}, gigabytes=1.0)
+    whole.put("x", scene)
+    assert 0 < whole.used < 1e6
+    small = FeatureStore(tmp_path / "b", {}, gigabytes=1.5 * whole.used / 1e9)
+    encoded = EncodedScenes(training.stylizer.encode, 0, small)
+    for key in range(3):
+        again = encoded(Views(images=batch.inputs.images[:1]), [key])
+        assert torch.equal(again.attributes.color, scene.attributes.color)
+    assert len(list(small.folder.glob("*.safetensors"))) == 1 and small.used <= small.limit
+    assert caplog.text.count("further scenes are encoded anew") == 1
+    path = next(small.folder.glob("*.safetensors"))
+    path.write_bytes(path.read_bytes()[:100])
+    assert torch.equal(encoded(Views(images=batch.inputs.images[:1]), [0]).geometry.depth, scene.geometry.depth)
+    with pytest.raises(ValueError, match=r"features.gigabytes=0"):
+        FeatureStore(tmp_path / "c", {}, gigabytes=0.0)
+
+
+def test_features_need_a_pool_and_a_frozen_backbone(tmp_path):
+    with pytest.raises(ValueError, match=r"set training\.pool"):
+        make_training(configuration((*STYLIZATION, "cache=features", "training.pool=null"), tmp_path))
+    with pytest.raises(ValueError, match="frozen backbone, and reconstruction is none"):
+        make_training(configuration(("cache=features", "training=reconstruction", "loss=[]"), tmp_path))
+
+
+def test_only_what_learns_recomputes_its_blocks(tmp_path, monkeypatch):
+    words = ("placement=full", "training.cache_scenes=0")
+    plain = make_training(configuration((*STYLIZATION, *words), tmp_path))
+    saving = make_training(configuration((*STYLIZATION, *words, "backbone.checkpointing=true"), tmp_path))
+    saving.load_state_dict(plain.state_dict())
+    import anystyle.nn.attention as module
+
+    calls = []
+    whole = module.checkpoint
+    monkeypatch.setattr(
+        module, "checkpoint", lambda block, *args, **named: calls.append(block) or whole(block, *args, **named)
+    )
+    gradients = []
+    for training in (plain, saving):
+        config = configuration((*STYLIZATION, *words), tmp_path)
+        batch = make_data(config, training).train.batch(0)
+        training.train()
+        result = training.stylize(batch, training.embed(batch.style, 0))
+        (result.renders.color * hashed(3, result.renders.color.shape)).mean().backward()
+        gradients.append([p.grad for p in training.stylizer.branch.parameters() if p.grad is not None])
+    copied = {id(block) for block in saving.stylizer.branch.aggregator.modules()}
+    assert len(calls) == 8 and all(id(block) in copied for block in calls)
+    for one, other in zip(*gradients, strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_bf16_trains_with_its_losses_in_full_precision(tmp_path):
+    outcome = train(
+        configuration((*STYLIZATION, "trainer.precision=bf16-mixed", "export.half=false"), tmp_path), tmp_path
+    )
+    exact = train(configuration((*STYLIZATION, "export.half=false"), tmp_path / "exact"), tmp_path / "exact")
+    assert outcome.finished
+    assert outcome.metrics["train/loss"] == pytest.approx(exact.metrics["train/loss"], rel=0.05)
+    assert outcome.metrics["train/loss"] != exact.metrics["train/loss"]

@@ -1,0 +1,203 @@
+"""What the paper states and what its released code does, as two switches, and a training without texts."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from omegaconf import OmegaConf
+from PIL import Image
+
+from anystyle.contracts import neutral_embedding
+from anystyle.data.paintings import read_square
+from anystyle.data.wikiart import WikiArtStyles
+from anystyle.losses.content import Content
+from anystyle.losses.style import StyleLoss
+from anystyle.registry.compose import compose
+from anystyle.training.collate import blurred_views
+from anystyle.training.run import make_data, make_training
+from anystyle.training.stylization import branch_groups
+from anystyle.types import Style, Views
+from oracle import hashed
+from training_cases import STYLIZATION, configuration
+
+# Option: what the paper states (section 7 of its facts, equations 4 to 11), what the released code has.
+DIFFERENCES = {
+    "style_encoder.templates": ("none", "small"),
+    "style_encoder.neutral": ("Photo", "a Photo"),
+    "style_encoder.text_adapter": (False, True),
+    "styles.crop": ("centre", "random"),
+    "training.text_ratio": (0.5, 0.25),
+    "training.alternation": ("strict", "coin"),
+    "training.injector_rate": (1.0, 0.3),
+    "training.min_scale": (1.0, 0.77),
+    "training.decay_steps": (None, 300000),
+    "loss.content.weight": (0.05, 0.075),
+    "loss.content.reduction": ("sum", "mean"),
+    "loss.style.reduction": ("sum", "mean"),
+    "loss.clip_directional.reference": ("render", "photograph"),
+    "loss.clip_patch.reference": ("render", "photograph"),
+    "loss.clip_patch.shared_crop": (False, True),
+    "skip_outliers": (False, True),
+    "trainer.max_steps": (90000, 300000),
+}
+STATED = {
+    "training.learning_rate": 1e-4,
+    "training.aggregator_rate": 0.3,
+    "loss.style.weight": 1.0,
+    "loss.clip_directional.weight": 2.0,
+    "loss.clip_patch.weight": 4.0,
+    "loss.clip_patch.crops": 16,
+    "loss.clip_patch.crop_size": 64,
+    "loss.depth_consistency.weight": 0.1,
+    "loss.content.network": "vgg19",
+    "loss.content.layers": ["relu3_1", "relu4_1"],
+    "loss.style.layers": ["relu1_1", "relu2_1", "relu3_1", "relu4_1"],
+}
+"""Where both agree."""
+
+
+def recipe(name, experiment="paper_full"):
+    return compose("train", [f"experiment={experiment}", f"recipe={name}", "name=x", "out=x"])
+
+
+def leaves(node, prefix=""):
+    if isinstance(node, dict):
+        return {key: value for name, part in node.items() for key, value in leaves(part, f"{prefix}.{name}").items()}
+    return {prefix.lstrip("."): node}
+
+
+@pytest.mark.parametrize(("row", "name"), [(0, "paper"), (1, "published")])
+def test_a_recipe_is_what_its_source_says(row, name):
+    config = recipe(name)
+    for option, values in DIFFERENCES.items():
+        chosen = OmegaConf.select(config, option)
+        assert getattr(chosen, "value", chosen) == values[row], option
+    for option, value in STATED.items():
+        chosen = OmegaConf.select(config, option)
+        assert (list(chosen) if isinstance(value, list) else chosen) == value, option
+
+
+def test_the_recipes_differ_in_nothing_else():
+    paper, published = (
+        leaves(OmegaConf.to_container(recipe(name), resolve=False, enum_to_str=True)) for name in ("paper", "published")
+    )
+    changed = {key for key in {*paper, *published} if paper.get(key) != published.get(key)}
+    assert changed == set(DIFFERENCES)
+
+
+def test_the_head_variant_has_the_content_weight_of_the_paper_in_both():
+    assert [recipe(name, "paper_head").loss.content.weight for name in ("paper", "published")] == [0.05, 0.05]
+
+
+def parts(tmp_path, *overrides):
+    config = configuration((*STYLIZATION, *overrides), tmp_path)
+    torch.manual_seed(0)
+    training = make_training(config)
+    return training, make_data(config, training).train
+
+
+def test_the_aggregators_injectors_may_learn_at_a_rate_of_their_own(tmp_path):
+    training, _ = parts(tmp_path, "placement=full")
+    groups = branch_groups(training.stylizer, lr=1e-4, aggregator_rate=0.3, injector_rate=1.0)
+    rates = {group["name"]: group["lr"] for group in groups}
+    assert rates == {
+        "head": 1e-4, "head injectors": 1e-4, "aggregator": pytest.approx(3e-5), "aggregator injectors": 1e-4
+    }  # fmt: skip
+    injectors = {id(p) for name, part in training.stylizer.branch.injectors.items() for p in part.parameters()
+                 if name.startswith("aggregator/")}  # fmt: skip
+    assert {id(p) for p in groups[-1]["params"]} == injectors
+    count = sum(p.numel() for group in groups for p in group["params"])
+    assert count == sum(p.numel() for p in training.stylizer.branch.parameters())
+
+
+def test_the_unstyled_render_may_stand_for_the_photograph(tmp_path):
+    training, source = parts(tmp_path, "loss.clip_directional.reference=render")
+    batch = source.batch(0)
+    result = training.stylize(batch, training.embed(batch.style, 0))
+    stylizer = training.stylizer
+    expected = stylizer.render(stylizer.unstyled(result.scene), result.scene.cameras).color
+    assert torch.equal(result.unstyled.color, expected) and not result.unstyled.color.requires_grad
+    term = training.terms["clip_directional"]
+    from_photographs = parts(tmp_path / "other")[0].terms["clip_directional"]
+    shown = replace(result, views=Views(images=result.unstyled.color))
+    torch.testing.assert_close(term(result), from_photographs(shown))
+    plain, _ = parts(tmp_path / "plain")
+    assert plain.stylize(batch, plain.embed(batch.style, 0)).unstyled is None
+
+
+def test_without_texts_no_text_reaches_the_encoder(tmp_path, monkeypatch):
+    training, source = parts(tmp_path, "training.text_ratio=0", "training.preview_texts=[]")
+    encoder, read = training.stylizer.style_encoder, source.styles.read
+    # Every other style of the source is a text alone.
+    monkeypatch.setattr(source.styles, "read", lambda i: Style(text=("a text",)) if i % 2 else read(i))
+    neutral_embedding(encoder)
+    texts = []
+    original = encoder.embed_texts
+    monkeypatch.setattr(encoder, "embed_texts", lambda given: texts.extend(given) or original(given))
+    for step in range(6):
+        batch = source.batch(step)
+        assert batch.style.image is not None and (batch.style.has_image is None or batch.style.has_image.all())
+        training.embed(batch.style, step)
+    assert set(texts) <= {encoder.neutral}
+    assert not any(training.is_text_step(step) for step in range(100))
+
+
+def test_the_ablation_without_text_shows_no_text_either():
+    config = compose("train", ["experiment=paper_head", "ablation=no_text", "name=x", "out=x"])
+    assert (config.training.text_ratio, list(config.training.preview_texts)) == (0.0, [])
+
+
+def test_images_may_be_kept_from_losses_on_text_steps(tmp_path):
+    training, source = parts(tmp_path, "training.text_ratio=1", "training.text_step_images=false")
+    batch = source.batch(0)
+    assert training.stylize(batch, training.embed(batch.style, 0)).style.image is None
+    shown, _ = parts(tmp_path / "shown", "training.text_ratio=1")
+    assert shown.stylize(batch, shown.embed(batch.style, 0)).style.image is not None
+
+
+def test_sums_are_means_times_the_number_of_terms(styled):
+    options = {"network": "texture", "size": 48}
+    layers = ("relu3_1",)
+    mean, total = (Content(layers=layers, **options, reduction=how)(styled) for how in ("mean", "sum"))
+    count = Content(layers=layers, **options).features(styled.renders.color.flatten(0, 1))[0][0].numel()
+    torch.testing.assert_close(total, mean * count)
+    mean, total = (StyleLoss(layers=layers, **options, reduction=how)(styled) for how in ("mean", "sum"))
+    channels = Content(layers=layers, **options).features(styled.renders.color.flatten(0, 1))[0].shape[1]
+    torch.testing.assert_close(total, mean * channels)
+
+
+@pytest.fixture
+def styled(tmp_path):
+    training, source = parts(tmp_path)
+    batch = source.batch(0)
+    return training.stylize(batch, training.embed(batch.style, 0))
+
+
+def test_styles_are_cut_at_random_as_the_row_says(tmp_path):
+    (tmp_path / "Op_Art").mkdir()
+    Image.linear_gradient("L").rotate(90).resize((80, 16)).convert("RGB").save(tmp_path / "Op_Art" / "a.png")
+    source = WikiArtStyles(root=str(tmp_path), size=16, crop="random")
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(1)
+        first, other = source.read(0).image, source.read(0).image
+        torch.manual_seed(1)
+        again = source.read(0).image
+    assert torch.equal(first, again) and not torch.equal(first, other)
+    middle = WikiArtStyles(root=str(tmp_path), size=16).read(0).image
+    assert torch.equal(middle, read_square(tmp_path / "Op_Art" / "a.png", 16))
+
+
+def test_shrinking_and_enlarging_blurs_and_keeps_the_size(tmp_path):
+    views = Views(images=hashed(1, (1, 2, 3, 28, 42)))
+    blurred = blurred_views(views, 0.77)
+    assert blurred.images.shape == views.images.shape
+    # A flat picture stays, a random one loses contrast.
+    flat = Views(images=torch.full((1, 1, 3, 28, 28), 0.25))
+    torch.testing.assert_close(blurred_views(flat, 0.8).images, flat.images)
+    assert blurred.images.std() < 0.9 * views.images.std()
+    fresh = ("training.pool=null", "training.cache_scenes=0")
+    source, sharp = parts(tmp_path, "training.min_scale=0.5", *fresh)[1], parts(tmp_path / "sharp", *fresh)[1]
+    for step in range(3):
+        batch = source.batch(step)
+        assert torch.equal(batch.views.images, source.batch(step).views.images)
+        assert batch.views.images.std() < sharp.batch(step).views.images.std()
