@@ -16,7 +16,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
-from study_browser import browser, find_chromium, until
+from chromium import browser, find_chromium, until
 from study_cases import small_study
 
 from anystyle.study.analysis import Settings, analyze
