@@ -34,7 +34,7 @@ def atomic_path(target: str | Path) -> Iterator[Path]:
 def write_json(path: str | Path, value: object) -> None:
     """Write a value as readable JSON; whole or not at all."""
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.write_text(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
 
 
 @contextmanager

@@ -6,11 +6,13 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from statistics import fmean, median
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle.documents import kept_json
 from anystyle.io.atomic import atomic_path
 from anystyle_tiny.evaluation.geometry import degrees, mean_motion
 from anystyle_tiny.evaluation.styles import rises
@@ -49,12 +51,9 @@ def seal(modules: Sequence[nn.Module], options: Mapping[str, object]) -> str:
 
 def kept(path: Path, mark: str, make: Callable[[], Record]) -> Record:
     """A record as it lies on disk, computed and written first where there is none of this seal."""
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        if stored.pop("seal") == mark:
-            return stored
-    except (OSError, ValueError, KeyError, AttributeError):
-        pass  # absent, or of another version: made again
+    stored: Record | None = kept_json(path, dict[str, Any])
+    if stored is not None and stored.pop("seal", None) == mark:
+        return stored
     record = make()
     with atomic_path(path) as temporary:
         temporary.write_text(json.dumps({"seal": mark, **record}) + "\n", encoding="utf-8")
