@@ -8,7 +8,7 @@ or has more parts than a document of this project could have; numbers are finite
 import math
 import stat
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -27,6 +27,15 @@ Figure = float | Literal["inf", "-inf"] | None
 def as_figure(value: float) -> Figure:
     """A number as JSON can hold it."""
     return None if math.isnan(value) else str(value) if math.isinf(value) else value  # type: ignore[return-value]
+
+
+def plain(value: Any) -> Any:
+    """A value of nested lists and tables as JSON can hold it."""
+    if isinstance(value, float):
+        return as_figure(value)
+    if isinstance(value, Mapping):
+        return {key: plain(part) for key, part in value.items()}
+    return [plain(part) for part in value] if isinstance(value, (list, tuple)) else value
 
 
 def as_number(figure: Figure) -> float:

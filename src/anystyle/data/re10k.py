@@ -2,6 +2,7 @@
 
 import io
 import json
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -93,7 +94,9 @@ class Re10kScenes(SceneSource):
             )
         pictures: list[tuple[Image.Image, SourceImage]] = []
         for view in views:
-            frame, name = clip["images"][view].numpy().tobytes(), f"frame {view} of {self.name(scene)}"
+            frame = clip["images"][view].numpy().tobytes()
+            # A clip may be called anything, and views' names become those of files.
+            name = f"{re.sub(r'[^A-Za-z0-9_-]', '_', self.name(scene))[:80]}_{view:05d}"
             size = common_size([image_size(frame, name)], short_side=self.short_side, multiple=self.multiple)
             pictures.append(read_picture(frame, name, size))
         return as_views(pictures, _cameras(clip["cameras"][views].double(), [source for _, source in pictures]))

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from anystyle.documents import Count, Figure, as_figure, as_number, fit, read_json
+from anystyle.documents import Count, Figure, as_number, fit, plain, read_json
 from anystyle.evaluation.contract import SCENE, Evaluation, Row
 from anystyle.evaluation.tables import STAND_IN, Table, figures_table
 from anystyle.io.atomic import atomic_path
@@ -45,8 +45,8 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> T
     """
     evaluation = _with_times(evaluation.with_facts(**provenance))
     stored = {
-        **_plain(evaluation.figures),
-        **{name: _plain(group) for name, group in evaluation.groups.items()},
+        **evaluation.figures,
+        **evaluation.groups,
         "provenance": {
             **evaluation.provenance,
             "n": evaluation.n,
@@ -56,7 +56,7 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> T
     }
     table = summary(evaluation)
     texts = {
-        FILE: json.dumps(stored, indent=2, ensure_ascii=False) + "\n",
+        FILE: json.dumps(plain(stored), indent=2, ensure_ascii=False, allow_nan=False) + "\n",
         "metrics.csv": rows_table(evaluation.rows, evaluation.stand_ins).csv(),
         "table.md": table.markdown(),
         "table.tex": table.latex(),
@@ -139,7 +139,3 @@ def rows_table(rows: Sequence[Row], stand_ins: Mapping[str, str]) -> Table:
 
 def _full(value: float | None) -> str:
     return "" if value is None or math.isnan(value) else repr(value)
-
-
-def _plain(figures: Mapping[str, float]) -> dict[str, Figure]:
-    return {name: as_figure(value) for name, value in figures.items()}

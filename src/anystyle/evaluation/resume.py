@@ -11,7 +11,7 @@ import msgspec
 import torch
 
 from anystyle.contracts import Metric
-from anystyle.documents import Figure, as_figure, as_number, kept_json
+from anystyle.documents import Figure, as_number, kept_json
 from anystyle.evaluation.contract import Evaluation, Progress
 from anystyle.evaluation.folders import Cell, Pairing, Reader
 from anystyle.evaluation.runner import RowFigures, SceneFigures, aggregate, judge_row, merge_rows
@@ -144,9 +144,7 @@ class _Stored(msgspec.Struct):
 
 def write_figures(path: Path, digest: str, figures: SceneFigures) -> None:
     """Write a metric's figures for a scene, with a hash of what they depend on."""
-    plain = {name: as_figure(value) for name, value in figures.figures.items()}
-    styles = {style: {name: as_figure(value) for name, value in row.items()} for style, row in figures.styles.items()}
-    write_json(path, {"digest": digest, **asdict(figures), "figures": plain, "styles": styles})
+    write_json(path, {"digest": digest, **asdict(figures)})
 
 
 def read_figures(path: Path, digest: str) -> SceneFigures | None:

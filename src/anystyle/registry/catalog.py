@@ -218,7 +218,7 @@ class _Project(msgspec.Struct, rename="kebab"):
     """The part of a project's table that declares plugins."""
 
     name: str | None = None
-    entry_points: dict[str, dict[str, str]] = msgspec.field(default_factory=dict)
+    entry_points: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
 
 
 class _PyProject(msgspec.Struct):

@@ -118,9 +118,9 @@ def read_study(path: Path) -> Study:
         strange = set(participant.order) - known
         if strange:
             raise ValueError(
-                f"{file} shows participant {participant.id} {sorted(strange)[0]!r}, which there is none of"
+                f"{file} is no study: it shows participant {participant.id} {sorted(strange)[0]!r}, which there is none of"
             )
     for name in study.pictures:
         if not name.isalnum():
-            raise ValueError(f"{file} has a picture {name!r}, a name that is no file's")
+            raise ValueError(f"{file} is no study: it has a picture {name!r}, a name that is no file's")
     return study
