@@ -1,4 +1,4 @@
-"""Readers of exported files that share no code with what writes them: other people's packages, or the specifications."""
+"""Readers of exported files that share no code with what writes them: other packages, or the specifications."""
 
 import io
 import json
@@ -19,7 +19,7 @@ SPLAT_TRANSFORM = shutil.which("splat-transform")
 
 def gaussians_of(means, rotations, scales, opacities, harmonics):
     columns = (means, rotations, scales, opacities, harmonics)
-    return Gaussians(*(torch.from_numpy(np.ascontiguousarray(column, np.float32))[None] for column in columns))
+    return Gaussians(*(torch.from_numpy(np.array(column, np.float32))[None] for column in columns))
 
 
 def read_glb(path: Path) -> Gaussians:
@@ -55,11 +55,11 @@ def read_glb(path: Path) -> Gaussians:
     )  # fmt: skip
 
 
-def read_spz(path: Path) -> Gaussians:
+def read_spz_file(path: Path) -> Gaussians:
     """With gsply, whose rows are those of a PLY file in the file's axes."""
-    import gsply
+    from gsply.spz import read_spz
 
-    data = gsply.spzread(str(path))
+    data = read_spz(path)
     rest = np.zeros((len(data.means), 0, 3)) if data.shN is None else data.shN
     return gaussians_of(
         data.means, data.quats, np.exp(data.scales), 1 / (1 + np.exp(-data.opacities)),
@@ -119,4 +119,4 @@ def read_with_splat_transform(path: Path, folder: Path) -> Gaussians:
     return Gaussians.load(out)
 
 
-READERS = {"glb": read_glb, "spz": read_spz, "splat": read_splat, "sog": read_sog, "ply": Gaussians.load}
+READERS = {"glb": read_glb, "spz": read_spz_file, "splat": read_splat, "sog": read_sog, "ply": Gaussians.load}

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from export_readers import READERS, SPLAT_TRANSFORM, read_with_splat_transform
 
 from anystyle.commands import export as command
 from anystyle.geometry.harmonics import constant_from_rgb
@@ -16,6 +15,7 @@ from anystyle.io.formats.sog import codebook, palette
 from anystyle.io.packing import from_smallest_three, smallest_three
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
+from export_readers import READERS, SPLAT_TRANSFORM, read_with_splat_transform
 
 SIZE = (60, 80)
 LEAST = {"ply": 80, "glb": 80, "spz": 36, "sog": 34, "splat": 36}

@@ -16,7 +16,6 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 
 import pytest
-from chromium import browser, find_chromium, until
 from study_cases import small_study
 
 from anystyle.study.analysis import Settings, analyze
@@ -27,6 +26,7 @@ from anystyle.study.plan import Question
 from anystyle.study.reading import read_responses
 from anystyle.study.store import Store
 from anystyle.study.tests.one_sample_t import OneSampleT
+from chromium import browser, find_chromium, until
 
 QUESTIONS = (Question("style", "Which matches <b>the style</b> better?"), Question("overall", "Which do you prefer?"))
 SESSION = "0123456789abcdef"

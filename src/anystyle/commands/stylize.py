@@ -73,7 +73,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
         typed(VideoOptions, config.video),
     )
     if arguments.export:
-        export = replace(export, formats=(*export.formats, *arguments.export.split(",")))
+        export = replace(export, formats=[*export.formats, *arguments.export.split(",")])
     poses = PoseOptions(config.poses or default_poses(config), config.poses_from)
     reconstruction = config.get("reconstruction")
     stages = Stages(lambda name, note: print(f"{name} {note} …", file=sys.stderr, flush=True))

@@ -1,5 +1,6 @@
 """A capture in styles, each as its controls say."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 
@@ -18,10 +19,12 @@ class Controlled:
 
     Args:
         encoded: The capture.
+        restyle: Gives it a style; the single pass unless it is given.
     """
 
-    def __init__(self, encoded: EncodedCapture) -> None:
+    def __init__(self, encoded: EncodedCapture, restyle: Callable[[EmbeddedStyle], Gaussians] | None = None) -> None:
         self.encoded = encoded
+        self._restyle = restyle or (lambda style: encoded.restyle(style.embedding, style.title))
         self._styled: tuple[EmbeddedStyle, Gaussians] | None = None
         self._weights: dict[Mask, Float[Tensor, "B N"]] = {}
 
@@ -36,9 +39,9 @@ class Controlled:
         if controls.strength == 0:
             return self.unstyled
         if controls == replace(Controls(), scale=controls.scale):
-            return self.encoded.restyle(style.embedding, style.title)
+            return self._restyle(style)
         if self._styled is None or self._styled[0].embedding is not style.embedding:
-            self._styled = style, self.encoded.restyle(style.embedding, style.title)
+            self._styled = style, self._restyle(style)
         styled = self._styled[1]
         if controls.preserve_color > 0:
             styled = with_colors_of(self.unstyled, styled, controls.preserve_color)

@@ -1,7 +1,7 @@
 """Options of a stylization, resolved and checked: what flows down from the configuration or from a caller."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class ExportOptions:
 
     colmap: str = "none"
     up: str | None = None
-    formats: tuple[str, ...] = ()
+    formats: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         _expect("export.colmap", self.colmap, ("none", "binary", "text"))

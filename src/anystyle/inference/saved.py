@@ -1,19 +1,51 @@
 """Scenes that were saved: what ``anystyle stylize`` leaves in a folder, or a PLY file of anybody."""
 
-import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated
 
 import torch
+from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 
+from anystyle.documents import Count, read_json, regular
 from anystyle.geometry.cameras import look_at
 from anystyle.inference.licenses import lines
 from anystyle.types import Cameras, Gaussians
 
 UNSTYLED = "unstyled"
+_Row3 = tuple[float, float, float]
+_Row4 = tuple[float, float, float, float]
+_Side = Annotated[int, Meta(gt=0, le=100_000)]
+
+
+@dataclass(frozen=True)
+class SavedCamera:
+    """A view in ``cameras.json``."""
+
+    name: str
+    height: _Side
+    width: _Side
+    intrinsics: tuple[_Row3, _Row3, _Row3]
+    world_from_camera: tuple[_Row4, _Row4, _Row4, _Row4]
+
+
+@dataclass(frozen=True)
+class SavedCameras:
+    """``cameras.json``."""
+
+    views: Annotated[list[SavedCamera], Meta(min_length=1)]
+
+
+@dataclass(frozen=True)
+class SavedReport:
+    """What is read of ``report.json``."""
+
+    style: str | list[str] = ""
+    gaussians: Count = 0
+    views: Count = 0
+    licenses: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -45,9 +77,9 @@ def read_saved(path: Path) -> SavedScene:
     folders = [folder for folder in [path, *sorted(path.glob("*/"))] if (folder / "scene.safetensors").is_file()]
     if not folders:
         raise ValueError(f"{path} has no scene that anystyle stylize wrote, and is no PLY file")
-    reports = [_document(folder / "report.json") for folder in folders]
+    reports = [read_json(folder / "report.json", SavedReport, what="report") for folder in folders]
     styles = [
-        (str(report.get("style", folder.name)), read_gaussians(folder / "scene.safetensors"))
+        (str(report.style), read_gaussians(folder / "scene.safetensors"))
         for folder, report in zip(folders, reports, strict=True)
     ]
     unstyled = path / "unstyled.safetensors"
@@ -77,7 +109,7 @@ def read_gaussians(path: Path) -> Gaussians:
         ValueError: It is damaged, or another file.
     """
     try:
-        with safe_open(path, framework="pt") as file:
+        with safe_open(regular(path, most=None), framework="pt") as file:
             return Gaussians(**{item.name: file.get_tensor(item.name) for item in fields(Gaussians)})
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path} holds no Gaussians of anystyle ({error})") from None
@@ -85,31 +117,14 @@ def read_gaussians(path: Path) -> Gaussians:
 
 def _cameras(path: Path) -> tuple[Cameras, tuple[str, ...]]:
     """The cameras of ``cameras.json``, those of one size as the first."""
-    views = _document(path).get("views")
-    try:
-        first = views[0]
-        size = (int(first["height"]), int(first["width"]))
-        alike = [view for view in views if (view["height"], view["width"]) == size]
-        poses = torch.tensor([view["world_from_camera"] for view in alike], dtype=torch.float32)
-        intrinsics = torch.tensor([view["intrinsics"] for view in alike], dtype=torch.float32)
-        cameras = Cameras(poses.reshape(1, -1, 4, 4), intrinsics.reshape(1, -1, 3, 3), size)
-    except (KeyError, IndexError, TypeError, ValueError, RuntimeError) as error:
-        raise ValueError(f"{path} is no file of cameras ({type(error).__name__}: {error})") from None
-    return cameras, tuple(str(view["name"]) for view in alike)
+    views = read_json(path, SavedCameras, what="file of cameras").views
+    first = views[0]
+    alike = [view for view in views if (view.height, view.width) == (first.height, first.width)]
+    poses = torch.tensor([view.world_from_camera for view in alike], dtype=torch.float32)
+    intrinsics = torch.tensor([view.intrinsics for view in alike], dtype=torch.float32)
+    return Cameras(poses[None], intrinsics[None], (first.height, first.width)), tuple(view.name for view in alike)
 
 
-def _document(path: Path) -> Mapping[str, Any]:
-    if not path.is_file():
-        return {}
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{path} is no JSON ({error})") from None
-    return content if isinstance(content, dict) else {}
-
-
-def _notes(report: Mapping[str, Any]) -> Iterator[str]:
-    yield f"{report.get('gaussians', '?')} Gaussians of {report.get('views', '?')} photographs, by anystyle."
-    licenses = report.get("licenses")
-    if isinstance(licenses, dict):
-        yield from lines({part: entry for part, entry in licenses.items() if isinstance(entry, dict)})
+def _notes(report: "SavedReport") -> Iterator[str]:
+    yield f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
+    yield from lines(report.licenses)

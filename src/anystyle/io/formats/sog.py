@@ -14,7 +14,7 @@ import numpy as np
 import torch.nn.functional as F
 from numpy.typing import NDArray
 from PIL import Image
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from anystyle.io.atomic import atomic_path
 from anystyle.io.packing import morton_order, smallest_three
@@ -35,9 +35,7 @@ def write(splats: Splats, path: Path, notes: str = "") -> None:
         notes: Such as licences; ``asset.copyright`` in ``meta.json``.
     """
     order = morton_order(splats.means.detach().double().cpu().numpy())
-    means, _, scales, opacities, harmonics = (
-        tensor.detach().double().cpu().numpy()[order] for tensor in splats
-    )
+    means, _, scales, opacities, harmonics = (tensor.detach().double().cpu().numpy()[order] for tensor in splats)
     far = np.sign(means) * np.log1p(np.abs(means))
     low, high = far.min(0), far.max(0)
     positions = np.round((far - low) / np.maximum(high - low, 1e-12) * 65535).astype(np.uint16)
@@ -80,10 +78,15 @@ def write(splats: Splats, path: Path, notes: str = "") -> None:
             archive.writestr(zipfile.ZipInfo(name), data)
 
 
-def codebook(values: NDArray[np.float64], rounds: int = 8) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-    """256 ascending levels for many numbers, by Lloyd's algorithm from their quantiles, and the level of each."""
+def codebook(values: NDArray[np.float64], rounds: int = 32) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """256 ascending levels for many numbers, by Lloyd's algorithm, and the level of each.
+
+    It begins with quantiles, for where most numbers are, and with even steps, for those far out.
+    """
     flat = np.sort(values.ravel())
-    levels = np.quantile(flat, (np.arange(_LEVELS) + 0.5) / _LEVELS)
+    half = _LEVELS // 2
+    steps = np.linspace(flat[0], flat[-1], half)
+    levels = np.sort(np.concatenate([np.quantile(flat, (np.arange(half) + 0.5) / half), steps]))
     sums = np.concatenate([[0.0], np.cumsum(flat)])
     for _ in range(rounds):
         edges = np.searchsorted(flat, (levels[1:] + levels[:-1]) / 2)
@@ -105,7 +108,7 @@ def palette(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
     centered = vectors - vectors.mean(0)
     directions = np.linalg.eigh(centered.T @ centered)[1][:, -6:]
     drawn = np.sort(np.random.default_rng(0).choice(len(vectors), PALETTE, replace=False))
-    labels = cKDTree(centered[drawn] @ directions).query(centered @ directions)[1]
+    labels = KDTree(centered[drawn] @ directions).query(centered @ directions)[1]
     counts = np.bincount(labels, minlength=PALETTE)
     sums = np.stack([np.bincount(labels, column, PALETTE) for column in vectors.T], 1)
     return np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], vectors[drawn]), labels
