@@ -137,9 +137,7 @@ class Session:
         if plain and wish.style in self.saved:
             return self.saved[wish.style]
         if self.controlled is None:
-            raise ValueError(
-                "no model here can give this scene a new style; open photographs or their results"
-            )
+            raise ValueError("no model here can give this scene a new style; open photographs or their results")
         key = (wish.style, wish.second, wish.amount)
         style = self._embedded.get(key, lambda: self._embed(wish))
         return self.controlled.gaussians(style.under(Controls(wish.strength, wish.preserve_color)))
