@@ -75,13 +75,14 @@ class Panel:
         self.server.scene.set_up_direction((0.0, -1.0, 0.0))
         pose = self.scene.cameras.world_from_camera[0, 0].cpu().double().numpy()
         camera = self.server.initial_camera
-        camera.position, camera.up = pose[:3, 3], -pose[:3, 1]
+        # Behind the first camera, so that it is seen, and no picture of a frustum hides the scene.
+        camera.position, camera.up = pose[:3, 3] - pose[:3, 2] * self.flight.distance / 4, -pose[:3, 1]
         camera.look_at = pose[:3, 3] + pose[:3, 2] * self.flight.distance
         camera.fov = self.flight.field_of_view
         camera.near = self.flight.distance / 1000
 
     def _add_cameras(self) -> None:
-        """Frusta with their pictures; a click goes there."""
+        """Frusta with their pictures; a click goes there, and hides them: one looks from where their pictures are."""
         self._frusta: list[viser.CameraFrustumHandle] = []
         height, width = self.scene.cameras.size
         for view, name in enumerate(self.scene.names):
@@ -90,7 +91,7 @@ class Panel:
                 f"/cameras/{view:03d} {name}",
                 fov=self.flight.field_of_view,
                 aspect=width / height,
-                scale=0.06 * self.flight.distance,
+                scale=self.flight.distance / 40,
                 thickness=1.0,
                 thickness_units="screen",
                 image=np.asarray(to_pil(self.scene.pictures[view]).resize((160, max(1, round(160 * height / width))))),
@@ -102,6 +103,7 @@ class Panel:
 
     def _go_to(self, view: int, event: viser.SceneNodePointerEvent[viser.CameraFrustumHandle]) -> None:
         pose = self.scene.cameras.world_from_camera[0, view].cpu().double().numpy()
+        self._show_cameras(False)
         with event.client.atomic():
             event.client.camera.position = pose[:3, 3]
             event.client.camera.look_at = pose[:3, 3] + pose[:3, 2] * self.flight.distance
@@ -135,14 +137,15 @@ class Panel:
             self.split = gui.add_slider(
                 "Before | after", 0.0, 1.0, 0.01, 0.0, hint="Left of here, as you look now, is the scene without style"
             )
-            show = gui.add_checkbox("Cameras", True)
+            self.cameras = gui.add_checkbox("Cameras", True)
         self.unstyled.on_update(lambda event: event.client and self.refresh())
         self.split.on_update(lambda event: event.client and self.refresh(event.client))
+        self.cameras.on_update(lambda event: event.client and self._show_cameras(self.cameras.value))
 
-        @show.on_update
-        def _(_: object) -> None:
-            for frustum in self._frusta:
-                frustum.visible = show.value
+    def _show_cameras(self, visible: bool) -> None:
+        self.cameras.value = visible
+        for frustum in self._frusta:
+            frustum.visible = visible
 
     def _add_path(self) -> None:
         gui = self.server.gui
