@@ -241,7 +241,9 @@ class Panel:
     def _show(self, gaussians: Gaussians) -> None:
         # The page keeps covariances in half precision, which small scenes fall below: they are enlarged on the way.
         enlarged = 10 / self.flight.distance
-        blur = self.flight.pixel_variances(gaussians.means[0])[:, None, None] * torch.eye(3, device=gaussians.means.device)
+        blur = self.flight.pixel_variances(gaussians.means[0])[:, None, None] * torch.eye(
+            3, device=gaussians.means.device
+        )
         values = {
             "centers": gaussians.means[0].cpu().numpy() * enlarged,
             "covariances": (covariances(gaussians) + blur).cpu().numpy() * enlarged**2,
