@@ -49,8 +49,8 @@ def _evenly(
     shape: tuple[int, ...],
     count: int,
     generator: np.random.Generator,
-    low: Bool[np.ndarray, " N"] | float = 0,
-    high: Bool[np.ndarray, " N"] | float = 1,
+    low: Any = 0,  # scipy's stubs know single bounds only
+    high: Any = 1,
 ) -> Int[np.ndarray, " count"]:
     """Which pairs to take, at least ``low`` and at most ``high`` of each: the most even draw, ties by chance.
 
@@ -59,7 +59,7 @@ def _evenly(
     costs = generator.random(len(pairs))
     for slack in range(count + 1):
         rows: list[sparse.csr_array] = []
-        bounds: Any = []  # scipy's stubs know single bounds only
+        bounds: list[tuple[int, int]] = []
         for axis, size in enumerate(shape):
             member = (np.ones(len(pairs)), (pairs[:, axis], np.arange(len(pairs))))
             rows.append(sparse.csr_array(member, shape=(size, len(pairs))))
@@ -69,7 +69,7 @@ def _evenly(
             integrality=np.ones(len(pairs)),
             bounds=optimize.Bounds(low, high),
             constraints=[
-                optimize.LinearConstraint(sparse.vstack(rows), *np.transpose(bounds)),
+                optimize.LinearConstraint(sparse.vstack(rows), *np.transpose(bounds).tolist()),
                 optimize.LinearConstraint(np.ones((1, len(pairs))), count, count),
             ],
         )

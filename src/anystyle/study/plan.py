@@ -100,8 +100,8 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         degraded: Attention checks: sets of which one side is spoilt, so that the answer is known.
         repeats: Attention checks: sets shown again with the sides exchanged.
         rules: Who is left out.
-        id_parameters: Names in the page's address that hold a participant's id elsewhere, such as ``PROLIFIC_PID``; with
-            any, the server assigns whoever comes. Without, participants enter the design's codes.
+        id_parameters: Names in the page's address that hold a participant's id of elsewhere, such as ``PROLIFIC_PID``;
+            with any, the server assigns whoever comes. Without, participants enter the design's codes.
         completion_url: Where participants go at the end; ``{code}`` stands for the code.
         completion_code: Shown at the end, once every answer has arrived.
         image_size: The longer side of every picture, in pixels.
