@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 from anystyle.study.design import Sources, design
-from anystyle.study.plan import Plan, Question
+from anystyle.study.plan import Plan, plan_from
 from anystyle.study.protocol import Study
 
 HEADER = "participant,item,question,score,ours_is"
@@ -65,9 +65,16 @@ def write_results(
     )
 
 
+AB = ("A is much better", "A is better", "No difference", "B is better", "B is much better")
+QUESTIONS = (
+    {"name": "style", "text": "Which matches <b>the style</b> better?", "labels": AB},
+    {"name": "content", "kind": "rating", "text": "How easy to recognize is {method}?", "labels": ("Hard", "", "Easy")},
+)
+
+
 def small_plan(**changes: object) -> Plan:
-    options = {"participants": 4, "sets": 4, "attention_checks": 1, "image_size": 64, **changes}
-    return Plan(**options)
+    options = {"instructions": "Look.\n\nAnswer.", "questions": QUESTIONS, "participants": 4, "sets": 4, "degraded": 1}
+    return plan_from({**options, "image_size": 64, **changes})
 
 
 def small_study(root: Path, **changes: object) -> tuple[Study, Path]:
