@@ -42,11 +42,16 @@ def write_results(
     scenes: int = 4,
     styles: int = 3,
     sizes: Mapping[str, tuple[int, int]] | None = None,
+    frames: int = 0,
 ) -> Sources:
-    """Small pictures of every method, of photographs and of styles."""
+    """Small pictures of every method, of photographs and of styles; with ``frames``, as many views of each."""
     random = np.random.default_rng(0)
 
-    def picture(path: Path, size: tuple[int, int] = (48, 36)) -> None:
+    def picture(path: Path, size: tuple[int, int] = (48, 36), frames: int = frames) -> None:
+        if frames:
+            for frame in range(frames):
+                picture(path.with_suffix("") / f"{frame:03d}.png", size, 0)
+            return
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(random.integers(0, 255, (size[1], size[0], 3), dtype=np.uint8)).save(path)
 
@@ -56,7 +61,7 @@ def write_results(
             for method in methods:
                 picture(root / method / f"scene{scene}" / f"style{style}.png", (sizes or {}).get(method, (48, 36)))
     for style in range(styles):
-        picture(root / "styles" / f"style{style}.png", (30, 50))
+        picture(root / "styles" / f"style{style}.png", (30, 50), 0)
     return Sources(
         methods={method: root / method for method in methods},
         ours=methods[0],
