@@ -82,6 +82,6 @@ def small_plan(**changes: object) -> Plan:
     return plan_from({**options, "image_size": 64, **changes})
 
 
-def small_study(root: Path, **changes: object) -> tuple[Study, Path]:
+def small_study(root: Path, frames: int = 0, **changes: object) -> tuple[Study, Path]:
     """A designed study of four sets for four participants, and its folder."""
-    return design(write_results(root), small_plan(**changes), root / "study"), root / "study"
+    return design(write_results(root, frames=frames), small_plan(**changes), root / "study"), root / "study"
