@@ -86,7 +86,9 @@ def test_checks_look_like_sets_and_their_answers_are_known(tmp_path):
     assert len(by_kind["degraded"]) == 2
     for check in by_kind["degraded"]:
         item = study.shown[check.of]
-        intact, spoilt = (np.asarray(opened(tmp_path / "s" / "pictures" / side[0])) for side in (check.ours, check.theirs))
+        intact, spoilt = (
+            np.asarray(opened(tmp_path / "s" / "pictures" / side[0])) for side in (check.ours, check.theirs)
+        )
         assert check.ours in (item.ours, item.theirs)
         assert intact.shape == spoilt.shape
         assert spoilt.std() < intact.std() / 2  # the detail is gone

@@ -303,7 +303,9 @@ def test_flip_books_turn_together(page, tmp_path):
     turned = "[...document.querySelectorAll('.stack')].filter((s) => s.children.length > 1).map((s) => [...s.children].findIndex((v) => !v.hidden))"
     page.wait(f"{turned}.join() === '2,2,2'")  # by themselves
     page.click("#play")
-    page.value("Object.assign(document.querySelector('input[type=range]'), {value: 2}).dispatchEvent(new Event('input'))")
+    page.value(
+        "Object.assign(document.querySelector('input[type=range]'), {value: 2}).dispatchEvent(new Event('input'))"
+    )
     assert page.value(turned) == [1, 1, 1]
 
 
@@ -325,7 +327,13 @@ def test_a_screen_reader_is_told_everything(page, tmp_path):
         ("button", "Next"),
     } <= accessible
     radios = {name.strip() for role, name in accessible if role == "radio"}
-    assert radios == {"1 A is much better", "2 A is better", "3 No difference", "4 B is better", "5 B is much better"} | {
+    assert radios == {
+        "1 A is much better",
+        "2 A is better",
+        "3 No difference",
+        "4 B is better",
+        "5 B is much better",
+    } | {
         *("1 Hard", "2", "3 Easy"),
     }
     assert page.value("document.activeElement.tagName") == "H1"
@@ -369,5 +377,9 @@ def test_the_page_tells_nobody_which_method_is_which(designed):
         for word in ("ours", study.ours + '"', "baseline", "degraded", "scene0", "style0", *study.baselines):
             assert word not in page.partition('id="study">')[2].partition("</script>")[0], word
         assert "</script> styles" not in page.partition("<script")[2].partition("</script>")[0]
-    first = [entry["A"] in {item.ours for item in study.items} for one in study.participants for entry in sequence(study, one)]
+    first = [
+        entry["A"] in {item.ours for item in study.items}
+        for one in study.participants
+        for entry in sequence(study, one)
+    ]
     assert 0 < sum(first) < len(first)

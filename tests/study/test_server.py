@@ -178,7 +178,13 @@ def test_idle_and_slow_connections_keep_nobody_out(designed, tmp_path):
 def test_two_hundred_participants_at_once(tmp_path):
     """Each begins, answers and finishes; the server shares out what is seen, and keeps every answer."""
     study, folder = small_study(
-        tmp_path, participants=40, sets=2, degraded=0, questions=QUESTIONS[:1], id_parameters=["id"], completion_code="X"
+        tmp_path,
+        participants=40,
+        sets=2,
+        degraded=0,
+        questions=QUESTIONS[:1],
+        id_parameters=["id"],
+        completion_code="X",
     )
     database = tmp_path / "answers.sqlite"
 

@@ -45,9 +45,7 @@ def serving(folder: Path, database: Path, port: int = 0, limited: bool = False, 
         if largest_file is not None:
             resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
 
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=prepare
-    )
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=prepare)
     try:
         assert process.stdout is not None
         line = process.stdout.readline()
@@ -64,9 +62,7 @@ def token_of(person: str) -> str:
     return person.encode().hex().ljust(32, "0")[:32]
 
 
-def post(
-    url: str, path: str, message: object, token: str = "", kind: str = "application/json"
-) -> tuple[int, dict]:
+def post(url: str, path: str, message: object, token: str = "", kind: str = "application/json") -> tuple[int, dict]:
     """Send a message as the page does."""
     body = message if isinstance(message, bytes) else json.dumps(message).encode()
     headers = {"Content-Type": kind, "Authorization": f"Bearer {token}"}
