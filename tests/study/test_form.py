@@ -9,12 +9,11 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 from study_browser import browser, find_chromium, until
-from study_cases import small_plan, small_study, write_results
-from study_serving import kept_answers, serving
+from study_cases import small_study
 
 from anystyle.commands.study import main
-from anystyle.study.design import design
 from anystyle.study.form import render, sequence, write_page
+from study_serving import kept_answers, serving
 
 LOADED = "!!document.querySelector('[data-loaded]')"
 SCORES = {"style": 5, "contentA": 3, "contentB": 3}
@@ -139,7 +138,7 @@ def test_nothing_is_asked_before_every_picture_is_there(page, designed, tmp_path
         assert page.value("[...document.querySelectorAll('img')].every((i) => i.complete && i.naturalWidth > 0)")
         waited = time.monotonic() - blocked
         page.key("3", "3")
-        given = "Object.values(JSON.parse(localStorage.getItem(`study:${JSON.parse(document.getElementById('study').textContent).id}:P03`)).answers)"
+        given = f"Object.values(JSON.parse(localStorage.getItem('study:{study.id}:P03')).answers)"
         assert 0 <= page.value(f"{given}[0].seconds") < waited - 1
 
 
@@ -300,7 +299,8 @@ def test_flip_books_turn_together(page, tmp_path):
     write_page(study, folder, tmp_path / "form.html")
     start(page, f"{(tmp_path / 'form.html').as_uri()}#P01")
     page.wait(LOADED)
-    turned = "[...document.querySelectorAll('.stack')].filter((s) => s.children.length > 1).map((s) => [...s.children].findIndex((v) => !v.hidden))"
+    stacks = "[...document.querySelectorAll('.stack')].filter((stack) => stack.children.length > 1)"
+    turned = f"{stacks}.map((stack) => [...stack.children].findIndex((view) => !view.hidden))"
     page.wait(f"{turned}.join() === '2,2,2'")  # by themselves
     page.click("#play")
     page.value(

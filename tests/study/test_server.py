@@ -16,10 +16,10 @@ import msgspec
 import pytest
 from study_browser import until
 from study_cases import QUESTIONS, small_study
-from study_serving import PATIENCE, answer, claim, kept_answers, post, serving, token_of
 
 from anystyle.study.form import write_page
 from anystyle.study.store import Answer, Claim, Fact, Finish, Refused, Store
+from study_serving import PATIENCE, answer, claim, kept_answers, post, serving, token_of
 
 
 @pytest.fixture(scope="module")
