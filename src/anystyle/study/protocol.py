@@ -8,11 +8,11 @@ from typing import Literal
 
 import msgspec
 
+from anystyle.documents import read_json
 from anystyle.io.atomic import atomic_path
 from anystyle.study.plan import Plan
 
 FILE, PICTURES = "study.json", "pictures"
-_MAX_BYTES = 64 << 20
 _PICTURE = re.compile(r"[0-9a-f]{12}\.(jpg|mp4)")
 
 
@@ -148,9 +148,4 @@ def read_study(path: Path) -> Study:
     file = path / FILE if path.is_dir() else path
     if not file.is_file():
         raise ValueError(f"{path} holds no {FILE}; make one with `anystyle study design`")
-    if file.stat().st_size > _MAX_BYTES:
-        raise ValueError(f"{file} is no study: it has more than {_MAX_BYTES >> 20} MiB")
-    try:
-        return msgspec.json.decode(file.read_bytes(), type=Study)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{file} is no study: {error}; design it again") from None
+    return read_json(file, Study, what="study; design it again")

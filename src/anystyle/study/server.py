@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-import msgspec
 from waitress.server import create_server
 
+from anystyle.documents import parse_json
+from anystyle.errors import UserError
 from anystyle.study.form import picture_files, render, sequence
 from anystyle.study.protocol import Study
 from anystyle.study.store import Answer, Claim, Fact, Finish, Refused, Store
@@ -62,7 +63,7 @@ class Application:
             return _json(200, self._take(path, environ))
         except Refused as error:
             return _json(error.status, {"error": str(error)})
-        except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
+        except UserError as error:
             return _json(400, {"error": str(error)})
         except (sqlite3.Error, OSError) as error:
             _log.error("nothing can be kept: %s", error)
@@ -75,16 +76,16 @@ class Application:
         body = environ["wsgi.input"].read()
         token = environ.get("HTTP_AUTHORIZATION", "").removeprefix("Bearer ")
         if path == "/session":
-            session = self._store.claim(msgspec.json.decode(body, type=Claim))
+            session = self._store.claim(parse_json(body, Claim, source="the message"))
             participant = self._study.participant(session["participant"])
             assert participant is not None
             return session | {"sets": sequence(self._study, participant)}
         if path == "/answers":
-            self._store.add(msgspec.json.decode(body, type=Answer), token)
+            self._store.add(parse_json(body, Answer, source="the message"), token)
         elif path == "/facts":
-            self._store.note(msgspec.json.decode(body, type=Fact), token)
+            self._store.note(parse_json(body, Fact, source="the message"), token)
         elif path == "/finish":
-            return self._store.finish(msgspec.json.decode(body, type=Finish), token)
+            return self._store.finish(parse_json(body, Finish, source="the message"), token)
         else:
             raise Refused(404, "there is nothing here")
         return {"saved": True}
