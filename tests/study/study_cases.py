@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 from anystyle.study.design import Sources, design
-from anystyle.study.plan import Plan
+from anystyle.study.plan import Plan, Question
 from anystyle.study.protocol import Study
 
 HEADER = "participant,item,question,score,ours_is"

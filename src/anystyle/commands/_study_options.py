@@ -13,8 +13,8 @@ from anystyle.study.contract import StudyTest
 from anystyle.study.plan import Plan, plan_from
 
 
-def read_plan(config: str, overrides: Sequence[str]) -> Plan:
-    """A plan from ``conf/study/NAME.yaml`` or a file, with ``key=value`` words on top.
+def read_plan(overrides: Sequence[str]) -> Plan:
+    """A plan from ``conf/study/paper.yaml``, or what ``study=NAME`` or ``study=FILE`` names, with ``key=value`` on top.
 
     Raises:
         UserError: There is no such configuration, or it is none.
@@ -24,14 +24,17 @@ def read_plan(config: str, overrides: Sequence[str]) -> Plan:
     from omegaconf.errors import OmegaConfBaseException
     from yaml import YAMLError
 
+    names = [word for word in overrides if word.startswith("study=")]
+    config = names[-1].removeprefix("study=") if names else "paper"
+    overrides = [word for word in overrides if word not in names]
     file = Path(config)
     if file.suffix not in (".yaml", ".yml"):
         file = paths.CONF / "study" / f"{config}.yaml"
         if not file.is_file():
-            names = [path.stem for path in sorted(file.parent.glob("*.yaml"))]
-            raise UserError(unknown("study configuration", config, names))
+            known = [path.stem for path in sorted(file.parent.glob("*.yaml"))]
+            raise UserError(unknown("study configuration", config, known))
     try:
-        merged = OmegaConf.merge(OmegaConf.load(file), OmegaConf.from_dotlist(list(overrides)))
+        merged = OmegaConf.merge(OmegaConf.load(file), OmegaConf.from_dotlist(overrides))
         options = OmegaConf.to_container(merged, resolve=True)
     except (OmegaConfBaseException, YAMLError, UnicodeDecodeError) as error:
         raise UserError(f"{file.name} is no configuration: {explain(error)}") from None

@@ -1,20 +1,22 @@
 """From folders of results to a study: sets, positions, orders, pictures and a report on the balance."""
 
 import hashlib
-import json
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+from jaxtyping import Int
+from PIL import Image
 
-from anystyle.io.atomic import atomic_directory
+from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.study import pictures
-from anystyle.study.balance import balanced_positions, draw_pairs, latin_orders, spread_checks
-from anystyle.study.naming import picture_name
+from anystyle.study.balance import balanced_positions, balanced_subsets, draw_pairs, latin_orders, spread_checks
 from anystyle.study.plan import Plan
 from anystyle.study.protocol import PICTURES, Check, Item, Participant, Study
 from anystyle.study.tabulate import escape_markdown
@@ -62,25 +64,43 @@ def design(sources: Sources, plan: Plan, out: Path) -> Study:
     """Draw a study and write ``study.json``, the pictures, ``balance.json`` and ``balance.md`` into ``out``.
 
     Raises:
-        ValueError: The folders lack what the plan needs, or a picture cannot be read.
+        ValueError: The folders lack what the plan needs, a picture cannot be read, or ``out`` holds answers.
     """
+    answers = sorted(out.glob("*.sqlite")) if out.is_dir() else []
+    if answers:
+        raise ValueError(f"{answers[0]} holds answers to the study that is there; design another one elsewhere")
     material = _find(sources)
     generator = np.random.default_rng(plan.seed)
     available = np.array(
         [[material.complete(scene, style) for style in material.style_names] for scene in material.scenes]
     )
-    pairs = draw_pairs(available, plan.sets, generator)
-    baselines = [name for name in sources.methods if name != sources.ours]
-    named = [(material.scenes[scene], material.style_names[style]) for scene, style in pairs]
-    described = json.dumps([asdict(plan), sources.ours, baselines, named])
-    identity = hashlib.sha256(described.encode()).hexdigest()[:12]
-    items = _items(material, sources.ours, baselines, pairs, identity, generator)
-    study = _assign(identity, sources.ours, baselines, plan, items, generator)
+    pairs = np.array(draw_pairs(available, plan.pool or plan.sets, generator))
+    baselines = tuple(name for name in sources.methods if name != sources.ours)
+    against = generator.permutation(np.arange(len(pairs)) % len(baselines))
     with atomic_directory(out) as folder:
-        notes = _write_pictures(material, study, folder / PICTURES)
+        writer = _Writer(folder / PICTURES, plan, generator)
+        items, notes = [], []
+        for number, ((row, column), rival) in enumerate(zip(pairs, against, strict=True), start=1):
+            place = material.scenes[row], material.style_names[column]
+            item, cut = _item(material, writer, f"set-{number:03d}", place, (sources.ours, baselines[int(rival)]))
+            items.append(item)
+            notes += cut
+        checks = _degraded(material, writer, items, sources.ours)
+        participants, repeats = _participants(plan, items, checks, pairs, generator)
+        study = Study(
+            id="",
+            ours=sources.ours,
+            baselines=baselines,
+            plan=plan,
+            items=tuple(items),
+            checks=(*checks, *repeats),
+            participants=participants,
+        )
+        writer.digest.update(msgspec.json.encode(study, order="deterministic"))
+        study = msgspec.structs.replace(study, id=writer.digest.hexdigest()[:12])
         study.write(folder)
         report = balance(study) | {"left_out": [*material.left_out, *notes]}
-        (folder / "balance.json").write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+        write_json(folder / "balance.json", report)
         (folder / "balance.md").write_text(balance_text(report), encoding="utf-8")
     return study
 
@@ -112,33 +132,72 @@ def _find(sources: Sources) -> _Material:
     )
 
 
-def _items(
-    material: _Material,
-    ours: str,
-    baselines: Sequence[str],
-    pairs: Sequence[tuple[int, int]],
-    identity: str,
-    generator: np.random.Generator,
-) -> tuple[Item, ...]:
-    against = generator.permutation(np.arange(len(pairs)) % len(baselines))
-    items = []
-    for number, ((row, column), rival) in enumerate(zip(pairs, against, strict=True), start=1):
-        scene, style = material.scenes[row], material.style_names[column]
-        in_words = material.styles[style].suffix.lower() == ".txt"
-        items.append(
-            Item(
-                id=f"set-{number:02d}",
-                scene=scene,
-                style=style,
-                baseline=baselines[int(rival)],
-                ours=picture_name(generator, identity, ours=True),
-                theirs=picture_name(generator, identity, ours=False),
-                content=picture_name(generator, identity, ours=None),
-                reference="" if in_words else picture_name(generator, identity, ours=None),
-                text=_words(material.styles[style]) if in_words else "",
-            )
-        )
-    return tuple(items)
+class _Writer:
+    """Pictures under names that tell nothing; ``digest`` is of them all, so that a study's id is."""
+
+    def __init__(self, folder: Path, plan: Plan, generator: np.random.Generator) -> None:
+        folder.mkdir()
+        self.folder, self.plan, self.generator = folder, plan, generator
+        self.digest = hashlib.sha256()
+
+    def picture(self, image: Image.Image) -> str:
+        name = f"{self.generator.bytes(6).hex()}.jpg"
+        pictures.write_picture(image, self.folder / name)
+        self.digest.update((self.folder / name).read_bytes())
+        return name
+
+    def views(self, images: Sequence[Image.Image]) -> tuple[str, ...]:
+        """The images, or one video of them with its first image beside it under the same name."""
+        names = tuple(map(self.picture, images if self.plan.show != "video" else images[:1]))
+        if self.plan.show != "video" or len(images) == 1:
+            return names
+        video = Path(names[0]).with_suffix(".mp4").name
+        pictures.write_video(images, self.folder / video, self.plan.frames_per_second)
+        return (video,)
+
+
+def _item(
+    material: _Material, writer: _Writer, identity: str, place: tuple[str, str], methods: tuple[str, str]
+) -> tuple[Item, list[str]]:
+    """Make every picture of a set the same size; tell where that cut something off."""
+    scene, style = place
+    plan = writer.plan
+    frames = pictures.matching_frames([material.results[name].frames[place] for name in methods], plan.views)
+    contents = material.contents[scene]
+    named = [frame for frame in contents if frame.stem in {frame.stem for frame in frames[0]}]
+    frames.append(named if len(named) == plan.views else pictures.spread(contents, plan.views))
+    shape = pictures.read_picture(frames[0][0]).size
+    size = pictures.fitted_size(shape, plan.image_size)
+    views, notes = [], []
+    for group in frames:
+        images = [pictures.read_picture(frame) for frame in group]
+        ratio = (images[0].width / images[0].height) / (shape[0] / shape[1])
+        if not 0.98 < ratio < 1.02:
+            notes.append(f"{identity}: {group[0].name} has other proportions than ours and was cut to fit")
+        views.append(writer.views([pictures.filled(image, size) for image in images]))
+    file = material.styles[style]
+    in_words = file.suffix.lower() == ".txt"
+    item = Item(
+        *(identity, scene, style, methods[1], *views),
+        reference="" if in_words else writer.picture(pictures.contained(pictures.read_picture(file), plan.image_size)),
+        text=_words(file) if in_words else "",
+    )
+    return item, notes
+
+
+def _degraded(material: _Material, writer: _Writer, items: Sequence[Item], ours: str) -> list[Check]:
+    """Checks of which one side is spoilt; what is intact is by ours and by the others in turn."""
+    checks, plan = [], writer.plan
+    for number, item in enumerate(pictures.spread(items, plan.degraded)):
+        method = (ours, item.baseline)[number % 2]
+        files = pictures.matching_frames([material.results[method].frames[item.scene, item.style]], plan.views)[0]
+        images = [pictures.read_picture(file) for file in files]
+        size = pictures.fitted_size(images[0].size, plan.image_size)
+        images = [pictures.filled(image, size) for image in images]
+        spoilt = writer.views([pictures.degraded(image) for image in images])
+        identity = f"set-{len(items) + number + 1:03d}"
+        checks.append(Check(identity, "degraded", item.id, (item.ours, item.theirs)[number % 2], spoilt))
+    return checks
 
 
 def _words(file: Path) -> str:
@@ -151,74 +210,69 @@ def _words(file: Path) -> str:
     return text
 
 
-def _assign(
-    identity: str,
-    ours: str,
-    baselines: Sequence[str],
+def _participants(
     plan: Plan,
-    items: tuple[Item, ...],
+    items: Sequence[Item],
+    checks: Sequence[Check],
+    pairs: Int[np.ndarray, "pool 2"],
     generator: np.random.Generator,
-) -> Study:
-    low, high = int(plan.scale.low), int(plan.scale.high)
-    checks = tuple(Check(f"check-{number + 1}", (high, low)[number % 2]) for number in range(plan.attention_checks))
+) -> tuple[tuple[Participant, ...], tuple[Check, ...]]:
+    """What each one sees, and the repeats that this takes."""
+    subsets = balanced_subsets(pairs, plan.sets, plan.participants // 2, generator)
     positions = balanced_positions(plan.participants, plan.sets, generator)
+    flipped = balanced_positions(plan.participants, 2 * math.ceil(len(checks) / 2), generator) if checks else positions
     orders = latin_orders(plan.participants, plan.sets, generator)
+    repeats: dict[str, Check] = {}
     people = []
-    for number, (position, order) in enumerate(zip(positions, orders, strict=True), start=1):
-        mixed = spread_checks([items[index].id for index in order], [check.id for check in checks], generator)
-        ours_is_a = frozenset(items[index].id for index in np.flatnonzero(position))
-        people.append(Participant(f"P{number:0{max(2, len(str(plan.participants)))}d}", tuple(mixed), ours_is_a))
-    return Study(
-        id=identity,
-        ours=ours,
-        baselines=tuple(baselines),
-        plan=plan,
-        items=items,
-        checks=checks,
-        participants=tuple(people),
-    )
-
-
-def _write_pictures(material: _Material, study: Study, folder: Path) -> list[str]:
-    """Make every picture of a set the same size; tell where that cut something off."""
-    folder.mkdir(parents=True)
-    longest, notes = study.plan.image_size, []
-    for item in study.items:
-        groups = [material.results[name].frames[item.scene, item.style] for name in (study.ours, item.baseline)]
-        frames = pictures.matching_frames([*groups, material.contents[item.scene]])
-        ours = pictures.read_picture(frames[0])
-        size = pictures.fitted_size(ours.size, longest)
-        for name, frame in zip((item.ours, item.theirs, item.content), frames, strict=True):
-            image = pictures.read_picture(frame)
-            shape = (image.width / image.height) / (ours.width / ours.height)
-            if not 0.98 < shape < 1.02:
-                notes.append(f"{item.id}: {frame.name} has other proportions than ours and was cut to fit")
-            pictures.write_picture(pictures.filled(image, size), folder / f"{name}.jpg")
-        if item.reference:
-            reference = pictures.contained(pictures.read_picture(material.styles[item.style]), longest)
-            pictures.write_picture(reference, folder / f"{item.reference}.jpg")
-    return notes
+    for number, (position, order) in enumerate(zip(positions, orders, strict=True)):
+        chosen = [items[index] for index in subsets[number // 2]]
+        ours_is_a = {item.id for item, first in zip(chosen, position, strict=True) if first}
+        ours_is_a |= {check.id for check, first in zip(checks, flipped[number], strict=False) if first}
+        sequence = [chosen[index].id for index in order]
+        shown = spread_checks(sequence, [check.id for check in checks], generator)
+        for index in sorted(generator.choice(plan.sets // 2, plan.repeats, replace=False), reverse=True):
+            item = next(item for item in chosen if item.id == sequence[index])
+            identity = f"set-{len(items) + len(checks) + len(repeats) + 1:03d}"
+            repeat = repeats.setdefault(item.id, Check(identity, "repeat", item.id, item.ours, item.theirs))
+            if item.id not in ours_is_a:
+                ours_is_a.add(repeat.id)
+            # Half a form later at least: far enough to be judged anew.
+            earliest = shown.index(item.id) + len(shown) // 2
+            shown.insert(int(generator.integers(earliest, len(shown))) + 1, repeat.id)
+        code = f"P{number + 1:0{max(2, len(str(plan.participants)))}d}"
+        people.append(Participant(code, tuple(shown), frozenset(ours_is_a)))
+    return tuple(people), tuple(repeats.values())
 
 
 def balance(study: Study) -> dict[str, Any]:
     """How even a study is: counts that a perfect design makes equal."""
-    sets = [item.id for item in study.items]
-    orders = [[entry for entry in one.order if entry in set(sets)] for one in study.participants]
-    ranks = np.array([[order.index(entry) for entry in sets] for order in orders])  # participants by sets
-    counts = np.array([np.bincount(ranks[:, column], minlength=len(sets)) for column in range(len(sets))])
+    sets = {item.id: item for item in study.items}
+    orders = [[entry for entry in one.order if entry in sets] for one in study.participants]
+    seen = Counter(entry for order in orders for entry in order)
+    ours_is_a = Counter(entry for one in study.participants for entry in one.ours_is_a)
+    places = Counter((entry, place) for order in orders for place, entry in enumerate(order))
     following = Counter(pair for order in orders for pair in pairwise(order))
+    per_person = {
+        f"a_{name}_per_participant": _range(
+            [Counter(getattr(sets[entry], name) for entry in order)[value] for order in orders for value in values]
+        )
+        for name, values in (
+            ("scene", {item.scene for item in study.items}),
+            ("style", {item.style for item in study.items}),
+        )
+    }
     return {
         "participants": len(study.participants),
         "sets": len(sets),
         "per_scene": dict(sorted(Counter(item.scene for item in study.items).items())),
         "per_style": dict(sorted(Counter(item.style for item in study.items).items())),
         "per_baseline": dict(sorted(Counter(item.baseline for item in study.items).items())),
-        "ours_is_a_per_participant": _range([len(one.ours_is_a) for one in study.participants]),
-        "ours_is_a_per_set": _range([sum(entry in one.ours_is_a for one in study.participants) for entry in sets]),
-        "times_a_set_stands_in_a_place": _range(counts.ravel().tolist()),
-        "times_a_set_follows_another": _range(
-            [following[first, second] for first in sets for second in sets if first != second]
-        ),
+        "participants_per_set": _range([seen[entry] for entry in sets]),
+        "ours_is_a_per_participant": _range([len(one.ours_is_a & sets.keys()) for one in study.participants]),
+        "ours_is_a_per_set": _range([ours_is_a[entry] for entry in sets]),
+        **per_person,
+        "times_a_set_stands_in_a_place": _range([places[entry, p] for entry in sets for p in range(study.plan.sets)]),
+        "times_a_set_follows_another": _range([following[a, b] for a in sets for b in sets if a != b]),
     }
 
 
