@@ -67,6 +67,7 @@ class Responses:
         item_names: One an item.
         item_scenes: The scene of each item; empty where it is not known.
         item_styles: The style of each item; empty where it is not known.
+        ratings: The mean ratings of ours and of theirs, where the deviations are differences of ratings.
         unit: What one row is.
     """
 
@@ -80,12 +81,20 @@ class Responses:
     scale: Scale = Scale()
     item_scenes: tuple[str, ...] = ()
     item_styles: tuple[str, ...] = ()
+    ratings: tuple[float, float] | None = None
     unit: Unit = "response"
 
     @property
     def count(self) -> int:
         """How many rows there are."""
         return len(self.deviations)
+
+    @property
+    def item_titles(self) -> tuple[str, ...]:
+        """The items as people call them: scene and style where both are known."""
+        if not (self.item_scenes and self.item_styles):
+            return self.item_names
+        return tuple(f"{scene}, {style}" for scene, style in zip(self.item_scenes, self.item_styles, strict=True))
 
     @property
     def factors(self) -> dict[Population, Int[np.ndarray, " N"]]:

@@ -7,7 +7,7 @@ import numpy as np
 from scipy import special
 
 from anystyle.study.contract import Alternative, Responses
-from anystyle.study.crossed import Crossing
+from anystyle.study.crossed import CrossedMean, Crossing
 from anystyle.study.probability import t_interval
 
 
@@ -41,25 +41,32 @@ def cohens_d_interval(statistic: float, n: int, confidence: float, alternative: 
     return (-math.inf if alternative == "less" else low), (math.inf if alternative == "greater" else high)
 
 
+def probability_interval(
+    crossed: CrossedMean, column: int, confidence: float, alternative: Alternative
+) -> tuple[float, float]:
+    """The interval of a probability that is above 1/2 where ours is preferred; ``nan`` where nothing varies."""
+    if crossed.error[column] == 0:
+        return math.nan, math.nan
+    sides: dict[Alternative, Alternative] = {"less": "greater", "greater": "less", "two-sided": "two-sided"}
+    mean, error, df = (float(values[column]) for values in (crossed.mean, crossed.error, crossed.df))
+    low, high = t_interval(mean, error, df, confidence, sides[alternative])
+    return max(low, 0.0), min(high, 1.0)
+
+
 def effects(responses: Responses, confidence: float = 0.95, alternative: Alternative = "two-sided") -> list[Effect]:
     """Cohen's d and the probability of superiority over all answers."""
-    values, factors = responses.deviations, responses.factors
-    mean, sd = float(values.mean()), float(values.std(ddof=1)) if responses.count > 1 else 0.0
+    values, factors, name = responses.deviations, responses.factors, "probability_of_superiority"
     preferring = (1 - np.sign(values)) / 2
-    estimates = {"probability_of_superiority": (float(preferring.mean()), preferring)}
-    if sd > 1e-14:
-        # The influence of each answer on mean / SD.
-        standard = (values - mean) / sd
-        estimates = {"cohens_d": (mean / sd, standard - mean / sd * (standard**2 - 1) / 2), **estimates}
-    results: list[Effect] = []
-    flipped: Alternative = {"less": "greater", "greater": "less"}.get(alternative, "two-sided")  # type: ignore[assignment]
-    for name, (estimate, influence) in estimates.items():
-        interval = (math.nan, math.nan)
-        crossed = Crossing(factors=factors).mean(influence) if factors else None
-        if crossed is not None and crossed.error > 0:
-            sides = alternative if name == "cohens_d" else flipped
-            interval = t_interval(estimate, float(crossed.error), float(crossed.df), confidence, sides)
-        if name == "probability_of_superiority":
-            interval = max(interval[0], 0.0), min(interval[1], 1.0)
-        results.append(Effect(name, estimate, interval))
-    return results
+    mean, sd = float(values.mean()), float(values.std(ddof=1)) if responses.count > 1 else 0.0
+    if not factors or sd <= 1e-14:
+        return [Effect(name, float(preferring.mean()), (math.nan, math.nan))]
+    # The influence of each answer on mean / SD.
+    standard = (values - mean) / sd
+    influence = standard - mean / sd * (standard**2 - 1) / 2
+    crossed = Crossing(factors=factors).mean(np.stack([influence, preferring], axis=1))
+    error, df = float(crossed.error[0]), float(crossed.df[0])
+    interval = t_interval(mean / sd, error, df, confidence, alternative) if error > 0 else (math.nan, math.nan)
+    return [
+        Effect("cohens_d", mean / sd, interval),
+        Effect(name, float(preferring.mean()), probability_interval(crossed, 1, confidence, alternative)),
+    ]

@@ -7,7 +7,7 @@ import numpy as np
 
 from anystyle.study.contract import Alternative, Responses, StudyTest, TestResult, Unit
 from anystyle.study.crossed import Crossing
-from anystyle.study.effects import effects
+from anystyle.study.effects import probability_interval
 from anystyle.study.probability import log_t_pvalue, t_interval
 
 
@@ -34,13 +34,13 @@ class CrossedT(StudyTest):
         people = levels.get("participants", 1)
         drawn = " x ".join(f"{count} {factor}" for factor, count in levels.items())
         method = f"t test of the mean over crossed random {drawn or 'factors'}, moment estimates"
-        crossed = Crossing(factors=factors).mean(responses.deviations) if factors else None
-        if crossed is None or crossed.error == 0:
+        values = np.stack([responses.deviations, (1 - np.sign(responses.deviations)) / 2], axis=1)
+        crossed = Crossing(factors=factors).mean(values) if factors else None
+        if crossed is None or crossed.error[0] == 0:
             reason = f"{drawn or 'one participant, one item'}: the means do not vary, and nothing can be tested"
             nothing = TestResult.untestable(responses, reason=reason, alternative=self.alternative, method=method)
             return replace(nothing, unit="participant", n=people)
-        mean, error, df = float(crossed.mean), float(crossed.error), float(crossed.df)
-        (superiority,) = effects(responses, self.confidence, self.alternative)[-1:]
+        mean, error, df = (float(column[0]) for column in (crossed.mean, crossed.error, crossed.df))
         return TestResult(
             unit="participant",
             statistic=mean / error,
@@ -48,9 +48,9 @@ class CrossedT(StudyTest):
             alternative=self.alternative,
             estimate=mean,
             interval=t_interval(mean, error, df, self.confidence, self.alternative),
-            effect=superiority.estimate,
-            effect_name=superiority.name,
-            effect_interval=superiority.interval,
+            effect=float(crossed.mean[1]),
+            effect_name="probability_of_superiority",
+            effect_interval=probability_interval(crossed, 1, self.confidence, self.alternative),
             n=people,
             confidence=self.confidence,
             method=f"{method}, {np.round(df, 1):g} degrees of freedom (Satterthwaite)",
