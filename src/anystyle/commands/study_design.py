@@ -14,10 +14,10 @@ def parser() -> argparse.ArgumentParser:
         prog="anystyle study design",
         description="Draw a study from two or more methods' results, laid out as SCENE/STYLE.png or SCENE/STYLE/*.png: "
         "sets balanced over scenes and styles, positions balanced over participants and sets, orders from Latin "
-        "squares, attention checks; of a larger pool, each one sees a balanced part. Writes study.json, pictures/ and a "
-        "report on the balance.",
-        epilog="study=paper (the default), study=pilot, study=online or study=FILE.yaml says what is asked; words such as "
-        "participants=20 change it; anystyle study design --show prints it.",
+        "squares, attention checks; of a larger pool, each one sees a balanced part. Writes study.json, pictures "
+        "and a report on the balance.",
+        epilog="study=paper (the default), study=pilot, study=online or study=FILE.yaml says what is asked; words "
+        "such as participants=20 change it; anystyle study design --show prints it.",
         allow_abbrev=False,
     )
     words.add_argument("options", nargs="*", metavar="OPTION=VALUE", help="changes to the configuration")

@@ -33,7 +33,7 @@ def balanced_subsets(
 
     Within that, each subset is as even over scenes and over styles as it can be. Of a pool of ``count``, all are taken.
     """
-    shape = tuple(pairs.max(axis=0) + 1)
+    shape = tuple((pairs.max(axis=0) + 1).tolist())
     times = np.zeros(len(pairs), dtype=int)
     subsets = []
     for _ in range(rounds):

@@ -218,10 +218,10 @@
   };
 
   // What moves, moves together: videos begin again when the first has ended, flip-books turn by one clock.
-  const player = (views) => {
+  const player = (views, enlarge) => {
     const videos = [...views.querySelectorAll("video")];
     const stacks = study.show === "flipbook" ? [...views.querySelectorAll(".stack")].filter((stack) => stack.children.length > 1) : [];
-    if (!videos.length && !stacks.length) return null;
+    if (!videos.length && !stacks.length) return make("div", { class: "player" }, enlarge);
     const count = Math.max(1, ...stacks.map((stack) => stack.children.length));
     const slider = stacks.length ? make("input", { type: "range", min: "1", max: count, value: "1", "aria-label": "View" }) : null;
     let timer = 0;
@@ -244,7 +244,7 @@
     if (videos.length) videos[0].addEventListener("ended", () => { videos.forEach((video) => { video.currentTime = 0; }); play(); });
     turn(0);
     if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play();
-    return make("div", { class: "player" }, toggle, slider);
+    return make("div", { class: "player" }, toggle, slider, enlarge);
   };
 
   const views = async (set) => {
@@ -259,8 +259,12 @@
     const ratio = (first.naturalWidth || first.videoWidth) / (first.naturalHeight || first.videoHeight);
     const many = study.show === "grid" && set.A.length > 1;
     const node = make("div", { class: many ? "views many" : "views", style: `--ratio: ${ratio}; --rows: ${many ? set.A.length : 1}` }, ...columns);
-    const controls = player(node);
-    if (controls) node.append(controls);
+    const enlarge = button("enlarge", "Enlarge", () => {
+      const large = node.parentElement.classList.toggle("large");
+      node.parentElement.classList.toggle("tall", many && !large);
+      enlarge.textContent = large ? "Side by side" : "Enlarge";
+    });
+    node.append(player(node, enlarge));
     return node;
   };
 
@@ -289,7 +293,7 @@
     const numbers = study.questions[0].labels.map((_, step) => study.questions[0].low + step);
     const node = make("div", { class: "set" }, loading, make("div", { class: "questions" }, ...fields),
       make("div", { class: "buttons" }, back, next,
-        make("span", { class: "hint keys", text: `Keys: ${numbers[0]} to ${numbers.at(-1)} answer, Enter goes on, Backspace goes back.` })));
+        make("span", { class: "hint keys", text: `Keys: ${numbers[0]} to ${numbers.at(-1)} answer, Enter next, Backspace back` })));
     show(index, state.sets.length, `${index + 1} of ${state.sets.length}`, heading("Compare A and B"), node);
     const reveal = async () => {
       try {
