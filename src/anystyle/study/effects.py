@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 from anystyle.study.contract import Alternative, Responses
 from anystyle.study.crossed import CrossedMean, Crossing
@@ -24,21 +23,6 @@ class Effect:
     name: str
     estimate: float
     interval: tuple[float, float]
-
-
-def cohens_d_interval(statistic: float, n: int, confidence: float, alternative: Alternative) -> tuple[float, float]:
-    """Cohen's d whose noncentral t distribution has the observed statistic at either tail.
-
-    Where that distribution leaves the range of its algorithm, the large-sample interval takes its place.
-    """
-    tail = (1 - confidence) / (2 if alternative == "two-sided" else 1)
-    low = float(special.nctdtrinc(n - 1, 1 - tail, statistic)) / math.sqrt(n)
-    high = float(special.nctdtrinc(n - 1, tail, statistic)) / math.sqrt(n)
-    effect = statistic / math.sqrt(n)
-    if not (np.isfinite([low, high]).all() and low < effect < high and abs(statistic) < 30):
-        half_width = float(special.ndtri(1 - tail)) * math.sqrt(1 / n + effect**2 / (2 * n))
-        low, high = effect - half_width, effect + half_width
-    return (-math.inf if alternative == "less" else low), (math.inf if alternative == "greater" else high)
 
 
 def probability_interval(

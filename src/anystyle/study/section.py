@@ -33,7 +33,8 @@ def rows_of(question: QuestionAnalysis) -> list[list[str]]:
                 result.unit,
                 str(result.n),
                 f"{result.estimate:.3f}" + f" {result.estimate_unit}" * (result.estimate_unit != "points"),
-                bounds(result.interval),
+                # Of single answers, which stand for nobody, an interval would cover nothing.
+                bounds(result.interval) if result.generalizes_to else "—",
                 plain_p(named),
                 holm,
                 effect,
