@@ -1,6 +1,7 @@
 """What the study commands share: plans from configurations, and the tests to run."""
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,8 +44,15 @@ def read_plan(overrides: Sequence[str]) -> Plan:
     return plan_from(values)
 
 
-def build_tests(names: Sequence[str], overrides: Sequence[str]) -> dict[str, StudyTest]:
-    """The named tests of the catalog, all if none is named, with ``TEST.OPTION=VALUE`` words as options.
+def build_tests(
+    names: Sequence[str], overrides: Sequence[str], common: Mapping[str, Any] | None = None
+) -> dict[str, StudyTest]:
+    """The named tests of the catalog, all if none is named.
+
+    Args:
+        names: Of the tests.
+        overrides: ``TEST.OPTION=VALUE`` words.
+        common: Options of every test that has them.
 
     Raises:
         UserError: An override names a test that is not run.
@@ -63,4 +71,9 @@ def build_tests(names: Sequence[str], overrides: Sequence[str]) -> dict[str, Stu
             raise UserError(unknown("test that is run", test, options))
         options[test][option] = OmegaConf.to_container(OmegaConf.from_dotlist([f"value={value}"]))["value"]  # type: ignore[index]
     plugins = {name: catalog().find("study_test", name) for name in chosen}
-    return {name: build(StudyTest, {"_target_": plugin.path, **options[name]}) for name, plugin in plugins.items()}
+    tests: dict[str, StudyTest] = {}
+    for name, plugin in plugins.items():
+        known = inspect.signature(plugin.load()).parameters
+        shared = {option: value for option, value in (common or {}).items() if option in known}
+        tests[name] = build(StudyTest, {"_target_": plugin.path, **shared, **options[name]})
+    return tests
