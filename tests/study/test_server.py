@@ -18,7 +18,7 @@ from study_browser import until
 from study_cases import QUESTIONS, small_study
 
 from anystyle.study.form import write_page
-from anystyle.study.store import Answer, Claim, Fact, Finish, Refused, Store
+from anystyle.study.store import Answer, Claim, Fact, Message, Refused, Store
 from study_serving import PATIENCE, answer, claim, kept_answers, post, serving, token_of
 
 
@@ -75,6 +75,7 @@ def test_the_server_takes_in_only_answers_to_its_study(designed, tmp_path):
         assert url.startswith("http://127.0.0.1:")
         status, session = claim(url, study, "p01")
         assert (status, session["participant"], session["answers"]) == (200, "P01", [])
+        assert [claim(url, study, code)[0] for code in ("P99", "P01-2", "../P01", "")] == [404, 404, 400, 400]
         good, token = answer(study, "P01", "set-001"), token_of("p01")
         assert post(url, "answers", good, token) == (200, {"saved": True})
         assert post(url, "answers", good, token) == (200, {"saved": True})  # what the page had no reply to
@@ -235,11 +236,11 @@ def test_the_end_is_told_once_every_answer_is_kept(designed, store):
     for item in order:
         for question, side in sides:
             with pytest.raises(Refused, match=r"\d+ answers are missing"):
-                store.finish(Finish(study.id, "P01"), token_of("P01"))
+                store.finish(Message(study.id, "P01"), token_of("P01"))
             message = msgspec.convert(answer(study, "P01", item, question, 2, side), Answer)
             store.add(message, token_of("P01"))
-    assert store.finish(Finish(study.id, "P01"), token_of("P01")) == {"code": "", "url": ""}
-    assert store.count() == 3 * len(order)
+    assert store.finish(Message(study.id, "P01"), token_of("P01")) == {"code": "", "url": ""}
+    assert len(store.claim(Claim(study.id, "P01", token_of("P01")))["answers"]) == 3 * len(order)
 
 
 def test_changed_answers_and_comments(designed, store, tmp_path):

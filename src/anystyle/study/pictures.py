@@ -1,7 +1,6 @@
 """Results, photographs and styles found in folders, and pictures of one size made of them."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -17,17 +16,8 @@ _LONGEST = 4096
 _INNER = ("renders", "images")  # folders that hold a result's or a scene's frames
 
 
-@dataclass(frozen=True)
-class Results:
-    """One method's results.
-
-    Args:
-        method: Its name.
-        frames: The frames of each scene and style, in order.
-    """
-
-    method: str
-    frames: Mapping[tuple[str, str], Sequence[Path]]
+Results = Mapping[tuple[str, str], Sequence[Path]]
+"""One method's frames of each scene and style, in order."""
 
 
 def frames_in(path: Path) -> list[Path]:
@@ -70,7 +60,7 @@ def find_results(method: str, folder: Path) -> Results:
                 frames_of[scene, style] = frames
     if not frames_of:
         raise ValueError(f"method {method}: {folder} holds no results; expected SCENE/STYLE.png or SCENE/STYLE/*.png")
-    return Results(method, frames_of)
+    return frames_of
 
 
 def find_contents(folder: Path) -> dict[str, list[Path]]:

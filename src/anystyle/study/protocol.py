@@ -1,7 +1,6 @@
 """A designed study: what ``study.json`` holds, and only the experimenter reads."""
 
 import re
-from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
@@ -115,15 +114,9 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
     @property
     def pictures(self) -> tuple[str, ...]:
         """The names of all files in ``pictures/``, each once."""
-        return tuple(dict.fromkeys(self._pictures()))
-
-    def _pictures(self) -> Iterator[str]:
-        for item in self.items:
-            yield from (*item.ours, *item.theirs, *item.content)
-            if item.reference:
-                yield item.reference
-        for check in self.checks:
-            yield from (*check.ours, *check.theirs)
+        names = [name for one in self.shown.values() for name in (*one.ours, *one.theirs)]
+        names += [name for item in self.items for name in (*item.content, item.reference) if name]
+        return tuple(dict.fromkeys(names))
 
     def participant(self, name: str) -> Participant | None:
         """What the participant of a name in the answers sees: ``P01-2`` took what ``P01`` had left."""

@@ -4,6 +4,7 @@ import json
 import logging
 import sqlite3
 from collections.abc import Callable, Iterable
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
@@ -13,15 +14,11 @@ from anystyle.documents import parse_json
 from anystyle.errors import UserError
 from anystyle.study.form import picture_files, render, sequence
 from anystyle.study.protocol import Study
-from anystyle.study.store import Answer, Claim, Fact, Finish, Refused, Store
+from anystyle.study.store import Answer, Claim, Fact, Message, Refused, Store
 
 _log = logging.getLogger(__name__)
 _LARGEST_MESSAGE = 64 * 1024
 _KINDS = {".jpg": "image/jpeg", ".mp4": "video/mp4"}
-_REASONS = {
-    200: "OK", 400: "Bad Request", 401: "Unauthorized", 404: "Not Found", 409: "Conflict",
-    413: "Content Too Large", 503: "Service Unavailable",
-}  # fmt: skip
 
 
 class Application:
@@ -48,7 +45,7 @@ class Application:
             ("X-Content-Type-Options", "nosniff"),
             ("Referrer-Policy", "no-referrer"),
         ]
-        start_response(f"{status} {_REASONS[status]}", headers)
+        start_response(f"{status} {HTTPStatus(status).phrase}", headers)
         return [body]
 
     def _answer(self, environ: dict[str, Any]) -> tuple[int, str, bytes]:
@@ -85,7 +82,7 @@ class Application:
         elif path == "/facts":
             self._store.note(parse_json(body, Fact, source="the message"), token)
         elif path == "/finish":
-            return self._store.finish(parse_json(body, Finish, source="the message"), token)
+            return self._store.finish(parse_json(body, Message, source="the message"), token)
         else:
             raise Refused(404, "there is nothing here")
         return {"saved": True}
