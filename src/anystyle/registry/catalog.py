@@ -185,6 +185,11 @@ class Catalog:
                 return self.find(kind, plugin.name)
         raise PluginError(f"_target_ '{path}' is a {plugins[0].kind}, and a {kind} is expected here")
 
+    def name_of(self, kind: str, cls: type) -> str:
+        """The name that a class is registered by; its own where the catalog does not list it."""
+        path = f"{cls.__module__}.{cls.__qualname__}"
+        return next((plugin.name for plugin in self._plugins if (plugin.kind, plugin.path) == (kind, path)), path)
+
 
 def _builtin() -> Iterator[Plugin]:
     for kind, rows in BUILTIN.items():

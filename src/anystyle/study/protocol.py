@@ -118,7 +118,7 @@ def read_study(path: Path) -> Study:
         strange = set(participant.order) - known
         if strange:
             raise ValueError(
-                f"{file} is no study: it shows participant {participant.id} {sorted(strange)[0]!r}, which there is none of"
+                f"{file} is no study: it shows participant {participant.id} {min(strange)!r}, which there is none of"
             )
     for name in study.pictures:
         if not name.isalnum():
