@@ -44,9 +44,9 @@ def splice(draw: random.Random, data: bytes, suffix: str) -> bytes:
 
 def foreign(draw: random.Random, data: bytes, suffix: str) -> bytes:
     """Something else altogether, under this name."""
-    bomb = "a: &a [x, x]\n" + "".join(
-        f"{chr(98 + i)}: &{chr(98 + i)} [*{chr(97 + i)}, *{chr(97 + i)}]\n" for i in range(24)
-    )
+    pairs = zip("abcdefghijklmnopqrstuvw", "bcdefghijklmnopqrstuvwx", strict=True)
+    bomb = "a: &a [x, x]\n" + "".join(f"{after}: &{after} [*{name}, *{name}]\n" for name, after in pairs)
+    vast = b"\x93NUMPY\x01\x00v\x00{'descr': '<f8', 'fortran_order': False, 'shape': (9999999999, 17)}"
     return draw.choice(
         (
             b"", b"\0" * 64, b"null", b"[]", b"{}", b"3", b'"text"', b"\xff\xfe\xfa", b"%!PS-Adobe-3.0 EPSF-3.0\n",

@@ -24,7 +24,7 @@ from anystyle.study.design import design
 from anystyle.types import Cameras
 
 SMALL = ("views.short_side=28", "views.take=2", "video.frames=1", "video.scale=0.2", "reconstruction=feedforward")
-_ANALYZE = ("--out", "out", "--resamples", "50", "--no-report", "--test", "wilcoxon")
+_ANALYZE = ("--out", "out", "--resamples", "99", "--no-report", "--test", "wilcoxon")
 TINY = ("model=tiny", "poses=predicted", *SMALL)
 
 
@@ -195,7 +195,7 @@ def _studies(root: Path) -> dict[str, Case]:
                 "--out",
                 "out",
                 "--resamples",
-                "50",
+                "99",
                 "--no-report",
                 "--test",
                 "wilcoxon",
@@ -215,7 +215,7 @@ def _studies(root: Path) -> dict[str, Case]:
             "--out",
             "out",
             "--resamples",
-            "50",
+            "99",
             "--no-report",
             "--test",
             "wilcoxon",

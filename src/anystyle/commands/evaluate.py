@@ -88,7 +88,6 @@ def evaluate(config: DictConfig, out: Path) -> Evaluation:
     named = runtime_arguments(plugin)
     parts, weights = make_parts(config, named)
     protocol = build(Protocol, config.protocol, **parts)
-    out.mkdir(parents=True, exist_ok=True)
     judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
     with bind(config, weights, out, named, judges):
         with Bar() as progress:

@@ -64,7 +64,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
     reconstruction = config.get("reconstruction")
     stages = Stages(lambda name, note: print(f"{name} {note} …", file=sys.stderr, flush=True))
     target = job_folder(arguments.out)
-    with atomic_directory(target) as folder:
+    with atomic_directory(target, expected_entries(options)) as folder:
         torch.manual_seed(config.seed)
         with stages("load", "the model"):
             stylizer, weights = assemble_frozen(config)
@@ -116,6 +116,11 @@ def mixing_amounts(arguments: argparse.Namespace, num_styles: int) -> list[float
     if amounts and num_styles != 2:
         raise ValueError(f"--mix needs exactly two styles, and {num_styles} are given; add or drop a --text or --image")
     return amounts
+
+
+def expected_entries(options: Stylize) -> list[str]:
+    """Folders that a result has and a capture may have too; where one is in the way, that is said before any work."""
+    return ["renders", *(["sparse"] if options.export.colmap != "none" else [])]
 
 
 def scene_views(config: DictConfig, take: int) -> Views:

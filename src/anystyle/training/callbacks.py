@@ -149,7 +149,7 @@ def logged(trainer: pl.Trainer) -> dict[str, float]:
 @contextmanager
 def _atomic_on_first(trainer: pl.Trainer, path: Path) -> Iterator[Path]:
     if trainer.is_global_zero:
-        with atomic_path(path) as temporary:
+        with atomic_path(path, sync=True) as temporary:
             yield temporary
     else:
         yield path

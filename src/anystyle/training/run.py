@@ -75,7 +75,6 @@ def train(config: DictConfig, out: Path, on_begin: Callable[[], None] = lambda: 
             at work there.
     """
     check_options(config)
-    out.mkdir(parents=True, exist_ok=True)
     with alone(out):
         if not config.fast_dev_run:
             return _train(config, out, on_begin)
