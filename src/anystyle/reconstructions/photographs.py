@@ -142,7 +142,7 @@ def _fingerprint(
 
 
 def _write(fit: Fit, path: Path, key: str) -> None:
-    with atomic_path(path) as temporary:
+    with atomic_path(path, sync=True) as temporary:
         torch.save({"key": key, "fit": fit.state_dict()}, temporary)
 
 
