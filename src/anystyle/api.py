@@ -7,13 +7,14 @@ from types import MappingProxyType
 
 from torch import Tensor
 
-from anystyle.inference.assemble import assemble_frozen, default_device
+from anystyle.inference.assemble import assemble_frozen, default_device, method_named
 from anystyle.inference.encoding import EncodedCapture, Inputs, encode_capture
 from anystyle.inference.options import ExportOptions, PoseOptions, VideoOptions, ViewOptions
 from anystyle.inference.results import Result, Results
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import Mixture, StyleInput, embed_styles
 from anystyle.io.atomic import atomic_directory
+from anystyle.methods.contract import Method
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
@@ -47,6 +48,7 @@ def stylize(
     views: ViewOptions = ViewOptions(),
     poses: PoseOptions | None = None,
     reconstruction: str | Reconstruction | None = None,
+    method: str | Method | None = None,
     refine: bool = False,
     out: str | Path | None = None,
     export: ExportOptions = ExportOptions(),
@@ -67,6 +69,8 @@ def stylize(
             bundled weights, and ``predicted`` elsewhere.
         reconstruction: What becomes of the views: a plugin's name or an instance. ``None`` fits a scene to photographs
             whose cameras are found, and takes what the backbone predicts elsewhere.
+        method: How the scene takes a style: a plugin's or a preset's name, such as ``nnfm``, or an instance. ``None``
+            is the single pass.
         refine: Whether predicted cameras are aligned by what several views see alike.
         out: A folder to write all results to; each is written when it is saved if there is none.
         export: Which files a result has.
@@ -102,7 +106,10 @@ def stylize(
         )
         with stages("embed", "the styles"):
             embedded = embed_styles(chosen, model)
-        results = Results(encoded, embedded, export=export, video=video, provenance=provenance, stages=stages)
+            chosen_method = method_named(method, model.style_encoder) if isinstance(method, str) else method
+        results = Results(
+            encoded, embedded, method=chosen_method, export=export, video=video, provenance=provenance, stages=stages
+        )
         if folder is not None:
             results.write(folder)
     return results

@@ -16,11 +16,12 @@ from anystyle import api
 from anystyle.commands._compose import main, override, split
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.errors import UserError
-from anystyle.inference.assemble import assemble_frozen, default_device, default_poses
+from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
 from anystyle.inference.options import ExportOptions, PoseOptions, VideoOptions, ViewOptions
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import Mixture, StyleInput, check_text
 from anystyle.io.atomic import atomic_directory
+from anystyle.io.sheet import to_pil
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.registry.build import build
 from anystyle.types import Style, Views
@@ -64,9 +65,14 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
     )
     poses = PoseOptions(config.poses or default_poses(config), config.poses_from)
     reconstruction = config.get("reconstruction")
-    stages = Stages(lambda name, note: print(f"{name} {note} …", file=sys.stderr, flush=True))
     target = job_folder(arguments.out)
-    with atomic_directory(target) as folder:
+    watched = target.with_name(f"{target.name}.progress.png")
+    stages = Stages(
+        lambda name, note: print(f"{name} {note} …", file=sys.stderr, flush=True),
+        lambda thumbnail: to_pil(thumbnail).save(watched),
+    )
+    with contextlib.ExitStack() as cleanup, atomic_directory(target) as folder:
+        cleanup.callback(watched.unlink, missing_ok=True)
         torch.manual_seed(config.seed)
         with stages("load", "the model"):
             stylizer, weights = assemble_frozen(config)
@@ -82,6 +88,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
             views=views,
             poses=poses,
             reconstruction=None if reconstruction is None else build(Reconstruction, reconstruction),
+            method=make_method(config, stylizer.style_encoder),
             refine=config.refine,
             export=export,
             video=video,

@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -19,12 +19,14 @@ from anystyle.inference.groups import Capture, Group, encode_groups
 from anystyle.inference.options import PoseOptions, ViewOptions
 from anystyle.inference.refine import refine
 from anystyle.inference.stages import Stages
-from anystyle.inference.styles import slug
+from anystyle.inference.styles import EmbeddedStyle, slug
+from anystyle.methods.branch import Branch
+from anystyle.methods.contract import Method, Progress, silent
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.reconstructions.fit import Fit
 from anystyle.reconstructions.sfm.verdict import FEWEST_VIEWS
 from anystyle.stylizer import Stylizer
-from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, StyleEmbedding, Views
+from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, Views
 from anystyle.types.shapes import ShapeError, check_value
 
 _log = logging.getLogger(__name__)
@@ -76,14 +78,23 @@ class EncodedCapture:
         """
         return _finite(self.capture.gaussians(self.stylizer.unstyled), "the unstyled scene")
 
-    def restyle(self, embedding: StyleEmbedding, title: str = "this style") -> Gaussians:
-        """The scene in a style.
+    def restyle(
+        self,
+        style: EmbeddedStyle,
+        method: Method | None = None,
+        on_progress: Callable[[Progress], None] = silent,
+    ) -> Gaussians:
+        """The scene in a style, by the single pass unless a method is given; groups of views one after the other.
 
         Raises:
-            ValueError: Some of its numbers are NaN or infinite.
+            ValueError: Some of its numbers are NaN or infinite, or the method cannot work on this style.
         """
-        restyle = partial(self.stylizer.restyle, embedding=embedding)
-        return _finite(self.capture.gaussians(restyle), f"the scene in the style {title}")
+
+        def stylized(scene: Scene) -> Gaussians:
+            given, embedding = style.style.to(self.stylizer.device), style.embedding
+            return (method or Branch())(self.stylizer, scene, given, embedding, on_progress=on_progress)
+
+        return _finite(self.capture.gaussians(stylized), f"the scene in the style {style.title}")
 
     @torch.no_grad()
     def render(self, gaussians: Gaussians, cameras: Cameras | None = None) -> Iterator[Float[Tensor, "3 H W"]]:

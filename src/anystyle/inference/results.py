@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.checkpoint import save_tensors
 from anystyle.io.sheet import Cell, style_sheet, to_pil
 from anystyle.io.video import write_video
+from anystyle.methods.contract import Method
 from anystyle.types import Cameras, Gaussians
 
 MAX_POINTS = 100_000
@@ -71,6 +72,7 @@ class Result:
                 **encoded.reconstruction,
                 "num_gaussians": int((self.gaussians.opacities > 0).sum()),
             },
+            "method": method_report(self.results.method),
             "inputs": [source.name for source in encoded.sources],
             "size": list(encoded.views.size),
             "seconds": {stage: round(seconds, 4) for stage, seconds in stages.seconds.items()},
@@ -134,6 +136,7 @@ class Results:
     Args:
         encoded: The capture.
         styles: The styles, at least one.
+        method: How it takes a style; ``None`` for the single pass.
         export: Which files a result has.
         video: The flight through the cameras.
         provenance: What reports say of the model: weights, configuration, seed.
@@ -145,12 +148,13 @@ class Results:
         encoded: EncodedCapture,
         styles: Sequence[EmbeddedStyle],
         *,
+        method: Method | None = None,
         export: ExportOptions,
         video: VideoOptions,
         provenance: Mapping[str, object],
         stages: Stages,
     ) -> None:
-        self.encoded, self.styles = encoded, tuple(styles)
+        self.encoded, self.styles, self.method = encoded, tuple(styles), method
         self.export, self.video = export, video
         self.provenance, self.stages = provenance, stages
 
@@ -161,7 +165,8 @@ class Results:
         style = self.styles[index]
         note = f"{range(len(self))[index] + 1}/{len(self)}: {' '.join(style.title.split())[:70]}"
         with self.stages("restyle", note):
-            return Result(style, self.encoded.restyle(style.embedding, style.title), self)
+            gaussians = self.encoded.restyle(style, self.method, partial(self.stages.watch, "restyle"))
+            return Result(style, gaussians, self)
 
     def __iter__(self) -> Iterator[Result]:
         for index in range(len(self)):
@@ -199,6 +204,16 @@ class Results:
         """The column of the reconstruction itself."""
         with self.stages("render", "the unstyled scene"):
             return "unstyled", None, [to_pil(image) for image in self.encoded.render(self.encoded.unstyled())]
+
+
+def method_report(method: Method | None) -> dict[str, object]:
+    """What stylized a scene, for ``report.json``: the method, and the networks that it rests on."""
+    if method is None:
+        return {"kind": "branch"}
+    return {
+        "kind": type(method).__name__.lower(),
+        "networks": [asdict(source) for source in method.sources],
+    }
 
 
 def save_gaussians(gaussians: Gaussians, path: Path) -> None:

@@ -1,4 +1,4 @@
-"""2D stylization of each photograph, solved back onto the Gaussians: what multi-view consistency is measured against."""
+"""2D stylization of each photograph, its colours solved back onto the Gaussians: the baseline of all 3D stylization."""
 
 from collections.abc import Callable
 from dataclasses import replace
