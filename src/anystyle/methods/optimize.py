@@ -75,6 +75,11 @@ class Optimize(Method):
         self.schedule = Schedule(num_steps, rates_of(moves), decay, split_every, split_fraction, report_every, seed)
         self.state = None if state is None else Path(state).expanduser()
 
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """A few steps."""
+        return {"num_steps": 3, "report_every": 1, "split_every": 2}
+
     @property
     def sources(self) -> tuple[Source, ...]:
         """The networks of the losses, each once."""
