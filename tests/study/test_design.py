@@ -188,7 +188,7 @@ def test_folders_that_lack_something_are_told(tmp_path):
         design(sources, small_plan(sets=6), tmp_path / "out")
     for broken in (tmp_path / "ours" / "scene0").glob("*.png"):
         broken.write_bytes(b"\x89PNG\r\n\x1a\n and no more")
-    with pytest.raises(ValueError, match="cannot be read as an image"):
+    with pytest.raises(ValueError, match="no image that can be read"):
         design(sources, small_plan(), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from anystyle import paths
+from anystyle.documents import read_yaml
 from anystyle.errors import UserError, unknown
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
@@ -30,14 +31,13 @@ def read_plan(config: str, overrides: Sequence[str]) -> Plan:
         if not file.is_file():
             names = [path.stem for path in sorted(file.parent.glob("*.yaml"))]
             raise UserError(unknown("study configuration", config, names))
+    options: dict[str, Any] = read_yaml(file, dict[str, Any], what="configuration of 'option: value' lines")
     try:
-        merged = OmegaConf.merge(OmegaConf.load(file), OmegaConf.from_dotlist(list(overrides)))
-        options = OmegaConf.to_container(merged, resolve=True)
-    except (OmegaConfBaseException, YAMLError, UnicodeDecodeError) as error:
-        raise UserError(f"{file.name} is no configuration: {explain(error)}") from None
-    if not isinstance(options, dict):
-        raise UserError(f"{file.name} is no configuration: expected 'option: value' lines")
-    return plan_from({str(key): value for key, value in options.items()})
+        words = OmegaConf.to_container(OmegaConf.from_dotlist(list(overrides)), resolve=False)
+    except (OmegaConfBaseException, YAMLError) as error:
+        raise UserError(f"{' '.join(overrides)}: {explain(error)}") from None
+    assert isinstance(words, dict)
+    return plan_from({**options, **{str(key): value for key, value in words.items()}})
 
 
 def build_tests(names: Sequence[str], overrides: Sequence[str]) -> dict[str, StudyTest]:

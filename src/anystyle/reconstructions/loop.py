@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 
 from anystyle.io.atomic import atomic_path
+from anystyle.io.tensors import read_tensors
 
 logger = logging.getLogger(__name__)
 
@@ -116,13 +117,11 @@ def resume(loop: Loop, path: Path, key: str, device: torch.device) -> None:
     """
     if not path.is_file():
         return
-    try:
-        written = torch.load(path, map_location=device, weights_only=True)
-        same = written["key"] == key
-    except Exception as error:
-        # Damaged archives raise nearly anything.
-        raise ValueError(f"{path} is no state of a fit ({type(error).__name__}); name another file as state") from None
-    if not same:
+    what = "state of a fit; name another file as state, or delete it"
+    written = read_tensors(path, what=what, device=device)
+    if not isinstance(written, dict) or set(written) != {"key", "fit"}:
+        raise ValueError(f"{path} is no state of a fit; name another file as state")
+    if written["key"] != key:
         logger.warning("%s was written for other photographs or options; the fit begins anew", path)
         return
     loop.load_state_dict(written["fit"])

@@ -1,16 +1,15 @@
 """Results, photographs and styles found in folders, and pictures of one size made of them."""
 
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageOps
 
-from anystyle.io.images import formats
+from anystyle.io.images import decodable, opened
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-_MAX_PIXELS = 100_000_000
+_LONGEST = 4096
 _INNER = ("renders", "images")  # folders that hold a result's or a scene's frames
 
 
@@ -96,15 +95,9 @@ def read_picture(path: Path) -> Image.Image:
     Raises:
         ValueError: It is no image, damaged, or larger than 100 megapixels.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is judged here
-            with Image.open(path, formats=formats()) as image:
-                if image.width * image.height > _MAX_PIXELS:
-                    raise ValueError(f"{path.name} has {image.width} x {image.height} pixels; at most 100 million")
-                upright = ImageOps.exif_transpose(image).convert("RGBA")
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError) as error:
-        raise ValueError(f"{path.name} cannot be read as an image: {error}") from None
+    with opened(path) as image:
+        decodable(image, _LONGEST)
+        upright = ImageOps.exif_transpose(image).convert("RGBA")
     white = Image.new("RGBA", upright.size, "white")
     return Image.alpha_composite(white, upright).convert("RGB")
 

@@ -1,13 +1,12 @@
 """A designed study: what ``study.json`` holds, and only the experimenter reads."""
 
 import json
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
+from anystyle.documents import read_json
 from anystyle.io.atomic import atomic_path
-from anystyle.study.plan import Plan, plan_from
+from anystyle.study.plan import Plan
 
 FILE, PICTURES = "study.json", "pictures"
 
@@ -113,32 +112,15 @@ def read_study(path: Path) -> Study:
     file = path / FILE if path.is_dir() else path
     if not file.is_file():
         raise ValueError(f"{path} holds no {FILE}; make one with `anystyle study design`")
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        return _study(content)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise ValueError(f"{file} is no study: {type(error).__name__}: {error}; design it again") from None
-
-
-def _study(content: Mapping[str, Any]) -> Study:
-    study = Study(
-        id=str(content["id"]),
-        ours=str(content["ours"]),
-        baselines=tuple(map(str, content["baselines"])),
-        plan=plan_from(content["plan"]),
-        items=tuple(Item(**{name: str(value) for name, value in item.items()}) for item in content["items"]),
-        checks=tuple(Check(str(check["id"]), int(check["expected"])) for check in content["checks"]),
-        participants=tuple(
-            Participant(str(one["id"]), tuple(map(str, one["order"])), frozenset(map(str, one["ours_is_a"])))
-            for one in content["participants"]
-        ),
-    )
+    study: Study = read_json(file, Study, what="study; design it again")
     known = {item.id for item in study.items} | {check.id for check in study.checks}
     for participant in study.participants:
         strange = set(participant.order) - known
         if strange:
-            raise ValueError(f"participant {participant.id} is shown {sorted(strange)[0]!r}, which there is none of")
+            raise ValueError(
+                f"{file} is no study: it shows participant {participant.id} {sorted(strange)[0]!r}, which there is none of"
+            )
     for name in study.pictures:
         if not name.isalnum():
-            raise ValueError(f"picture {name!r} has a name that is no file's")
+            raise ValueError(f"{file} is no study: it has a picture {name!r}, a name that is no file's")
     return study
