@@ -18,7 +18,7 @@ from anystyle.commands._controls import add_controls, given_controls, with_value
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.errors import UserError
 from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
-from anystyle.inference.options import ExportOptions, PoseOptions, VideoOptions, ViewOptions
+from anystyle.inference.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import Mixture, StyleInput, check_text
 from anystyle.io.atomic import atomic_directory
@@ -27,7 +27,7 @@ from anystyle.reconstructions.contract import Reconstruction
 from anystyle.registry.build import build
 from anystyle.types import Style, Views
 
-Options = TypeVar("Options", ViewOptions, ExportOptions, VideoOptions)
+Options = TypeVar("Options", SplatOptions, ViewOptions, ExportOptions, VideoOptions)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -38,7 +38,9 @@ def parser() -> argparse.ArgumentParser:
         epilog="Every option of every component: anystyle stylize --cfg job",
         allow_abbrev=False,
     )
-    flags.add_argument("inputs", nargs="*", help="a folder, files, a glob or a video; or none with scenes=NAME")
+    flags.add_argument(
+        "inputs", nargs="*", help="a folder, files, a glob or a video; a PLY file; or none with scenes=NAME"
+    )
     flags.add_argument("--text", action="append", default=[], help="a style in words; may be given several times")
     flags.add_argument("--image", action="append", default=[], help="a style as an image file; likewise")
     flags.add_argument(
@@ -90,6 +92,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
             model=stylizer,
             views=views,
             poses=poses,
+            splat=typed(SplatOptions, config.splat),
             reconstruction=None if reconstruction is None else build(Reconstruction, reconstruction),
             method=make_method(config, stylizer.style_encoder),
             refine=config.refine,

@@ -217,7 +217,12 @@ def build_and_load(
         headers["branch"] = load_part(ours["branch"], branch, "branch")
     renderer = build(Renderer, config.renderer)
     stylizer = Stylizer(
-        backbone=backbone, style_encoder=encoder, branch=branch, renderer=renderer, fit_colors=config.fit_colors
+        backbone=backbone,
+        style_encoder=encoder,
+        branch=branch,
+        renderer=renderer,
+        fit_colors=config.fit_colors,
+        keep_harmonics=config.keep_harmonics,
     )
     return stylizer.set_precision(config.precision), headers
 

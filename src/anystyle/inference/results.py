@@ -20,7 +20,7 @@ from anystyle.inference.options import ExportOptions, VideoOptions
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import EmbeddedStyle
 from anystyle.io import cameras as cameras_json
-from anystyle.io import colmap
+from anystyle.io import colmap, ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.checkpoint import save_tensors
 from anystyle.io.sheet import Cell, style_sheet, to_pil
@@ -105,6 +105,9 @@ class Result:
         folder.mkdir(parents=True, exist_ok=True)
         turned = y_up_from_opencv(gaussians.means).gaussians(gaussians) if options.y_up else gaussians
         turned.save(folder / "scene.ply")
+        if self.encoded.splat is not None and same_geometry(gaussians, self.results.controlled.unstyled):
+            # A trip through float32 logarithms and back moves the last bits.
+            ply.recolor(self.encoded.splat, gaussians.harmonics[0], folder / "scene.ply")
         save_gaussians(gaussians, folder / "scene.safetensors")
         renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
         followed = self.cameras
@@ -206,6 +209,12 @@ class Results:
         """The column of the reconstruction itself."""
         with self.stages("render", "the unstyled scene"):
             return "unstyled", None, [to_pil(image) for image in self.encoded.render(self.controlled.unstyled)]
+
+
+def same_geometry(first: Gaussians, second: Gaussians) -> bool:
+    """Whether two scenes differ in nothing but colours."""
+    names = ("means", "rotations", "scales", "opacities")
+    return all(torch.equal(getattr(first, name), getattr(second, name)) for name in names)
 
 
 def method_report(method: Method | None) -> dict[str, object]:

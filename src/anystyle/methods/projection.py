@@ -54,7 +54,10 @@ class Projection(Method):
             gaussians = stylizer.unstyled(scene)
         cameras, renderer = scene.cameras, stylizer.renderer
         with torch.enable_grad():
-            fitted = fit_colors(gaussians, cameras, targets, renderer, steps=self.steps, damping=self.damping)
+            fitted = fit_colors(
+                gaussians, cameras, targets, renderer, steps=self.steps, damping=self.damping,
+                keep=stylizer.keep_harmonics,
+            )  # fmt: skip
         return fitted.detach()
 
 

@@ -10,7 +10,7 @@ from torch import Tensor
 from anystyle.contracts import Loss
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.methods.contract import Progress
-from anystyle.perception.color_transfer import color_map
+from anystyle.perception.color_transfer import ColorMap, color_map
 from anystyle.reconstructions.gaussian_parameters import GaussianParameters
 from anystyle.reconstructions.loop import Loop
 from anystyle.stylizer import Stylizer
@@ -69,7 +69,7 @@ class SceneLoop(Loop):
         self.views, self.cameras = scene.views, scene.cameras
         with torch.no_grad():
             given = stylizer.unstyled(scene)
-        self._begin(replace(given, harmonics=given.harmonics[:, :, :1]))
+        self._begin(given if stylizer.keep_harmonics else replace(given, harmonics=given.harmonics[:, :, :1]))
         self.unstyled: dict[int, Renders] = {}
 
     def _begin(self, gaussians: Gaussians) -> None:
@@ -82,8 +82,7 @@ class SceneLoop(Loop):
         assert self.style.image is not None
         mapped = color_map(self.views.images[0], self.style.image)
         self.views = replace(self.views, images=mapped.of_images(self.views.images[0])[None])
-        colors = mapped(rgb_from_constant(self.before.harmonics)).clamp(0, 1)
-        self._begin(replace(self.before, harmonics=constant_from_rgb(colors)))
+        self._begin(with_mapped_colors(self.before, mapped))
 
     @property
     def last_step(self) -> int:
@@ -170,8 +169,7 @@ class SceneLoop(Loop):
         assert self.style.image is not None
         views = [self.stylizer.render(gaussians, self.cameras.select([view])).color[0] for view in self.training]
         mapped = color_map(torch.cat(views), self.style.image)
-        colors = mapped(rgb_from_constant(gaussians.harmonics)).clamp(0, 1)
-        return replace(gaussians, harmonics=constant_from_rgb(colors))
+        return with_mapped_colors(gaussians, mapped)
 
     def state_dict(self) -> dict[str, Any]:
         """See :meth:`anystyle.reconstructions.loop.Loop.state_dict`."""
@@ -185,3 +183,10 @@ class SceneLoop(Loop):
         super().load_state_dict(state)
         self.splats.load_state_dict(state["splats"])
         self.gradients, self.before = state["gradients"], Gaussians(**state["before"])
+
+
+def with_mapped_colors(gaussians: Gaussians, mapped: ColorMap) -> Gaussians:
+    """Gaussians whose constant colours are mapped and cut to [0, 1]; what depends on the direction is turned alike."""
+    constant, higher = gaussians.harmonics[:, :, :1], gaussians.harmonics[:, :, 1:]
+    constant = constant_from_rgb(mapped(rgb_from_constant(constant)).clamp(0, 1))
+    return replace(gaussians, harmonics=torch.cat([constant, higher @ mapped.matrix.T], dim=2))

@@ -20,7 +20,7 @@ from anystyle.types import Gaussians, Scene, Style
 
 Plugin = Subject[Method]
 
-SIZE, NUMBER = (64, 80), 2
+SIZE, NUMBER = (16, 24), 2
 
 
 def gives_gaussians(plugin: Plugin) -> None:

@@ -55,7 +55,7 @@ def stylization(
         views=known,
         style=style,
         embedding=_embedding(style),
-        scene=scene,
+        scene=replace(scene, gaussians=gaussians.map(lambda tensor: 0.9 * tensor)),
         gaussians=gaussians.map(lambda tensor: tensor.clone().requires_grad_()),
         renders=_renders(known.images, scene.geometry.depth),
     )
