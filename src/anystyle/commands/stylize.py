@@ -17,11 +17,12 @@ from anystyle.commands._controls import add_controls, given_controls, with_value
 from anystyle.commands._options import Stylize, checked
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.errors import UserError
-from anystyle.inference.assemble import assemble_frozen, default_device, default_poses
+from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
 from anystyle.inference.options import PoseOptions
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import Mixture, StyleInput, check_text
 from anystyle.io.atomic import atomic_directory
+from anystyle.io.sheet import to_pil
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.registry.build import build
 from anystyle.types import Style, Views
@@ -35,7 +36,9 @@ def parser() -> argparse.ArgumentParser:
         epilog="Every option of every component: anystyle stylize --cfg job",
         allow_abbrev=False,
     )
-    flags.add_argument("inputs", nargs="*", help="a folder, files, a glob or a video; or none with scenes=NAME")
+    flags.add_argument(
+        "inputs", nargs="*", help="a folder, files, a glob or a video; a PLY file; or none with scenes=NAME"
+    )
     flags.add_argument("--text", action="append", default=[], help="a style in words; may be given several times")
     flags.add_argument("--image", action="append", default=[], help="a style as an image file; likewise")
     flags.add_argument(
@@ -62,9 +65,14 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
     views, export, video = options.views, options.export, options.video
     poses = PoseOptions(config.poses or default_poses(config), config.poses_from)
     reconstruction = config.get("reconstruction")
-    stages = Stages(lambda name, note: print(f"{name} {note} …", file=sys.stderr, flush=True))
     target = job_folder(arguments.out)
-    with atomic_directory(target, expected_entries(options)) as folder:
+    watched = target.with_name(f"{target.name}.progress.png")
+    stages = Stages(
+        lambda name, note: print(f"{name} {note} …", file=sys.stderr, flush=True),
+        lambda thumbnail: to_pil(thumbnail).save(watched),
+    )
+    with contextlib.ExitStack() as cleanup, atomic_directory(target, expected_entries(options)) as folder:
+        cleanup.callback(watched.unlink, missing_ok=True)
         torch.manual_seed(config.seed)
         with stages("load", "the model"):
             stylizer, weights = assemble_frozen(config)
@@ -79,7 +87,9 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
             model=stylizer,
             views=views,
             poses=poses,
+            splat=options.splat,
             reconstruction=None if reconstruction is None else build(Reconstruction, reconstruction),
+            method=make_method(config, stylizer.style_encoder),
             refine=config.refine,
             controls=controls,
             export=export,

@@ -66,6 +66,23 @@ class ExportOptions:
 
 
 @dataclass(frozen=True)
+class SplatOptions:
+    """From where a scene that is given as Gaussians is seen.
+
+    Args:
+        cameras: From how many views at most.
+        folder: Where cameras are stored, if not beside the file or one folder above: COLMAP or ``transforms.json``.
+    """
+
+    cameras: int = 24
+    folder: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.cameras < 1:
+            raise ValueError(f"splat.cameras={self.cameras}; give at least 1")
+
+
+@dataclass(frozen=True)
 class VideoOptions:
     """A flight through the cameras.
 
