@@ -42,9 +42,7 @@ def falloff(sigma: float) -> float:
     return value * np.int32((whole + np.int32(127)) << np.int32(23)).view(np.float32)
 
 
-PAIR = np.uint64(2 * WIDTH)
-"""Pixels of two rows, which fill the widest vectors: a loop over pairs of rows leaves no rest."""
-TWO, ODD = np.uint64(2), np.uint64(1)
+WIDE = np.uint64(WIDTH)
 """Unsigned, as are the indices in the loops: others could count from the end, and would not compile to vectors."""
 ALMOST = np.float32(0.9999)
 """Added before a cut to a whole number, it rounds up."""
@@ -119,7 +117,7 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
         first, stop = reach(splats, g, x, y, border, bottom)
         xx, xy, yy, opacity = HALF * splats[g, 2], splats[g, 3], HALF * splats[g, 4], splats[g, 5]
         red, green, blue, depth = splats[g, 6], splats[g, 7], splats[g, 8], splats[g, 9]
-        for i in range(first // TWO * PAIR, (stop + ODD) // TWO * PAIR):
+        for i in range(first * WIDE, stop * WIDE):
             dx, dy = tile[7, i] - x, tile[8, i] - y
             sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
             alpha = min(cap, opacity * falloff(sigma))
@@ -249,7 +247,7 @@ def blend_tile_backward(
         xx, xy, yy, opacity = HALF * splats[g, 2], splats[g, 3], HALF * splats[g, 4], splats[g, 5]
         red, green, blue, depth = splats[g, 6], splats[g, 7], splats[g, 8], splats[g, 9]
         d_red = d_green = d_blue = d_depth = m0 = mx = my = mxx = mxy = myy = ZERO
-        for i in range(first // TWO * PAIR, (stop + ODD) // TWO * PAIR):
+        for i in range(first * WIDE, stop * WIDE):
             dx, dy = tile[7, i] - x, tile[8, i] - y
             sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
             covered = opacity * falloff(sigma)
