@@ -4,6 +4,7 @@ import hashlib
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from pathlib import Path
 from types import MappingProxyType
 
@@ -146,7 +147,7 @@ def _write(fit: Fit, path: Path, key: str) -> None:
 
 
 def _resume(fit: Fit, path: Path, key: str) -> None:
-    """Take up a fit that was broken off; one of other photographs or options is begun anew, with a line in the log."""
+    """Take up a fit that was broken off; one of other photographs or options is begun anew, and its state kept."""
     if not path.is_file():
         return
     try:
@@ -156,7 +157,11 @@ def _resume(fit: Fit, path: Path, key: str) -> None:
         # Damaged archives raise nearly anything.
         raise ValueError(f"{path} is no state of a fit ({type(error).__name__}); name another file as state") from None
     if not same:
-        logger.warning("%s was written for other photographs or options; the fit begins anew", path)
+        aside = next(name for number in count(1) if not (name := path.with_name(f"{path.name}.{number}")).exists())
+        path.rename(aside)
+        logger.warning(
+            "%s was written for other photographs or options: it is %s now, and the fit begins anew", path, aside.name
+        )
         return
     fit.load_state_dict(written["fit"])
     logger.info("the fit goes on at step %d of %d", fit.step, fit.last_step)
