@@ -56,7 +56,7 @@ def cameras_from_photographs(
     *,
     ordered: bool = False,
     num_features: int = 1500,
-    sides: tuple[int, int] = (512, 1024),
+    sides: tuple[int, int] = (512, 768),
     seed: int = 0,
     threads: int = 1,
     keep: bool = False,
