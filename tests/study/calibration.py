@@ -71,7 +71,9 @@ def studies(
                 fixed += of - of.mean()
             else:
                 free += of
-        noise = generator.logistic(size=drawn.count) if logits else generator.normal(0, scenario.residual_sd, drawn.count)
+        noise = (
+            generator.logistic(size=drawn.count) if logits else generator.normal(0, scenario.residual_sd, drawn.count)
+        )
         opinion = fixed + free + noise
         answers = np.searchsorted([-2, -0.7, 0.7, 2], opinion) - 2.0 if logits else np.clip(np.rint(opinion), -2, 2)
         yield replace(drawn, deviations=answers), float((probabilities(fixed, spread) @ _LEVELS).mean())
@@ -173,7 +175,9 @@ def _ordinal(scenario: Scenario, counts: Counts) -> None:
     for seed, effect in enumerate((0.0, EFFECT)):
         for one, _ in studies(latent, (), effect, REPLICATIONS["ordinal"], seed + 30, logits=True):
             result = OrdinalMixed()(one)
-            counts.add("ordinal mixed", effect, result.pvalue <= 0.05, result.interval[0] <= effect <= result.interval[1])
+            counts.add(
+                "ordinal mixed", effect, result.pvalue <= 0.05, result.interval[0] <= effect <= result.interval[1]
+            )
 
 
 GROUPS = {"crossed": _crossed, "looped": _looped, "sets": _sets, "ordinal": _ordinal}

@@ -8,6 +8,9 @@ import sys
 
 import numpy as np
 import pytest
+from anystyle.study.tests.cluster_bootstrap import ClusterBootstrap
+from anystyle.study.tests.equivalence import Equivalence
+from anystyle.study.variance import variation
 from scipy import stats
 from study_cases import answer_rows, write_csv
 
@@ -18,13 +21,10 @@ from anystyle.study.contract import Responses
 from anystyle.study.reading import read_responses
 from anystyle.study.report import html as report_html
 from anystyle.study.tabulate import escape_tex, markdown, p_text
-from anystyle.study.tests.cluster_bootstrap import ClusterBootstrap
-from anystyle.study.tests.equivalence import Equivalence
 from anystyle.study.tests.one_sample_t import OneSampleT
 from anystyle.study.tests.ordinal_mixed import OrdinalMixed
 from anystyle.study.tests.sign_flip import SignFlip
 from anystyle.study.tests.wilcoxon import Wilcoxon
-from anystyle.study.variance import variation
 from anystyle.study.verdicts import response_level
 
 TESTS = {

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from anystyle.study.tests.cluster_bootstrap import ClusterBootstrap
 from scipy import stats
 
 from anystyle.study.contract import Scale
 from anystyle.study.power import PowerStudy, power_json, power_markdown, power_study, rejection_rates
 from anystyle.study.simulate import Scenario, simulate
-from anystyle.study.tests.cluster_bootstrap import ClusterBootstrap
 from anystyle.study.tests.one_sample_t import OneSampleT
 from anystyle.study.tests.ordinal_mixed import OrdinalMixed
 from anystyle.study.tests.sign_flip import SignFlip

@@ -14,11 +14,11 @@ from contextlib import ExitStack, closing
 
 import msgspec
 import pytest
-from study_browser import until
 from study_cases import QUESTIONS, small_study
 
 from anystyle.study.form import write_page
 from anystyle.study.store import Answer, Claim, Fact, Message, Refused, Store
+from chromium import until
 from study_serving import PATIENCE, answer, claim, kept_answers, post, serving, token_of
 
 

@@ -6,18 +6,18 @@ import math
 import mpmath
 import numpy as np
 import pytest
+from anystyle.study.bootstrap import bootstrap_mean, tabulate
+from anystyle.study.sign_flips import as_integers, exact_log_tails
+from anystyle.study.tests.cluster_bootstrap import ClusterBootstrap
+from anystyle.study.tests.equivalence import Equivalence
 from scipy import stats
 
 from anystyle.study import clmm
 from anystyle.study.agreement import krippendorff_alpha
-from anystyle.study.bootstrap import bootstrap_mean, tabulate
 from anystyle.study.contract import Responses
 from anystyle.study.effects import effects
 from anystyle.study.probability import holm, log_t_cdf
-from anystyle.study.sign_flips import as_integers, exact_log_tails
 from anystyle.study.signed_rank import pseudo_median
-from anystyle.study.tests.cluster_bootstrap import ClusterBootstrap
-from anystyle.study.tests.equivalence import Equivalence
 from anystyle.study.tests.one_sample_t import OneSampleT
 from anystyle.study.tests.ordinal_mixed import OrdinalMixed
 from anystyle.study.tests.sign_flip import SignFlip

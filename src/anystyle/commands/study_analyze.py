@@ -51,7 +51,10 @@ def parser() -> argparse.ArgumentParser:
         "--exclude-straight-lining", action="store_true", help="leave out who gave one answer throughout"
     )
     words.add_argument(
-        "--missing", type=float, metavar="SHARE", help="of assigned answers missing that excludes (default: the design's)"
+        "--missing",
+        type=float,
+        metavar="SHARE",
+        help="of assigned answers missing that excludes (default: the design's)",
     )
     words.add_argument("--no-report", action="store_true", help="no figures and no page: needs no matplotlib")
     return words
@@ -109,7 +112,9 @@ def _write(analysis: Analysis, folder: Path, arguments: argparse.Namespace) -> N
     (folder / "results.tex").write_text(latex(analysis), encoding="utf-8")
     if arguments.no_report:
         return
-    pictures = None if arguments.study is None else arguments.study if arguments.study.is_dir() else arguments.study.parent
+    pictures = (
+        None if arguments.study is None else arguments.study if arguments.study.is_dir() else arguments.study.parent
+    )
     (folder / "report.html").write_text(report.html(analysis, arguments.title, pictures), encoding="utf-8")
     (folder / "figures").mkdir()
     for name, figure in (

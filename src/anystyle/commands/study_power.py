@@ -71,7 +71,9 @@ def command(arguments: argparse.Namespace) -> None:
         figures.require()
     common = {"alternative": arguments.alternative, "seed": arguments.seed}
     tests = build_tests(arguments.test or list(DEFAULT_TESTS), arguments.options, common)
-    options = {field.name: getattr(arguments, field.name) for field in fields(Scenario) if field.name in vars(arguments)}
+    options = {
+        field.name: getattr(arguments, field.name) for field in fields(Scenario) if field.name in vars(arguments)
+    }
     scenario = Scenario(**{**options, "participants": max(arguments.participants, default=1)})
     study = power_study(
         scenario,
