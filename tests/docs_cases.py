@@ -41,8 +41,6 @@ ADDED = (
     (r"anystyle train (?!.*(paper|depth_anything|--cfg|--info))", _BACKBONE),
     (r"anystyle train -m (?!.*(sweep.dir|hydra/launcher))", "hydra.sweep.dir=multirun/DATE/TIME"),
     (r"anystyle benchmark(?!.*model)", "--views 2 --repeat 1 --size 56x56"),
-    (r"anystyle evaluate .*=tiny_heldout", "protocol.num_scenes=2 protocol.num_styles=2 protocol.num_captions=2"),
-    (r"anystyle evaluate .*=tiny_heldout", "protocol.strips=1 protocol.steps=2"),
     (r"anystyle evaluate --run .*=paper_image", f"{_SOURCES} scenes.short_side=28"),
     (r"anystyle evaluate .*=SCENES", "scenes.short_side=56"),
     (r"anystyle evaluate .*=guides", "scenes.size=28 styles.size=28 protocol.num_scenes=1 protocol.num_styles=2"),

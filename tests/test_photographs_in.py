@@ -12,8 +12,13 @@ import anystyle
 from anystyle.api import PoseOptions, VideoOptions, ViewOptions
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.reconstructions.colors import checked_steps, color_gaussians
+from anystyle.reconstructions.feedforward import Feedforward
 from anystyle.reconstructions.fit import Fit
+from anystyle.registry import catalog as catalog_module
+from anystyle.registry.catalog import plugin
+from anystyle.testing.toy.reconstruction import ToyReconstruction
 from anystyle.types import Views
+from anystyle_tiny.procedural.scenes import ProceduralScenes
 from real_data import real
 from reconstructions.scenes import photographed_wall
 from reconstructions.sfm.cards import World, arc, panorama
@@ -136,6 +141,20 @@ HARD = {
     "a blank wall": "too little to see",
     "a turning camera": "turned without moving",
 }
+
+
+class Wall(ToyReconstruction):
+    """Registered under a name that is not its class's."""
+
+
+def test_a_report_names_a_reconstruction_as_configurations_do(stylizer, monkeypatch):
+    monkeypatch.setattr(catalog_module, "_OWN", {})
+    cardboard = plugin("reconstruction", "cardboard")(Wall)
+    views, style = ProceduralScenes(size=28, num_scenes=1).read(0, [0, 1]), torch.rand(3, 32, 32)
+    kinds = {"feedforward": Feedforward(), "cardboard": cardboard(stride=8)}
+    for kind, reconstruction in kinds.items():
+        results = anystyle.stylize(views, style, model=stylizer, reconstruction=reconstruction, video=VIDEO)
+        assert results[0].report["reconstruction"]["kind"] == kind
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from torch import Tensor
 
 from anystyle.inference.assemble import assemble_frozen, default_device
+from anystyle.inference.controls import Controls
 from anystyle.inference.encoding import EncodedCapture, Inputs, encode_capture
 from anystyle.inference.options import ExportOptions, PoseOptions, VideoOptions, ViewOptions
 from anystyle.inference.results import Result, Results
@@ -48,6 +49,7 @@ def stylize(
     poses: PoseOptions | None = None,
     reconstruction: str | Reconstruction | None = None,
     refine: bool = False,
+    controls: Controls | Sequence[Controls] = Controls(),
     out: str | Path | None = None,
     export: ExportOptions = ExportOptions(),
     video: VideoOptions = VideoOptions(),
@@ -68,6 +70,7 @@ def stylize(
         reconstruction: What becomes of the views: a plugin's name or an instance. ``None`` fits a scene to photographs
             whose cameras are found, and takes what the backbone predicts elsewhere.
         refine: Whether predicted cameras are aligned by what several views see alike.
+        controls: How each style is applied; of several, each gives a result.
         out: A folder to write all results to; each is written when it is saved if there is none.
         export: Which files a result has.
         video: The flight through the cameras that is written with a result.
@@ -75,7 +78,7 @@ def stylize(
         stages: Times the work and announces it.
 
     Returns:
-        One result a style, each computed when it is asked for.
+        One result a style and control, each computed when it is asked for.
 
     Raises:
         ValueError: An input or a style cannot be read, memory does not suffice, or a result is not finite.
@@ -87,6 +90,8 @@ def stylize(
     """
     single = isinstance(styles, (str, Path, Style, Tensor, Mixture))
     chosen: Sequence[StyleInput] = [styles] if single else styles
+    if not isinstance(controls, Controls) and not controls:
+        raise ValueError("no controls are given; leave them out, or give at least one")
     if not chosen:
         raise ValueError("no style is given; give a text, an image or both")
     stages = stages or Stages()
@@ -101,7 +106,7 @@ def stylize(
             inputs, model, views, poses or PoseOptions(), refined=refine, stages=stages, reconstruction=rebuilt
         )
         with stages("embed", "the styles"):
-            embedded = embed_styles(chosen, model)
+            embedded = embed_styles(chosen, model, [controls] if isinstance(controls, Controls) else controls)
         results = Results(encoded, embedded, export=export, video=video, provenance=provenance, stages=stages)
         if folder is not None:
             results.write(folder)
@@ -109,6 +114,7 @@ def stylize(
 
 
 __all__ = [
+    "Controls",
     "EncodedCapture",
     "ExportOptions",
     "Mixture",

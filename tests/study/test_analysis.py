@@ -316,7 +316,7 @@ def test_the_command_writes_everything_twice_the_same(tmp_path):
     ("words", "told"),
     [
         ((), "required"),
-        (("nowhere.csv", "--out", "out"), "nowhere.csv: No such file"),
+        (("nowhere.csv", "--out", "out"), "no table of answers nowhere.csv"),
         (("r.csv", "--out", "out", "--scale", "5", "1"), "scale 5 to 1"),
         (("r.csv", "--out", "out", "--test", "t_tset"), "t_tset"),
         (("r.csv", "wilcoxon.zero=1", "--out", "out", "--no-report"), "zero_method"),

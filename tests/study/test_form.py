@@ -9,12 +9,11 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
 from study_browser import browser, find_chromium, until
-from study_cases import small_plan, small_study, write_results
-from study_serving import kept_answers, serving
+from study_cases import small_study
 
 from anystyle.commands.study import main
-from anystyle.study.design import design
 from anystyle.study.form import render, sequence, write_page
+from study_serving import kept_answers, serving
 
 LOADED = "!!document.querySelector('[data-loaded]')"
 SCORES = {"style": 5, "contentA": 3, "contentB": 3}
@@ -139,7 +138,7 @@ def test_nothing_is_asked_before_every_picture_is_there(page, designed, tmp_path
         assert page.value("[...document.querySelectorAll('img')].every((i) => i.complete && i.naturalWidth > 0)")
         waited = time.monotonic() - blocked
         page.key("3", "3")
-        given = "Object.values(JSON.parse(localStorage.getItem(`study:${JSON.parse(document.getElementById('study').textContent).id}:P03`)).answers)"
+        given = f"Object.values(JSON.parse(localStorage.getItem('study:{study.id}:P03')).answers)"
         assert 0 <= page.value(f"{given}[0].seconds") < waited - 1
 
 
@@ -300,10 +299,13 @@ def test_flip_books_turn_together(page, tmp_path):
     write_page(study, folder, tmp_path / "form.html")
     start(page, f"{(tmp_path / 'form.html').as_uri()}#P01")
     page.wait(LOADED)
-    turned = "[...document.querySelectorAll('.stack')].filter((s) => s.children.length > 1).map((s) => [...s.children].findIndex((v) => !v.hidden))"
+    stacks = "[...document.querySelectorAll('.stack')].filter((stack) => stack.children.length > 1)"
+    turned = f"{stacks}.map((stack) => [...stack.children].findIndex((view) => !view.hidden))"
     page.wait(f"{turned}.join() === '2,2,2'")  # by themselves
     page.click("#play")
-    page.value("Object.assign(document.querySelector('input[type=range]'), {value: 2}).dispatchEvent(new Event('input'))")
+    page.value(
+        "Object.assign(document.querySelector('input[type=range]'), {value: 2}).dispatchEvent(new Event('input'))"
+    )
     assert page.value(turned) == [1, 1, 1]
 
 
@@ -325,7 +327,13 @@ def test_a_screen_reader_is_told_everything(page, tmp_path):
         ("button", "Next"),
     } <= accessible
     radios = {name.strip() for role, name in accessible if role == "radio"}
-    assert radios == {"1 A is much better", "2 A is better", "3 No difference", "4 B is better", "5 B is much better"} | {
+    assert radios == {
+        "1 A is much better",
+        "2 A is better",
+        "3 No difference",
+        "4 B is better",
+        "5 B is much better",
+    } | {
         *("1 Hard", "2", "3 Easy"),
     }
     assert page.value("document.activeElement.tagName") == "H1"
@@ -369,5 +377,9 @@ def test_the_page_tells_nobody_which_method_is_which(designed):
         for word in ("ours", study.ours + '"', "baseline", "degraded", "scene0", "style0", *study.baselines):
             assert word not in page.partition('id="study">')[2].partition("</script>")[0], word
         assert "</script> styles" not in page.partition("<script")[2].partition("</script>")[0]
-    first = [entry["A"] in {item.ours for item in study.items} for one in study.participants for entry in sequence(study, one)]
+    first = [
+        entry["A"] in {item.ours for item in study.items}
+        for one in study.participants
+        for entry in sequence(study, one)
+    ]
     assert 0 < sum(first) < len(first)

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from anystyle import paths
+from anystyle.documents import read_yaml
 from anystyle.errors import UserError, unknown
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
@@ -34,14 +35,13 @@ def read_plan(overrides: Sequence[str]) -> Plan:
         if not file.is_file():
             known = [path.stem for path in sorted(file.parent.glob("*.yaml"))]
             raise UserError(unknown("study configuration", config, known))
+    options: dict[str, Any] = read_yaml(file, dict[str, Any], what="configuration of 'option: value' lines")
     try:
-        merged = OmegaConf.merge(OmegaConf.load(file), OmegaConf.from_dotlist(overrides))
-        options = OmegaConf.to_container(merged, resolve=True)
-    except (OmegaConfBaseException, YAMLError, UnicodeDecodeError) as error:
-        raise UserError(f"{file.name} is no configuration: {explain(error)}") from None
-    if not isinstance(options, dict):
-        raise UserError(f"{file.name} is no configuration: expected 'option: value' lines")
-    return plan_from({str(key): value for key, value in options.items()})
+        merged = OmegaConf.merge(options, OmegaConf.from_dotlist(overrides))
+        values: Any = OmegaConf.to_container(merged, resolve=False)
+    except (OmegaConfBaseException, YAMLError) as error:
+        raise UserError(f"{' '.join(overrides)}: {explain(error)}") from None
+    return plan_from(values)
 
 
 def build_tests(

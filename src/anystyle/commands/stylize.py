@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from anystyle import api
 from anystyle.commands._compose import main, override, split
+from anystyle.commands._controls import add_controls, given_controls, with_values
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.errors import UserError
 from anystyle.inference.assemble import assemble_frozen, default_device, default_poses
@@ -46,6 +47,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="AMOUNT",
         help="with exactly two styles: the point between them, 0 is the first and 1 the second; likewise",
     )
+    add_controls(flags)
     flags.add_argument("--out", default="out", help="where the results go (default: %(default)s)")
     return flags
 
@@ -53,6 +55,7 @@ def parser() -> argparse.ArgumentParser:
 def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Run the command."""
     amounts = mixing_amounts(arguments, len(arguments.text) + len(arguments.image) + len(config.style))
+    controls = given_controls(arguments)
     for text in arguments.text:
         check_text(text, "--text")
     if not arguments.inputs and config.get("scenes") is None:
@@ -83,6 +86,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
             poses=poses,
             reconstruction=None if reconstruction is None else build(Reconstruction, reconstruction),
             refine=config.refine,
+            controls=controls,
             export=export,
             video=video,
             provenance={
@@ -175,4 +179,4 @@ def with_sweep(words: Sequence[str]) -> list[str]:
 
 
 if __name__ == "__main__":
-    main("stylize", stylize, parser(), with_sweep(sys.argv[1:]))
+    main("stylize", stylize, parser(), with_sweep(with_values(sys.argv[1:])))

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from anystyle.contracts import Metric, SceneSource, StyleSource
 from anystyle.evaluation.contract import Evaluation, Progress
-from anystyle.evaluation.folders import CAMERAS, pair, seconds_file, write_cameras
+from anystyle.evaluation.folders import CAMERAS, pair, read_seconds, seconds_file, write_cameras
 from anystyle.evaluation.resume import judge_pairing
 from anystyle.io.atomic import atomic_path
 from anystyle.stylizer import Stylizer
@@ -223,7 +223,7 @@ class ModelRenders:
         for number, scene in self.plan.scenes:
             for _, style in self.plan.styles:
                 file = seconds_file(images / "stylized" / scene, style)
-                seconds.append(json.loads(file.read_text(encoding="utf-8"))["seconds"])
+                seconds.append(read_seconds(file))
                 per_image.append(seconds[-1] / self._num_inputs(number))
         return sum(seconds) / len(seconds), sum(per_image) / len(per_image)
 

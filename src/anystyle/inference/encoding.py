@@ -21,8 +21,10 @@ from anystyle.inference.refine import refine
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import slug
 from anystyle.reconstructions.contract import Reconstruction
+from anystyle.reconstructions.feedforward import Feedforward
 from anystyle.reconstructions.fit import Fit
 from anystyle.reconstructions.sfm.verdict import FEWEST_VIEWS
+from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
 from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, StyleEmbedding, Views
 from anystyle.types.shapes import ShapeError, check_value
@@ -247,7 +249,7 @@ def reconstruction_report(
 ) -> dict[str, object]:
     """How a scene came to be, for ``report.json``."""
     return {
-        "kind": "feedforward" if reconstruction is None else type(reconstruction).__name__.lower(),
+        "kind": catalog().name_of("reconstruction", type(reconstruction or Feedforward())),
         "registered": capture.cameras.intrinsics.shape[1],
         "seconds": round(seconds, 2),
         **{name: int(value) if value == int(value) else round(value, 4) for name, value in (measures or {}).items()},

@@ -14,6 +14,7 @@ from torch import Tensor
 from anystyle.geometry.cameras import smooth_path
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.geometry.similarity import y_up_from_opencv
+from anystyle.inference.controlled import Controlled
 from anystyle.inference.encoding import EncodedCapture
 from anystyle.inference.options import ExportOptions, VideoOptions
 from anystyle.inference.stages import Stages
@@ -63,6 +64,7 @@ class Result:
         encoded, stages = self.encoded, self.results.stages
         return {
             "style": self.style.title,
+            **({"controls": self.style.controls.label} if self.style.controls.label else {}),
             **({"texts": [asdict(match) for match in self.style.matches]} if self.style.matches else {}),
             "gaussians": int((self.gaussians.opacities > 0).sum()),
             "views": len(encoded.sources),
@@ -150,7 +152,7 @@ class Results:
         provenance: Mapping[str, object],
         stages: Stages,
     ) -> None:
-        self.encoded, self.styles = encoded, tuple(styles)
+        self.encoded, self.styles, self.controlled = encoded, tuple(styles), Controlled(encoded)
         self.export, self.video = export, video
         self.provenance, self.stages = provenance, stages
 
@@ -161,7 +163,7 @@ class Results:
         style = self.styles[index]
         note = f"{range(len(self))[index] + 1}/{len(self)}: {' '.join(style.title.split())[:70]}"
         with self.stages("restyle", note):
-            return Result(style, self.encoded.restyle(style.embedding, style.title), self)
+            return Result(style, self.controlled.gaussians(style), self)
 
     def __iter__(self) -> Iterator[Result]:
         for index in range(len(self)):
@@ -198,7 +200,7 @@ class Results:
     def unstyled(self) -> Column:
         """The column of the reconstruction itself."""
         with self.stages("render", "the unstyled scene"):
-            return "unstyled", None, [to_pil(image) for image in self.encoded.render(self.encoded.unstyled())]
+            return "unstyled", None, [to_pil(image) for image in self.encoded.render(self.controlled.unstyled)]
 
 
 def save_gaussians(gaussians: Gaussians, path: Path) -> None:

@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from anystyle.documents import plain
+
 
 @contextmanager
 def atomic_path(target: str | Path) -> Iterator[Path]:
@@ -32,9 +34,11 @@ def atomic_path(target: str | Path) -> Iterator[Path]:
 
 
 def write_json(path: str | Path, value: object) -> None:
-    """Write a value as readable JSON; whole or not at all."""
+    """Write a value as readable JSON, see :func:`anystyle.documents.plain`; whole or not at all."""
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.write_text(
+            json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
+        )
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
+from anystyle.io import compressed_ply
 from anystyle.io.atomic import atomic_path
 
 MAX_DEGREE = 3
@@ -59,16 +60,19 @@ def write(splats: Splats, path: Path) -> None:
 
 
 def read(path: Path) -> Splats:
-    """Read a file.
+    """Read a file of any degree of harmonics, as trainers write it, or compressed, as SuperSplat does.
 
     Raises:
         ValueError: It is no PLY file, a damaged one, or not one of Gaussians.
     """
     try:
-        vertices = PlyData.read(path)["vertex"].data
+        data = PlyData.read(path)
+        vertices = data["vertex"].data
+        columns = compressed_ply.unpack(data) if "chunk" in data else {}
     except (PlyParseError, KeyError, ValueError) as error:
         raise ValueError(f"{path} is no PLY file of Gaussians ({error})") from None
-    present = vertices.dtype.names or ()
+    columns = columns or {name: vertices[name] for name in vertices.dtype.names or ()}
+    present = columns.keys()
     rest = sum(name.startswith("f_rest_") for name in present)
     if rest % 3:
         raise ValueError(f"{path} has {rest} properties f_rest_*; a multiple of three is expected")
@@ -76,10 +80,10 @@ def read(path: Path) -> Splats:
     missing = [name for name in names if name not in present]
     if missing:
         raise ValueError(f"{path} is a PLY file without the properties {', '.join(missing[:5])} of Gaussians")
-    columns = torch.from_numpy(np.stack([vertices[name].astype(np.float32) for name in names], axis=1))
-    if not bool(columns.isfinite().all()):
+    values = torch.from_numpy(np.stack([columns[name].astype(np.float32) for name in names], axis=1))
+    if not bool(values.isfinite().all()):
         raise ValueError(f"{path} has properties that are infinite or no numbers; export it again")
-    means, constant, higher, opacity, scales, rotations = columns.split([3, 3, rest, 1, 3, 4], dim=1)
+    means, constant, higher, opacity, scales, rotations = values.split([3, 3, rest, 1, 3, 4], dim=1)
     return Splats(
         means=means,
         rotations=rotations,
@@ -92,7 +96,9 @@ def read(path: Path) -> Splats:
 def _degree(coefficients: int) -> int:
     degree = isqrt(coefficients) - 1
     if (degree + 1) ** 2 != coefficients:
-        raise ValueError(f"{coefficients} spherical-harmonics coefficients a colour; expected 1, 4, 9 or 16")
+        raise ValueError(
+            f"{coefficients} spherical-harmonics coefficients a colour; expected a square, such as 1, 4, 9, 16 or 25"
+        )
     return degree
 
 

@@ -14,6 +14,7 @@ from torch import Tensor
 from anystyle.contracts import Renderer
 from anystyle.geometry.stereo import plane_sweep
 from anystyle.io.atomic import atomic_path
+from anystyle.io.tensors import read_tensors
 from anystyle.reconstructions.fitting import Fit
 from anystyle.reconstructions.initial import InitialGaussians, backdrop, from_stereo
 from anystyle.reconstructions.options import FitOptions, FitResult, Progress
@@ -149,13 +150,11 @@ def _resume(fit: Fit, path: Path, key: str) -> None:
     """Take up a fit that was broken off; one of other photographs or options is begun anew, with a line in the log."""
     if not path.is_file():
         return
-    try:
-        written = torch.load(path, map_location=fit.images.device, weights_only=True)
-        same = written["key"] == key
-    except Exception as error:
-        # Damaged archives raise nearly anything.
-        raise ValueError(f"{path} is no state of a fit ({type(error).__name__}); name another file as state") from None
-    if not same:
+    what = "state of a fit; name another file as state, or delete it"
+    written = read_tensors(path, what=what, device=fit.images.device)
+    if not isinstance(written, dict) or set(written) != {"key", "fit"}:
+        raise ValueError(f"{path} is no state of a fit; name another file as state")
+    if written["key"] != key:
         logger.warning("%s was written for other photographs or options; the fit begins anew", path)
         return
     fit.load_state_dict(written["fit"])

@@ -7,14 +7,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
-from jaxtyping import Int
 from PIL import Image
 
-from anystyle.io.atomic import atomic_directory, write_json
+from anystyle.io.atomic import atomic_directory
 from anystyle.study import pictures
 from anystyle.study.balance import balanced_positions, balanced_subsets, draw_pairs, latin_orders, spread_checks
 from anystyle.study.plan import Plan
@@ -52,16 +50,17 @@ class _Material:
     results: Mapping[str, pictures.Results]
     styles: Mapping[str, Path]
     contents: Mapping[str, list[Path]]
-    scenes: tuple[str, ...]
-    style_names: tuple[str, ...]
+    usable: frozenset[tuple[str, str]]
     left_out: tuple[str, ...]
 
-    def complete(self, scene: str, style: str) -> bool:
-        return all((scene, style) in result.frames for result in self.results.values())
+    def pairs(self, count: int, generator: np.random.Generator) -> list[tuple[str, str]]:
+        scenes, styles = (sorted(set(names)) for names in zip(*self.usable, strict=True))
+        available = np.array([[(scene, style) in self.usable for style in styles] for scene in scenes])
+        return [(scenes[row], styles[column]) for row, column in draw_pairs(available, count, generator)]
 
 
 def design(sources: Sources, plan: Plan, out: Path) -> Study:
-    """Draw a study and write ``study.json``, the pictures, ``balance.json`` and ``balance.md`` into ``out``.
+    """Draw a study and write ``study.json``, the pictures and ``balance.md`` into ``out``.
 
     Raises:
         ValueError: The folders lack what the plan needs, a picture cannot be read, or ``out`` holds answers.
@@ -71,65 +70,49 @@ def design(sources: Sources, plan: Plan, out: Path) -> Study:
         raise ValueError(f"{answers[0]} holds answers to the study that is there; design another one elsewhere")
     material = _find(sources)
     generator = np.random.default_rng(plan.seed)
-    available = np.array(
-        [[material.complete(scene, style) for style in material.style_names] for scene in material.scenes]
-    )
-    pairs = np.array(draw_pairs(available, plan.pool or plan.sets, generator))
+    pairs = material.pairs(plan.pool or plan.sets, generator)
     baselines = tuple(name for name in sources.methods if name != sources.ours)
     against = generator.permutation(np.arange(len(pairs)) % len(baselines))
     with atomic_directory(out) as folder:
         writer = _Writer(folder / PICTURES, plan, generator)
-        items, notes = [], []
-        for number, ((row, column), rival) in enumerate(zip(pairs, against, strict=True), start=1):
-            place = material.scenes[row], material.style_names[column]
-            item, cut = _item(material, writer, f"set-{number:03d}", place, (sources.ours, baselines[int(rival)]))
+        spoilt = pictures.spread(range(len(pairs)), plan.degraded)
+        items, checks, notes = [], [], list(material.left_out)
+        for number, (pair, rival) in enumerate(zip(pairs, against.tolist(), strict=True)):
+            groups, cut = _images(material, plan, pair, (sources.ours, baselines[rival]))
+            item = _item(f"set-{number + 1:03d}", material, writer, pair, baselines[rival], groups)
             items.append(item)
-            notes += cut
-        checks = _degraded(material, writer, items, sources.ours)
-        participants, repeats = _participants(plan, items, checks, pairs, generator)
-        study = Study(
-            id="",
-            ours=sources.ours,
-            baselines=baselines,
-            plan=plan,
-            items=tuple(items),
-            checks=(*checks, *repeats),
-            participants=participants,
-        )
+            notes += [f"{item.id}: {name} has other proportions than ours and was cut to fit" for name in cut]
+            if number in spoilt:  # what is intact is by ours and by the others in turn
+                turn = len(checks) % 2
+                files = writer.views([pictures.degraded(image) for image in groups[turn]])
+                identity = f"set-{len(pairs) + len(checks) + 1:03d}"
+                checks.append(Check(identity, "degraded", item.id, (item.ours, item.theirs)[turn], files))
+        participants, repeats = _participants(plan, items, checks, generator)
+        study = Study("", sources.ours, baselines, plan, tuple(items), (*checks, *repeats), participants)
         writer.digest.update(msgspec.json.encode(study, order="deterministic"))
         study = msgspec.structs.replace(study, id=writer.digest.hexdigest()[:12])
         study.write(folder)
-        report = balance(study) | {"left_out": [*material.left_out, *notes]}
-        write_json(folder / "balance.json", report)
-        (folder / "balance.md").write_text(balance_text(report), encoding="utf-8")
+        (folder / "balance.md").write_text(balance_text(study, notes), encoding="utf-8")
     return study
 
 
 def _find(sources: Sources) -> _Material:
     results = {name: pictures.find_results(name, folder) for name, folder in sources.methods.items()}
     styles, contents = pictures.find_styles(sources.styles), pictures.find_contents(sources.contents)
-    pairs = sorted({pair for result in results.values() for pair in result.frames})
-    left_out = []
-    for scene, style in pairs:
-        lacking = [name for name, result in results.items() if (scene, style) not in result.frames]
+    usable, left_out = set(), []
+    for scene, style in sorted({pair for frames in results.values() for pair in frames}):
+        lacking = [name for name, frames in results.items() if (scene, style) not in frames]
         lacking += ["the photographs"] * (scene not in contents) + ["the styles"] * (style not in styles)
         if lacking:
             left_out.append(f"{scene} / {style}: not among {', '.join(lacking)}")
-    usable = {(scene, style) for scene, style in pairs if scene in contents and style in styles}
-    usable = {pair for pair in usable if all(pair in result.frames for result in results.values())}
+        else:
+            usable.add((scene, style))
     if not usable:
         raise ValueError(
             f"no scene and style have results of all of {', '.join(results)} and are among the photographs and styles; "
             f"names must match, and found were {'; '.join(left_out[:3])}"
         )
-    return _Material(
-        results=results,
-        styles=styles,
-        contents=contents,
-        scenes=tuple(sorted({scene for scene, _ in usable})),
-        style_names=tuple(sorted({style for _, style in usable})),
-        left_out=tuple(left_out),
-    )
+    return _Material(results, styles, contents, frozenset(usable), tuple(left_out))
 
 
 class _Writer:
@@ -156,48 +139,42 @@ class _Writer:
         return (video,)
 
 
-def _item(
-    material: _Material, writer: _Writer, identity: str, place: tuple[str, str], methods: tuple[str, str]
-) -> tuple[Item, list[str]]:
-    """Make every picture of a set the same size; tell where that cut something off."""
-    scene, style = place
-    plan = writer.plan
-    frames = pictures.matching_frames([material.results[name].frames[place] for name in methods], plan.views)
-    contents = material.contents[scene]
+def _images(
+    material: _Material, plan: Plan, pair: tuple[str, str], methods: tuple[str, str]
+) -> tuple[list[list[Image.Image]], list[str]]:
+    """The views of ours, of the other method and of the photographs in one size; the names of those cut to fit."""
+    frames = pictures.matching_frames([material.results[name][pair] for name in methods], plan.views)
+    contents = material.contents[pair[0]]
     named = [frame for frame in contents if frame.stem in {frame.stem for frame in frames[0]}]
     frames.append(named if len(named) == plan.views else pictures.spread(contents, plan.views))
     shape = pictures.read_picture(frames[0][0]).size
     size = pictures.fitted_size(shape, plan.image_size)
-    views, notes = [], []
+    groups, cut = [], []
     for group in frames:
-        images = [pictures.read_picture(frame) for frame in group]
-        ratio = (images[0].width / images[0].height) / (shape[0] / shape[1])
-        if not 0.98 < ratio < 1.02:
-            notes.append(f"{identity}: {group[0].name} has other proportions than ours and was cut to fit")
-        views.append(writer.views([pictures.filled(image, size) for image in images]))
-    file = material.styles[style]
-    in_words = file.suffix.lower() == ".txt"
-    item = Item(
-        *(identity, scene, style, methods[1], *views),
-        reference="" if in_words else writer.picture(pictures.contained(pictures.read_picture(file), plan.image_size)),
-        text=_words(file) if in_words else "",
-    )
-    return item, notes
+        images = []
+        for frame in group:
+            image = pictures.read_picture(frame)
+            if not 0.98 < (image.width / image.height) / (shape[0] / shape[1]) < 1.02 and not images:
+                cut.append(frame.name)
+            images.append(pictures.filled(image, size))
+        groups.append(images)
+    return groups, cut
 
 
-def _degraded(material: _Material, writer: _Writer, items: Sequence[Item], ours: str) -> list[Check]:
-    """Checks of which one side is spoilt; what is intact is by ours and by the others in turn."""
-    checks, plan = [], writer.plan
-    for number, item in enumerate(pictures.spread(items, plan.degraded)):
-        method = (ours, item.baseline)[number % 2]
-        files = pictures.matching_frames([material.results[method].frames[item.scene, item.style]], plan.views)[0]
-        images = [pictures.read_picture(file) for file in files]
-        size = pictures.fitted_size(images[0].size, plan.image_size)
-        images = [pictures.filled(image, size) for image in images]
-        spoilt = writer.views([pictures.degraded(image) for image in images])
-        identity = f"set-{len(items) + number + 1:03d}"
-        checks.append(Check(identity, "degraded", item.id, (item.ours, item.theirs)[number % 2], spoilt))
-    return checks
+def _item(
+    identity: str,
+    material: _Material,
+    writer: _Writer,
+    pair: tuple[str, str],
+    baseline: str,
+    groups: Sequence[Sequence[Image.Image]],
+) -> Item:
+    ours, theirs, content = (writer.views(images) for images in groups)
+    file = material.styles[pair[1]]
+    if file.suffix.lower() == ".txt":
+        return Item(identity, *pair, baseline, ours, theirs, content, text=_words(file))
+    style = pictures.contained(pictures.read_picture(file), writer.plan.image_size)
+    return Item(identity, *pair, baseline, ours, theirs, content, reference=writer.picture(style))
 
 
 def _words(file: Path) -> str:
@@ -214,10 +191,11 @@ def _participants(
     plan: Plan,
     items: Sequence[Item],
     checks: Sequence[Check],
-    pairs: Int[np.ndarray, "pool 2"],
     generator: np.random.Generator,
 ) -> tuple[tuple[Participant, ...], tuple[Check, ...]]:
     """What each one sees, and the repeats that this takes."""
+    columns = ([item.scene for item in items], [item.style for item in items])
+    pairs = np.stack([np.unique(column, return_inverse=True)[1] for column in columns], axis=1)
     subsets = balanced_subsets(pairs, plan.sets, plan.participants // 2, generator)
     positions = balanced_positions(plan.participants, plan.sets, generator)
     flipped = balanced_positions(plan.participants, 2 * math.ceil(len(checks) / 2), generator) if checks else positions
@@ -244,52 +222,42 @@ def _participants(
     return tuple(people), tuple(repeats.values())
 
 
-def balance(study: Study) -> dict[str, Any]:
-    """How even a study is: counts that a perfect design makes equal."""
+def balance(study: Study) -> dict[str, tuple[int, int]]:
+    """How even a study is: the least and the most of counts that a perfect design makes equal."""
     sets = {item.id: item for item in study.items}
     orders = [[entry for entry in one.order if entry in sets] for one in study.participants]
     seen = Counter(entry for order in orders for entry in order)
     ours_is_a = Counter(entry for one in study.participants for entry in one.ours_is_a)
-    places = Counter((entry, place) for order in orders for place, entry in enumerate(order))
+    standing = Counter((entry, rank) for order in orders for rank, entry in enumerate(order))
     following = Counter(pair for order in orders for pair in pairwise(order))
-    per_person = {
-        f"a_{name}_per_participant": _range(
-            [Counter(getattr(sets[entry], name) for entry in order)[value] for order in orders for value in values]
-        )
-        for name, values in (
-            ("scene", {item.scene for item in study.items}),
-            ("style", {item.style for item in study.items}),
-        )
+    counts = {
+        **{f"sets per {name}": _count(study.items, name) for name in ("scene", "style", "baseline")},
+        "participants per set": [seen[entry] for entry in sets],
+        "ours is A per participant": [len(one.ours_is_a & sets.keys()) for one in study.participants],
+        "ours is A per set": [ours_is_a[entry] for entry in sets],
+        **{
+            f"a {name} per participant": [
+                count for order in orders for count in _count([sets[entry] for entry in order], name, study.items)
+            ]
+            for name in ("scene", "style")
+        },
+        "times a set stands in a place": [standing[entry, rank] for entry in sets for rank in range(study.plan.sets)],
+        "times a set follows another": [following[a, b] for a in sets for b in sets if a != b],
     }
-    return {
-        "participants": len(study.participants),
-        "sets": len(sets),
-        "per_scene": dict(sorted(Counter(item.scene for item in study.items).items())),
-        "per_style": dict(sorted(Counter(item.style for item in study.items).items())),
-        "per_baseline": dict(sorted(Counter(item.baseline for item in study.items).items())),
-        "participants_per_set": _range([seen[entry] for entry in sets]),
-        "ours_is_a_per_participant": _range([len(one.ours_is_a & sets.keys()) for one in study.participants]),
-        "ours_is_a_per_set": _range([ours_is_a[entry] for entry in sets]),
-        **per_person,
-        "times_a_set_stands_in_a_place": _range([places[entry, p] for entry in sets for p in range(study.plan.sets)]),
-        "times_a_set_follows_another": _range([following[a, b] for a in sets for b in sets if a != b]),
-    }
+    return {name: (min(values), max(values)) for name, values in counts.items()}
 
 
-def _range(values: Sequence[int]) -> dict[str, int]:
-    return {"least": min(values), "most": max(values)}
+def _count(items: Sequence[Item], name: str, among: Sequence[Item] = ()) -> list[int]:
+    """How often each scene, style or baseline of ``among`` is in ``items``."""
+    times = Counter(getattr(item, name) for item in items)
+    return [times[value] for value in {getattr(item, name) for item in among or items}]
 
 
-def balance_text(report: Mapping[str, Any]) -> str:
-    """The balance report as Markdown."""
-    lines = [f"# Balance\n\n{report['participants']} participants, {report['sets']} sets.\n", "| what | least | most |"]
-    lines.append("|---|---:|---:|")
-    for name in ("per_scene", "per_style", "per_baseline"):
-        counts = report[name].values()
-        lines.append(f"| sets {name.replace('_', ' ')} ({len(counts)}) | {min(counts)} | {max(counts)} |")
-    for name, span in report.items():
-        if isinstance(span, Mapping) and set(span) == {"least", "most"}:
-            lines.append(f"| {name.replace('_', ' ')} | {span['least']} | {span['most']} |")
-    if report["left_out"]:
-        lines += ["\n## Left out or cut\n", *(f"- {escape_markdown(note)}" for note in report["left_out"])]
+def balance_text(study: Study, notes: Sequence[str]) -> str:
+    """The balance, and what was left out or cut, as Markdown."""
+    lines = [f"# Balance\n\n{len(study.participants)} participants, {len(study.items)} sets.\n"]
+    lines += ["| what | least | most |\n|---|---:|---:|"]
+    lines += [f"| {name} | {least} | {most} |" for name, (least, most) in balance(study).items()]
+    if notes:
+        lines += ["\n## Left out or cut\n", *(f"- {escape_markdown(note)}" for note in notes)]
     return "\n".join(lines) + "\n"

@@ -1,34 +1,23 @@
 """Results, photographs and styles found in folders, and pictures of one size made of them."""
 
-import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 import av
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageOps
 
-from anystyle.io.images import formats
+from anystyle.io.images import decodable, opened
 
 _T = TypeVar("_T")
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-_MAX_PIXELS = 100_000_000
+_LONGEST = 4096
 _INNER = ("renders", "images")  # folders that hold a result's or a scene's frames
 
 
-@dataclass(frozen=True)
-class Results:
-    """One method's results.
-
-    Args:
-        method: Its name.
-        frames: The frames of each scene and style, in order.
-    """
-
-    method: str
-    frames: Mapping[tuple[str, str], Sequence[Path]]
+Results = Mapping[tuple[str, str], Sequence[Path]]
+"""One method's frames of each scene and style, in order."""
 
 
 def frames_in(path: Path) -> list[Path]:
@@ -71,7 +60,7 @@ def find_results(method: str, folder: Path) -> Results:
                 frames_of[scene, style] = frames
     if not frames_of:
         raise ValueError(f"method {method}: {folder} holds no results; expected SCENE/STYLE.png or SCENE/STYLE/*.png")
-    return Results(method, frames_of)
+    return frames_of
 
 
 def find_contents(folder: Path) -> dict[str, list[Path]]:
@@ -113,15 +102,9 @@ def read_picture(path: Path) -> Image.Image:
     Raises:
         ValueError: It is no image, damaged, or larger than 100 megapixels.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is judged here
-            with Image.open(path, formats=formats()) as image:
-                if image.width * image.height > _MAX_PIXELS:
-                    raise ValueError(f"{path.name} has {image.width} x {image.height} pixels; at most 100 million")
-                upright = ImageOps.exif_transpose(image).convert("RGBA")
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError) as error:
-        raise ValueError(f"{path.name} cannot be read as an image: {error}") from None
+    with opened(path) as image:
+        decodable(image, _LONGEST)
+        upright = ImageOps.exif_transpose(image).convert("RGBA")
     white = Image.new("RGBA", upright.size, "white")
     return Image.alpha_composite(white, upright).convert("RGB")
 

@@ -1,12 +1,12 @@
 """What a study asks, of how many, and by which rules: the part that a configuration file holds."""
 
-import re
 from collections.abc import Mapping
 from typing import Any, Literal
 from urllib.parse import urlsplit
 
 import msgspec
 
+from anystyle.documents import fit
 from anystyle.errors import did_you_mean
 from anystyle.study.contract import Scale
 
@@ -169,7 +169,4 @@ def plan_from(options: Mapping[str, Any]) -> Plan:
         if name not in Plan.__struct_fields__:
             names = ", ".join(sorted(Plan.__struct_fields__))
             raise ValueError(f"a study has no option {name!r}.{did_you_mean(name, names.split(', '))} Options: {names}")
-    try:
-        return msgspec.convert(dict(options), Plan)
-    except msgspec.ValidationError as error:
-        raise ValueError(re.sub(r" - at `\$\.?(.*)`$", r" (at \1)", str(error))) from None
+    return fit(dict(options), Plan, source="the study's configuration", what="plan")

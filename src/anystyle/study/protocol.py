@@ -1,18 +1,17 @@
 """A designed study: what ``study.json`` holds, and only the experimenter reads."""
 
 import re
-from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 
+from anystyle.documents import read_json
 from anystyle.io.atomic import atomic_path
 from anystyle.study.plan import Plan
 
 FILE, PICTURES = "study.json", "pictures"
-_MAX_BYTES = 64 << 20
 _PICTURE = re.compile(r"[0-9a-f]{12}\.(jpg|mp4)")
 
 
@@ -115,15 +114,9 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
     @property
     def pictures(self) -> tuple[str, ...]:
         """The names of all files in ``pictures/``, each once."""
-        return tuple(dict.fromkeys(self._pictures()))
-
-    def _pictures(self) -> Iterator[str]:
-        for item in self.items:
-            yield from (*item.ours, *item.theirs, *item.content)
-            if item.reference:
-                yield item.reference
-        for check in self.checks:
-            yield from (*check.ours, *check.theirs)
+        names = [name for one in self.shown.values() for name in (*one.ours, *one.theirs)]
+        names += [name for item in self.items for name in (*item.content, item.reference) if name]
+        return tuple(dict.fromkeys(names))
 
     def participant(self, name: str) -> Participant | None:
         """What the participant of a name in the answers sees: ``P01-2`` took what ``P01`` had left."""
@@ -148,9 +141,4 @@ def read_study(path: Path) -> Study:
     file = path / FILE if path.is_dir() else path
     if not file.is_file():
         raise ValueError(f"{path} holds no {FILE}; make one with `anystyle study design`")
-    if file.stat().st_size > _MAX_BYTES:
-        raise ValueError(f"{file} is no study: it has more than {_MAX_BYTES >> 20} MiB")
-    try:
-        return msgspec.json.decode(file.read_bytes(), type=Study)
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{file} is no study: {error}; design it again") from None
+    return read_json(file, Study, what="study; design it again")

@@ -6,7 +6,6 @@ The form's answers do not say where ours was: that is undone here, from the desi
 
 import csv
 import io
-import json
 import sqlite3
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
@@ -17,6 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from anystyle.documents import fit, parse_json, read_bytes
 from anystyle.study.protocol import Check, Item, Study
 
 LONG = ("participant", "item", "question", "score")
@@ -25,7 +25,12 @@ LONG = ("participant", "item", "question", "score")
 _OPTIONAL = ("study", "side", "ours_is", "method", "scene", "style", "expected", "comparison", "seconds", "comment")
 _BOOKKEEPING = ("time", "session", "device", "revision", "received", "id")
 _SUFFIXES = (".csv", ".tsv", ".json", ".sqlite", ".sqlite3", ".db")
-_MAX_BYTES = 1 << 30
+_MAX_BYTES = 256 << 20
+_MAX_STEPS = 20_000_000
+"""What SQLite may do to read a table, in its own instructions: a view in a file may never end."""
+_EVERY = 10_000
+_MAX_CELL = 1 << 20
+_Answer = dict[str, str | float | bool | None]
 
 
 @dataclass(frozen=True)
@@ -134,14 +139,11 @@ def _files(path: Path) -> list[Path]:
 
 
 def _table(path: Path) -> _Table:
-    with path.open("rb") as file:
-        start = file.read(16)
-    if path.stat().st_size > _MAX_BYTES:
-        raise ValueError(f"{path.name} has more than 1 GiB; expected a table of responses")
-    if start == b"SQLite format 3\0":
+    content = read_bytes(path, most=_MAX_BYTES, what="table of answers")
+    if content.startswith(b"SQLite format 3\0"):
         return _sqlite_table(path)
     try:
-        text = path.read_bytes().decode("utf-8-sig")
+        text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(f"{path.name} is not UTF-8 text (at byte {error.start}); save it as CSV UTF-8") from None
     if not text.strip():
@@ -168,24 +170,30 @@ def _csv_table(text: str, source: str) -> _Table:
 
 
 def _json_table(text: str, source: str) -> _Table:
-    try:
-        data = json.loads(text)
-    except ValueError as error:
-        raise ValueError(f"{source} is no JSON: {error}") from None
-    rows = data.get("responses") if isinstance(data, dict) else data
-    if not isinstance(rows, list) or not all(isinstance(row, dict) for row in rows):
-        raise ValueError(f"{source}: expected a list of answers, or an object with such a list named 'responses'")
-    if isinstance(data, dict):
-        rows = [{name: data[name] for name in ("study", "participant", "comment") if name in data} | row for row in rows]
+    what = "list of answers, or an object with such a list named 'responses'"
+    data: Any = parse_json(text, list[_Answer] | dict[str, Any], source=source, what=what)
+    head: dict[str, Any] = data if isinstance(data, dict) else {"responses": data}
+    answers: list[_Answer] = fit(head.get("responses"), list[_Answer], source=source, what=what)
+    shared = {name: head[name] for name in ("study", "participant", "comment") if name in head}
+    rows = [shared | row for row in answers]
     names = list(dict.fromkeys(str(name) for row in rows for name in row))
     return _checked(names, [[_text(row.get(name)) for row in rows] for name in names], source)
 
 
 def _sqlite_table(path: Path) -> _Table:
+    steps = 0
+
+    def tick() -> bool:
+        nonlocal steps
+        steps += 1
+        return steps * _EVERY > _MAX_STEPS
+
     try:
         with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            database.set_progress_handler(tick, _EVERY)
+            database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _MAX_CELL)
             kinds = "SELECT name FROM sqlite_master WHERE type IN ('table', 'view')"
-            tables = [name for (name,) in database.execute(kinds)]
+            tables = [str(name) for (name,) in database.execute(kinds)]
             for table in sorted(tables, key=lambda name: (name != "responses", name)):
                 quoted = '"' + table.replace('"', '""') + '"'
                 cursor = database.execute(f"SELECT * FROM {quoted}")
@@ -194,9 +202,10 @@ def _sqlite_table(path: Path) -> _Table:
                     rows = cursor.fetchall()
                     columns = [[_text(row[index]) for row in rows] for index in range(len(names))]
                     return _checked(names, columns, path.name)
-    except sqlite3.Error as error:
-        raise ValueError(f"{path.name} is no readable SQLite file: {error}") from None
-    raise ValueError(f"{path.name} has no table with the columns {', '.join(LONG)}; its tables are {tables}")
+    except (sqlite3.Error, UnicodeError, OverflowError) as error:
+        reason = "a view in it does not end" if steps * _EVERY > _MAX_STEPS else error
+        raise ValueError(f"{path.name} is no readable SQLite file: {reason}") from None
+    raise ValueError(f"{path.name} has no table with the columns {', '.join(LONG)}; its tables are {tables[:12]}")
 
 
 def _text(value: Any) -> str:

@@ -4,23 +4,21 @@ import json
 import logging
 import sqlite3
 from collections.abc import Callable, Iterable
+from http import HTTPStatus
 from pathlib import Path
 from typing import Any
 
-import msgspec
 from waitress.server import create_server
 
+from anystyle.documents import parse_json
+from anystyle.errors import UserError
 from anystyle.study.form import picture_files, render, sequence
 from anystyle.study.protocol import Study
-from anystyle.study.store import Answer, Claim, Fact, Finish, Refused, Store
+from anystyle.study.store import Answer, Claim, Fact, Message, Refused, Store
 
 _log = logging.getLogger(__name__)
 _LARGEST_MESSAGE = 64 * 1024
 _KINDS = {".jpg": "image/jpeg", ".mp4": "video/mp4"}
-_REASONS = {
-    200: "OK", 400: "Bad Request", 401: "Unauthorized", 404: "Not Found", 409: "Conflict",
-    413: "Content Too Large", 503: "Service Unavailable",
-}  # fmt: skip
 
 
 class Application:
@@ -47,7 +45,7 @@ class Application:
             ("X-Content-Type-Options", "nosniff"),
             ("Referrer-Policy", "no-referrer"),
         ]
-        start_response(f"{status} {_REASONS[status]}", headers)
+        start_response(f"{status} {HTTPStatus(status).phrase}", headers)
         return [body]
 
     def _answer(self, environ: dict[str, Any]) -> tuple[int, str, bytes]:
@@ -62,7 +60,7 @@ class Application:
             return _json(200, self._take(path, environ))
         except Refused as error:
             return _json(error.status, {"error": str(error)})
-        except (msgspec.DecodeError, RecursionError, UnicodeError) as error:
+        except UserError as error:
             return _json(400, {"error": str(error)})
         except (sqlite3.Error, OSError) as error:
             _log.error("nothing can be kept: %s", error)
@@ -75,16 +73,16 @@ class Application:
         body = environ["wsgi.input"].read()
         token = environ.get("HTTP_AUTHORIZATION", "").removeprefix("Bearer ")
         if path == "/session":
-            session = self._store.claim(msgspec.json.decode(body, type=Claim))
+            session = self._store.claim(parse_json(body, Claim, source="the message"))
             participant = self._study.participant(session["participant"])
             assert participant is not None
             return session | {"sets": sequence(self._study, participant)}
         if path == "/answers":
-            self._store.add(msgspec.json.decode(body, type=Answer), token)
+            self._store.add(parse_json(body, Answer, source="the message"), token)
         elif path == "/facts":
-            self._store.note(msgspec.json.decode(body, type=Fact), token)
+            self._store.note(parse_json(body, Fact, source="the message"), token)
         elif path == "/finish":
-            return self._store.finish(msgspec.json.decode(body, type=Finish), token)
+            return self._store.finish(parse_json(body, Message, source="the message"), token)
         else:
             raise Refused(404, "there is nothing here")
         return {"saved": True}

@@ -50,11 +50,16 @@ class Claim(Struct, frozen=True, forbid_unknown_fields=True):
     token: Annotated[str, Meta(pattern=r"^[0-9a-f]{32}$")]
 
 
-class Answer(Struct, frozen=True, forbid_unknown_fields=True):
-    """One answer, as the page sends it; ``side`` is empty for a comparison, ``A`` or ``B`` for a rating."""
+class Message(Struct, frozen=True, forbid_unknown_fields=True):
+    """What a session sends; by itself, the wish to finish."""
 
     study: str
     participant: str
+
+
+class Answer(Message, frozen=True, forbid_unknown_fields=True):
+    """One answer; ``side`` is empty for a comparison, ``A`` or ``B`` for a rating."""
+
     item: str
     question: str
     side: str
@@ -64,20 +69,11 @@ class Answer(Struct, frozen=True, forbid_unknown_fields=True):
     revision: Annotated[int, Meta(ge=1, lt=1_000_000)]
 
 
-class Fact(Struct, frozen=True, forbid_unknown_fields=True):
+class Fact(Message, frozen=True, forbid_unknown_fields=True):
     """Something that a participant says once: consent, a demographic, a comment."""
 
-    study: str
-    participant: str
     name: str
     value: str
-
-
-class Finish(Struct, frozen=True, forbid_unknown_fields=True):
-    """The wish to finish."""
-
-    study: str
-    participant: str
 
 
 class Refused(Exception):
@@ -170,25 +166,23 @@ class Store:
         self._belongs(message.study)
         assigned = bool(self._study.plan.id_parameters)
         person = message.person if assigned else message.person.upper()
-        if not (assigned or self._study.participant(person)):
+        if not assigned and person not in {one.id for one in self._study.participants}:
             raise Refused(404, "this code is not known")
-        digest = hashlib.sha256(message.token.encode()).hexdigest()
+        digest = _digest(message.token)
         with self._change() as database:
             row = database.execute("SELECT participant, token FROM sessions WHERE person = ?", (person,)).fetchone()
             if row is None:
                 slot = self._free_slot() if assigned else person
-                times = database.execute("SELECT count(*) FROM sessions WHERE slot = ?", (slot,)).fetchone()[0]
-                participant = f"{slot}-{times + 1}" if times else slot
-                values = (participant, slot, person, digest, _now())
-                database.execute("INSERT INTO sessions VALUES (?, ?, ?, ?, ?, NULL)", values)
+                (times,) = database.execute("SELECT count(*) FROM sessions WHERE slot = ?", (slot,)).fetchone()
+                row = f"{slot}-{times + 1}" if times else slot, digest
+                database.execute(
+                    "INSERT INTO sessions VALUES (?, ?, ?, ?, ?, NULL)", (row[0], slot, person, digest, _now())
+                )
             elif row[1] is None:
-                participant = row[0]
-                database.execute("UPDATE sessions SET token = ? WHERE participant = ?", (digest, participant))
+                database.execute("UPDATE sessions SET token = ? WHERE person = ?", (digest, person))
             elif row[1] != digest:
                 raise Refused(409, "this code is in use in another browser")
-            else:
-                participant = row[0]
-            return {"participant": participant, **self._state(participant)}
+            return {"participant": row[0], **self._state(row[0])}
 
     def _free_slot(self) -> str:
         """What fewest have finished or are at, then fewest have begun, then comes first: balanced in this order."""
@@ -235,11 +229,8 @@ class Store:
             raise Refused(400, "the score is outside the scale")
         key = (message.participant, message.item, message.question, message.side)
         with self._change() as database:
-            kept = dict(
-                database.execute(
-                    "SELECT revision, score FROM answers WHERE (participant, item, question, side) = (?, ?, ?, ?)", key
-                ).fetchall()
-            )
+            query = "SELECT revision, score FROM answers WHERE (participant, item, question, side) = (?, ?, ?, ?)"
+            kept = dict(database.execute(query, key).fetchall())
             if message.revision not in kept and message.revision == len(kept) + 1:
                 values = (_now(), *key, message.score, message.seconds, message.time, message.revision)
                 database.execute("INSERT INTO answers VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, ?)", values)
@@ -258,10 +249,10 @@ class Store:
         if len(message.value) > _LONGEST_TEXT:
             raise Refused(413, f"a text has at most {_LONGEST_TEXT} characters")
         with self._change() as database:
-            values = (message.participant, message.name, message.value)
-            database.execute("INSERT OR REPLACE INTO facts VALUES (?, ?, ?)", values)
+            query = "INSERT OR REPLACE INTO facts VALUES (?, ?, ?)"
+            database.execute(query, (message.participant, message.name, message.value))
 
-    def finish(self, message: Finish, token: str) -> dict[str, str]:
+    def finish(self, message: Message, token: str) -> dict[str, str]:
         """The code and the address for the end, once every answer is kept.
 
         Raises:
@@ -274,32 +265,29 @@ class Store:
             (kept,) = database.execute(query, (message.participant,)).fetchone()
             if kept < expected:
                 raise Refused(409, f"{expected - kept} answers are missing")
-            database.execute(
-                "UPDATE sessions SET finished = coalesce(finished, ?) WHERE participant = ?",
-                (_now(), message.participant),
-            )
+            query = "UPDATE sessions SET finished = coalesce(finished, ?) WHERE participant = ?"
+            database.execute(query, (_now(), message.participant))
         plan = self._study.plan
         return {"code": plan.completion_code, "url": plan.completion_url.replace("{code}", plan.completion_code)}
-
-    def count(self) -> int:
-        """How many answers are kept, changed ones counted once."""
-        with self._lock:
-            return int(self._database.execute("SELECT count(*) FROM responses").fetchone()[0])
 
     def _belongs(self, study: str) -> None:
         if study != self._study.id:
             raise Refused(400, "this belongs to another study")
 
-    def _authorized(self, message: Answer | Fact | Finish, token: str) -> Participant:
+    def _authorized(self, message: Message, token: str) -> Participant:
         self._belongs(message.study)
         query = "SELECT token FROM sessions WHERE participant = ?"
         with self._lock:
             row = self._database.execute(query, (message.participant,)).fetchone()
         participant = self._study.participant(message.participant)
-        if participant is None or row is None or row[0] != hashlib.sha256(token.encode()).hexdigest():
+        if participant is None or row is None or row[0] != _digest(token):
             raise Refused(401, "this session goes on in another browser")
         return participant
 
 
 def _now(offset: timedelta = timedelta()) -> str:
     return (datetime.now(UTC) + offset).isoformat(timespec="milliseconds")
+
+
+def _digest(token: str) -> str:
+    return hashlib.sha256(token.encode()).hexdigest()

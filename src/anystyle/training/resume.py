@@ -10,7 +10,8 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.io.atomic import atomic_path
+from anystyle.documents import read_json
+from anystyle.io.atomic import write_json
 from anystyle.io.lock import folder_lock
 
 UNBOUND = (
@@ -18,6 +19,9 @@ UNBOUND = (
     "precision",
 )  # fmt: skip
 """Parts of a configuration that may change between the two halves of a run: they do not change its result."""
+
+
+_WHAT = "record of a run's configuration; pass resume=changed, resume=never, or another name=..."
 
 
 def leads() -> bool:
@@ -65,7 +69,7 @@ def resumable(config: DictConfig, last: Path) -> bool:
                 f"{last.parent} holds a checkpoint and no {record.name} that says of which configuration; "
                 f"pass resume=changed to continue it all the same, resume=never to start again, or another name=..."
             )
-        previous = json.loads(record.read_text()) if record.is_file() else current
+        previous: dict[str, Any] = read_json(record, dict[str, Any], what=_WHAT) if record.is_file() else current
         changed = sorted(key for key in {*previous, *current} if previous.get(key) != current.get(key))
         if changed and config.resume != "changed":
             examples = ", ".join(f"{key} {previous.get(key)} -> {current.get(key)}" for key in changed[:5])
@@ -74,8 +78,7 @@ def resumable(config: DictConfig, last: Path) -> bool:
                 f"pass resume=changed to continue it so, resume=never to start again, or another name=..."
             )
         return True
-    with atomic_path(record) as temporary:
-        temporary.write_text(json.dumps(current, indent=2, sort_keys=True) + "\n")
+    write_json(record, current)
     return False
 
 

@@ -5,62 +5,46 @@ from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
-import numpy as np
 import torch
-from PIL import Image
 from torch import Tensor
 
-from anystyle.contracts import Metric, SceneSource, StyleEncoder, StyleSource
+from anystyle.contracts import Metric, SceneSource, StyleSource
 from anystyle.evaluation import resume
 from anystyle.evaluation.contract import Evaluation, Progress, Protocol, Row, required
 from anystyle.evaluation.runner import SceneFigures, aggregate, judge_scene, mean
 from anystyle.io.atomic import atomic_path
-from anystyle.io.checkpoint import Header, save_part
-from anystyle.registry.build import build
-from anystyle.registry.catalog import catalog
+from anystyle.io.sheet import to_pil
 from anystyle.stylizer import Stylizer
 from anystyle.types import Comparison, Scene, Style, StyleEmbedding, Views
-from anystyle_tiny.evaluation.records import seal
-from anystyle_tiny.evaluation.styles import first_choices, load_judge
 
 GUIDES = ("text", "image")
-RENDERS = "renders"
-"""What the protocol itself says of renders is kept under this name, beside what metrics say."""
+DEPTH_CHANGE = "depth_change"
 
 
 class Guides(Protocol):
     """Stylize every scene in every style, once by its text and once by its image, and judge the renders themselves.
 
     Every figure is given twice, with ``_text`` and ``_image`` behind its name. Metrics see the depth that the stylized
-    scene has, so that a style that moves or hides Gaussians shows in it. Beside those of the metrics there are
-
-    - ``style_retrieval``: how often a judge, which no model is trained by, finds the style's image nearest to the
-      render among those of all styles; by chance once in ``num_styles``;
-    - ``depth_change``: the mean absolute difference of the logarithms of the depth of styled and unstyled renders.
+    scene has, so that a style that moves or hides Gaussians shows in it. Beside those of the metrics there is
+    ``depth_change``: the mean absolute difference of the logarithms of the depth of styled and unstyled renders.
 
     Args:
         stylizer: What is judged; the framework passes it.
         metrics: By name; likewise.
         scenes: What is stylized; likewise.
         styles: In which styles; likewise. Every style has an image and a text.
-        judge: The judge's weights: what ``anystyle weights`` lists, or a file.
         num_scenes: Of the scenes, the first so many.
         num_styles: Of the styles, the first so many.
         num_views: Of each scene, the first so many are seen and judged.
 
     Raises:
-        ValueError: A number is below 1, a source is not configured, or the judge's weights do not fit.
-        FileNotFoundError: The judge's weights are missing.
+        ValueError: A number is below 1, or a source is not configured.
     """
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Two scenes in two styles, judged by a network that has learnt nothing."""
-        options = {"dim": 8, "widths": (8, 8), "colors": 8, "text_width": 8, "buckets": 64}
-        node = {"_target_": catalog().find("style_encoder", "judge").path, **options}
-        file = folder / "judge.safetensors"
-        save_part(file, build(StyleEncoder, node), Header(part="style_encoder", config={"style_encoder": node}))
-        return {"judge": str(file), "num_scenes": 2, "num_styles": 2, "num_views": 2}
+        """Two scenes in two styles."""
+        return {"num_scenes": 2, "num_styles": 2, "num_views": 2}
 
     def __init__(
         self,
@@ -69,7 +53,6 @@ class Guides(Protocol):
         metrics: Mapping[str, Metric],
         scenes: SceneSource | None,
         styles: StyleSource | None,
-        judge: str = "tiny_judge",
         num_scenes: int = 4,
         num_styles: int = 10,
         num_views: int = 3,
@@ -80,21 +63,19 @@ class Guides(Protocol):
         self.stylizer = stylizer
         self.metrics = dict(metrics)
         self.scenes, self.styles = required(scenes, "scenes"), required(styles, "styles")
-        self.judge = load_judge(judge).to(next(stylizer.parameters()).device)
         self.num_scenes, self.num_styles = min(num_scenes, len(self.scenes)), min(num_styles, len(self.styles))
         self.num_views = num_views
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
         """See :meth:`anystyle.evaluation.contract.Protocol.run`."""
         options = {name: getattr(self, name) for name in ("num_scenes", "num_styles", "num_views")}
-        mark = seal([self.stylizer, self.judge], options)
         figures: dict[str, dict[str, dict[str, SceneFigures]]] = {guide: {} for guide in GUIDES}
         done, total = 0, len(GUIDES) * self.num_scenes
         for scene in range(self.num_scenes):
             name = self.scenes.name(scene)
             for guide in GUIDES:
                 progress("scenes", done, total)
-                figures[guide][name] = _OneScene(self, scene, guide).figures(out, mark)
+                figures[guide][name] = _OneScene(self, scene, guide).figures(out, str(options))
                 done += 1
         progress("scenes", total, total)
         images = self.num_styles * sum(len(self.shown(scene)) for scene in range(self.num_scenes))
@@ -113,17 +94,11 @@ class Guides(Protocol):
         Raises:
             ValueError: One lacks its image or its text.
         """
-        device = next(self.stylizer.parameters()).device
-        read = tuple(self.styles.read(index).to(device) for index in range(self.num_styles))
+        read = tuple(self.styles.read(index).to(self.stylizer.device) for index in range(self.num_styles))
         for index, style in enumerate(read):
             if style.image is None or not (style.text and style.text[0].strip()):
                 raise ValueError(f"style {index} lacks its image or its text; this protocol gives each style as both")
         return read
-
-    @cached_property
-    def targets(self) -> Tensor:
-        """The judge's vectors of the style images."""
-        return torch.cat([self.judge.embed_images(style.image) for style in self.all_styles if style.image is not None])
 
     def embed(self, style: Style, guide: str) -> StyleEmbedding:
         """A style as its text or as its image."""
@@ -137,36 +112,34 @@ class _OneScene:
         self.protocol, self.index, self.guide = protocol, index, guide
         self.name = protocol.scenes.name(index)
 
-    def figures(self, out: Path, mark: str) -> dict[str, SceneFigures]:
+    def figures(self, out: Path, digest: str) -> dict[str, SceneFigures]:
         """What the metrics and the protocol say, as far as it is not known from files."""
         figures: dict[str, SceneFigures] = {}
-        for name in (*self.protocol.metrics, RENDERS):
+        for name in (*self.protocol.metrics, DEPTH_CHANGE):
             file = resume.figures_file(out, name, f"{self.name}-{self.guide}")
-            kept = resume.read_figures(file, mark)
-            if kept is None:
-                kept = self._of_renders(out) if name == RENDERS else self._judged(name)
-                resume.write_figures(file, mark, kept)
-            figures[name] = kept
+            stored = resume.read_figures(file, digest)
+            if stored is None:
+                stored = self._depth_change(out) if name == DEPTH_CHANGE else self._judged(name)
+                resume.write_figures(file, digest, stored)
+            figures[name] = stored
         return figures
 
     def _judged(self, name: str) -> SceneFigures:
         return judge_scene({name: self.protocol.metrics[name]}, self.comparisons)[name]
 
     @torch.no_grad()
-    def _of_renders(self, out: Path) -> SceneFigures:
+    def _depth_change(self, out: Path) -> SceneFigures:
         protocol, styles = self.protocol, {}
         renders = protocol.stylizer.render(protocol.stylizer.unstyled(self.scene), self.scene.cameras)
-        plain = (renders.depth / renders.alpha.clamp_min(1e-6))[0]
-        for index, comparison in enumerate(self.comparisons):
+        unstyled = (renders.depth / renders.alpha.clamp_min(1e-6))[0]
+        for comparison in self.comparisons:
             assert comparison.depth is not None
-            choices = first_choices(protocol.judge, comparison.stylized[0], protocol.targets)
-            change = (comparison.depth[0].clamp_min(1e-6) / plain.clamp_min(1e-6)).log().abs().mean()
-            hits = sum(choice == index for choice in choices) / len(choices)
-            styles[comparison.styles[0]] = {"style_retrieval": float(hits), "depth_change": float(change)}
+            change = (comparison.depth[0].clamp_min(1e-6) / unstyled.clamp_min(1e-6)).log().abs().mean()
+            styles[comparison.styles[0]] = {DEPTH_CHANGE: float(change)}
             if self.guide == GUIDES[0]:
                 self._keep(out / "images", comparison)
-        means = {name: mean([row[name] for row in styles.values()]) for name in ("style_retrieval", "depth_change")}
-        return SceneFigures(means, styles, {"style_retrieval": "higher", "depth_change": "lower"})
+        overall = mean([row[DEPTH_CHANGE] for row in styles.values()])
+        return SceneFigures({DEPTH_CHANGE: overall}, styles, {DEPTH_CHANGE: "lower"})
 
     def _keep(self, images: Path, comparison: Comparison) -> None:
         """Write the pictures that a report's sheet is made of: those of text-guided scenes."""
@@ -189,7 +162,7 @@ class _OneScene:
                 f"the views of {self.name} are {views.size[1]}x{views.size[0]} pixels; this model needs sides that are "
                 f"multiples of {patch} (an option of the scenes)"
             )
-        return protocol.stylizer.encode(Views(images=views.images.to(protocol.targets.device)))
+        return protocol.stylizer.encode(Views(images=views.images.to(protocol.stylizer.device)))
 
     @cached_property
     def comparisons(self) -> Sequence[Comparison]:
@@ -241,6 +214,5 @@ def _together(evaluations: Mapping[str, Evaluation]) -> Evaluation:
 
 
 def _write(path: Path, image: Tensor) -> None:
-    values = (image.detach().clamp(0, 1) * 255).round().byte().permute(1, 2, 0).cpu().numpy()
     with atomic_path(path) as temporary:
-        Image.fromarray(np.ascontiguousarray(values)).save(temporary)
+        to_pil(image).save(temporary)

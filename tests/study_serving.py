@@ -2,6 +2,7 @@
 
 import json
 import re
+import resource
 import signal
 import sqlite3
 import subprocess
@@ -15,16 +16,36 @@ PATIENCE = 120
 """Seconds after which a process hangs; a busy machine takes long for an answer."""
 
 
+_LIMITED = """
+import sys
+from pathlib import Path
+from anystyle.study.protocol import read_study
+from anystyle.study.server import serve
+
+folder, database = map(Path, sys.argv[1:])
+ready = lambda url: print(url, flush=True)
+serve(read_study(folder), folder, database, host="127.0.0.1", port=0, ready=ready, connections=10, patience=1)
+"""
+
+
 @contextmanager
-def serving(folder: Path, database: Path, port: int = 0):
-    """``anystyle study form --serve`` in a process of its own; the address that it printed."""
-    command = [sys.executable, "-m", "anystyle", "study", "form", str(folder), "--serve"]
-    command += ["--port", str(port), "--database", str(database)]
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+def serving(folder: Path, database: Path, port: int = 0, limited: bool = False, largest_file: int | None = None):
+    """``anystyle study form --serve`` in a process of its own; the address that it printed.
+
+    ``limited``: to ten connections, closed when idle for a second. ``largest_file``: in bytes, as on a full disk.
+    """
+    command = [sys.executable, "-c", _LIMITED, str(folder), str(database)]
+    if not limited:
+        command = [sys.executable, "-m", "anystyle", "study", "form", str(folder), "--serve"]
+        command += ["--port", str(port), "--database", str(database)]
+
+    def prepare() -> None:
         # A suite in the background ignores interrupts, and so would what it starts.
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )  # fmt: skip
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
+        if largest_file is not None:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (largest_file, largest_file))
+
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=prepare)
     try:
         assert process.stdout is not None
         line = process.stdout.readline()
@@ -41,9 +62,7 @@ def token_of(person: str) -> str:
     return person.encode().hex().ljust(32, "0")[:32]
 
 
-def post(
-    url: str, path: str, message: object, token: str = "", kind: str = "application/json"
-) -> tuple[int, dict]:
+def post(url: str, path: str, message: object, token: str = "", kind: str = "application/json") -> tuple[int, dict]:
     """Send a message as the page does."""
     body = message if isinstance(message, bytes) else json.dumps(message).encode()
     headers = {"Content-Type": kind, "Authorization": f"Bearer {token}"}
