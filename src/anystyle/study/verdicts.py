@@ -62,9 +62,7 @@ def paragraph(analysis: Analysis, question: QuestionAnalysis) -> str:
         text += f", {responses.count} answers: {ours} preferred ours, {neither} neither, {theirs} theirs."
     if primary is not None:
         result = primary.result
-        text += (
-            f" The mean preference is {result.estimate:+.2f} points ({confidence} interval {bounds(result.interval)}"
-        )
+        text += f" The mean preference is {result.estimate:+.2f} points ({confidence} interval {bounds(result.interval)}"
         text += f", {primary.name.replace('_', ' ')}, p {p_text(result.pvalue, result.log10_pvalue)})."
     effects = [
         f"{effect_title(effect.name)} {effect.estimate:.2f} {bounds(effect.interval)}" for effect in question.effects
@@ -83,20 +81,20 @@ def registered(analysis: Analysis) -> list[str]:
             f"{len(study.items)} sets each, {study.ours} against {', '.join(study.baselines)}; "
             f"{plan.degraded} degraded and {plan.repeats} repeated sets each as attention checks. {'; '.join(asked)}."
         )
-    attention = "" if rules.failed_checks is None else f"fail more than {rules.failed_checks} attention checks, "
-    fast = f", answer more than {percent(rules.fast_share)} of the sets in less than {rules.min_seconds:g} s"
+    left_out = [f"miss more than {percent(rules.missing_share)} of the answers they were assigned"]
+    if rules.failed_checks is not None:
+        left_out.append(f"fail more than {rules.failed_checks} attention checks")
+    if rules.min_seconds:
+        left_out.append(f"answer more than {percent(rules.fast_share)} of the sets in less than {rules.min_seconds:g} s")
+    if rules.straight_lining:
+        left_out.append("give one answer throughout")
     lines.append(
-        f"Left out are participants who {attention}miss more than {percent(rules.missing_share)} of the answers they "
-        f"were assigned{fast * (rules.min_seconds > 0)}{', or gave one answer throughout' * rules.straight_lining}. "
-        "Of several answers to one question the first counts."
-        + " These rules are not the design's."
-        * (study is not None and rules != study.plan.rules)
+        f"Left out are participants who {' or '.join(left_out)}. Of several answers to one question the first counts."
+        + " These rules are not the design's." * (study is not None and rules != study.plan.rules)
     )
     margin = "No margin of equivalence was set."
     if settings.margin is not None:
-        margin = (
-            f"A mean within {percent(settings.margin)} of the way from neutral to the scale's end is no preference."
-        )
+        margin = f"A mean within {percent(settings.margin)} of the way from neutral to the scale's end is no preference."
     lines.append(
         f"Tests and intervals are {_CLAIMS[settings.alternative]}, at {100 * settings.confidence:g} %; p-values are "
         f"adjusted over the questions by Holm's method. {margin} Negative means that ours is preferred."
