@@ -43,7 +43,7 @@ WORDS = {
     "alike": "as crossed, scenes and styles alike",
 }
 EFFECT = -0.5
-REPLICATIONS = {"crossed": 5000, "looped": 1000, "ordinal": 300}
+REPLICATIONS = {"crossed": 5000, "looped": 2000, "ordinal": 300}
 _LEVELS = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 
 
@@ -170,13 +170,14 @@ def _ordinal(scenario: Scenario, counts: Counts) -> None:
     """The latent preference, of answers that the model describes: logistic noise."""
     scaled = {name: 1.6 * getattr(scenario, name) for name in ("participant_sd", "item_sd", "scene_sd", "style_sd")}
     latent = replace(scenario, **scaled)
+    count = min(REPLICATIONS["ordinal"], 400_000 // (scenario.participants * scenario.items))
     for seed, effect in enumerate((0.0, EFFECT)):
-        for one, _ in studies(latent, (), effect, REPLICATIONS["ordinal"], seed + 30, logits=True):
+        for one, _ in studies(latent, (), effect, count, seed + 30, logits=True):
             result = OrdinalMixed()(one)
             counts.add("ordinal mixed", effect, result.pvalue <= 0.05, result.interval[0] <= effect <= result.interval[1])
 
 
-GROUPS = {"crossed": _crossed, "looped": _looped, "sets": _sets, "ordinal": _ordinal}
+GROUPS = {"crossed": _crossed, "sets": _sets, "looped": _looped, "ordinal": _ordinal}
 
 
 def markdown(results: dict) -> str:

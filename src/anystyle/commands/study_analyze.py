@@ -97,7 +97,7 @@ def _settings(arguments: argparse.Namespace) -> Settings:
         alternative=arguments.alternative,
         seed=arguments.seed,
         margin=arguments.margin,
-        titles=tuple((one.name, one.text) for one in questions),
+        titles=tuple((one.name, one.text.replace("{method}", "each method")) for one in questions),
         study=study,
     )
 

@@ -270,7 +270,7 @@ def _position(responses: Responses, confidence: float) -> Position | None:
     bias, half_width = _mean_and_half_width(biases, confidence)
     if half_width > 0:
         statistic = bias / (half_width / float(special.stdtrit(len(biases) - 1, (1 + confidence) / 2)))
-        log_pvalue = log_t_pvalue(statistic, len(biases) - 1, "two-sided")
+        log_pvalue = log_t_pvalue(statistic, float(len(biases) - 1), "two-sided")
     by_side = [_mean_and_half_width(side[np.isfinite(side)], confidence) for side in sides]
     return Position(bias, (bias - half_width, bias + half_width), log_pvalue, by_side[0], by_side[1])
 

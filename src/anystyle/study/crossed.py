@@ -27,10 +27,10 @@ class CrossedMean:
         components: The variance of each factor and, last, of single answers; not below 0.
     """
 
-    mean: Float[np.ndarray, "..."]
-    error: Float[np.ndarray, "..."]
-    df: Float[np.ndarray, "..."]
-    components: Float[np.ndarray, "..."]
+    mean: Float[np.ndarray, "*R"]
+    error: Float[np.ndarray, "*R"]
+    df: Float[np.ndarray, "*R"]
+    components: Float[np.ndarray, "F *R"]
 
 
 class Crossing:
@@ -74,7 +74,8 @@ class Crossing:
         with np.errstate(invalid="ignore", divide="ignore"):
             df = variance**2 / np.tensordot(1 / (self._levels - 1), alone**2, 1)
         components = np.maximum(np.tensordot(self._inverse, squares, 1), 0.0)
-        return CrossedMean(mean, np.sqrt(np.where(variance > 1e-24, variance, 0.0)), df, components)
+        error = np.sqrt(np.where(variance > 1e-24, variance, 0.0))
+        return CrossedMean(np.asarray(mean), np.asarray(error), np.asarray(df), components)
 
 
 @dataclass(frozen=True)

@@ -81,12 +81,15 @@ def registered(analysis: Analysis) -> list[str]:
             f"{len(study.items)} sets each, {study.ours} against {', '.join(study.baselines)}; "
             f"{plan.degraded} degraded and {plan.repeats} repeated sets each as attention checks. {'; '.join(asked)}."
         )
-    attention = "" if rules.failed_checks is None else f"fail more than {rules.failed_checks} attention checks, "
-    fast = f", answer more than {percent(rules.fast_share)} of the sets in less than {rules.min_seconds:g} s"
+    left_out = [f"miss more than {percent(rules.missing_share)} of the answers they were assigned"]
+    if rules.failed_checks is not None:
+        left_out.append(f"fail more than {rules.failed_checks} attention checks")
+    if rules.min_seconds:
+        left_out.append(f"answer more than {percent(rules.fast_share)} of the sets in less than {rules.min_seconds:g} s")
+    if rules.straight_lining:
+        left_out.append("give one answer throughout")
     lines.append(
-        f"Left out are participants who {attention}miss more than {percent(rules.missing_share)} of the answers they "
-        f"were assigned{fast * (rules.min_seconds > 0)}{', or gave one answer throughout' * rules.straight_lining}. "
-        "Of several answers to one question the first counts."
+        f"Left out are participants who {' or '.join(left_out)}. Of several answers to one question the first counts."
         + " These rules are not the design's." * (study is not None and rules != study.plan.rules)
     )
     margin = "No margin of equivalence was set."

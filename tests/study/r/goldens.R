@@ -45,7 +45,7 @@ plain <- function(values) {
 distinct <- round(rnorm(14, -0.4), 6)
 exact <- wilcox.test(distinct, conf.int = TRUE, exact = TRUE)
 complete <- study(12, 5, 5, 25, -0.3)
-incomplete <- study(30, 6, 5, 8, -0.4)
+incomplete <- study(34, 6, 5, 8, -0.4)
 studies <- lapply(list(complete = complete, incomplete = incomplete), function(rows) {
   means <- tapply(rows$deviation, rows$participant, mean)
   list(rows = rows, crossed = crossed(rows), participants = plain(as.numeric(means)), responses = plain(rows$deviation),

@@ -37,10 +37,10 @@ class OneSampleT(StudyTest):
         return TestResult(
             unit=responses.unit,
             statistic=statistic,
-            log_pvalue=log_t_pvalue(statistic, n - 1, self.alternative),
+            log_pvalue=log_t_pvalue(statistic, float(n - 1), self.alternative),
             alternative=self.alternative,
             estimate=mean,
-            interval=t_interval(mean, error, n - 1, self.confidence, self.alternative),
+            interval=t_interval(mean, error, float(n - 1), self.confidence, self.alternative),
             effect=mean / sd,
             effect_name="cohens_d",
             effect_interval=(math.nan, math.nan),
