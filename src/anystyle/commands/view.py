@@ -16,11 +16,11 @@ from torch import Tensor
 
 from anystyle.commands._compose import compose
 from anystyle.commands._flags import split
+from anystyle.commands._options import Stylize, checked
 from anystyle.commands._run import run, words_of
-from anystyle.commands.stylize import typed
 from anystyle.inference.assemble import assemble_frozen, default_device, default_poses
 from anystyle.inference.encoding import encode_capture
-from anystyle.inference.options import PoseOptions, ViewOptions
+from anystyle.inference.options import PoseOptions
 from anystyle.inference.page import write_page
 from anystyle.inference.saved import read_saved
 from anystyle.inference.stages import Stages
@@ -76,7 +76,7 @@ def opened(path: Path, words: list[str]) -> tuple[OpenScene, Render]:
     encoded = encode_capture(
         path,
         stylizer,
-        typed(ViewOptions, config.views),
+        checked(config, Stylize).views,
         PoseOptions(config.poses or default_poses(config), config.poses_from),
         refined=config.refine,
         stages=stages,

@@ -23,6 +23,10 @@ class ViewOptions:
     overlap: int | None = None
 
     def __post_init__(self) -> None:
+        _between("views.short_side", self.short_side, 1, 1 << 16)
+        _between("views.take", self.take, 1, 1 << 20)
+        _between("views.max_views", self.max_views, 1, 1 << 20)
+        _between("views.overlap", self.overlap, 1, 1 << 20)
         if self.short_side is not None and not self.resize:
             raise ValueError(f"views.short_side={self.short_side} with views.resize=false; give one of them")
 
@@ -68,6 +72,23 @@ class ExportOptions:
 
 
 @dataclass(frozen=True)
+class SplatOptions:
+    """From where a scene that is given as Gaussians is seen.
+
+    Args:
+        cameras: From how many views at most.
+        folder: Where cameras are stored, if not beside the file or one folder above: COLMAP or ``transforms.json``.
+    """
+
+    cameras: int = 24
+    folder: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.cameras < 1:
+            raise ValueError(f"splat.cameras={self.cameras}; give at least 1")
+
+
+@dataclass(frozen=True)
 class VideoOptions:
     """A flight through the cameras.
 
@@ -81,7 +102,17 @@ class VideoOptions:
     fps: int = 30
     scale: float = 1.0
 
+    def __post_init__(self) -> None:
+        _between("video.frames", self.frames, 1, 100_000)
+        _between("video.fps", self.fps, 1, 1000)
+        _between("video.scale", self.scale, 0.01, 8)
+
 
 def _expect(option: str, value: str, choices: Collection[str]) -> None:
     if value not in choices:
         raise ValueError(f"{option}={value}; choose one of {', '.join(choices)}")
+
+
+def _between(option: str, value: float | None, low: float, high: float) -> None:
+    if value is not None and not low <= value <= high:
+        raise ValueError(f"{option}={value}; give a number from {low} to {high}")

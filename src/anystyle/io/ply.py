@@ -65,6 +65,35 @@ def write(splats: Splats, path: Path, notes: str = "") -> None:
         PlyData([PlyElement.describe(vertices, "vertex")], comments=comments).write(temporary)
 
 
+def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool:
+    """Write the Gaussians of a file with other colours; every other number keeps its bits, in its order.
+
+    Args:
+        source: The file that the Gaussians were read from.
+        harmonics: Of all of them; properties of higher degrees are left out.
+        path: Written whole or not at all.
+
+    Returns:
+        Whether that was done: a compressed file has no number for a colour alone.
+    """
+    data = PlyData.read(source)
+    if "chunk" in data:
+        return False
+    before = data["vertex"].data
+    colors = np.concatenate([harmonics[:, 0].cpu(), harmonics[:, 1:].mT.flatten(1).cpu()], axis=1)  # N 3*K
+    names = [f"f_dc_{index}" for index in range(3)] + [f"f_rest_{index}" for index in range(colors.shape[1] - 3)]
+    kept = [
+        (name, before.dtype[name]) for name in before.dtype.names if not name.startswith("f_rest_") or name in names
+    ]
+    after = np.empty(len(before), dtype=kept)
+    for name, _ in kept:
+        after[name] = colors[:, names.index(name)] if name in names else before[name]
+    elements = [element for element in data.elements if element.name != "vertex"]
+    with atomic_path(path) as temporary:
+        PlyData([PlyElement.describe(after, "vertex"), *elements], text=data.text).write(temporary)
+    return True
+
+
 def read(path: Path) -> Splats:
     """Read a file of any degree of harmonics, as trainers write it, or compressed, as SuperSplat does.
 
