@@ -30,7 +30,7 @@ except ImportError:
     raise ImportError('anystyle view needs viser; pip install "anystyle[viewer]"') from None
 
 LARGEST_PICTURE = 32 * 1024 * 1024
-NONE = "—"
+NONE: str = "—"
 
 
 class Panel:
@@ -116,8 +116,8 @@ class Panel:
                 self.text = gui.add_text("Text", "", hint="What the scene should look like; Enter paints it")
             paint = gui.add_button("Paint", icon=viser.Icon.BRUSH)
             self.upload = gui.add_upload_button("Upload a picture", mime_type="image/*", icon=viser.Icon.UPLOAD)
-            self.recent = gui.add_dropdown("Recent", (NONE,), hint="Styles that were asked for; going back is instant")
-            self.second = gui.add_dropdown("Towards", (NONE,), hint="A second style to mix in")
+            self.recent = gui.add_dropdown("Recent", [NONE], hint="Styles that were asked for; going back is instant")
+            self.second = gui.add_dropdown("Towards", [NONE], hint="A second style to mix in")
             self.amount = gui.add_slider("Amount", 0.0, 1.0, 0.05, 0.5, hint="0 is the first style, 1 the second")
             self.strength = gui.add_slider("Strength", 0.0, 1.0, 0.05, 1.0)
             self.preserve = gui.add_checkbox("Preserve colour", False, hint="The style's strokes in the scene's hues")

@@ -8,6 +8,7 @@ import json
 import struct
 from math import isqrt
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch.nn.functional as F
@@ -86,12 +87,12 @@ def write(splats: Splats, path: Path, notes: str = "") -> None:
         )  # fmt: skip
 
 
-def _attributes(splats: Splats) -> dict[str, NDArray[np.float32] | NDArray[np.uint8]]:
+def _attributes(splats: Splats) -> dict[str, NDArray[Any]]:
     """Columns by name, in the order of the file."""
     means, rotations, scales, opacities, harmonics = (tensor.detach().float().cpu() for tensor in splats)
     rgb = (harmonics[:, 0] * CONSTANT + 0.5).clamp(0, 1)
     color = np.concatenate([rgb.numpy(), opacities[:, None].clamp(0, 1).numpy()], 1)
-    columns: dict[str, NDArray[np.float32] | NDArray[np.uint8]] = {
+    columns: dict[str, NDArray[Any]] = {
         "POSITION": means.numpy(),
         "COLOR_0": (color * 255).round().astype(np.uint8),
         f"{NAME}:ROTATION": F.normalize(rotations, dim=-1)[:, [1, 2, 3, 0]].numpy(),

@@ -108,7 +108,7 @@ def palette(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[
     centered = vectors - vectors.mean(0)
     directions = np.linalg.eigh(centered.T @ centered)[1][:, -6:]
     drawn = np.sort(np.random.default_rng(0).choice(len(vectors), PALETTE, replace=False))
-    labels = KDTree(centered[drawn] @ directions).query(centered @ directions)[1]
+    labels = np.asarray(KDTree(centered[drawn] @ directions).query(centered @ directions)[1])
     counts = np.bincount(labels, minlength=PALETTE)
     sums = np.stack([np.bincount(labels, column, PALETTE) for column in vectors.T], 1)
     return np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], vectors[drawn]), labels
