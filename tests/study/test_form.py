@@ -8,11 +8,11 @@ import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
-from study_browser import browser, find_chromium, until
 from study_cases import small_study
 
 from anystyle.commands.study import main
 from anystyle.study.form import render, sequence, write_page
+from chromium import browser, find_chromium, until
 from study_serving import kept_answers, serving
 
 LOADED = "!!document.querySelector('[data-loaded]')"

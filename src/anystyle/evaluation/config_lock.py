@@ -52,6 +52,7 @@ def bind(
     """
     names = ["protocol", *(name for name in ("scenes", "styles") if name in parts)]
     names += _STYLIZER if "stylizer" in parts else ()
+    names += ("method", "loss") if "method" in parts else ()
     plain = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
     assert isinstance(plain, dict)
     images = {name: plain.get(name) for name in names}
@@ -75,8 +76,14 @@ def bind(
             )
         forget(out, [name for name, row in current["metrics"].items() if earlier.metrics.get(name) != row])
         current["metrics"] = {**earlier.metrics, **current["metrics"]}
+        new = not path.is_file()
         write_json(path, current)
-        yield
+        try:
+            yield
+        except BaseException:
+            if new and {entry.name for entry in out.iterdir()} <= {FILE, ".lock"}:
+                path.unlink()  # nothing is here yet that rests on it
+            raise
 
 
 def _flat(node: Any, prefix: str = "") -> list[tuple[str, Any]]:

@@ -241,7 +241,7 @@
     };
     const toggle = button("play", "Play", () => (toggle.textContent === "Play" ? play : pause)());
     if (slider) slider.addEventListener("input", () => { pause(); turn(Number(slider.value) - 1); });
-    if (videos.length) videos[0].addEventListener("ended", () => { videos.forEach((video) => { video.currentTime = 0; }); play(); });
+    if (videos.length) videos[0].addEventListener("ended", () => { if (views.isConnected) { videos.forEach((video) => { video.currentTime = 0; }); play(); } });
     turn(0);
     if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play();
     return make("div", { class: "player" }, toggle, slider, enlarge);
