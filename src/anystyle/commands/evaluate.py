@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from anystyle.commands._bars import Bar
 from anystyle.commands._compose import describe, job_folder, launch, override, run, split, with_sweep
+from anystyle.commands._options import Shared, checked
 from anystyle.commands._run import words_of
 from anystyle.contracts import Correspondence, Metric, SceneSource, StyleEncoder, StyleSource
 from anystyle.errors import UserError
@@ -82,12 +83,11 @@ def evaluate(config: DictConfig, out: Path) -> Evaluation:
         ValueError: The configuration contradicts itself, or images cannot be judged.
     """
     start = time.perf_counter()
-    torch.manual_seed(config.seed)
+    torch.manual_seed(checked(config, Shared).seed)
     plugin = catalog().owner("protocol", str(config.protocol.get("_target_")))
     named = runtime_arguments(plugin)
     parts, weights = make_parts(config, named)
     protocol = build(Protocol, config.protocol, **parts)
-    out.mkdir(parents=True, exist_ok=True)
     judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
     with bind(config, weights, out, named, judges):
         with Bar() as progress:

@@ -4,8 +4,8 @@ import argparse
 import contextlib
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -13,9 +13,10 @@ from omegaconf import DictConfig, OmegaConf
 from anystyle import api
 from anystyle.commands._compose import job_folder, main, with_sweep
 from anystyle.commands._controls import add_controls, given_controls, with_values
+from anystyle.commands._options import Stylize, checked
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
-from anystyle.inference.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
+from anystyle.inference.options import PoseOptions
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import Mixture, StyleInput, check_text
 from anystyle.io.atomic import atomic_directory
@@ -23,8 +24,6 @@ from anystyle.io.sheet import to_pil
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.registry.build import build
 from anystyle.types import Style, Views
-
-Options = TypeVar("Options", SplatOptions, ViewOptions, ExportOptions, VideoOptions)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -48,23 +47,28 @@ def parser() -> argparse.ArgumentParser:
         help="with exactly two styles: the point between them, 0 is the first and 1 the second; likewise",
     )
     add_controls(flags)
+    flags.add_argument(
+        "--export",
+        default="",
+        metavar="FORMATS",
+        help="further files of the scene: glb, spz, sog, splat, html; several with commas",
+    )
     flags.add_argument("--out", default="out", help="where the results go (default: %(default)s)")
     return flags
 
 
 def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Run the command."""
+    options = checked(config, Stylize)
     amounts = mixing_amounts(arguments, len(arguments.text) + len(arguments.image) + len(config.style))
     controls = given_controls(arguments)
     for text in arguments.text:
         check_text(text, "--text")
     if not arguments.inputs and config.get("scenes") is None:
         raise ValueError("no photographs are given; name a folder, files or a video")
-    views, export, video = (
-        typed(ViewOptions, config.views),
-        typed(ExportOptions, config.export),
-        typed(VideoOptions, config.video),
-    )
+    views, export, video = options.views, options.export, options.video
+    if arguments.export:
+        export = replace(export, formats=[*export.formats, *arguments.export.split(",")])
     poses = PoseOptions(config.poses or default_poses(config), config.poses_from)
     reconstruction = config.get("reconstruction")
     target = job_folder(arguments.out)
@@ -73,7 +77,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
         lambda name, note: print(f"{name} {note} …", file=sys.stderr, flush=True),
         lambda thumbnail: to_pil(thumbnail).save(watched),
     )
-    with contextlib.ExitStack() as cleanup, atomic_directory(target) as folder:
+    with contextlib.ExitStack() as cleanup, atomic_directory(target, expected_entries(options)) as folder:
         cleanup.callback(watched.unlink, missing_ok=True)
         torch.manual_seed(config.seed)
         with stages("load", "the model"):
@@ -89,7 +93,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
             model=stylizer,
             views=views,
             poses=poses,
-            splat=typed(SplatOptions, config.splat),
+            splat=options.splat,
             reconstruction=None if reconstruction is None else build(Reconstruction, reconstruction),
             method=make_method(config, stylizer.style_encoder),
             refine=config.refine,
@@ -130,11 +134,9 @@ def mixing_amounts(arguments: argparse.Namespace, num_styles: int) -> list[float
     return amounts
 
 
-def typed(options: type[Options], node: DictConfig) -> Options:
-    """A node of the configuration as options, each value of its declared type."""
-    value = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(options), node))
-    assert isinstance(value, options)
-    return value
+def expected_entries(options: Stylize) -> list[str]:
+    """Folders that a result has and a capture may have too; where one is in the way, that is said before any work."""
+    return ["renders", *(["sparse"] if options.export.colmap != "none" else [])]
 
 
 def scene_views(config: DictConfig, take: int) -> Views:

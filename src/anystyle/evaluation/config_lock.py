@@ -76,8 +76,14 @@ def bind(
             )
         forget(out, [name for name, row in current["metrics"].items() if earlier.metrics.get(name) != row])
         current["metrics"] = {**earlier.metrics, **current["metrics"]}
+        new = not path.is_file()
         write_json(path, current)
-        yield
+        try:
+            yield
+        except BaseException:
+            if new and {entry.name for entry in out.iterdir()} <= {FILE, ".lock"}:
+                path.unlink()  # nothing is here yet that rests on it
+            raise
 
 
 def _flat(node: Any, prefix: str = "") -> list[tuple[str, Any]]:

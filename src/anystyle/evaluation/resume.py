@@ -80,7 +80,7 @@ def _judge_cell(metrics: Mapping[str, Metric], cell: Cell, reader: Reader, out: 
         comparison = checked(reader(cell))
         for name in [name for name in metrics if name not in rows]:
             rows[name] = judge_row(name, metrics[name], comparison)
-            with atomic_path(files[name]) as temporary:
+            with atomic_path(files[name], sync=True) as temporary:
                 torch.save({"digest": digest, **vars(rows[name])}, temporary)
     return rows
 

@@ -294,7 +294,7 @@ def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str
         part="branch",
         config={name: OmegaConf.to_container(config[name], resolve=True, enum_to_str=True) for name in nodes},
         base={part: sha256(file) for part, file in files.items()},
-        provenance=provenance,
+        provenance=dict(provenance),
         # Without a file of the backbone nothing says what was copied.
         omitted=tuple(name for name, part in branch.named_children() if "backbone" in files and _is_frozen(part)),
     )

@@ -209,6 +209,8 @@ def _find(
             progress=partial(stages.progress, "cameras"),
         )
     if isinstance(posed, FoundCameras):
+        if posed.kept:
+            stages.note("cameras", "were kept from an earlier run with these photographs")
         for doubt in posed.verdict.reasons:
             _log.warning("cameras: %s", doubt)
         return posed
@@ -275,6 +277,8 @@ def _reconstruct(
             points=points,
             progress=partial(stages.progress, "fit"),
         )
+        if measures.get("kept"):
+            stages.note("fit", "was kept from an earlier run with these photographs and options")
     capture = Capture((Group(scene, tuple(range(num_views)), None, num_views),))
     report = reconstruction_report(reconstruction, capture, time.perf_counter() - start, measures)
     return EncodedCapture(stylizer, views, sources, capture, report)

@@ -40,11 +40,15 @@ class Stages:
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
 
+    def note(self, name: str, note: str) -> None:
+        """Announce something of a stage at once."""
+        self._announced = time.perf_counter()
+        self._on_stage(name, note)
+
     def progress(self, name: str, note: str) -> None:
         """Announce where a stage is, unless something was announced in the last seconds."""
         if time.perf_counter() - self._announced > QUIET:
-            self._announced = time.perf_counter()
-            self._on_stage(name, note)
+            self.note(name, note)
 
     def watch(self, name: str, progress: Progress) -> None:
         """Announce where a method is, and show what it has so far, unless that was done in the last seconds."""

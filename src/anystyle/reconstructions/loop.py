@@ -5,6 +5,7 @@ import logging
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -105,12 +106,12 @@ def fingerprint(words: object, tensors: Mapping[str, Tensor]) -> str:
 
 def write_state(loop: Loop, path: Path, key: str) -> None:
     """Write where a loop is."""
-    with atomic_path(path) as temporary:
+    with atomic_path(path, sync=True) as temporary:
         torch.save({"key": key, "fit": loop.state_dict()}, temporary)
 
 
 def resume(loop: Loop, path: Path, key: str, device: torch.device) -> None:
-    """Take up a loop that was broken off; one of other photographs or options is begun anew, with a line in the log.
+    """Take up a loop that was broken off; one of other photographs or options is begun anew, and its state kept.
 
     Raises:
         ValueError: The file is no state.
@@ -122,7 +123,11 @@ def resume(loop: Loop, path: Path, key: str, device: torch.device) -> None:
     if not isinstance(written, dict) or set(written) != {"key", "fit"}:
         raise ValueError(f"{path} is no state of a fit; name another file as state")
     if written["key"] != key:
-        logger.warning("%s was written for other photographs or options; the fit begins anew", path)
+        aside = next(name for number in count(1) if not (name := path.with_name(f"{path.name}.{number}")).exists())
+        path.rename(aside)
+        logger.warning(
+            "%s was written for other photographs or options: it is %s now, and the fit begins anew", path, aside.name
+        )
         return
     loop.load_state_dict(written["fit"])
     logger.info("the fit goes on at step %d of %d", loop.step, loop.last_step)

@@ -121,8 +121,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "wikiart": "anystyle.data.wikiart:WikiArtStyles",
     },
     "study_test": {
-        "cluster_bootstrap": "anystyle.study.tests.cluster_bootstrap:ClusterBootstrap",
-        "equivalence": "anystyle.study.tests.equivalence:Equivalence",
+        "crossed_t": "anystyle.study.tests.crossed_t:CrossedT",
         "one_sample_t": "anystyle.study.tests.one_sample_t:OneSampleT",
         "ordinal_mixed": "anystyle.study.tests.ordinal_mixed:OrdinalMixed",
         "sign_flip": "anystyle.study.tests.sign_flip:SignFlip",

@@ -47,7 +47,7 @@ def check_rates(**rates: float) -> None:
         ValueError: One is not; the message names it.
     """
     for name, rate in rates.items():
-        if not rate > 0:
+        if not 0 < rate < math.inf:
             raise ValueError(f"training.{name}={rate}: give a number above 0")
 
 
