@@ -174,11 +174,11 @@ class _System:
         """Each view of these colours, rendered once: every pass backward goes through them."""
         return [self.render(view, self.gray) for view in range(self.cameras.intrinsics.shape[1])]
 
-    @torch.no_grad()
     def change_by(self, view: int, higher: Float[Tensor, "N K 3"]) -> Float[Tensor, "3 H W"]:
         """What harmonics above degree 0 add to a view of grey."""
         harmonics = torch.cat([torch.zeros_like(higher[:, :1]), higher], dim=1)[None]
-        render = self.renderer(replace(self.gaussians, harmonics=harmonics), self.cameras.select([view]))
+        with torch.no_grad():
+            render = self.renderer(replace(self.gaussians, harmonics=harmonics), self.cameras.select([view]))
         return render.color[0, 0] - self.gray_renders[view].detach()
 
     def transposed(self, view: int, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
