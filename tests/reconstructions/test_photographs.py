@@ -78,6 +78,7 @@ def test_a_state_of_other_options_is_not_resumed(photographs, tmp_path, caplog):
     with caplog.at_level(logging.WARNING):
         fit(photographs, replace(OPTIONS, seed=1), state=state, on_progress=lambda it: steps.append(it.step))
     assert steps[0] == 20 and "begins anew" in caplog.text
+    assert (tmp_path / "fit.state.1").is_file() and not state.exists()
 
 
 def test_a_file_that_is_no_state_is_left_as_it_is(photographs, tmp_path):

@@ -6,7 +6,7 @@ import msgspec
 from omegaconf import DictConfig, OmegaConf
 
 from anystyle.documents import fit
-from anystyle.inference.options import ExportOptions, VideoOptions, ViewOptions
+from anystyle.inference.options import ExportOptions, SplatOptions, VideoOptions, ViewOptions
 
 T = TypeVar("T")
 Seed = Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
@@ -34,6 +34,7 @@ class Stylize(Shared, kw_only=True):
     """What ``conf/stylize.yaml`` adds."""
 
     views: ViewOptions
+    splat: SplatOptions
     export: ExportOptions
     video: VideoOptions
     poses: str | None

@@ -22,7 +22,7 @@ from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
 from anystyle.evaluation.config_lock import bind
 from anystyle.evaluation.contract import Evaluation, Protocol
-from anystyle.inference.assemble import assemble_frozen, default_device, weights_file
+from anystyle.inference.assemble import assemble_frozen, default_device, make_method, weights_file
 from anystyle.io.checkpoint import load_part
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
@@ -129,6 +129,8 @@ def make_parts(config: DictConfig, named: Mapping[str, bool]) -> tuple[dict[str,
         stylizer, weights = assemble_frozen(config)
         parts["stylizer"] = stylizer.to(device)
         encoder = stylizer.style_encoder
+        if "method" in named:
+            parts["method"] = make_method(config, encoder)
     if "metrics" in named:
         parts["metrics"] = {name: metric.to(device) for name, metric in make_metrics(config, encoder, device).items()}
     for name, base in (("scenes", SceneSource), ("styles", StyleSource)):

@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -17,11 +18,12 @@ from anystyle.commands._controls import add_controls, given_controls, with_value
 from anystyle.commands._options import Stylize, checked
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.errors import UserError
-from anystyle.inference.assemble import assemble_frozen, default_device, default_poses
+from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
 from anystyle.inference.options import PoseOptions
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import Mixture, StyleInput, check_text
 from anystyle.io.atomic import atomic_directory
+from anystyle.io.sheet import to_pil
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.registry.build import build
 from anystyle.types import Style, Views
@@ -35,7 +37,9 @@ def parser() -> argparse.ArgumentParser:
         epilog="Every option of every component: anystyle stylize --cfg job",
         allow_abbrev=False,
     )
-    flags.add_argument("inputs", nargs="*", help="a folder, files, a glob or a video; or none with scenes=NAME")
+    flags.add_argument(
+        "inputs", nargs="*", help="a folder, files, a glob or a video; a PLY file; or none with scenes=NAME"
+    )
     flags.add_argument("--text", action="append", default=[], help="a style in words; may be given several times")
     flags.add_argument("--image", action="append", default=[], help="a style as an image file; likewise")
     flags.add_argument(
@@ -46,6 +50,12 @@ def parser() -> argparse.ArgumentParser:
         help="with exactly two styles: the point between them, 0 is the first and 1 the second; likewise",
     )
     add_controls(flags)
+    flags.add_argument(
+        "--export",
+        default="",
+        metavar="FORMATS",
+        help="further files of the scene: glb, spz, sog, splat, html; several with commas",
+    )
     flags.add_argument("--out", default="out", help="where the results go (default: %(default)s)")
     return flags
 
@@ -60,11 +70,18 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
     if not arguments.inputs and config.get("scenes") is None:
         raise ValueError("no photographs are given; name a folder, files or a video")
     views, export, video = options.views, options.export, options.video
+    if arguments.export:
+        export = replace(export, formats=[*export.formats, *arguments.export.split(",")])
     poses = PoseOptions(config.poses or default_poses(config), config.poses_from)
     reconstruction = config.get("reconstruction")
-    stages = Stages(lambda name, note: print(f"{name} {note} …", file=sys.stderr, flush=True))
     target = job_folder(arguments.out)
-    with atomic_directory(target, expected_entries(options)) as folder:
+    watched = target.with_name(f"{target.name}.progress.png")
+    stages = Stages(
+        lambda name, note: print(f"{name} {note} …", file=sys.stderr, flush=True),
+        lambda thumbnail: to_pil(thumbnail).save(watched),
+    )
+    with contextlib.ExitStack() as cleanup, atomic_directory(target, expected_entries(options)) as folder:
+        cleanup.callback(watched.unlink, missing_ok=True)
         torch.manual_seed(config.seed)
         with stages("load", "the model"):
             stylizer, weights = assemble_frozen(config)
@@ -79,7 +96,9 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
             model=stylizer,
             views=views,
             poses=poses,
+            splat=options.splat,
             reconstruction=None if reconstruction is None else build(Reconstruction, reconstruction),
+            method=make_method(config, stylizer.style_encoder),
             refine=config.refine,
             controls=controls,
             export=export,

@@ -166,11 +166,11 @@ def read_picture(source: Picture, name: str, size: tuple[int, int]) -> tuple[Ima
         ValueError: It is no image, a damaged one, or too large.
     """
     path = source if isinstance(source, Path) else None
-    told = name if path is None else str(path)
-    whole = images.image_size(source, told)
+    described = name if path is None else str(path)
+    whole = images.image_size(source, described)
     scale = min(whole[0] / size[1], whole[1] / size[0])
     # Decoded at twice the size that is needed where the format can, which leaves the resampling its room.
-    picture = images.open_image(source, told, longest=max(1, round(2 * max(whole) / max(scale, 1.0))))
+    picture = images.open_image(source, described, longest=max(1, round(2 * max(whole) / max(scale, 1.0))))
     covered, shown = cover(name, picture, whole, size)
     return covered, replace(shown, path=path)
 

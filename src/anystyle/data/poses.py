@@ -82,6 +82,19 @@ def read_poses(folder: Path, images: Sequence[str], stored_in: str | None = None
     return _llff(path, images) if path.suffix == ".npy" else _named(_transforms(path), images, path)
 
 
+def stored_cameras(folder: Path) -> dict[str, StoredCamera]:
+    """All cameras that ``transforms.json`` or a COLMAP model in a folder names, by file name; empty where none are.
+
+    Raises:
+        ValueError: A file is damaged.
+    """
+    path = folder / "transforms.json"
+    if path.is_file():
+        return _transforms(path)
+    model = colmap.find(folder)
+    return {} if model is None else _colmap(model)
+
+
 def _named(stored: Mapping[str, StoredCamera], images: Sequence[str], path: Path) -> dict[str, StoredCamera]:
     # Some tools leave the suffix out.
     pairs = [(name, stored.get(name, stored.get(PurePosixPath(name).stem))) for name in images]

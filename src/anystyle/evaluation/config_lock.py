@@ -52,6 +52,7 @@ def bind(
     """
     names = ["protocol", *(name for name in ("scenes", "styles") if name in parts)]
     names += _STYLIZER if "stylizer" in parts else ()
+    names += ("method", "loss") if "method" in parts else ()
     plain = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
     assert isinstance(plain, dict)
     images = {name: plain.get(name) for name in names}

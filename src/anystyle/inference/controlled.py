@@ -1,5 +1,6 @@
 """A capture in styles, each as its controls say."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 
@@ -10,6 +11,7 @@ from anystyle.inference.controls import Controls, blended, with_colors_of
 from anystyle.inference.encoding import EncodedCapture
 from anystyle.inference.masks import Mask, Shown
 from anystyle.inference.styles import EmbeddedStyle
+from anystyle.methods.contract import Method, Progress, silent
 from anystyle.types import Gaussians
 
 
@@ -18,10 +20,17 @@ class Controlled:
 
     Args:
         encoded: The capture.
+        method: How it takes styles; ``None`` for the single pass.
+        on_progress: Told where the method is.
     """
 
-    def __init__(self, encoded: EncodedCapture) -> None:
-        self.encoded = encoded
+    def __init__(
+        self,
+        encoded: EncodedCapture,
+        method: Method | None = None,
+        on_progress: Callable[[Progress], None] = silent,
+    ) -> None:
+        self.encoded, self.method, self.on_progress = encoded, method, on_progress
         self._styled: tuple[EmbeddedStyle, Gaussians] | None = None
         self._weights: dict[Mask, Float[Tensor, "B N"]] = {}
 
@@ -36,13 +45,18 @@ class Controlled:
         if controls.strength == 0:
             return self.unstyled
         if controls == replace(Controls(), scale=controls.scale):
-            return self.encoded.restyle(style.embedding, style.title)
+            return self._restyled(style)
         if self._styled is None or self._styled[0].embedding is not style.embedding:
-            self._styled = style, self.encoded.restyle(style.embedding, style.title)
+            self._styled = style, self._restyled(style)
         styled = self._styled[1]
+        if styled.means.shape != self.unstyled.means.shape:
+            raise ValueError("this method adds Gaussians, and controls mix those there were; set method.split_every=0")
         if controls.preserve_color > 0:
             styled = with_colors_of(self.unstyled, styled, controls.preserve_color)
         return blended(self.unstyled, styled, controls.strength * self._mask_weights(controls.mask))
+
+    def _restyled(self, style: EmbeddedStyle) -> Gaussians:
+        return self.encoded.restyle(style, self.method, self.on_progress)
 
     def _mask_weights(self, mask: Mask | None) -> float | Float[Tensor, "B N"]:
         if mask is None:

@@ -73,7 +73,7 @@ def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tenso
     if unstyled.means.shape != styled.means.shape:
         raise ValueError(f"{unstyled.means.shape[1]} and {styled.means.shape[1]} Gaussians are not of one scene")
     degree = max(unstyled.harmonics.shape[2], styled.harmonics.shape[2])
-    share = torch.as_tensor(weights, dtype=styled.means.dtype, device=styled.means.device).expand(
+    amount = torch.as_tensor(weights, dtype=styled.means.dtype, device=styled.means.device).expand(
         styled.opacities.shape
     )
 
@@ -81,7 +81,7 @@ def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tenso
         start, end = getattr(unstyled, name), getattr(styled, name)
         if name == "harmonics":
             start, end = (F.pad(tensor, (0, 0, 0, degree - tensor.shape[2])) for tensor in (start, end))
-        part = share.reshape(*share.shape, *[1] * (start.ndim - 2))
+        part = amount.reshape(*amount.shape, *[1] * (start.ndim - 2))
         if name == "rotations":
             lengths = [tensor.norm(dim=-1, keepdim=True).clamp_min(1e-12) for tensor in (start, end)]
             sign = torch.where((start * end).sum(-1, keepdim=True) < 0, -1.0, 1.0)

@@ -31,12 +31,14 @@ class FoundCameras:
         sources: Where each view comes from.
         points: For each view, sparse points that it shows.
         verdict: How far the cameras can be trusted, and what was left out.
+        kept: Whether they were found by an earlier run.
     """
 
     views: Views
     sources: tuple[SourceImage, ...]
     points: tuple[Float[Tensor, "_ 3"], ...]
     verdict: Verdict
+    kept: bool = False
 
 
 def read_photographs(inputs: Sequence[Path], options: ViewOptions) -> list[Original]:
@@ -52,6 +54,8 @@ def find_cameras(
     originals: Sequence[Original], *, short_side: int, multiple: int, progress: Callable[[str], None]
 ) -> FoundCameras | Verdict:
     """Find the cameras of photographs, and make views of one size of those that have one.
+
+    What is found is kept in the user's cache folder, for the next run with the same photographs.
 
     Args:
         originals: Of one scene.
@@ -70,6 +74,7 @@ def find_cameras(
         photographs,
         ordered=all(original.path is None for original in originals),
         threads=torch.get_num_threads(),
+        keep=True,
         progress=lambda stage, done, total: progress(f"{stage}: {done} of {total}"),
     )
     registered = [int(view) for view in np.flatnonzero(posed.registered)]
@@ -91,6 +96,7 @@ def find_cameras(
         sources,
         tuple(points[seen] for seen in shown),
         posed.verdict,
+        posed.kept,
     )
 
 

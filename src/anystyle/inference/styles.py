@@ -57,6 +57,7 @@ class EmbeddedStyle:
         title: For a heading.
         cell: Its picture, where there is one.
         embedding: A batch of one.
+        style: The image or the text itself; neither for a point between two styles.
         matches: Of each text that it is made of, what the encoder says of it.
         controls: How it is applied.
     """
@@ -65,6 +66,7 @@ class EmbeddedStyle:
     title: str
     cell: Cell
     embedding: StyleEmbedding
+    style: Style = field(default_factory=Style)
     matches: tuple[TextMatch, ...] = ()
     controls: Controls = field(default_factory=Controls)
 
@@ -121,7 +123,8 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
                 raise ValueError(f"scale={scale:g} is of strokes in a picture; the style {style[:40]!r} is a text")
             title = f"“{' '.join(style.split())}”"
             embedding = stylizer.embed(text=style)
-            return EmbeddedStyle(slug(style), title, None, embedding, _matches(style, stylizer))
+            given = Style(text=(style,))
+            return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer))
         case Path():
             title, image = style.stem, read_image(style)[None]
         case Tensor():
@@ -130,8 +133,9 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             title = names[0] if names else "image"
         case _:
             raise ValueError("a style has neither an image nor a text")
-    embedding = stylizer.embed(image=rescaled(image[0], scale)[None].to(stylizer.device))
-    return EmbeddedStyle(slug(title), title, to_pil(image[0]), embedding)
+    cell, image = to_pil(image[0]), rescaled(image[0], scale)[None]
+    embedding = stylizer.embed(image=image.to(stylizer.device))
+    return EmbeddedStyle(slug(title), title, cell, embedding, Style(image=image, names=(title,)))
 
 
 def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
@@ -156,6 +160,7 @@ def mix(first: EmbeddedStyle, second: EmbeddedStyle, amount: float) -> EmbeddedS
         title=f"{1 - amount:.0%} {first.title}, {amount:.0%} {second.title}",
         cell=first.cell if amount == 0 else second.cell if amount == 1 else None,
         embedding=first.embedding.toward(second.embedding, amount),
+        style=first.style if amount == 0 else second.style if amount == 1 else Style(),
         matches=tuple(dict.fromkeys(first.matches + second.matches)),
     )
 

@@ -31,11 +31,16 @@ class Splats(NamedTuple):
     harmonics: Float[Tensor, "N K 3"]
 
 
-def write(splats: Splats, path: Path) -> None:
+def write(splats: Splats, path: Path, notes: str = "") -> None:
     """Write one scene; whole or not at all.
 
     Every property is float32, in the order positions, normals (0), ``f_dc``, ``f_rest`` (colour-major), opacity
     (logit), scales (logarithm), rotation (unit quaternion wxyz). Gaussians of no opacity are left out.
+
+    Args:
+        splats: The scene.
+        path: A ``.ply`` file.
+        notes: Such as licences, in comments, a line each.
     """
     kept = splats.opacities > 0
     means, rotations, scales, opacities, harmonics = (tensor[kept].detach().float().cpu() for tensor in splats)
@@ -56,7 +61,37 @@ def write(splats: Splats, path: Path) -> None:
     names = _properties(degree)
     vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in names])[:, 0]
     with atomic_path(path) as temporary:
-        PlyData([PlyElement.describe(vertices, "vertex")]).write(temporary)
+        comments = notes.encode("ascii", "replace").decode().splitlines()
+        PlyData([PlyElement.describe(vertices, "vertex")], comments=comments).write(temporary)
+
+
+def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool:
+    """Write the Gaussians of a file with other colours; every other number keeps its bits, in its order.
+
+    Args:
+        source: The file that the Gaussians were read from.
+        harmonics: Of all of them; properties of higher degrees are left out.
+        path: Written whole or not at all.
+
+    Returns:
+        Whether that was done: a compressed file has no number for a colour alone.
+    """
+    data = PlyData.read(source)
+    if "chunk" in data:
+        return False
+    before = data["vertex"].data
+    colors = np.concatenate([harmonics[:, 0].cpu(), harmonics[:, 1:].mT.flatten(1).cpu()], axis=1)  # N 3*K
+    names = [f"f_dc_{index}" for index in range(3)] + [f"f_rest_{index}" for index in range(colors.shape[1] - 3)]
+    kept = [
+        (name, before.dtype[name]) for name in before.dtype.names if not name.startswith("f_rest_") or name in names
+    ]
+    after = np.empty(len(before), dtype=kept)
+    for name, _ in kept:
+        after[name] = colors[:, names.index(name)] if name in names else before[name]
+    elements = [element for element in data.elements if element.name != "vertex"]
+    with atomic_path(path) as temporary:
+        PlyData([PlyElement.describe(after, "vertex"), *elements], text=data.text).write(temporary)
+    return True
 
 
 def read(path: Path) -> Splats:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -11,6 +12,7 @@ from torch import Tensor
 from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.reconstructions.contract import Reconstruction, silent
+from anystyle.reconstructions.kept import kept, key_of
 from anystyle.reconstructions.options import FitResult, Progress
 from anystyle.reconstructions.photographs import fit_photographs, held_out, quality_named
 from anystyle.types import Attributes, Geometry, Reconstructed, Scene, Views
@@ -27,6 +29,8 @@ class Fit(Reconstruction):
         holdout: Every so many-th view is held out of the fit and says how good it is, where there are so many; the
             final steps see all views. 0 holds out none.
         state: A file to write the fit to as it goes, and to resume it from.
+        keep: Whether the fitted scene is kept in the user's cache folder, and taken from there when the same
+            photographs are fitted again with the same options.
         seed: Of all that is random.
 
     Raises:
@@ -44,6 +48,7 @@ class Fit(Reconstruction):
         degree: int = 0,
         holdout: int = 8,
         state: str | None = None,
+        keep: bool = True,
         seed: int = 0,
     ) -> None:
         chosen = quality_named(quality)
@@ -57,12 +62,12 @@ class Fit(Reconstruction):
         self.options = replace(
             chosen.options, num_steps=num_steps or chosen.options.num_steps, degree=degree, seed=seed
         )
-        self.holdout, self.state = holdout, state
+        self.holdout, self.state, self.keep = holdout, state, keep
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
         """A short one."""
-        return {"quality": "draft", "num_gaussians": 150, "num_steps": 5, "holdout": 0}
+        return {"quality": "draft", "num_gaussians": 150, "num_steps": 5, "holdout": 0, "keep": False}
 
     def __call__(
         self,
@@ -79,19 +84,31 @@ class Fit(Reconstruction):
                 f"a fit takes one scene with known cameras, and there are {views.images.shape[0]} scenes "
                 f"{'with' if views.cameras else 'without'} them; poses=sfm finds cameras"
             )
-        with torch.enable_grad():
-            result = fit_photographs(
-                views.images[0],
-                views.cameras,
-                renderer,
-                num_gaussians=self.num_gaussians,
-                options=self.options,
-                points=points,
-                heldout=held_out(views.images.shape[1], self.holdout),
-                state=None if self.state is None else Path(self.state).expanduser(),
-                on_progress=lambda now: progress(described(now)),
-            )
-        return Reconstructed(scene_of_fit(views, encode(views), result, renderer), _measures(result))
+        heldout = held_out(views.images.shape[1], self.holdout)
+
+        def compute() -> dict[str, Any]:
+            assert views.cameras is not None
+            with torch.enable_grad():
+                return fit_photographs(
+                    views.images[0],
+                    views.cameras,
+                    renderer,
+                    num_gaussians=self.num_gaussians,
+                    options=self.options,
+                    points=points,
+                    heldout=heldout,
+                    state=None if self.state is None else Path(self.state).expanduser(),
+                    on_progress=lambda now: progress(described(now)),
+                ).as_dict()
+
+        cameras = views.cameras
+        drawn = views.images, cameras.world_from_camera, cameras.intrinsics, *(points or ())
+        shown = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple, dict))}
+        key = key_of(*drawn, self.num_gaussians, self.options, heldout, type(renderer).__name__, shown)
+        values, before = kept("fit", key, compute) if self.keep else (compute(), False)
+        result = FitResult.from_dict(values, views.images.device)
+        measures = _measures(result) | ({"kept": 1.0} if before else {})
+        return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
 
 
 def described(now: Progress) -> str:

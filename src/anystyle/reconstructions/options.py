@@ -1,8 +1,9 @@
 """How Gaussians are fitted, where a fit is, and what comes of it."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
@@ -113,3 +114,16 @@ class FitResult:
     steps: int
     train_psnr: float
     heldout: HeldoutQuality | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Tensors and plain values that :meth:`from_dict` takes."""
+        tensors = {name: getattr(self.gaussians, name) for name in Gaussians.__dataclass_fields__}
+        return {**self.__dict__, "gaussians": tensors, "heldout": self.heldout and tuple(self.heldout)}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any], device: torch.device) -> "FitResult":
+        """What :meth:`as_dict` gave, on a device."""
+        tensors = {name: value.to(device) for name, value in values.items() if isinstance(value, Tensor)}
+        gaussians = Gaussians(**values["gaussians"]).to(device)
+        heldout = values["heldout"] and HeldoutQuality(*values["heldout"])
+        return cls(**{**values, **tensors, "gaussians": gaussians, "heldout": heldout})

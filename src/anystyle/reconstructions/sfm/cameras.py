@@ -2,12 +2,14 @@
 
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
+from anystyle.reconstructions.kept import kept, key_of
 from anystyle.reconstructions.sfm.model import SparseModel, Tracks
 from anystyle.reconstructions.sfm.pairs import pairs_to_match
 from anystyle.reconstructions.sfm.photographs import Enlargement, Photograph
@@ -31,6 +33,7 @@ class PosedPhotographs:
         points: Sparse points of the scene.
         tracks: Which photograph sees which point where, in pixels of ``images``.
         verdict: How far this can be trusted, and what was left out.
+        kept: Whether an earlier run found them.
     """
 
     names: tuple[str, ...]
@@ -40,6 +43,7 @@ class PosedPhotographs:
     points: Float64[Array, "P 3"]
     tracks: Tracks
     verdict: Verdict
+    kept: bool = False
 
     @property
     def registered(self) -> Bool[Array, " V"]:
@@ -52,9 +56,10 @@ def cameras_from_photographs(
     *,
     ordered: bool = False,
     num_features: int = 1500,
-    sides: tuple[int, int] = (512, 1024),
+    sides: tuple[int, int] = (512, 768),
     seed: int = 0,
     threads: int = 1,
+    keep: bool = False,
     progress: Progress | None = None,
 ) -> PosedPhotographs:
     """Find where photographs of one rigid scene were taken, by SIFT features and COLMAP's two mappers.
@@ -71,6 +76,7 @@ def cameras_from_photographs(
             ones.
         seed: Of all that is random.
         threads: How many to use.
+        keep: Whether what is found is kept in the user's cache folder, and taken from there if it is known.
         progress: Told of every step that takes a second or more.
 
     Raises:
@@ -82,12 +88,21 @@ def cameras_from_photographs(
         raise ValueError(f"{len(names)} photographs with {len(set(names))} names; give one or more, of distinct names")
     enlarged = [Enlargement.between(photograph.size, *sides) for photograph in photographs]
     report = progress or (lambda stage, done, total: None)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "capture.db"
-        capture = _matched(path, photographs, enlarged, ordered, num_features, seed, threads, report)
-        candidates = _mapped(path, capture, enlarged, seed, threads, report)
-    model, verdict = judge(capture, candidates)
-    return _posed(photographs, model, verdict)
+
+    def compute() -> dict[str, Any]:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "capture.db"
+            capture = _matched(path, photographs, enlarged, ordered, num_features, seed, threads, report)
+            candidates = _mapped(path, capture, enlarged, seed, threads, report)
+        model, verdict = judge(capture, candidates)
+        return {"model": None if model is None else model.as_dict(), "verdict": asdict(verdict)}
+
+    pixels = (photograph.pixels for photograph in photographs)
+    known = [(photograph.name, photograph.focal_length, photograph.lens) for photograph in photographs]
+    key = key_of(*pixels, known, ordered, num_features, sides, seed) if keep else ""
+    values, before = kept("cameras", key, compute) if keep else (compute(), False)
+    model = None if values["model"] is None else SparseModel.from_dict(values["model"])
+    return replace(_posed(photographs, model, Verdict(**values["verdict"])), kept=before)
 
 
 def _matched(

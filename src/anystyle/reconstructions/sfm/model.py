@@ -1,9 +1,11 @@
 """Sparse models: cameras, points and where the cameras see them, as plain arrays."""
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float64, Int
 from numpy.typing import NDArray
 
@@ -64,6 +66,22 @@ class SparseModel:
     lenses: tuple[Lens | None, ...]
     points: Float64[Array, "P 3"]
     tracks: Tracks
+
+    def as_dict(self) -> dict[str, Any]:
+        """Tensors and plain values that :meth:`from_dict` takes."""
+        return {
+            "poses": torch.from_numpy(self.world_from_camera),
+            "points": torch.from_numpy(self.points),
+            "lenses": [lens and asdict(lens) for lens in self.lenses],
+            "tracks": {name: torch.from_numpy(column) for name, column in vars(self.tracks).items()},
+        }
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "SparseModel":
+        """What :meth:`as_dict` gave."""
+        lenses = tuple(lens and Lens(**lens) for lens in values["lenses"])
+        tracks = Tracks(**{name: column.numpy() for name, column in values["tracks"].items()})
+        return cls(values["poses"].numpy(), lenses, values["points"].numpy(), tracks)
 
     @property
     def registered(self) -> Bool[Array, " V"]:

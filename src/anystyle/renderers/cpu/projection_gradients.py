@@ -27,17 +27,27 @@ def covariance_gradient(xx: float, xy: float, yy: float, gxx: float, gxy: float,
 @compiled
 @no_type_check
 def shape_backward(
-    r: Array, c: Array, d_image: tuple, lens: tuple, buffers: Array, d_covariance: Array, d_camera: Array
+    r: Array,
+    covariances: Array,
+    g: int,
+    d_image: tuple,
+    lens: tuple,
+    buffers: Array,
+    d_covariances: Array,
+    posed: bool,
+    d_camera: Array,
 ) -> tuple:
     """Add to the gradients of a covariance and of the camera what the covariance ``A C Aᵀ`` in the image owes.
 
     Args:
         r: ``[9]``: rows of the rotation from world.
-        c: ``[6]``: the covariance in space, packed.
+        covariances: ``[N, 6]``: in space, packed.
+        g: Which of them.
         d_image: Gradients of the covariance in the image: xx, half of xy, yy.
         lens: Focal lengths over depth and slopes of the ray: ``fx / z, fy / z, u, v``.
         buffers: ``[4, 3]``, overwritten.
-        d_covariance: ``[6]``, added to.
+        d_covariances: ``[N, 6]``, added to.
+        posed: Whether the camera's gradient is wanted.
         d_camera: ``[CAMERA]``, added to.
 
     Returns:
@@ -47,18 +57,20 @@ def shape_backward(
     sx, sy, bu, bv = lens
     # A has the rows a and b; p and q are their products with the covariance.
     a, b, p, q = buffers[0], buffers[1], buffers[2], buffers[3]
+    c0, c1, c2 = covariances[g, 0], covariances[g, 1], covariances[g, 2]
+    c3, c4, c5 = covariances[g, 3], covariances[g, 4], covariances[g, 5]
     for j in range(3):
         a[j] = sx * (r[j] - bu * r[6 + j])
         b[j] = sy * (r[3 + j] - bv * r[6 + j])
-    p[0], q[0] = c[0] * a[0] + c[1] * a[1] + c[2] * a[2], c[0] * b[0] + c[1] * b[1] + c[2] * b[2]
-    p[1], q[1] = c[1] * a[0] + c[3] * a[1] + c[4] * a[2], c[1] * b[0] + c[3] * b[1] + c[4] * b[2]
-    p[2], q[2] = c[2] * a[0] + c[4] * a[1] + c[5] * a[2], c[2] * b[0] + c[4] * b[1] + c[5] * b[2]
+    p[0], q[0] = c0 * a[0] + c1 * a[1] + c2 * a[2], c0 * b[0] + c1 * b[1] + c2 * b[2]
+    p[1], q[1] = c1 * a[0] + c3 * a[1] + c4 * a[2], c1 * b[0] + c3 * b[1] + c4 * b[2]
+    p[2], q[2] = c2 * a[0] + c4 * a[1] + c5 * a[2], c2 * b[0] + c4 * b[1] + c5 * b[2]
     entry = 0
     for j in range(3):
         for k in range(j, 3):
             twice = 1.0 if j == k else 2.0
             both = hxx * a[j] * a[k] + hxy * (a[j] * b[k] + b[j] * a[k]) + hyy * b[j] * b[k]
-            d_covariance[entry] += twice * both
+            d_covariances[g, entry] += twice * both
             entry += 1
     dsx = dsy = dbu = dbv = 0.0
     for j in range(3):
@@ -68,34 +80,11 @@ def shape_backward(
         dsy += db * (r[3 + j] - bv * r[6 + j])
         dbu -= sx * da * r[6 + j]
         dbv -= sy * db * r[6 + j]
-        d_camera[j] += sx * da
-        d_camera[3 + j] += sy * db
-        d_camera[6 + j] -= sx * bu * da + sy * bv * db
+        if posed:
+            d_camera[j] += sx * da
+            d_camera[3 + j] += sy * db
+            d_camera[6 + j] -= sx * bu * da + sy * bv * db
     return dsx, dsy, dbu, dbv
-
-
-@compiled
-@no_type_check
-def color_backward(w: Array, s: Array, basis: Array, d_harmonics: Array) -> tuple:
-    """Add what a splat's colour owes to its constant harmonic; the gradient of that colour before it is cut at 0.
-
-    Args:
-        w: ``[MOMENTS]``: sums of the splat.
-        s: ``[SPLAT]``.
-        basis: ``[K]``: of which the first value is constant.
-        d_harmonics: ``[K, 3]``, added to.
-
-    Returns:
-        Gradients of red, green, blue.
-    """
-    # A channel that was cut at 0 has no gradient; the splat holds it after the cut.
-    red = float(w[0]) if s[6] > 0.0 else 0.0
-    green = float(w[1]) if s[7] > 0.0 else 0.0
-    blue = float(w[2]) if s[8] > 0.0 else 0.0
-    d_harmonics[0, 0] += basis[0] * red
-    d_harmonics[0, 1] += basis[0] * green
-    d_harmonics[0, 2] += basis[0] * blue
-    return red, green, blue
 
 
 @compiled
@@ -174,6 +163,7 @@ def project_backward(
     d_covariances: Array,
     d_opacities: Array,
     d_harmonics: Array,
+    posed: bool,
     d_camera: Array,
 ) -> None:
     """Add what the splats ``start .. stop`` owe to the gradients of what they were projected from.
@@ -195,6 +185,7 @@ def project_backward(
         d_covariances: ``[N, 6]``, added to.
         d_opacities: ``[N]``, added to.
         d_harmonics: ``[N, K, 3]``, added to.
+        posed: Whether the camera's gradient is wanted.
         d_camera: ``[CAMERA]``, added to.
     """
     r, t = camera[:9], camera[9:12]
@@ -206,21 +197,23 @@ def project_backward(
     basis, slopes = np.full(count, tables[0, 0, 0]), np.zeros((count, 3))
     buffers, ray = np.empty((4, 3)), np.empty(3)
     for i in range(start, stop):
-        g, s, w = owners[i], splats[places[i]], moments[places[i]]
-        mean = means[g]
-        z = r[6] * mean[0] + r[7] * mean[1] + r[8] * mean[2] + t[2]
-        u = (r[0] * mean[0] + r[1] * mean[1] + r[2] * mean[2] + t[0]) / z
-        v = (r[3] * mean[0] + r[4] * mean[1] + r[5] * mean[2] + t[1]) / z
+        g, at = owners[i], places[i]
+        mx, my, mz = float(means[g, 0]), float(means[g, 1]), float(means[g, 2])
+        z = r[6] * mx + r[7] * my + r[8] * mz + t[2]
+        u = (r[0] * mx + r[1] * my + r[2] * mz + t[0]) / z
+        v = (r[3] * mx + r[4] * my + r[5] * mz + t[1]) / z
         bu, bv = min(max(u, low_u), high_u), min(max(v, low_v), high_v)
         sx, sy = fx / z, fy / z
 
         # sigma = (xx dx² + 2 xy dx dy + yy dy²) / 2, with (dx, dy) from the splat to a pixel.
-        xx, xy, yy = float(s[2]), float(s[3]), float(s[4])
-        gx, gy = -(xx * w[5] + xy * w[6]), -(xy * w[5] + yy * w[6])
-        h = covariance_gradient(xx, xy, yy, 0.5 * w[7], 0.5 * w[8], 0.5 * w[9])
-        d_opacities[g] -= w[4] / s[5]
+        xx, xy, yy = float(splats[at, 2]), float(splats[at, 3]), float(splats[at, 4])
+        wx, wy = float(moments[at, 5]), float(moments[at, 6])
+        gx, gy = -(xx * wx + xy * wy), -(xy * wx + yy * wy)
+        h = covariance_gradient(xx, xy, yy, 0.5 * moments[at, 7], 0.5 * moments[at, 8], 0.5 * moments[at, 9])
+        d_opacities[g] -= moments[at, 4] / splats[at, 5]
 
-        dsx, dsy, dbu, dbv = shape_backward(r, covariances[g], h, (sx, sy, bu, bv), buffers, d_covariances[g], d_camera)
+        lens = sx, sy, bu, bv
+        dsx, dsy, dbu, dbv = shape_backward(r, covariances, g, h, lens, buffers, d_covariances, posed, d_camera)
 
         du, dv = gx * fx, gy * fy
         dfx, dfy, dcx, dcy = gx * u + dsx / z, gy * v + dsy / z, gx, gy
@@ -235,24 +228,33 @@ def project_backward(
         else:
             dfy -= dbv * bv / fy
             dcy -= dbv / fy
-        d_camera[15] += dfx
-        d_camera[16] += dfy
-        d_camera[17] += dcx
-        d_camera[18] += dcy
         dx, dy = du / z, dv / z
-        dz = w[3] - (dsx * sx + dsy * sy + du * u + dv * v) / z
+        dz = moments[at, 3] - (dsx * sx + dsy * sy + du * u + dv * v) / z
         for j in range(3):
-            d_camera[j] += dx * mean[j]
-            d_camera[3 + j] += dy * mean[j]
-            d_camera[6 + j] += dz * mean[j]
             d_means[g, j] += r[j] * dx + r[3 + j] * dy + r[6 + j] * dz
-        d_camera[9] += dx
-        d_camera[10] += dy
-        d_camera[11] += dz
+        if posed:
+            d_camera[15] += dfx
+            d_camera[16] += dfy
+            d_camera[17] += dcx
+            d_camera[18] += dcy
+            for j in range(3):
+                mean = float(means[g, j])
+                d_camera[j] += dx * mean
+                d_camera[3 + j] += dy * mean
+                d_camera[6 + j] += dz * mean
+            d_camera[9] += dx
+            d_camera[10] += dy
+            d_camera[11] += dz
 
-        red, green, blue = color_backward(w, s, basis, d_harmonics[g])
+        # A channel that was cut at 0 has no gradient; the splat holds it after the cut.
+        red = float(moments[at, 0]) if splats[at, 6] > 0.0 else 0.0
+        green = float(moments[at, 1]) if splats[at, 7] > 0.0 else 0.0
+        blue = float(moments[at, 2]) if splats[at, 8] > 0.0 else 0.0
+        d_harmonics[g, 0, 0] += basis[0] * red
+        d_harmonics[g, 0, 1] += basis[0] * green
+        d_harmonics[g, 0, 2] += basis[0] * blue
         if count > 1:
             color = red, green, blue
             view_backward(
-                mean, camera, harmonics[g], color, tables, basis, slopes, ray, d_means[g], d_harmonics[g], d_camera
+                means[g], camera, harmonics[g], color, tables, basis, slopes, ray, d_means[g], d_harmonics[g], d_camera
             )

@@ -93,12 +93,18 @@ class _Splatting(torch.autograd.Function):
         scenes, views = _read(tensors, settings)
         size = len(scenes), tensors[-1].shape[1], settings.height, settings.width
         images, last = torch.empty(*size[:2], 5, *size[2:]), np.empty(size, np.int32)
+        # Splats of one view are kept for the way back; those of many would not fit, and are projected again.
+        keep = size[0] * size[1] == 1 and any(ctx.needs_input_grad)
+        ctx.kept = []
         with stages.workers() as run:
             for b, scene in enumerate(scenes):
                 stages.shape(scene, run)
                 for v, view in enumerate(views[b]):
                     splats = stages.project(scene, view, settings.height, run)
-                    stages.blend(splats, np.float32(settings.alpha_cap), images[b, v].numpy(), last[b, v], run)
+                    cap, image = np.float32(settings.alpha_cap), images[b, v].numpy()
+                    tiles = stages.blend(splats, cap, image, last[b, v], run, keep=keep)
+                    if keep:
+                        ctx.kept.append((splats, tiles, scene.shapes))
         ctx.save_for_backward(*tensors, images)
         ctx.last, ctx.settings = last, settings
         return images
@@ -111,17 +117,23 @@ class _Splatting(torch.autograd.Function):
         *tensors, images = ctx.saved_tensors
         scenes, views = _read(tensors, ctx.settings)
         cap = np.float32(ctx.settings.alpha_cap)
+        posed = any(ctx.needs_input_grad[5:8])
         sums = [torch.zeros(tensor.shape, dtype=tensor.dtype) for tensor in tensors]
         with stages.workers() as run:
             for b, scene in enumerate(scenes):
-                stages.shape(scene, run)
+                if ctx.kept:
+                    scene = scene._replace(shapes=ctx.kept[0][2])
+                else:
+                    stages.shape(scene, run)
                 into = stages.Scene._make([*(total[b].numpy() for total in sums[:5]), np.zeros_like(scene.shapes)])
                 for v, view in enumerate(views[b]):
-                    # Projected again, as the splats of many views would not fit; blending takes far longer.
-                    splats = stages.project(scene, view, ctx.settings.height, run)
+                    if ctx.kept:
+                        splats, tiles, _ = ctx.kept[0]
+                    else:
+                        splats, tiles = stages.project(scene, view, ctx.settings.height, run), []
                     image, d_image = images[b, v].numpy(), grad_outputs[0][b, v].contiguous().numpy()
-                    moments = stages.blend_backward(splats, cap, image, ctx.last[b, v], d_image, run)
-                    d_camera = stages.project_backward(scene, view, splats, moments, into, run)
+                    moments = stages.blend_backward(splats, tiles, cap, image, ctx.last[b, v], d_image, run)
+                    d_camera = stages.project_backward(scene, view, splats, moments, into, posed, run)
                     _write(torch.from_numpy(d_camera), *(total[b, v] for total in sums[5:]))
                 stages.shape_backward(scene, into, run)
         return *sums, None

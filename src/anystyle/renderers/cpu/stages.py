@@ -125,9 +125,12 @@ def project(scene: Scene, view: View, height: int, run: Run) -> Splats:
 
 
 def project_backward(
-    scene: Scene, view: View, splats: Splats, moments: np.ndarray, into: Scene, run: Run
+    scene: Scene, view: View, splats: Splats, moments: np.ndarray, into: Scene, posed: bool, run: Run
 ) -> np.ndarray:
-    """Add a view's share to the gradients of a scene, but for rotations and scales, and return that of the camera."""
+    """Add a view's share to the gradients of a scene, but for rotations and scales, and return that of the camera.
+
+    Which is of use only where it is asked for (``posed``).
+    """
     number = len(splats.data)
 
     def job(start: int) -> np.ndarray:
@@ -135,31 +138,43 @@ def project_backward(
         projection_gradients.project_backward(
             scene.means, scene.shapes, scene.harmonics, *view, start, min(start + CHUNK, number),
             splats.data, splats.owners, splats.places, moments,
-            into.means, into.shapes, into.opacities, into.harmonics, d_camera,
+            into.means, into.shapes, into.opacities, into.harmonics, posed, d_camera,
         )  # fmt: skip
         return d_camera
 
     return sum(run(job, range(0, number, CHUNK)), np.zeros(projection.CAMERA))
 
 
-def blend(splats: Splats, cap: np.float32, image: np.ndarray, last: np.ndarray, run: Run) -> None:
-    """Write the image ``[5, H, W]`` of splats, and the last entry ``[H, W]`` of each pixel."""
+def blend(
+    splats: Splats, cap: np.float32, image: np.ndarray, last: np.ndarray, run: Run, *, keep: bool = False
+) -> list[Tiles]:
+    """Write the image ``[5, H, W]`` of splats, and the last entry ``[H, W]`` of each pixel.
 
-    def job(row: int) -> None:
+    Returns:
+        The tiles of every row, where they are to be kept.
+    """
+
+    def job(row: int) -> Tiles | None:
         tiles = splats.tiles(row, last.shape[1])
         raster.blend(splats.data, tiles.lists, tiles.offsets, row * sorting.HEIGHT, cap, image, last)
+        return tiles if keep else None
 
-    for _ in run(job, range(len(splats.offsets) - 1)):
-        pass
+    return [tiles for tiles in run(job, range(len(splats.offsets) - 1)) if tiles is not None]
 
 
 def blend_backward(
-    splats: Splats, cap: np.float32, image: np.ndarray, last: np.ndarray, d_image: np.ndarray, run: Run
+    splats: Splats,
+    kept: list[Tiles],
+    cap: np.float32,
+    image: np.ndarray,
+    last: np.ndarray,
+    d_image: np.ndarray,
+    run: Run,
 ) -> np.ndarray:
-    """The moments ``[n, MOMENTS]`` of splats from the gradient of their image."""
+    """The moments ``[n, MOMENTS]`` of splats from the gradient of their image; tiles that were not kept are listed."""
 
     def job(row: int) -> np.ndarray:
-        tiles = splats.tiles(row, last.shape[1])
+        tiles = kept[row] if kept else splats.tiles(row, last.shape[1])
         moments = np.zeros((len(tiles.starts) - 1, raster.MOMENTS), np.float32)
         raster.blend_backward(splats.data, *tiles, row * sorting.HEIGHT, cap, image, last, d_image, moments)
         return moments

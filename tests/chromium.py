@@ -5,7 +5,7 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -130,14 +130,18 @@ class Page:
         ]
 
 
+SOFTWARE_GL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+"""WebGL without a graphics card."""
+
+
 @contextmanager
-def browser(program: str, folder: Path):
+def browser(program: str, folder: Path, graphics: Sequence[str] = ("--disable-gpu",)):
     """A browser with a profile of its own in ``folder``; downloads go to ``folder / "downloads"``."""
     (folder / "downloads").mkdir(parents=True, exist_ok=True)
     child_in, to_browser = os.pipe()
     from_browser, child_out = os.pipe()
     arguments = [
-        *(program, "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"),
+        *(program, "--headless=new", "--no-sandbox", *graphics, "--disable-dev-shm-usage", "--no-first-run"),
         *("--disable-extensions", "--disable-background-networking", "--disable-component-update", "--mute-audio"),
         *("--remote-debugging-pipe", f"--user-data-dir={folder / 'profile'}", "about:blank"),
     ]
