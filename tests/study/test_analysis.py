@@ -161,7 +161,7 @@ def test_a_verdict_is_a_preference_or_comparable_and_never_both(tmp_path, shift,
     assert text.startswith(words)
     assert ("preferred" in text) + ("Comparable" in text) + ("No preference" in text) == 1
     low, high = question.primary.result.interval
-    assert question.equivalence.shown == (-0.5 < low and high < 0.5)
+    assert question.equivalence.shown == (low > -0.5 and high < 0.5)
     assert (question.equivalence.pvalue < 0.025) == question.equivalence.shown
 
 
@@ -209,7 +209,9 @@ def test_a_designed_study_is_undone_and_reported(tmp_path):
             prefers = name in participant.ours_is_a  # everybody likes ours, and what is intact
             rows.append((designed.id, participant.id, name, "style", "", 2 if prefers else 4, 9))
             for side in "AB":
-                rows.append((designed.id, participant.id, name, "content", side, 3 if (side == "A") == prefers else 2, 9))
+                rows.append(
+                    (designed.id, participant.id, name, "content", side, 3 if (side == "A") == prefers else 2, 9)
+                )
     write_csv(tmp_path / "a.csv", rows, "study,participant,item,question,side,score,seconds")
     done = study("analyze", "a.csv", "--study", "study", "--out", "out", cwd=tmp_path, check=0)
     assert "style: " in done.stdout

@@ -264,7 +264,9 @@ def test_ordinal_likelihood_gradient_equals_differences(shape, neutral):
     values = random.integers(-2, 3, shape) + (0.0 if neutral else 0.5)
     rows = table(values, random.random(shape) < 0.5)
     model = clmm.OrdinalModel(responses=replace(rows, item_styles=tuple(f"{i % 3}" for i in range(shape[1]))))
-    place = np.concatenate([[-0.3, 0.2], random.normal(0, 0.3, model.num_thresholds), [0.8, 0.5, 0.4][: len(model.levels)]])
+    place = np.concatenate(
+        [[-0.3, 0.2], random.normal(0, 0.3, model.num_thresholds), [0.8, 0.5, 0.4][: len(model.levels)]]
+    )
     _, gradient = model.loglikelihood(place)
     moves = 1e-5 * np.eye(len(place))
     differences = [(model.loglikelihood(place + m)[0] - model.loglikelihood(place - m)[0]) / 2e-5 for m in moves]
