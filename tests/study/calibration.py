@@ -9,6 +9,7 @@ file, design by design: run again, it goes on where it stopped; delete an entry 
 import argparse
 import json
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -71,7 +72,9 @@ def studies(
                 fixed += of - of.mean()
             else:
                 free += of
-        noise = generator.logistic(size=drawn.count) if logits else generator.normal(0, scenario.residual_sd, drawn.count)
+        noise = (
+            generator.logistic(size=drawn.count) if logits else generator.normal(0, scenario.residual_sd, drawn.count)
+        )
         opinion = fixed + free + noise
         answers = np.searchsorted([-2, -0.7, 0.7, 2], opinion) - 2.0 if logits else np.clip(np.rint(opinion), -2, 2)
         yield replace(drawn, deviations=answers), float((probabilities(fixed, spread) @ _LEVELS).mean())
@@ -116,7 +119,9 @@ def _crossed(scenario: Scenario, counts: Counts) -> None:
                 counts.add("comparable within a margin", 0.0, wrong.sum(), 0, weight)
 
 
-def _batch(counts: Counts, claim: str, crossing: Crossing, values: np.ndarray, truth: np.ndarray | float, effect: float) -> None:  # fmt: skip
+def _batch(
+    counts: Counts, claim: str, crossing: Crossing, values: np.ndarray, truth: np.ndarray, effect: float
+) -> None:
     found = crossing.mean(values)
     reach = special.stdtrit(found.df, 0.975) * found.error
     covered = np.abs(found.mean - truth) <= reach
@@ -174,7 +179,9 @@ def _ordinal(scenario: Scenario, counts: Counts) -> None:
     for seed, effect in enumerate((0.0, EFFECT)):
         for one, _ in studies(latent, (), effect, count, seed + 30, logits=True):
             result = OrdinalMixed()(one)
-            counts.add("ordinal mixed", effect, result.pvalue <= 0.05, result.interval[0] <= effect <= result.interval[1])
+            counts.add(
+                "ordinal mixed", effect, result.pvalue <= 0.05, result.interval[0] <= effect <= result.interval[1]
+            )
 
 
 GROUPS = {"crossed": _crossed, "sets": _sets, "looped": _looped, "ordinal": _ordinal}
@@ -212,7 +219,7 @@ def main() -> None:
             GROUPS[group](DESIGNS[name], counts)
             results[name][group] = dict(counts)
             FILE.write_text(json.dumps(results, indent=1) + "\n")
-    print(markdown(results), end="")
+    sys.stdout.write(markdown(results))
 
 
 if __name__ == "__main__":

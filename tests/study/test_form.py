@@ -8,13 +8,13 @@ import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
-from study_browser import LOADED, start, until
 from study_cases import small_study
 
 from anystyle.commands.study import main
 from anystyle.study.form import render, sequence, write_page
 from anystyle.study.reading import read_responses
-from study_serving import answer, kept_answers, post, serving
+from chromium import until
+from study_serving import LOADED, answer, kept_answers, post, serving, start
 
 SCORES = {"style": 5, "contentA": 3, "contentB": 3}
 

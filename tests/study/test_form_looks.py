@@ -1,10 +1,10 @@
 """How the form looks and behaves: sizes, motion, screen readers, light and dark, in a real browser."""
 
 import pytest
-from study_browser import LOADED, start
 from study_cases import small_study
 
 from anystyle.study.form import write_page
+from study_serving import LOADED, start
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ from anystyle.study.power import PowerStudy, power_json, power_markdown, power_s
 from anystyle.study.simulate import Scenario, simulate
 from anystyle.study.tests.crossed_t import CrossedT
 from anystyle.study.tests.one_sample_t import OneSampleT
-from anystyle.study.tests.ordinal_mixed import OrdinalMixed
 from anystyle.study.tests.sign_flip import SignFlip
 from anystyle.study.tests.wilcoxon import Wilcoxon
 
@@ -63,7 +62,9 @@ def test_power_of_the_participant_t_test_is_the_noncentral_t():
         **ALIKE,
         scale=Scale(0.0, 100.0),
     )
-    found = rates_of(scenario, {"one_sample_t": OneSampleT(alternative="less")}, studies=1500, seed=3)["one_sample_t", "participant"]
+    found = rates_of(scenario, {"one_sample_t": OneSampleT(alternative="less")}, studies=1500, seed=3)[
+        "one_sample_t", "participant"
+    ]
     sd = math.sqrt(25 + (16 + 1 / 12) / 10)
     power = stats.nct.cdf(stats.t.ppf(0.05, 15), 15, -3 / sd * 4)
     assert found == pytest.approx(power, abs=0.04)

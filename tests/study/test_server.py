@@ -16,11 +16,11 @@ from contextlib import ExitStack, closing
 import msgspec
 import numpy as np
 import pytest
-from study_browser import until
 from study_cases import QUESTIONS, small_study
 
 from anystyle.study.form import write_page
 from anystyle.study.store import Answer, Claim, Fact, Message, Refused, Store
+from chromium import until
 from study_serving import PATIENCE, answer, claim, kept_answers, post, serving, token_of
 
 
@@ -59,8 +59,8 @@ def test_every_acknowledged_answer_survives_kill_9(designed, tmp_path, kills):
             writers = [threading.Thread(target=write, args=(url, name)) for name in acknowledged]
             for writer in writers:
                 writer.start()
-            before = sum(acknowledged.values())
-            until(lambda target=before + 1 + random.integers(40): sum(acknowledged.values()) > target)
+            target = sum(acknowledged.values()) + 1 + int(random.integers(40))
+            until(lambda target=target: sum(acknowledged.values()) > target)
             time.sleep(random.uniform(0, 0.02))
             os.kill(process.pid, signal.SIGKILL)
             for writer in writers:

@@ -229,7 +229,8 @@ def test_several_columns_are_as_each_alone():
 
 def test_scenes_and_styles_widen_the_interval_and_the_claim():
     rows = answers(3)
-    shared = replace(rows, item_scenes=tuple(f"{i % 5}" for i in range(20)), item_styles=tuple(f"{i // 5}" for i in range(20)))  # fmt: skip
+    names = [tuple(f"{i % 5}" for i in range(20)), tuple(f"{i // 5}" for i in range(20))]
+    shared = replace(rows, item_scenes=names[0], item_styles=names[1])
     assert CrossedT()(rows).generalizes_to == ("participants", "items")
     assert CrossedT()(shared).generalizes_to == ("participants", "scenes", "styles")
     two = replace(shared, item_scenes=tuple(f"{i % 2}" for i in range(20)))
@@ -264,7 +265,9 @@ def test_ordinal_likelihood_gradient_equals_differences(shape, neutral):
     values = random.integers(-2, 3, shape) + (0.0 if neutral else 0.5)
     rows = table(values, random.random(shape) < 0.5)
     model = clmm.OrdinalModel(responses=replace(rows, item_styles=tuple(f"{i % 3}" for i in range(shape[1]))))
-    place = np.concatenate([[-0.3, 0.2], random.normal(0, 0.3, model.num_thresholds), [0.8, 0.5, 0.4][: len(model.levels)]])
+    place = np.concatenate(
+        [[-0.3, 0.2], random.normal(0, 0.3, model.num_thresholds), [0.8, 0.5, 0.4][: len(model.levels)]]
+    )
     _, gradient = model.loglikelihood(place)
     moves = 1e-5 * np.eye(len(place))
     differences = [(model.loglikelihood(place + m)[0] - model.loglikelihood(place - m)[0]) / 2e-5 for m in moves]

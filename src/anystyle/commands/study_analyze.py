@@ -37,8 +37,12 @@ def parser() -> argparse.ArgumentParser:
     words.add_argument("--test", action="append", default=[], metavar="NAME", help="run only these tests")
     words.add_argument("--title", default="User study", help="of the report")
     words.add_argument("--confidence", type=float, default=0.95, help="of all intervals (default: %(default)s)")
-    words.add_argument("--alternative", choices=("two-sided", "less", "greater"), default="two-sided",
-                       help="of all tests and intervals; less claims that ours is preferred (default: %(default)s)")  # fmt: skip
+    words.add_argument(
+        "--alternative",
+        choices=("two-sided", "less", "greater"),
+        default="two-sided",
+        help="of all tests and intervals; less claims that ours is preferred (default: %(default)s)",
+    )
     words.add_argument("--seed", type=int, default=0, help="of all resampling (default: %(default)s)")
     words.add_argument(
         "--margin", type=float, metavar="SHARE", help="of the way from neutral to the scale's end, within which a "
@@ -51,7 +55,10 @@ def parser() -> argparse.ArgumentParser:
         "--exclude-straight-lining", action="store_true", help="leave out who gave one answer throughout"
     )
     words.add_argument(
-        "--missing", type=float, metavar="SHARE", help="of assigned answers missing that excludes (default: the design's)"
+        "--missing",
+        type=float,
+        metavar="SHARE",
+        help="of assigned answers missing that excludes (default: the design's)",
     )
     words.add_argument("--no-report", action="store_true", help="no figures and no page: needs no matplotlib")
     return words
@@ -109,7 +116,9 @@ def _write(analysis: Analysis, folder: Path, arguments: argparse.Namespace) -> N
     (folder / "results.tex").write_text(latex(analysis), encoding="utf-8")
     if arguments.no_report:
         return
-    pictures = None if arguments.study is None else arguments.study if arguments.study.is_dir() else arguments.study.parent
+    pictures = (
+        None if arguments.study is None else arguments.study if arguments.study.is_dir() else arguments.study.parent
+    )
     (folder / "report.html").write_text(report.html(analysis, arguments.title, pictures), encoding="utf-8")
     (folder / "figures").mkdir()
     for name, figure in (

@@ -4,6 +4,7 @@ import argparse
 import contextlib
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -49,6 +50,12 @@ def parser() -> argparse.ArgumentParser:
         help="with exactly two styles: the point between them, 0 is the first and 1 the second; likewise",
     )
     add_controls(flags)
+    flags.add_argument(
+        "--export",
+        default="",
+        metavar="FORMATS",
+        help="further files of the scene: glb, spz, sog, splat, html; several with commas",
+    )
     flags.add_argument("--out", default="out", help="where the results go (default: %(default)s)")
     return flags
 
@@ -63,6 +70,8 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
     if not arguments.inputs and config.get("scenes") is None:
         raise ValueError("no photographs are given; name a folder, files or a video")
     views, export, video = options.views, options.export, options.video
+    if arguments.export:
+        export = replace(export, formats=[*export.formats, *arguments.export.split(",")])
     poses = PoseOptions(config.poses or default_poses(config), config.poses_from)
     reconstruction = config.get("reconstruction")
     target = job_folder(arguments.out)

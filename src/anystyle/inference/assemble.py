@@ -144,7 +144,7 @@ def assemble_frozen(config: DictConfig) -> tuple[Stylizer, dict[str, dict[str, A
 
 def make_method(config: DictConfig, style_encoder: StyleEncoder) -> Method:
     """The configured method with its losses; nothing of it learns."""
-    losses = build_all(Loss, config.loss, style_encoder=style_encoder) if "losses" in _named(config) else {}
+    losses = build_all(Loss, config.get("loss"), style_encoder=style_encoder) if "losses" in _named(config) else {}
     for loss in losses.values():
         loss.requires_grad_(False)
     return build(Method, config.method, losses=losses)

@@ -1,7 +1,7 @@
 """Options of a stylization, resolved and checked: what flows down from the configuration or from a caller."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -55,14 +55,20 @@ class ExportOptions:
 
     Args:
         colmap: ``binary`` or ``text`` writes a COLMAP model, ``none`` does not.
-        y_up: Whether the PLY is turned to the axes that most viewers expect; everything else stays in OpenCV's.
+        up: Axes of the scene's files: ``opencv``, ``y`` or ``z`` up; ``None`` is what readers of each format expect,
+            which for PLY is OpenCV's. Everything else stays in OpenCV's.
+        formats: Further files of the scene: ``glb, spz, sog, splat, html``.
     """
 
     colmap: str = "none"
-    y_up: bool = False
+    up: str | None = None
+    formats: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         _expect("export.colmap", self.colmap, ("none", "binary", "text"))
+        _expect("export.up", str(self.up), ("None", "opencv", "y", "z"))
+        for name in self.formats:
+            _expect("export.formats", name, ("ply", "glb", "spz", "sog", "splat", "html"))
 
 
 @dataclass(frozen=True)

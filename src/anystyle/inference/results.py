@@ -13,10 +13,12 @@ from torch import Tensor
 
 from anystyle.geometry.cameras import smooth_path
 from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.geometry.similarity import y_up_from_opencv
 from anystyle.inference.controlled import Controlled
 from anystyle.inference.encoding import EncodedCapture
+from anystyle.inference.export import export
+from anystyle.inference.licenses import lines, report_entry
 from anystyle.inference.options import ExportOptions, VideoOptions
+from anystyle.inference.page import write_page
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import EmbeddedStyle
 from anystyle.io import cameras as cameras_json
@@ -79,6 +81,7 @@ class Result:
             "size": list(encoded.views.size),
             "seconds": {stage: round(seconds, 4) for stage, seconds in stages.seconds.items()},
             **self.results.provenance,
+            "licenses": report_entry(self.results.provenance),
             "versions": {name: version(name) for name in ("anystyle", "torch", "numpy")},
         }
 
@@ -103,9 +106,15 @@ class Result:
     def _write_scene(self, folder: Path) -> list[Image.Image]:
         gaussians, encoded, options = self.gaussians, self.encoded, self.results.export
         folder.mkdir(parents=True, exist_ok=True)
-        turned = y_up_from_opencv(gaussians.means).gaussians(gaussians) if options.y_up else gaussians
-        turned.save(folder / "scene.ply")
-        if self.encoded.splat is not None and same_geometry(gaussians, self.results.controlled.unstyled):
+        notes = "\n".join([self.style.title, *lines(report_entry(self.results.provenance))])
+        for name in dict.fromkeys(["ply", *options.formats]):
+            if name == "html":
+                styles = [("unstyled", self.results.controlled.unstyled), (self.style.title, gaussians)]
+                write_page(folder / "scene.html", styles, self.cameras, title=self.style.title, notes=notes)
+            else:
+                export(gaussians, folder / f"scene.{name}", name, up=options.up, notes=notes)
+        untouched = options.up in (None, "opencv") and same_geometry(gaussians, self.results.controlled.unstyled)
+        if self.encoded.splat is not None and untouched:
             # A trip through float32 logarithms and back moves the last bits.
             ply.recolor(self.encoded.splat, gaussians.harmonics[0], folder / "scene.ply")
         save_gaussians(gaussians, folder / "scene.safetensors")
@@ -195,6 +204,7 @@ class Results:
             columns.append(result.write(inside))
             report = result.report
             del result  # before the next one is computed
+        save_gaussians(self.controlled.unstyled, folder / "unstyled.safetensors")
         if len(self) > 1:
             self.write_sheet(folder, columns[1:])
             write_json(folder / "report.json", report | {"style": [style.title for style in self.styles]})

@@ -31,3 +31,14 @@ def smallest_three_to_wxyz(packed: NDArray[np.uint32]) -> Float[np.ndarray, "N 4
     """Quaternions of 2 + 3 x 10 bits: the index of the largest of wxyz, then the others as fractions of ±1/√2."""
     fractions = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], 1) / 1023
     return from_smallest_three((packed >> 30).astype(np.int64), (fractions - 0.5) * sqrt(2))
+
+
+def morton_order(points: Float[np.ndarray, "N 3"]) -> NDArray[np.int64]:
+    """An order in which neighbours in space are neighbours in the file, which packs better."""
+    low, high = points.min(0, initial=0.0), points.max(0, initial=0.0)
+    cells = ((points - low) / np.maximum(high - low, 1e-12) * 1023).astype(np.uint64)
+    code = np.zeros(len(points), np.uint64)
+    for bit in range(10):
+        for axis in range(3):
+            code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return np.argsort(code, kind="stable")

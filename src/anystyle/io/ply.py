@@ -31,11 +31,16 @@ class Splats(NamedTuple):
     harmonics: Float[Tensor, "N K 3"]
 
 
-def write(splats: Splats, path: Path) -> None:
+def write(splats: Splats, path: Path, notes: str = "") -> None:
     """Write one scene; whole or not at all.
 
     Every property is float32, in the order positions, normals (0), ``f_dc``, ``f_rest`` (colour-major), opacity
     (logit), scales (logarithm), rotation (unit quaternion wxyz). Gaussians of no opacity are left out.
+
+    Args:
+        splats: The scene.
+        path: A ``.ply`` file.
+        notes: Such as licences, in comments, a line each.
     """
     kept = splats.opacities > 0
     means, rotations, scales, opacities, harmonics = (tensor[kept].detach().float().cpu() for tensor in splats)
@@ -56,7 +61,8 @@ def write(splats: Splats, path: Path) -> None:
     names = _properties(degree)
     vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in names])[:, 0]
     with atomic_path(path) as temporary:
-        PlyData([PlyElement.describe(vertices, "vertex")]).write(temporary)
+        comments = notes.encode("ascii", "replace").decode().splitlines()
+        PlyData([PlyElement.describe(vertices, "vertex")], comments=comments).write(temporary)
 
 
 def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool:

@@ -1,6 +1,6 @@
 """A scene optimised for one style: the loop that every per-scene method shares."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -28,8 +28,11 @@ class Optimize(Method):
     Args:
         losses: By name; the framework passes them.
         num_steps: How many.
-        moves: Learning rates of what moves, as ``name=rate``, in the terms of
-            :data:`anystyle.reconstructions.gaussian_parameters.NAMES`; the rest stays as it is, bit for bit.
+        colors_lr: Learning rate of constant harmonics. What has a rate of 0 stays as it is, bit for bit.
+        opacities_lr: Of logits of opacities.
+        scales_lr: Of logarithms of scales.
+        rotations_lr: Of quaternions.
+        means_lr: Of centres, in mean scales of each Gaussian.
         decay: What is left of the rates at the end; they fall exponentially.
         needs_image: Whether the losses read the style's image, so that a text alone is refused.
         recolor: Whether colours take the mean and the covariance of the style's, before, after, or both.
@@ -49,7 +52,11 @@ class Optimize(Method):
         *,
         losses: Mapping[str, Loss],
         num_steps: int = 200,
-        moves: Sequence[str] = ("colors=0.05",),
+        colors_lr: float = 0.05,
+        opacities_lr: float = 0.0,
+        scales_lr: float = 0.0,
+        rotations_lr: float = 0.0,
+        means_lr: float = 0.0,
         decay: float = 0.1,
         needs_image: bool = True,
         recolor: Recolor = "none",
@@ -69,10 +76,14 @@ class Optimize(Method):
             )
         if recolor not in get_args(Recolor):
             raise ValueError(f"method.recolor={recolor}; choose one of {', '.join(get_args(Recolor))}")
+        given = (means_lr, scales_lr, rotations_lr, opacities_lr, colors_lr)
+        rates = {name: rate for name, rate in zip(NAMES, given, strict=False) if rate}
+        if not rates or min(rates.values()) < 0:
+            raise ValueError(f"method: learning rates are {given}; give one above 0, and none below")
         self.losses = dict(losses)
         self.needs_image = needs_image or recolor != "none"
         self.recolor, self.style_size = recolor, style_size
-        self.schedule = Schedule(num_steps, rates_of(moves), decay, split_every, split_fraction, report_every, seed)
+        self.schedule = Schedule(num_steps, rates, decay, split_every, split_fraction, report_every, seed)
         self.state = None if state is None else Path(state).expanduser()
 
     @classmethod
@@ -125,22 +136,3 @@ class Optimize(Method):
         size = [max(1, round(side * factor)) for side in style.image.shape[-2:]]
         image = F.interpolate(style.image, size=size, mode="bicubic", antialias=True, align_corners=False)
         return Style(image.clamp(0, 1).to(scene.views.images), style.text, style.has_image, style.names)
-
-
-def rates_of(moves: Sequence[str]) -> dict[str, float]:
-    """Learning rates by name.
-
-    Raises:
-        ValueError: A word is no ``name=rate`` of an attribute.
-    """
-    rates: dict[str, float] = {}
-    for word in moves:
-        name, _, rate = word.partition("=")
-        try:
-            rates[name] = float(rate)
-        except ValueError:
-            raise ValueError(f"method.moves takes words such as colors=0.05, not {word!r}") from None
-        if name not in NAMES or name == "harmonics" or rates[name] <= 0:
-            names = ", ".join(name for name in NAMES if name != "harmonics")
-            raise ValueError(f"method.moves: {word!r}; give a rate above 0 to one of {names}")
-    return rates

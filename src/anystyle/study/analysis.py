@@ -181,9 +181,7 @@ def analyze(
     Raises:
         ValueError: The answers cannot be analysed.
     """
-    checks, by_question = check(
-        records, scale=settings.scale, rules=settings.rules, scales=dict(settings.scales)
-    )
+    checks, by_question = check(records, scale=settings.scale, rules=settings.rules, scales=dict(settings.scales))
     questions: list[QuestionAnalysis] = []
     for responses in by_question:
         progress(responses.question)

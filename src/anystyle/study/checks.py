@@ -183,9 +183,7 @@ def _paired(records: Records) -> tuple[Records, np.ndarray]:
     return rows, np.stack([rows.score, records.score[theirs[second]]])
 
 
-def _check_attention(
-    records: Records, main: Records, scales: Mapping[str, Scale], rules: Rules, log: _Log
-) -> None:
+def _check_attention(records: Records, main: Records, scales: Mapping[str, Scale], rules: Rules, log: _Log) -> None:
     """A given answer, a preference for what is intact, or the side that was preferred the first time."""
     undone = np.sign(_undone(records, scales))
     keys = zip(main.participant.tolist(), main.item.tolist(), main.question.tolist(), strict=True)

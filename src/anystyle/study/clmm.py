@@ -328,9 +328,7 @@ def _maximise(model: OrdinalModel, start: np.ndarray, inverse: np.ndarray) -> tu
 
 def _information(model: OrdinalModel, best: np.ndarray) -> np.ndarray:
     moves = _STEP * np.eye(len(best))
-    rows = [
-        (model.loglikelihood(best - move)[1] - model.loglikelihood(best + move)[1]) / (2 * _STEP) for move in moves
-    ]
+    rows = [(model.loglikelihood(best - move)[1] - model.loglikelihood(best + move)[1]) / (2 * _STEP) for move in moves]
     information = np.stack(rows)
     return (information + information.T) / 2
 

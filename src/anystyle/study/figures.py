@@ -182,9 +182,7 @@ def means(analysis: Analysis) -> "Figure":
         spread = np.concatenate([_edges(side) for q in questions for side in (q.by_participant, q.by_item)])
         limit = 1.05 * float(np.abs(spread).max(initial=0.5))
         for column, question in enumerate(questions):
-            for row, (side, name) in enumerate(
-                ((question.by_participant, "participants"), (question.by_item, "sets"))
-            ):
+            for row, (side, name) in enumerate(((question.by_participant, "participants"), (question.by_item, "sets"))):
                 axes = grid[row, column]
                 _caterpillar(axes, side, question, named=len(side.names) <= _NAMED_ROWS and len(questions) <= 4)
                 axes.set_xlim(-limit, limit)

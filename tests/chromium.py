@@ -5,16 +5,12 @@ import os
 import shutil
 import signal
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 NAMES = ("chromium", "chromium-headless-shell", "chromium-browser", "google-chrome")
-
-
-LOADED = "!!document.querySelector('[data-loaded]')"
-"""A set of the form is shown, with every picture."""
 
 
 def find_chromium() -> str | None:
@@ -134,14 +130,18 @@ class Page:
         ]
 
 
+SOFTWARE_GL = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist")
+"""WebGL without a graphics card."""
+
+
 @contextmanager
-def browser(program: str, folder: Path):
+def browser(program: str, folder: Path, graphics: Sequence[str] = ("--disable-gpu",)):
     """A browser with a profile of its own in ``folder``; downloads go to ``folder / "downloads"``."""
     (folder / "downloads").mkdir(parents=True, exist_ok=True)
     child_in, to_browser = os.pipe()
     from_browser, child_out = os.pipe()
     arguments = [
-        *(program, "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-dev-shm-usage", "--no-first-run"),
+        *(program, "--headless=new", "--no-sandbox", *graphics, "--disable-dev-shm-usage", "--no-first-run"),
         *("--disable-extensions", "--disable-background-networking", "--disable-component-update", "--mute-audio"),
         *("--remote-debugging-pipe", f"--user-data-dir={folder / 'profile'}", "about:blank"),
     ]
@@ -192,11 +192,3 @@ def until(condition: Callable[[], Any], seconds: float = 120) -> Any:
             return found
         time.sleep(0.02)
     raise AssertionError("it never happened")
-
-
-def start(page: Page, url: str, clear: bool = True) -> None:
-    """Open the form as in a browser that has never been there, and begin."""
-    page.open(url)
-    if clear:
-        page.value("localStorage.clear()")
-    page.click("#start")
