@@ -12,11 +12,6 @@ import urllib.request
 from contextlib import closing, contextmanager
 from pathlib import Path
 
-from chromium import Page
-
-LOADED = "!!document.querySelector('[data-loaded]')"
-"""In the form's page: a set is shown, with every picture."""
-
 PATIENCE = 120
 """Seconds after which a process hangs; a busy machine takes long for an answer."""
 
@@ -107,11 +102,3 @@ def kept_answers(database: Path, participant: str) -> dict[tuple[str, str, str],
     with closing(sqlite3.connect(database)) as connection:
         query = "SELECT item, question, side, score FROM responses WHERE participant = ?"
         return {tuple(row[:3]): row[3] for row in connection.execute(query, (participant,))}
-
-
-def start(page: Page, url: str, clear: bool = True) -> None:
-    """Open the form, as in a browser that has never been there unless ``clear`` is false, and begin."""
-    page.open(url)
-    if clear:
-        page.value("localStorage.clear()")
-    page.click("#start")

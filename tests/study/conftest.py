@@ -5,9 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from chromium import browser, find_chromium
-
 sys.path.insert(0, str(Path(__file__).parent))
+
+from chromium import browser, find_chromium
 
 
 @pytest.fixture(scope="session")

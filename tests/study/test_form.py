@@ -13,8 +13,8 @@ from study_cases import small_study
 from anystyle.commands.study import main
 from anystyle.study.form import render, sequence, write_page
 from anystyle.study.reading import read_responses
-from chromium import until
-from study_serving import LOADED, answer, kept_answers, post, serving, start
+from chromium import LOADED, start, until
+from study_serving import answer, kept_answers, post, serving
 
 SCORES = {"style": 5, "contentA": 3, "contentB": 3}
 

@@ -4,7 +4,7 @@ import pytest
 from study_cases import small_study
 
 from anystyle.study.form import write_page
-from study_serving import LOADED, start
+from chromium import LOADED, start
 
 
 @pytest.fixture(scope="module")
