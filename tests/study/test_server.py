@@ -59,8 +59,8 @@ def test_every_acknowledged_answer_survives_kill_9(designed, tmp_path, kills):
             writers = [threading.Thread(target=write, args=(url, name)) for name in acknowledged]
             for writer in writers:
                 writer.start()
-            before = sum(acknowledged.values())
-            until(lambda target=before + 1 + random.integers(40): sum(acknowledged.values()) > target)
+            target = sum(acknowledged.values()) + 1 + int(random.integers(40))
+            until(lambda target=target: sum(acknowledged.values()) > target)
             time.sleep(random.uniform(0, 0.02))
             os.kill(process.pid, signal.SIGKILL)
             for writer in writers:
