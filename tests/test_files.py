@@ -40,9 +40,9 @@ def test_a_directory_appears_whole_and_replaces_what_it_names(tmp_path):
 def test_what_this_program_did_not_make_is_never_replaced(tmp_path):
     (tmp_path / "sparse").mkdir()
     (tmp_path / "sparse" / "cameras.bin").write_bytes(b"a capture's own")
-    with pytest.raises(ValueError, match="sparse is there already and was not made"):
-        with atomic_directory(tmp_path, ["sparse"]):
-            pytest.fail("no work is begun")
+    refused = pytest.raises(ValueError, match="sparse is there already and was not made")
+    with refused, atomic_directory(tmp_path, ["sparse"]):
+        pytest.fail("no work is begun")
     with pytest.raises(ValueError, match="sparse is there already"), atomic_directory(tmp_path) as temporary:
         (temporary / "a").touch()
         (temporary / "sparse").mkdir()

@@ -11,7 +11,6 @@ from anystyle.study.power import PowerStudy, power_json, power_markdown, power_s
 from anystyle.study.simulate import Scenario, simulate
 from anystyle.study.tests.crossed_t import CrossedT
 from anystyle.study.tests.one_sample_t import OneSampleT
-from anystyle.study.tests.ordinal_mixed import OrdinalMixed
 from anystyle.study.tests.sign_flip import SignFlip
 from anystyle.study.tests.wilcoxon import Wilcoxon
 

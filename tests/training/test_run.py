@@ -106,7 +106,7 @@ def test_two_runs_do_not_share_a_folder(tmp_path):
     with module.alone(tmp_path):
         with pytest.raises(ValueError, match=r"another run is at work in .*; wait for its end"):
             train(configuration(RECONSTRUCTION, tmp_path), tmp_path)
-        assert not list(tmp_path.iterdir())
+        assert [path.name for path in tmp_path.iterdir()] == [".lock"]
     with module.alone(tmp_path):
         pass
 

@@ -113,6 +113,6 @@ def _expect(option: str, value: str, choices: Collection[str]) -> None:
         raise ValueError(f"{option}={value}; choose one of {', '.join(choices)}")
 
 
-def _between(option: str, value: float | None, low: float, high: float) -> None:
+def _between(option: str, value: int | float | None, low: int | float, high: int | float) -> None:
     if value is not None and not low <= value <= high:
         raise ValueError(f"{option}={value}; give a number from {low} to {high}")

@@ -115,8 +115,8 @@ def took_part(analysis: Analysis) -> str:
     why = "; ".join(f"{rules.count(rule)} for {rule}" for rule in dict.fromkeys(rules))
     kept = checks.participants_read - len(rules)
     return (
-        f"{checks.participants_read} participants gave {checks.answers_read} answers, {checks.attention_answers} of them "
-        f"to attention checks. {len(rules) or 'None'} {'were' if len(rules) != 1 else 'was'} left out"
+        f"{checks.participants_read} participants gave {checks.answers_read} answers, {checks.attention_answers} of "
+        f"them to attention checks. {len(rules) or 'None'} {'were' if len(rules) != 1 else 'was'} left out"
         f"{f' ({why})' * bool(why)}; {checks.answers_used} answers of {kept} are analysed."
     )
 
@@ -138,8 +138,8 @@ def response_level(analysis: Analysis) -> str:
     low, high = percent(min(rates)), percent(max(rates))
     span = high if low == high else f"{low.removesuffix(' %')} to {high}"
     return (
-        f"The response-level test counts every answer as an independent one: by the variation seen here it would report "
-        f"a preference that does not exist in {span} of such studies instead of 5 %. Its p-values are given for "
+        f"The response-level test counts every answer as an independent one: by the variation seen here it would "
+        f"report a preference that does not exist in {span} of such studies instead of 5 %. Its p-values are given for "
         "comparison with published ones; conclusions rest on the tests over participants and sets."
     )
 

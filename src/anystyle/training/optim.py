@@ -40,7 +40,7 @@ def scheduled(
     return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step", "name": "lr"}}
 
 
-def check_rates(**rates: float) -> None:
+def check_rates(**rates: int | float) -> None:
     """Refuse learning rates, and shares of them, that are not positive.
 
     Raises:
