@@ -43,6 +43,7 @@ ADDED = (
     (r"anystyle benchmark(?!.*model)", "--views 2 --repeat 1 --size 56x56"),
     (r"anystyle evaluate --run .*=paper_image", f"{_SOURCES} scenes.short_side=28"),
     (r"anystyle evaluate .*=SCENES", "scenes.short_side=56"),
+    (r"anystyle stylize .*method=(nnfm|stylized_gs)(?!.*--cfg)", "method.num_steps=2"),
     (r"anystyle evaluate .*=guides", "scenes.size=28 styles.size=28 protocol.num_scenes=1 protocol.num_styles=2"),
     (r"anystyle study design", "participants=4 sets=4 image_size=64"),
     (r"anystyle study form .*--serve", "--port 0"),
@@ -73,6 +74,7 @@ FEWER = {
         "hydra/launcher=joblib": None,
         "hydra.launcher.n_jobs=2": None,
     },
+    "docs/rivals.md": {"method=branch,nnfm,projection": "method=branch,projection"},
     "docs/clusters.md": {"seed=0,1,2": "seed=0", "placement=head,full": "placement=full"},
     "README.md": {"placement=head,aggregator,full": "placement=head,full"},
 }

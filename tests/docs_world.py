@@ -8,6 +8,7 @@ import numpy as np
 import torch
 from PIL import Image
 
+from anystyle.types import Gaussians
 from docs_cases import ROOT, blocks
 from weights_cases import training_checkpoint
 
@@ -25,6 +26,7 @@ def make(folder: Path) -> None:
         for frame in range(3):
             for place in ("results", "RESULTS/Train"):
                 _picture(folder / place / f"{style}_{frame:03d}.png", seed=seed, shift=frame)
+    _splat(folder / "scene.ply")
     captions = [{"image": f"s{n}.jpg", "text": text} for n, text in enumerate(("red waves", "blue dots"))]
     (folder / "STYLES" / "captions.jsonl").write_text("".join(f"{json.dumps(one)}\n" for one in captions))
     _data_sets(folder)
@@ -33,6 +35,14 @@ def make(folder: Path) -> None:
     figures = {"method": "another", "source": "us", "table": "Table 1", "figures": {"art_fid": {"Train": 30.0}}}
     rows = {"about": "Ours.", "sources": {"us": "our own table"}, "rows": [figures]}
     (folder / "rows.json").write_text(json.dumps(rows))
+
+
+def _splat(path: Path) -> None:
+    """A ball of Gaussians, as somebody else wrote it."""
+    means = torch.nn.functional.normalize(torch.randn(1, 200, 3, generator=torch.Generator().manual_seed(0)), dim=-1)
+    rotations = torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(1, 200, 4)
+    opacities, harmonics = torch.full((1, 200), 0.9), torch.zeros(1, 200, 4, 3)
+    Gaussians(means, rotations, torch.full((1, 200, 3), 0.1), opacities, harmonics).save(path)
 
 
 def _data_sets(folder: Path) -> None:
