@@ -1,10 +1,10 @@
 # Each target sets up what it needs: `make demo` and `make test` work on a fresh clone.
 PYTHON ?= python3
 BIN := .venv/bin
-EXTRAS := report,stats,flow,sweeps,tracking,hub
+EXTRAS := report,stats,flow,sweeps,tracking,hub,viewer
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo docs test test-slow lint format
+.PHONY: setup demo docs test test-slow fuzz lint format
 
 setup: .venv/.ready
 
@@ -36,6 +36,11 @@ test: lint
 
 test-slow: setup
 	$(BIN)/python -m pytest -m slow --timeout 3600
+
+# Minutes; FUZZ="--inputs 50000 --seed 1" for a night. Inputs that end badly lie in out/fuzz.
+FUZZ ?= --inputs 2000
+fuzz: setup
+	cd tests && ../$(BIN)/python -W ignore -m fuzz $(FUZZ) --keep ../out/fuzz
 
 lint: setup
 	$(BIN)/ruff check .

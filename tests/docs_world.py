@@ -56,7 +56,8 @@ def of_study(folder: Path) -> None:
     shutil.rmtree(folder / "results")
     for seed, method in ((50, "ours"), (60, "styl3r")):
         for place, name in enumerate(("one/s0", "one/s1", "two/s0", "two/s1")):
-            _picture(folder / "results" / method / f"{name}.png", seed=seed + place)
+            for view in range(3):
+                _picture(folder / "results" / method / name / f"{view}.png", seed=seed + place, shift=view)
 
 
 def of_plugins(folder: Path) -> None:

@@ -90,7 +90,7 @@ def measure(case: Case, kind: str) -> dict[str, float]:
         stylizer.backbone.requires_grad_(True)
         training.encoded.encode = stylizer.backbone.encode
         for module in (clip_patch, content, style):
-            module.differentiated = lambda function, images: function(images)
+            module.eager_backward = lambda function, images: function(images)
     learns = [parameter for parameter in training.parameters() if parameter.requires_grad]
     optimizer = torch.optim.AdamW(stylizer.branch.parameters(), lr=1e-4)
     training.train()

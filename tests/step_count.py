@@ -27,7 +27,7 @@ from anystyle.losses.clip_patch import ClipPatch
 from anystyle.losses.content import Content
 from anystyle.losses.depth_consistency import DepthConsistency
 from anystyle.losses.style import Style as StyleLoss
-from anystyle.perception.eager_backward import differentiated
+from anystyle.perception.eager_backward import eager_backward
 from anystyle.style_encoders.long_clip import LongClip
 from anystyle.types import Cameras, Gaussians, Renders, Style, StyleEmbedding, Stylization, Views
 from anystyle_anysplat.backbone import AnySplat
@@ -99,7 +99,7 @@ def count(*, size: tuple[int, int], views: int, straightforward: bool) -> tuple[
 def objective(step: Step, *, early: bool) -> list[nn.Module]:
     """The published terms; where crops lie does not matter, and is not asked of tensors without values."""
     for module in (clip_patch, content, style):
-        module.differentiated = differentiated if early else lambda function, images: function(images)
+        module.eager_backward = eager_backward if early else lambda function, images: function(images)
     before, perception.load = perception.load, lambda name: step.vgg  # pyright: ignore[reportAttributeAccessIssue]
     try:
         terms: list[nn.Module] = [Content(), StyleLoss()]

@@ -19,19 +19,34 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
 
 def test_a_directory_appears_whole_and_replaces_what_it_names(tmp_path):
     target = tmp_path / "out"
-    (target / "renders").mkdir(parents=True)
-    (target / "renders" / "stale.png").touch()
+    with atomic_directory(target) as temporary:
+        (temporary / "renders").mkdir()
+        (temporary / "renders" / "stale.png").touch()
     (target / "mine.txt").touch()
+    (target / ".partial-999999999-x").mkdir()  # of a process that is no more
     with atomic_directory(target) as temporary:
         (temporary / "renders").mkdir()
         (temporary / "renders" / "new.png").touch()
         (temporary / "report.json").touch()
     assert sorted(str(path.relative_to(target)) for path in target.rglob("*")) == [
+        ".anystyle",
         "mine.txt",
         "renders",
         "renders/new.png",
         "report.json",
     ]
+
+
+def test_what_this_program_did_not_make_is_never_replaced(tmp_path):
+    (tmp_path / "sparse").mkdir()
+    (tmp_path / "sparse" / "cameras.bin").write_bytes(b"a capture's own")
+    refused = pytest.raises(ValueError, match="sparse is there already and was not made")
+    with refused, atomic_directory(tmp_path, ["sparse"]):
+        pytest.fail("no work is begun")
+    with pytest.raises(ValueError, match="sparse is there already"), atomic_directory(tmp_path) as temporary:
+        (temporary / "a").touch()
+        (temporary / "sparse").mkdir()
+    assert [str(path.relative_to(tmp_path)) for path in sorted(tmp_path.rglob("*"))] == ["sparse", "sparse/cameras.bin"]
 
 
 def test_a_failed_directory_leaves_nothing(tmp_path):

@@ -239,8 +239,9 @@ def test_no_preset_has_a_plugins_name():
 @pytest.mark.parametrize(("kind", "name"), presets())
 def test_presets_compose(kind, name, tmp_path):
     chosen = f"[{name}]" if KINDS[kind].many else name
+    losses = "{loss: []}, " if kind == "method" else ""  # which a preset of a method names
     (tmp_path / "config.yaml").write_text(
-        f"defaults: [{{{kind}: {chosen}}}, _self_]\nhydra: {{searchpath: ['file://{paths.CONF}', 'anystyle://']}}\n"
+        f"defaults: [{losses}{{{kind}: {chosen}}}, _self_]\nhydra: {{searchpath: ['file://{paths.CONF}', 'anystyle://']}}\n"
     )
     node = compose("config", conf=tmp_path)[kind]
     node = node[name] if KINDS[kind].many else node

@@ -1,12 +1,17 @@
+from dataclasses import fields
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
-from plyfile import PlyData
+from plyfile import PlyData, PlyElement
 
 from anystyle.geometry.harmonics import basis
 from anystyle.geometry.rotations import matrix_from_wxyz
 from anystyle.geometry.similarity import y_up_from_opencv
 from anystyle.types import Gaussians
+
+GOLDENS = Path(__file__).parent / "goldens"
 
 
 def random_gaussians(count=50, coefficients=4):
@@ -111,3 +116,37 @@ def test_values_that_are_no_numbers_are_refused(tmp_path, broken):
     gaussians.save(tmp_path / "scene.ply")
     with pytest.raises(ValueError, match="infinite or no numbers"):
         Gaussians.load(tmp_path / "scene.ply")
+
+
+def test_a_compressed_file_is_read_as_its_own_program_reads_it():
+    """Both files are splat-transform's (3.7.0): 300 Gaussians of degree 2, and what it unpacks of them."""
+    packed = Gaussians.load(GOLDENS / "splat_transform.compressed.ply")
+    unpacked = Gaussians.load(GOLDENS / "splat_transform.ply")
+    assert packed.harmonics.shape == (1, 300, 9, 3)
+    for item in fields(packed):
+        torch.testing.assert_close(getattr(packed, item.name), getattr(unpacked, item.name), rtol=1e-5, atol=1e-5)
+
+
+def test_a_damaged_compressed_file_is_refused(tmp_path):
+    data = PlyData.read(GOLDENS / "splat_transform.compressed.ply")
+    chunk, vertex = data["chunk"].data, data["vertex"].data
+    PlyData([PlyElement.describe(chunk[:1], "chunk"), PlyElement.describe(vertex, "vertex")]).write(tmp_path / "a.ply")
+    with pytest.raises(ValueError, match="1 chunks for 300 Gaussians"):
+        Gaussians.load(tmp_path / "a.ply")
+
+
+@pytest.mark.parametrize("coefficients", [25, 36])
+def test_degrees_beyond_those_of_viewers_are_read(tmp_path, coefficients):
+    gaussians = random_gaussians(count=5, coefficients=coefficients)
+    rest = gaussians.harmonics[0, :, 1:].mT.flatten(1).numpy()
+    values = {"opacity": np.zeros(5), **{f"f_rest_{index}": rest[:, index] for index in range(rest.shape[1])}}
+    for name in ("x", "y", "z", *(f"{stem}_{index}" for stem in ("f_dc", "scale") for index in range(3)),
+                 *(f"rot_{index}" for index in range(4))):  # fmt: skip
+        values[name] = np.ones(5)
+    table = np.zeros(5, [(name, "f8") for name in values])
+    for name, column in values.items():
+        table[name] = column
+    PlyData([PlyElement.describe(table, "vertex")]).write(tmp_path / "scene.ply")
+    torch.testing.assert_close(
+        Gaussians.load(tmp_path / "scene.ply").harmonics[:, :, 1:], gaussians.harmonics[:, :, 1:]
+    )

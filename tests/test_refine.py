@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -12,7 +13,6 @@ from anystyle.geometry.matching import describe_points, grid_points, match_point
 from anystyle.inference.refine import refine
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.types import Geometry, Scene, Views
-from anystyle_tiny.evaluation.geometry import pose_errors
 from anystyle_tiny.procedural.scenes import ProceduralScenes
 
 
@@ -26,6 +26,17 @@ def turned(pose: Float[Tensor, "V 4 4"], amount: float, seed: int) -> Float[Tens
     skew[:, :3, 3] = motion[:, 3:]
     skew[0] = 0
     return torch.linalg.matrix_exp(skew) @ pose
+
+
+def pose_errors(predicted: Float[Tensor, "V 4 4"], true: Float[Tensor, "V 4 4"]) -> tuple[Tensor, Tensor]:
+    """Degrees by which the rotation and the direction of each view, seen from the first, are off."""
+    (rotation, direction), (true_rotation, true_direction) = (
+        (relative[1:, :3, :3], F.normalize(relative[1:, :3, 3], dim=-1))
+        for relative in (poses[:1].inverse() @ poses for poses in (predicted, true))
+    )
+    cosine = ((rotation.mT @ true_rotation).diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2
+    direction_cosine = (direction * true_direction).sum(-1)
+    return cosine.clamp(-1, 1).acos().rad2deg(), direction_cosine.clamp(-1, 1).acos().rad2deg()
 
 
 @pytest.fixture(scope="module")

@@ -50,6 +50,7 @@ STYLIZATION = (
     *RUN,
     *SCENES,
     "training=stylization",
+    "style_encoder=tiny",
     "styles=procedural",
     "styles.size=28",
     "styles.num_styles=1",

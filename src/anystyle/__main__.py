@@ -7,7 +7,19 @@ import sys
 from anystyle.errors import UserError, did_you_mean
 from anystyle.paths import PACKAGE
 
-COMMANDS = ("stylize", "train", "data", "report", "evaluate", "study", "plugins", "weights", "benchmark")
+COMMANDS = (
+    "stylize",
+    "view",
+    "export",
+    "train",
+    "data",
+    "report",
+    "evaluate",
+    "study",
+    "plugins",
+    "weights",
+    "benchmark",
+)
 _HELP = """\
 usage: anystyle COMMAND ...
 

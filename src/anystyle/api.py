@@ -7,13 +7,16 @@ from types import MappingProxyType
 
 from torch import Tensor
 
-from anystyle.inference.assemble import assemble_frozen, default_device
-from anystyle.inference.encoding import EncodedCapture, Inputs, encode_capture
-from anystyle.inference.options import ExportOptions, PoseOptions, VideoOptions, ViewOptions
+from anystyle.inference.assemble import assemble_frozen, default_device, method_named
+from anystyle.inference.controls import Controls
+from anystyle.inference.encoding import EncodedCapture, Inputs, encode_capture, encode_splat
+from anystyle.inference.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
 from anystyle.inference.results import Result, Results
+from anystyle.inference.splats import is_splat
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import Mixture, StyleInput, embed_styles
 from anystyle.io.atomic import atomic_directory
+from anystyle.methods.contract import Method
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
@@ -46,8 +49,11 @@ def stylize(
     model: str | Stylizer | None = None,
     views: ViewOptions = ViewOptions(),
     poses: PoseOptions | None = None,
+    splat: SplatOptions = SplatOptions(),
     reconstruction: str | Reconstruction | None = None,
+    method: str | Method | None = None,
     refine: bool = False,
+    controls: Controls | Sequence[Controls] = Controls(),
     out: str | Path | None = None,
     export: ExportOptions = ExportOptions(),
     video: VideoOptions = VideoOptions(),
@@ -57,7 +63,8 @@ def stylize(
     """Stylize a scene: read its views, encode them once, and restyle it in each style when its result is asked for.
 
     Args:
-        inputs: A folder of photographs, files, a pattern or a video; or views that were read already.
+        inputs: A folder of photographs, files, a pattern or a video; views that were read already; or one PLY file of
+            Gaussians, which keep their geometry.
         styles: Texts as ``str``, image files as ``Path``, images as tensors or :class:`~anystyle.types.Style`, points
             between two of these as :class:`Mixture`.
         model: A preset of the group ``model`` (``None`` for the default), which is loaded onto
@@ -65,9 +72,13 @@ def stylize(
         views: How photographs are read, and how many are encoded together.
         poses: Where the cameras of photographs come from; unless it is given, ``auto`` for a preset whose backbone has
             bundled weights, and ``predicted`` elsewhere.
+        splat: From where a scene is seen that is given as Gaussians.
         reconstruction: What becomes of the views: a plugin's name or an instance. ``None`` fits a scene to photographs
             whose cameras are found, and takes what the backbone predicts elsewhere.
+        method: How the scene takes a style: a plugin's or a preset's name, such as ``nnfm``, or an instance. ``None``
+            is the single pass.
         refine: Whether predicted cameras are aligned by what several views see alike.
+        controls: How each style is applied; of several, each gives a result.
         out: A folder to write all results to; each is written when it is saved if there is none.
         export: Which files a result has.
         video: The flight through the cameras that is written with a result.
@@ -75,7 +86,7 @@ def stylize(
         stages: Times the work and announces it.
 
     Returns:
-        One result a style, each computed when it is asked for.
+        One result a style and control, each computed when it is asked for.
 
     Raises:
         ValueError: An input or a style cannot be read, memory does not suffice, or a result is not finite.
@@ -87,6 +98,8 @@ def stylize(
     """
     single = isinstance(styles, (str, Path, Style, Tensor, Mixture))
     chosen: Sequence[StyleInput] = [styles] if single else styles
+    if not isinstance(controls, Controls) and not controls:
+        raise ValueError("no controls are given; leave them out, or give at least one")
     if not chosen:
         raise ValueError("no style is given; give a text, an image or both")
     stages = stages or Stages()
@@ -97,24 +110,33 @@ def stylize(
                 model = model.to(default_device())
             provenance = {"weights": weights, **provenance}
         rebuilt = build(Reconstruction, reconstruction) if isinstance(reconstruction, str) else reconstruction
-        encoded = encode_capture(
-            inputs, model, views, poses or PoseOptions(), refined=refine, stages=stages, reconstruction=rebuilt
-        )
+        given = is_splat(inputs)
+        if given is not None:
+            encoded = encode_splat(given, model, views, splat, stages=stages)
+        else:
+            encoded = encode_capture(
+                inputs, model, views, poses or PoseOptions(), refined=refine, stages=stages, reconstruction=rebuilt
+            )
         with stages("embed", "the styles"):
-            embedded = embed_styles(chosen, model)
-        results = Results(encoded, embedded, export=export, video=video, provenance=provenance, stages=stages)
+            embedded = embed_styles(chosen, model, [controls] if isinstance(controls, Controls) else controls)
+            chosen_method = method_named(method, model.style_encoder) if isinstance(method, str) else method
+        results = Results(
+            encoded, embedded, method=chosen_method, export=export, video=video, provenance=provenance, stages=stages
+        )
         if folder is not None:
             results.write(folder)
     return results
 
 
 __all__ = [
+    "Controls",
     "EncodedCapture",
     "ExportOptions",
     "Mixture",
     "PoseOptions",
     "Result",
     "Results",
+    "SplatOptions",
     "Stages",
     "Style",
     "VideoOptions",

@@ -29,6 +29,7 @@ class Stylizer(nn.Module):
         branch: Predicts styled attributes.
         renderer: Shows scenes, and colours those whose Gaussians are not the backbone's.
         fit_colors: How these are coloured; see :func:`~anystyle.reconstructions.colors.color_gaussians`.
+        keep_harmonics: Whether their harmonics above degree 0 stay as they are; they are dropped otherwise.
 
     Example:
         >>> stylizer = anystyle.load()
@@ -45,6 +46,7 @@ class Stylizer(nn.Module):
         branch: StyleBranch,
         renderer: Renderer,
         fit_colors: FitColors = 2,
+        keep_harmonics: bool = False,
     ) -> None:
         super().__init__()
         self.backbone = backbone.freeze()
@@ -52,6 +54,7 @@ class Stylizer(nn.Module):
         self.branch = branch
         self.renderer = renderer
         self.fit_colors: FitColors = checked_steps(fit_colors)
+        self.keep_harmonics = keep_harmonics
         self.mixed = False
 
     def train(self, mode: bool = True) -> "Stylizer":
@@ -152,7 +155,10 @@ class Stylizer(nn.Module):
             cameras = scene.cameras.map(lambda tensor: tensor[row : row + 1])  # noqa: B023
             origins = None if scene.origins is None else scene.origins[row]
             with torch.enable_grad():
-                rows.append(color_gaussians(given, cameras, targets[row], self.renderer, origins, self.fit_colors))
+                colored = color_gaussians(
+                    given, cameras, targets[row], self.renderer, origins, self.fit_colors, keep=self.keep_harmonics
+                )
+                rows.append(colored)
         return Gaussians.cat(rows).detach()
 
     def unstyled(self, scene: Scene) -> Gaussians:

@@ -65,7 +65,12 @@ def test_without_what_draws_the_tables_are_written_all_the_same(evaluated, tmp_p
     monkeypatch.setattr("anystyle.evaluation.plots.plotting", absent)
     command.main([str(evaluated), "--out", str(tmp_path / "out")])
     assert 'no plot: plots need matplotlib: pip install "anystyle[report]"' in capsys.readouterr().err
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["table.csv", "table.md", "table.tex"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        ".anystyle",
+        "table.csv",
+        "table.md",
+        "table.tex",
+    ]
 
 
 def test_what_cannot_be_reported_is_one_line(tmp_path, capsys):
@@ -77,8 +82,8 @@ def test_what_cannot_be_reported_is_one_line(tmp_path, capsys):
         "no folder is named": [],
         "there is no folder": [str(tmp_path / "absent")],
         "holds no runs": [str(tmp_path / "empty")],
-        "is damaged": [str(tmp_path / "broken")],
-        "holds no published figures": ["--published", str(tmp_path / "rows.json")],
+        "is no file of figures": [str(tmp_path / "broken")],
+        "is no file of published figures": ["--published", str(tmp_path / "rows.json")],
         "unrecognized arguments: --wiht-published. Did you mean '--with-published'?": ["--wiht-published"],
     }
     for told, words in cases.items():

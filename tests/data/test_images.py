@@ -7,7 +7,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PIL import Image
 
-from anystyle.data.images import MAX_PIXELS, image_size, open_image, read_image
+from anystyle.data.images import image_size, open_image, read_image
+from anystyle.io.images import MAX_PIXELS
 from anystyle.study.pictures import read_picture
 
 

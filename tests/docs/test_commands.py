@@ -1,13 +1,12 @@
 """Every command that a page shows runs, those of a page one after the other in one folder, as a reader types them."""
 
-import json
 import os
 import re
 import shlex
 import signal
 import subprocess
 import sys
-import urllib.request
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -16,6 +15,7 @@ import docs_world as world
 from anystyle.study.protocol import read_study
 from docs_cases import ENDS, INSTEAD, NOT_RUN, PAGES, TELLS, ending, named, reason, shown, small, told
 from docs_program import Done, Program
+from study_serving import answer, claim, post, token_of
 
 MORE = {
     "docs/add_a_plugin.md": world.of_plugins,
@@ -81,20 +81,13 @@ class Reader:
         found = re.search(r"http://[\d.]+:\d+/", first)
         assert found, first
         study = read_study(self.folder / "study")
-        checks = {check.id: check.expected for check in study.checks}
-        for place, participant in enumerate(study.participants):
-            for page in participant.order:
-                for question in study.plan.questions:
-                    message = {
-                        "study": study.id, "participant": participant.id, "session": "0123456789abcdef", "item": page,
-                        "question": question.name, "revision": 1,
-                        "score": checks.get(page, 1 + (place + len(page)) % 5),
-                    }  # fmt: skip
-                    body = json.dumps(message).encode()
-                    with urllib.request.urlopen(
-                        urllib.request.Request(f"{found[0]}answers", body, {"Content-Type": "application/json"})
-                    ) as reply:
-                        assert reply.status == 200
+        for number, participant in enumerate(study.participants):
+            code = participant.id
+            assert claim(found[0], study, code)[0] == 200
+            for entry, question in product(enumerate(participant.order), study.plan.questions):
+                for side in question.sides:
+                    message = answer(study, code, entry[1], question.name, 1 + (number + entry[0]) % 5, side)
+                    assert post(found[0], "answers", message, token_of(code))[0] == 200
         process.send_signal(signal.SIGINT)
         out, err = process.communicate(timeout=300)
         return Done(process.returncode, first + out, err, 0.0)

@@ -138,11 +138,11 @@ def test_depth_and_cameras(tmp_path):
     torch.testing.assert_close(read.cameras.intrinsics, given.intrinsics)
     assert read.cameras.size == (8, 12)
     np.savez(tmp_path / "depth" / "one" / "cameras.npz", poses=np.eye(4))
-    with pytest.raises(ValueError, match=r"cameras\.npz does not hold the cameras of one .*; expected frames"):
+    with pytest.raises(ValueError, match=r"cameras\.npz is no file of cameras: frames"):
         Reader()(pair(*known, tmp_path / "depth").cells[0])
     write_cameras(tmp_path / "depth" / "one" / "cameras.npz", ["0", "1", "2"], given)
     np.save(tmp_path / "depth" / "one" / "1.npy", np.full((8, 12), np.nan))
-    with pytest.raises(ValueError, match=r"1\.npy has shape \[8, 12\]; expected finite depth"):
+    with pytest.raises(ValueError, match=r"1\.npy is no array of finite depth"):
         Reader()(pair(*known, tmp_path / "depth").cells[0])
     (tmp_path / "depth" / "one" / "1.npy").unlink()
     with pytest.raises(ValueError, match=r"2 of 6 .*one/a_1 \(no depth 1\)"):
@@ -153,5 +153,5 @@ def test_pickled_depth_is_refused(tmp_path):
     known = folders(tmp_path, scenes=("one",), styles=("a",), frames=1)
     (tmp_path / "depth" / "one").mkdir(parents=True)
     np.save(tmp_path / "depth" / "one" / "0.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    with pytest.raises(ValueError, match="no array of depth"):
+    with pytest.raises(ValueError, match="no array of finite depth"):
         Reader()(pair(*known, tmp_path / "depth").cells[0])

@@ -144,7 +144,7 @@ def test_rows_from_a_file_are_checked_from_their_parts(tmp_path):
     assert (found.method, found.recomputed) == ("wrong", pytest.approx(1.5 * 20.02))
     for text in ("[]", "{", '{"sources": {}, "rows": [{"method": "a"}]}'):
         path.write_text(text)
-        with pytest.raises(ValueError, match=r"mine\.json holds no published figures .* as in published\.json"):
+        with pytest.raises(ValueError, match=r"mine\.json is no file of published figures.* as in published\.json"):
             published.load([path])
 
 

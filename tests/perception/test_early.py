@@ -4,7 +4,7 @@ import weakref
 
 import torch
 
-from anystyle.perception.eager_backward import differentiated
+from anystyle.perception.eager_backward import eager_backward
 from oracle import hashed
 
 IMAGES = hashed(1, (3, 3, 8, 10))
@@ -16,7 +16,7 @@ def distance(images: torch.Tensor) -> torch.Tensor:
 
 def test_value_and_gradient_are_those_of_the_function():
     early, late = (IMAGES.clone().requires_grad_() for _ in range(2))
-    found, expected = (3 * differentiated(distance, 2 * early)) ** 2, (3 * distance(2 * late)) ** 2
+    found, expected = (3 * eager_backward(distance, 2 * early)) ** 2, (3 * distance(2 * late)) ** 2
     assert torch.equal(found, expected)
     for value in (found, expected):
         value.backward()
@@ -31,12 +31,12 @@ def test_what_the_function_kept_is_gone_before_anything_is_differentiated():
         kept.append(weakref.ref(inside))
         return inside.mean()
 
-    value = differentiated(keeping, IMAGES.clone().requires_grad_())
+    value = eager_backward(keeping, IMAGES.clone().requires_grad_())
     assert kept[0]() is None and value.requires_grad
 
 
 def test_where_nothing_learns_nothing_is_differentiated():
-    value = differentiated(distance, IMAGES)
+    value = eager_backward(distance, IMAGES)
     assert not value.requires_grad
     with torch.no_grad():
-        assert torch.equal(differentiated(distance, IMAGES.clone().requires_grad_()), value)
+        assert torch.equal(eager_backward(distance, IMAGES.clone().requires_grad_()), value)

@@ -93,3 +93,24 @@ def test_the_real_gsplat_takes_these_arguments(monkeypatch: pytest.MonkeyPatch) 
 
     monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=check))
     assert GsplatRenderer().accumulate(scene, views).isfinite().all()
+
+
+_NAMES = """
+means quats scales opacities colors viewmats Ks width height near_plane far_plane radius_clip eps2d sh_degree packed
+tile_size backgrounds render_mode sparse_grad absgrad rasterize_mode channel_chunk distributed camera_model segmented
+covars with_ut with_eval3d radial_coeffs tangential_coeffs thin_prism_coeffs ftheta_coeffs rolling_shutter viewmats_rs
+"""
+PUBLISHED = _NAMES.split()
+"""The parameters of gsplat 1.5.3's ``rasterization``, as its wheel on the package index declares them."""
+
+
+def test_the_published_signature_has_every_argument(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: list[str] = []
+
+    def check(**arguments: Any) -> Any:
+        given.extend(arguments)
+        return rasterization(**arguments)
+
+    monkeypatch.setitem(sys.modules, "gsplat", SimpleNamespace(rasterization=check))
+    GsplatRenderer().accumulate(gaussians(1, 5, 1), cameras(1, 1, (4, 4)))
+    assert set(PUBLISHED[:9]) <= set(given) <= set(PUBLISHED)

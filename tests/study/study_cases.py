@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 from anystyle.study.design import Sources, design
-from anystyle.study.plan import Plan
+from anystyle.study.plan import Plan, plan_from
 from anystyle.study.protocol import Study
 
 HEADER = "participant,item,question,score,ours_is"
@@ -42,11 +42,16 @@ def write_results(
     scenes: int = 4,
     styles: int = 3,
     sizes: Mapping[str, tuple[int, int]] | None = None,
+    frames: int = 0,
 ) -> Sources:
-    """Small pictures of every method, of photographs and of styles."""
+    """Small pictures of every method, of photographs and of styles; with ``frames``, as many views of each."""
     random = np.random.default_rng(0)
 
-    def picture(path: Path, size: tuple[int, int] = (48, 36)) -> None:
+    def picture(path: Path, size: tuple[int, int] = (48, 36), frames: int = frames) -> None:
+        if frames:
+            for frame in range(frames):
+                picture(path.with_suffix("") / f"{frame:03d}.png", size, 0)
+            return
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(random.integers(0, 255, (size[1], size[0], 3), dtype=np.uint8)).save(path)
 
@@ -56,7 +61,7 @@ def write_results(
             for method in methods:
                 picture(root / method / f"scene{scene}" / f"style{style}.png", (sizes or {}).get(method, (48, 36)))
     for style in range(styles):
-        picture(root / "styles" / f"style{style}.png", (30, 50))
+        picture(root / "styles" / f"style{style}.png", (30, 50), 0)
     return Sources(
         methods={method: root / method for method in methods},
         ours=methods[0],
@@ -65,11 +70,18 @@ def write_results(
     )
 
 
+AB = ("A is much better", "A is better", "No difference", "B is better", "B is much better")
+QUESTIONS = (
+    {"name": "style", "text": "Which matches <b>the style</b> better?", "labels": AB},
+    {"name": "content", "kind": "rating", "text": "How easy to recognize is {method}?", "labels": ("Hard", "", "Easy")},
+)
+
+
 def small_plan(**changes: object) -> Plan:
-    options = {"participants": 4, "sets": 4, "attention_checks": 1, "image_size": 64, **changes}
-    return Plan(**options)
+    options = {"instructions": "Look.\n\nAnswer.", "questions": QUESTIONS, "participants": 4, "sets": 4, "degraded": 1}
+    return plan_from({**options, "image_size": 64, **changes})
 
 
-def small_study(root: Path, **changes: object) -> tuple[Study, Path]:
+def small_study(root: Path, frames: int = 0, **changes: object) -> tuple[Study, Path]:
     """A designed study of four sets for four participants, and its folder."""
-    return design(write_results(root), small_plan(**changes), root / "study"), root / "study"
+    return design(write_results(root, frames=frames), small_plan(**changes), root / "study"), root / "study"

@@ -164,7 +164,7 @@ def test_several_comparisons_are_kept_apart(tmp_path):
         (b"participant,item\0,question", "binary"),
         (b'{"responses": 3}', "list of answers"),
         (b"[1, 2]", "list of answers"),
-        (b"{nothing", "no JSON"),
+        (b"{nothing", "no list of answers"),
         (b"SQLite format 3\0 and then nothing of the kind" * 30, "no readable SQLite file"),
         (b"participant,item,ours_is,remark\nP1,S1,A,well\n", "no column of scores"),
         (b"participant,S1:style\nP1,3\n", "has the columns"),

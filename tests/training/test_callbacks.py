@@ -67,6 +67,7 @@ def test_the_average_is_the_one_of_its_definition():
 def test_a_checkpoint_is_written_between_steps_and_once_a_step(tmp_path):
     keeper, steps = LastCheckpoint(tmp_path / "last.ckpt", every_steps=2), []
     trainer = at()
+    trainer.callback_metrics = {}
     trainer.strategy.reduce_boolean_decision.side_effect = lambda decision, all: decision
     trainer.save_checkpoint.side_effect = lambda path: steps.append(trainer.global_step) or path.write_bytes(b"")
     keeper.on_train_start(trainer, Module())

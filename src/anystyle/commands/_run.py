@@ -1,9 +1,11 @@
 """How a command ends: quietly, or with one line and an exit status."""
 
 import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NoReturn
 
 from anystyle.errors import one_line
 
@@ -17,6 +19,8 @@ def run(command: Callable[[], Any]) -> None:
     An error of the user's ends in one line on the standard error stream and exit status 2, an interruption in 130. A
     mistake of the program's shows its traceback, and so does every error where ``ANYSTYLE_TRACEBACK=1``.
     """
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGTERM, _terminated)
     try:
         command()
         sys.stdout.flush()
@@ -33,6 +37,12 @@ def run(command: Callable[[], Any]) -> None:
             raise
         print(f"anystyle: error: {text}", file=sys.stderr)
         sys.exit(FAILED)
+
+
+def _terminated(number: int, frame: object) -> NoReturn:
+    """End as after Ctrl-C: what was begun is cleared away."""
+    print("anystyle: terminated", file=sys.stderr)
+    sys.exit(128 + number)
 
 
 def wants_traceback() -> bool:

@@ -1,10 +1,12 @@
 """What the study commands share: plans from configurations, and the tests to run."""
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from anystyle import paths
+from anystyle.documents import read_yaml
 from anystyle.errors import UserError, unknown
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
@@ -13,8 +15,8 @@ from anystyle.study.contract import StudyTest
 from anystyle.study.plan import Plan, plan_from
 
 
-def read_plan(config: str, overrides: Sequence[str]) -> Plan:
-    """A plan from ``conf/study/NAME.yaml`` or a file, with ``key=value`` words on top.
+def read_plan(overrides: Sequence[str]) -> Plan:
+    """A plan from ``conf/study/paper.yaml``, or what ``study=NAME`` or ``study=FILE`` names, with ``key=value`` on top.
 
     Raises:
         UserError: There is no such configuration, or it is none.
@@ -24,24 +26,33 @@ def read_plan(config: str, overrides: Sequence[str]) -> Plan:
     from omegaconf.errors import OmegaConfBaseException
     from yaml import YAMLError
 
+    names = [word for word in overrides if word.startswith("study=")]
+    config = names[-1].removeprefix("study=") if names else "paper"
+    overrides = [word for word in overrides if word not in names]
     file = Path(config)
     if file.suffix not in (".yaml", ".yml"):
         file = paths.CONF / "study" / f"{config}.yaml"
         if not file.is_file():
-            names = [path.stem for path in sorted(file.parent.glob("*.yaml"))]
-            raise UserError(unknown("study configuration", config, names))
+            known = [path.stem for path in sorted(file.parent.glob("*.yaml"))]
+            raise UserError(unknown("study configuration", config, known))
+    options: dict[str, Any] = read_yaml(file, dict[str, Any], what="configuration of 'option: value' lines")
     try:
-        merged = OmegaConf.merge(OmegaConf.load(file), OmegaConf.from_dotlist(list(overrides)))
-        options = OmegaConf.to_container(merged, resolve=True)
-    except (OmegaConfBaseException, YAMLError, UnicodeDecodeError) as error:
-        raise UserError(f"{file.name} is no configuration: {explain(error)}") from None
-    if not isinstance(options, dict):
-        raise UserError(f"{file.name} is no configuration: expected 'option: value' lines")
-    return plan_from({str(key): value for key, value in options.items()})
+        merged = OmegaConf.merge(options, OmegaConf.from_dotlist(overrides))
+        values: Any = OmegaConf.to_container(merged, resolve=False)
+    except (OmegaConfBaseException, YAMLError) as error:
+        raise UserError(f"{' '.join(overrides)}: {explain(error)}") from None
+    return plan_from(values)
 
 
-def build_tests(names: Sequence[str], overrides: Sequence[str]) -> dict[str, StudyTest]:
-    """The named tests of the catalog, all if none is named, with ``TEST.OPTION=VALUE`` words as options.
+def build_tests(
+    names: Sequence[str], overrides: Sequence[str], common: Mapping[str, Any] | None = None
+) -> dict[str, StudyTest]:
+    """The named tests of the catalog, all if none is named.
+
+    Args:
+        names: Of the tests.
+        overrides: ``TEST.OPTION=VALUE`` words.
+        common: Options of every test that has them.
 
     Raises:
         UserError: An override names a test that is not run.
@@ -60,4 +71,9 @@ def build_tests(names: Sequence[str], overrides: Sequence[str]) -> dict[str, Stu
             raise UserError(unknown("test that is run", test, options))
         options[test][option] = OmegaConf.to_container(OmegaConf.from_dotlist([f"value={value}"]))["value"]  # type: ignore[index]
     plugins = {name: catalog().find("study_test", name) for name in chosen}
-    return {name: build(StudyTest, {"_target_": plugin.path, **options[name]}) for name, plugin in plugins.items()}
+    tests: dict[str, StudyTest] = {}
+    for name, plugin in plugins.items():
+        known = inspect.signature(plugin.load()).parameters
+        shared = {option: value for option, value in (common or {}).items() if option in known}
+        tests[name] = build(StudyTest, {"_target_": plugin.path, **shared, **options[name]})
+    return tests

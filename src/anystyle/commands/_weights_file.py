@@ -5,13 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from omegaconf import OmegaConf
 from torch import Tensor
 
-from anystyle.contracts import Backbone
-from anystyle.inference.assemble import build_and_load, published_by
+from anystyle.contracts import Backbone, StyleEncoder
+from anystyle.inference.assemble import build_and_load, make_branch, published_by
 from anystyle.inference.weights import reference_config
-from anystyle.io.checkpoint import has_header, read_header, sha256
-from anystyle.perception import weights
+from anystyle.io.checkpoint import Header, differences, has_header, read_header, sha256
+from anystyle.perception import NETWORKS, weights
 from anystyle.perception.state_dict_formats import LAYOUTS, layout_of
 from anystyle.registry.build import build
 from anystyle.registry.catalog import PluginError, catalog
@@ -56,11 +57,13 @@ def recognise(path: Path) -> Known:
     if has_header(path):
         header = read_header(path)
         state = weights.read(path)
+        _check_ours(path, header, state)
         provenance = ", ".join(f"{key} {value}" for key, value in header.provenance.items())
         return Known(
             "anystyle", (f"{header.part} that anystyle wrote{f' ({provenance})' if provenance else ''}",), state
         )
     state = weights.read(path)
+    _check_finite(path, state)
     name = layout_of(state)
     if name is not None:
         LAYOUTS[name].check(path, state)
@@ -74,6 +77,40 @@ def recognise(path: Path) -> Known:
         f"{path} is of no known kind: {len(state)} tensors, such as {names}; known are {', '.join(LAYOUTS)} and the "
         "checkpoints of backbones"
     )
+
+
+def _check_ours(path: Path, header: Header, state: State) -> None:
+    """Load a file that anystyle wrote into the network that its header describes, without memory for it.
+
+    Raises:
+        ValueError: It holds a part that nothing is made of, or its tensors are not the part's, or no numbers.
+    """
+    _check_finite(path, state)
+    if header.part in (*NETWORKS, "backbone", "style_encoder", "branch"):
+        config = OmegaConf.create(header.config)
+        with torch.device("meta"):
+            if header.part in NETWORKS:
+                module = NETWORKS[header.part]()
+            elif header.part == "backbone":
+                module = build(Backbone, config.get("backbone", {}))
+            elif header.part == "style_encoder":
+                module = build(StyleEncoder, config.get("style_encoder", {}))
+            else:
+                encoder = build(StyleEncoder, config.get("style_encoder", {}))
+                module = make_branch(config, build(Backbone, config.get("backbone", {})), encoder.dim)
+        expected = {key: tensor for key, tensor in module.state_dict().items() if not header.omits(key)}
+        unlike = differences(expected, state)
+        if unlike:
+            raise ValueError(f"{path} does not fit the {header.part} that its header describes: {unlike}")
+    elif not any(row.file == path.name and row.sha256 == sha256(path) for row in weights.files().values()):
+        known = ", ".join(("backbone", "style_encoder", "branch", *NETWORKS))
+        raise ValueError(f"{path} holds a part {header.part[:80]!r}, which nothing is made of; known are {known}")
+
+
+def _check_finite(path: Path, state: State) -> None:
+    for key, tensor in state.items():
+        if tensor.is_floating_point() and not bool(tensor.isfinite().all()):
+            raise ValueError(f"{path} is damaged: {key} holds values that are infinite or no numbers")
 
 
 def _of_backbone(name: str, state: State) -> Known | None:

@@ -13,12 +13,14 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import torch
 
 import anystyle
 from anystyle.commands._flags import split
 from anystyle.commands._run import run, words_of
+from anystyle.documents import read_json
 from anystyle.inference import memory
 from anystyle.inference.assemble import default_device
 from anystyle.io.atomic import atomic_path
@@ -200,6 +202,11 @@ def off_line(peaks: Mapping[int, int]) -> float:
     return float(np.abs(np.polyval(line, list(peaks)) - list(peaks.values())).max())
 
 
+class _Stored(msgspec.Struct):
+    setting: dict[str, Any]
+    rows: dict[str, list[dict[str, float | str | None]]]
+
+
 class Results:
     """A JSON file of rows that is written after each, and read where an earlier run stopped."""
 
@@ -207,12 +214,9 @@ class Results:
         self.path = path
         self.content: dict[str, Any] = {"setting": dict(setting), "rows": {}}
         if path.is_file():
-            try:
-                stored = json.loads(path.read_text())
-            except ValueError as error:
-                raise ValueError(f"{path} is no benchmark ({error}); remove it or give another --out") from None
-            if stored.get("setting") == self.content["setting"]:
-                self.content = stored
+            stored: _Stored = read_json(path, _Stored, what="benchmark; remove it or give another --out")
+            if stored.setting == self.content["setting"]:
+                self.content = {"setting": stored.setting, "rows": stored.rows}
 
     def get(self, group: str, measure: Callable[[], list[Measured]]) -> list[dict[str, Any]]:
         """Rows of a group, measured now unless they are there."""

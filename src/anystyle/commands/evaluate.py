@@ -14,14 +14,15 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from anystyle.commands._bars import Bar
-from anystyle.commands._compose import describe, launch, override, run, split
+from anystyle.commands._compose import describe, job_folder, launch, override, run, split, with_sweep
+from anystyle.commands._options import Shared, checked
 from anystyle.commands._run import words_of
 from anystyle.contracts import Correspondence, Metric, SceneSource, StyleEncoder, StyleSource
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
 from anystyle.evaluation.config_lock import bind
 from anystyle.evaluation.contract import Evaluation, Protocol
-from anystyle.inference.assemble import assemble_frozen, default_device, weights_file
+from anystyle.inference.assemble import assemble_frozen, default_device, make_method, weights_file
 from anystyle.io.checkpoint import load_part
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
@@ -82,12 +83,11 @@ def evaluate(config: DictConfig, out: Path) -> Evaluation:
         ValueError: The configuration contradicts itself, or images cannot be judged.
     """
     start = time.perf_counter()
-    torch.manual_seed(config.seed)
+    torch.manual_seed(checked(config, Shared).seed)
     plugin = catalog().owner("protocol", str(config.protocol.get("_target_")))
     named = runtime_arguments(plugin)
     parts, weights = make_parts(config, named)
     protocol = build(Protocol, config.protocol, **parts)
-    out.mkdir(parents=True, exist_ok=True)
     judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
     with bind(config, weights, out, named, judges):
         with Bar() as progress:
@@ -129,6 +129,8 @@ def make_parts(config: DictConfig, named: Mapping[str, bool]) -> tuple[dict[str,
         stylizer, weights = assemble_frozen(config)
         parts["stylizer"] = stylizer.to(device)
         encoder = stylizer.style_encoder
+        if "method" in named:
+            parts["method"] = make_method(config, encoder)
     if "metrics" in named:
         parts["metrics"] = {name: metric.to(device) for name, metric in make_metrics(config, encoder, device).items()}
     for name, base in (("scenes", SceneSource), ("styles", StyleSource)):
@@ -173,10 +175,11 @@ def main(words: Sequence[str] | None = None) -> None:
 
         flags = parser()
         describe(flags)
-        arguments, rest = split(flags, words_of(words))
+        given = with_sweep(flags, words_of(words), "hydra.output_subdir=.hydra")
+        arguments, rest = split(flags, given)
         rest = [*folder_words(arguments), *rest]
         if arguments.trained is None:
-            launch("evaluate", lambda config: evaluate(config, Path(arguments.out or "evaluation")), rest)
+            launch("evaluate", lambda config: evaluate(config, job_folder(arguments.out or "evaluation")), rest)
             return
         runs = trained_runs(Path(arguments.trained))
         for run_ in runs:

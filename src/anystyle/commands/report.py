@@ -1,6 +1,7 @@
 """Tables, plots and a contact sheet of runs: Markdown, CSV, LaTeX and PNG."""
 
 import argparse
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -10,7 +11,7 @@ from anystyle.commands._flags import parse
 from anystyle.commands._run import run, words_of
 from anystyle.evaluation import plots, published, report, runs
 from anystyle.evaluation.tables import STAND_IN, Table
-from anystyle.io.atomic import atomic_path
+from anystyle.io.atomic import atomic_directory
 from anystyle.io.sheet import contact_sheet
 
 _COLORS = {"ours": plots.OURS, "stand-in": plots.STOOD_IN, "published": plots.PUBLISHED, "none": plots.PUBLISHED}
@@ -66,7 +67,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     columns = report.columns_of(lines, names, [*whole, *scenes])
     notes = _notes(lines) + sources + report.consistency_notes(figures)
     table = report.table(lines, columns, better, notes=notes)
-    written = write(table, lines, columns, better, out)
+    with atomic_directory(out) as folder:
+        written = write(table, lines, columns, better, folder)
     print(table.markdown(), end="")
     print(f"\nin {out}: {', '.join(written)}")
     return 0
@@ -79,11 +81,12 @@ def _paper(arguments: argparse.Namespace, ours: Sequence[report.Line], better: d
     forms = published.tables()
     figures = published.load()
     written: list[str] = []
-    for name in forms if "all" in arguments.paper else dict.fromkeys(arguments.paper):
-        table = report.paper_table(forms[name], figures, ours, better)
-        table = replace(table, notes=(*table.notes, *_notes(ours)))
-        written += _write_forms(table, out, name)
-        print(table.markdown())
+    with atomic_directory(out) as folder:
+        for name in forms if "all" in arguments.paper else dict.fromkeys(arguments.paper):
+            table = report.paper_table(forms[name], figures, ours, better)
+            table = replace(table, notes=(*table.notes, *_notes(ours)))
+            written += _write_forms(table, folder, name)
+            print(table.markdown())
     print(f"in {out}: {', '.join(written)}")
     return 0
 
@@ -92,8 +95,7 @@ def _write_forms(table: Table, out: Path, name: str) -> list[str]:
     """Write a table as Markdown, CSV and LaTeX; return the names of the files."""
     texts = {f"{name}.md": table.markdown(), f"{name}.csv": table.csv(), f"{name}.tex": table.latex()}
     for file, text in texts.items():
-        with atomic_path(out / file) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+        (out / file).write_text(text, encoding="utf-8")
     return list(texts)
 
 
@@ -105,8 +107,7 @@ def write(
     sheet = report.sheet_cells(lines)
     if sheet is not None:
         cells, titles, styles = sheet
-        with atomic_path(out / "sheet.png") as temporary:
-            contact_sheet(cells, row_titles=titles, column_titles=styles, cell=(160, 160)).save(temporary)
+        contact_sheet(cells, row_titles=titles, column_titles=styles, cell=(160, 160)).save(out / "sheet.png")
         written.append("sheet.png")
     try:
         _plot(lines, columns, better, out / "figures.png")
@@ -129,6 +130,7 @@ def _plot(lines: Sequence[report.Line], columns: Sequence[report.Column], better
             panel = f"{scene} {name}".strip()
             directions |= {panel: better[name]} if name in better else {}
             value = line.value(scene, name)
+            value = value if math.isfinite(value) else math.nan  # a table can say what a bar cannot
             group = groups.setdefault(title, {})
             # One method may have rows from several papers.
             group[panel] = group.get(panel, value) if value != value else value

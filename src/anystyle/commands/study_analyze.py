@@ -3,51 +3,63 @@
 import argparse
 import json
 import sys
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
+from msgspec import structs
 
 from anystyle.commands._study_options import build_tests
 from anystyle.io.atomic import atomic_directory
 from anystyle.study import figures, report
 from anystyle.study.analysis import Analysis, Settings, analyze
 from anystyle.study.analysis_json import as_json
-from anystyle.study.checks import Rules
 from anystyle.study.contract import Scale
-from anystyle.study.form import comparison
-from anystyle.study.protocol import Study, read_study
-from anystyle.study.reading import Records, read_responses
-from anystyle.study.tabulate import latex, markdown
-from anystyle.study.verdicts import verdict
+from anystyle.study.plan import Rules
+from anystyle.study.protocol import read_study
+from anystyle.study.reading import read_responses
+from anystyle.study.section import latex, markdown
+from anystyle.study.verdicts import took_part, verdict
 
 
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle study analyze``."""
     words = argparse.ArgumentParser(
         prog="anystyle study analyze",
-        description="Read answers (CSV, JSON or SQLite; long, with the columns participant, item, question, score, "
-        "ours_is, or wide), undo the positions, check them, and test every question at the level of responses, "
-        "participants and items. Writes analysis.json, table.md, table.tex, report.html and figures/.",
+        description="Read answers (CSV, JSON or SQLite, one a row), undo the positions, leave out whom the design's "
+        "rules say, and test every question for new participants, scenes and styles. Writes analysis.json, results.md, "
+        "results.tex, report.html and figures/.",
         epilog="Words such as wilcoxon.zero_method=pratt set a test's options; anystyle plugins study_test lists them.",
         allow_abbrev=False,
     )
     words.add_argument("responses", nargs="+", help="files of answers, or folders of them; and TEST.OPTION=VALUE")
     words.add_argument("--out", type=Path, required=True, help="where the results go")
-    words.add_argument("--study", type=Path, help="the designed study: texts of the questions, scale, methods' names")
+    words.add_argument("--study", type=Path, help="the designed study, which the form's answers need")
     words.add_argument("--scale", type=float, nargs=2, metavar=("LOW", "HIGH"), help="the answer scale (default: 1 5)")
     words.add_argument("--test", action="append", default=[], metavar="NAME", help="run only these tests")
     words.add_argument("--title", default="User study", help="of the report")
-    words.add_argument("--confidence", type=float, default=0.95, help="of the intervals (default: %(default)s)")
-    words.add_argument("--resamples", type=int, default=1999, help="for intervals of effects (default: %(default)s)")
+    words.add_argument("--confidence", type=float, default=0.95, help="of all intervals (default: %(default)s)")
+    words.add_argument(
+        "--alternative",
+        choices=("two-sided", "less", "greater"),
+        default="two-sided",
+        help="of all tests and intervals; less claims that ours is preferred (default: %(default)s)",
+    )
     words.add_argument("--seed", type=int, default=0, help="of all resampling (default: %(default)s)")
     words.add_argument(
-        "--failed-checks", type=int, default=0, metavar="N", help="attention checks a participant may fail (default: 0)"
+        "--margin", type=float, metavar="SHARE", help="of the way from neutral to the scale's end, within which a "
+        "preference counts as none: asks for equivalence"
+    )  # fmt: skip
+    words.add_argument(
+        "--failed-checks", type=int, metavar="N", help="attention checks a participant may fail (default: the design's)"
     )
     words.add_argument(
         "--exclude-straight-lining", action="store_true", help="leave out who gave one answer throughout"
     )
-    words.add_argument("--missing", type=float, default=0.5, metavar="SHARE", help="of answers missing that excludes")
+    words.add_argument(
+        "--missing",
+        type=float,
+        metavar="SHARE",
+        help="of assigned answers missing that excludes (default: the design's)",
+    )
     words.add_argument("--no-report", action="store_true", help="no figures and no page: needs no matplotlib")
     return words
 
@@ -60,62 +72,54 @@ def command(arguments: argparse.Namespace) -> None:
     """
     if not arguments.no_report:
         figures.require()
-    if not 0.5 <= arguments.confidence < 1:
-        raise ValueError(f"--confidence {arguments.confidence:g}: expected a share from 0.5 to below 1, such as 0.95")
-    if arguments.resamples < 99:
-        raise ValueError(f"--resamples {arguments.resamples}: expected at least 99")
+    settings = _settings(arguments)
     files = [word for word in arguments.responses if Path(word).exists() or "=" not in word]
     overrides = [word for word in arguments.responses if word not in files]
-    tests = build_tests(arguments.test, overrides)
-    study = None if arguments.study is None else read_study(arguments.study)
-    records = read_responses([Path(word) for word in files])
-    settings = Settings(
-        scale=_scale(arguments, study),
-        rules=Rules(
-            failed_checks=arguments.failed_checks,
-            straight_lining=arguments.exclude_straight_lining,
-            missing_share=arguments.missing,
-        ),
-        confidence=arguments.confidence,
-        resamples=arguments.resamples,
-        seed=arguments.seed,
-        titles=() if study is None else tuple((one.name, one.text) for one in study.plan.questions),
-    )
-    analysis = analyze(_named(records, study), tests, settings, progress=_tell)
+    common = {"confidence": settings.confidence, "alternative": settings.alternative, "seed": settings.seed}
+    tests = build_tests(arguments.test, overrides, common)
+    records = read_responses([Path(word) for word in files], settings.study)
+    analysis = analyze(records, tests, settings, progress=_tell)
     with atomic_directory(arguments.out) as folder:
         _write(analysis, folder, arguments)
+    print(took_part(analysis))
     for question in analysis.questions:
-        print(f"{question.question}: {verdict(question)}")
-    excluded = analysis.checks.exclusions
-    if excluded:
-        print(f"left out: {', '.join(f'{item.participant} ({item.rule})' for item in excluded)}")
+        print(f"{question.question}: {verdict(analysis, question)}")
+    for item in analysis.checks.exclusions:
+        print(f"left out: {item.participant} ({item.rule})")
     print(f"{arguments.out / ('analysis.json' if arguments.no_report else 'report.html')}")
 
 
-def _scale(arguments: argparse.Namespace, study: Study | None) -> Scale:
-    if arguments.scale is not None:
-        return Scale(*arguments.scale)
-    return Scale() if study is None else study.plan.scale
-
-
-def _named(records: Records, study: Study | None) -> Records:
-    """The records with the baselines called by their names, where the study is known."""
-    if study is None:
-        return records
-    names = records.comparison.astype(object)
-    for baseline in study.baselines:
-        names[records.comparison == comparison(study, baseline)] = baseline
-    return replace(records, comparison=np.array(names.tolist()))
+def _settings(arguments: argparse.Namespace) -> Settings:
+    study = None if arguments.study is None else read_study(arguments.study)
+    questions = () if study is None else study.plan.questions
+    registered = Rules() if study is None else study.plan.rules
+    given = {"failed_checks": arguments.failed_checks, "missing_share": arguments.missing}
+    rules = {name: value for name, value in given.items() if value is not None}
+    straight = arguments.exclude_straight_lining or registered.straight_lining
+    return Settings(
+        scale=Scale() if arguments.scale is None else Scale(*arguments.scale),
+        scales=() if arguments.scale is not None else tuple((one.name, one.scale) for one in questions),
+        rules=structs.replace(registered, straight_lining=straight, **rules),
+        confidence=arguments.confidence,
+        alternative=arguments.alternative,
+        seed=arguments.seed,
+        margin=arguments.margin,
+        titles=tuple((one.name, one.text.replace("{method}", "each method")) for one in questions),
+        study=study,
+    )
 
 
 def _write(analysis: Analysis, folder: Path, arguments: argparse.Namespace) -> None:
     content = json.dumps(as_json(analysis), indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "analysis.json").write_text(content + "\n", encoding="utf-8")
-    (folder / "table.md").write_text(markdown(analysis), encoding="utf-8")
-    (folder / "table.tex").write_text(latex(analysis), encoding="utf-8")
+    (folder / "results.md").write_text(markdown(analysis), encoding="utf-8")
+    (folder / "results.tex").write_text(latex(analysis), encoding="utf-8")
     if arguments.no_report:
         return
-    (folder / "report.html").write_text(report.html(analysis, arguments.title), encoding="utf-8")
+    pictures = (
+        None if arguments.study is None else arguments.study if arguments.study.is_dir() else arguments.study.parent
+    )
+    (folder / "report.html").write_text(report.html(analysis, arguments.title, pictures), encoding="utf-8")
     (folder / "figures").mkdir()
     for name, figure in (
         ("likert", figures.likert(analysis)),

@@ -14,8 +14,10 @@ def parser() -> argparse.ArgumentParser:
         prog="anystyle study design",
         description="Draw a study from two or more methods' results, laid out as SCENE/STYLE.png or SCENE/STYLE/*.png: "
         "sets balanced over scenes and styles, positions balanced over participants and sets, orders from Latin "
-        "squares, attention checks. Writes study.json, pictures/ and a report on the balance.",
-        epilog="Words such as participants=20 set the study's options; anystyle study design --show lists them.",
+        "squares, attention checks; of a larger pool, each one sees a balanced part. Writes study.json, pictures "
+        "and a report on the balance.",
+        epilog="study=paper (the default), study=pilot, study=online or study=FILE.yaml says what is asked; words "
+        "such as participants=20 change it; anystyle study design --show prints it.",
         allow_abbrev=False,
     )
     words.add_argument("options", nargs="*", metavar="OPTION=VALUE", help="changes to the configuration")
@@ -23,7 +25,6 @@ def parser() -> argparse.ArgumentParser:
     words.add_argument("--ours", metavar="NAME", help="which method the study is about (default: the first)")
     words.add_argument("--styles", type=Path, metavar="FOLDER", help="STYLE.jpg, or STYLE.txt for styles in words")
     words.add_argument("--contents", type=Path, metavar="FOLDER", help="SCENE.jpg or SCENE/*.jpg: the photographs")
-    words.add_argument("--config", default="paper", help="a name in conf/study or a YAML file (default: %(default)s)")
     words.add_argument("--out", type=Path, default=Path("study"), help="where the study goes (default: %(default)s)")
     words.add_argument("--show", action="store_true", help="print the options and stop")
     return words
@@ -38,13 +39,12 @@ def command(arguments: argparse.Namespace) -> None:
     for word in arguments.options:
         if "=" not in word:
             raise UserError(f"{word!r} is no OPTION=VALUE; folders are given with --method NAME=FOLDER")
-    plan = read_plan(arguments.config, arguments.options)
+    plan = read_plan(arguments.options)
     if arguments.show:
-        from dataclasses import asdict
-
+        import msgspec
         from omegaconf import OmegaConf
 
-        print(OmegaConf.to_yaml(OmegaConf.create(asdict(plan))), end="")
+        print(OmegaConf.to_yaml(OmegaConf.create(msgspec.to_builtins(plan))), end="")
         return
     for name in ("styles", "contents"):
         if getattr(arguments, name) is None:

@@ -1,11 +1,13 @@
 """``anystyle study form``: the page that participants see."""
 
 import argparse
+from contextlib import closing
 from pathlib import Path
 
 from anystyle.study.form import write_page
 from anystyle.study.protocol import read_study
 from anystyle.study.server import serve
+from anystyle.study.store import Store
 
 
 def parser() -> argparse.ArgumentParser:
@@ -13,7 +15,7 @@ def parser() -> argparse.ArgumentParser:
     words = argparse.ArgumentParser(
         prog="anystyle study form",
         description="Write the study as one page that works offline, keeps answers in the browser and saves them as "
-        "CSV or JSON at the end; or serve it, with every answer on the disk before the next.",
+        "JSON at the end; or serve it, with every answer on the disk before the next.",
         allow_abbrev=False,
     )
     words.add_argument("study", type=Path, help="the folder that `anystyle study design` made")
@@ -22,6 +24,7 @@ def parser() -> argparse.ArgumentParser:
     words.add_argument("--host", default="127.0.0.1", help="address to serve at; 0.0.0.0 lets other machines in")
     words.add_argument("--port", type=int, default=8765, help="port to serve at; 0 takes a free one")
     words.add_argument("--database", type=Path, help="answers when serving (default: answers.sqlite in the folder)")
+    words.add_argument("--release", metavar="WHO", help="let this code or id go on in another browser, and stop")
     return words
 
 
@@ -33,21 +36,28 @@ def command(arguments: argparse.Namespace) -> None:
     """
     study = read_study(arguments.study)
     folder = arguments.study if arguments.study.is_dir() else arguments.study.parent
-    if arguments.serve:
+    database = arguments.database or folder / "answers.sqlite"
+    first, last = study.participants[0].id, study.participants[-1].id
+    if arguments.release:
+        if not database.is_file():
+            raise ValueError(f"there are no answers at {database}; name the file with --database")
+        with closing(Store(study=study, path=database)) as store:
+            store.release(arguments.release)
+        print(f"{arguments.release} can go on in the browser that asks next")
+    elif arguments.serve:
         if not 0 <= arguments.port <= 65535:
             raise ValueError(f"--port {arguments.port}: expected 0 to 65535")
-        database = arguments.database or folder / "answers.sqlite"
 
         def ready(url: str) -> None:
-            codes = f"{study.participants[0].id} to {study.participants[-1].id}"
-            print(
-                f"serving at {url}?p={study.participants[0].id} (codes {codes}); answers go to {database}", flush=True
-            )
+            names = study.plan.id_parameters
+            query = f"{names[0]}=ID" if names else f"p={first} (codes {first} to {last})"
+            print(f"serving at {url}?{query}; answers go to {database}", flush=True)
 
         serve(study, folder, database, host=arguments.host, port=arguments.port, ready=ready)
         print(f"next: anystyle study analyze {database} --study {arguments.study} --out analysis")
-        return
-    out = arguments.out or folder / "form.html"
-    write_page(study, folder, out)
-    print(f"{out}: {out.stat().st_size / 1e6:.1f} MB; participants open it and enter their code, or use {out.name}#P01")
-    print(f"next: anystyle study analyze ANSWERS... --study {arguments.study} --out analysis")
+    else:
+        out = arguments.out or folder / "form.html"
+        write_page(study, folder, out)
+        size = out.stat().st_size / 1e6
+        print(f"{out}: {size:.1f} MB; participants open it and enter their code, or use {out.name}#{first}")
+        print(f"next: anystyle study analyze ANSWERS... --study {arguments.study} --out analysis")

@@ -3,6 +3,7 @@
 import argparse
 import json
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 from anystyle.commands._study_options import build_tests
@@ -12,8 +13,7 @@ from anystyle.study.power import power_json, power_markdown, power_study
 from anystyle.study.power_figure import power
 from anystyle.study.simulate import Scenario
 
-DEFAULT_TESTS = ("one_sample_t", "wilcoxon", "sign_flip", "cluster_bootstrap")
-_FAST = ("cluster_bootstrap.resamples=999", "sign_flip.resamples=199")
+DEFAULT_TESTS = ("one_sample_t", "wilcoxon", "crossed_t")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -21,22 +21,41 @@ def parser() -> argparse.ArgumentParser:
     scenario = Scenario()
     words = argparse.ArgumentParser(
         prog="anystyle study power",
-        description="Simulate studies with differences between participants and between items: how often each test "
-        "finds a preference that is there and one that is not, and how many participants it needs. The defaults are "
-        "the paper's design.",
+        description="Simulate studies with differences between participants, sets, scenes and styles: how often each "
+        "test finds a preference that is there and one that is not, and how many participants it needs. The defaults "
+        "are the paper's design.",
         allow_abbrev=False,
     )
     words.add_argument("options", nargs="*", metavar="TEST.OPTION=VALUE", help="options of the tests")
     words.add_argument(
         "--participants", type=int, nargs="+", default=[6, 10, 20, 40, 80], help="numbers to try (default: %(default)s)"
     )
-    words.add_argument("--items", type=int, default=scenario.items, help="sets each one judges (default: %(default)s)")
+    for name, text in (
+        ("items", "sets each one judges"),
+        ("scenes", "scenes of the sets"),
+        ("styles", "styles of the sets"),
+        ("pool", "sets in all, of which each one judges a part; 0 for all"),
+    ):
+        default = getattr(scenario, name)
+        words.add_argument(f"--{name}", type=int, default=default, help=f"{text} (default: %(default)s)")
     words.add_argument("--effect", type=float, default=-0.3, help="preference in points (default: %(default)s)")
-    for name, text in (("participant", "participants"), ("item", "items"), ("residual", "single answers")):
+    for name, text in (
+        ("participant", "participants"),
+        ("item", "sets"),
+        ("scene", "scenes"),
+        ("style", "styles"),
+        ("residual", "single answers"),
+    ):
         default = getattr(scenario, f"{name}_sd")
         words.add_argument(
             f"--{name}-sd", type=float, default=default, help=f"SD between {text} (default: %(default)s)"
         )
+    words.add_argument(
+        "--alternative",
+        choices=("two-sided", "less", "greater"),
+        default="two-sided",
+        help="of the tests; less claims that ours is preferred (default: %(default)s)",
+    )
     words.add_argument("--studies", type=int, default=1000, help="simulated, of each kind (default: %(default)s)")
     words.add_argument("--level", type=float, default=0.05, help="of the tests (default: %(default)s)")
     words.add_argument("--target", type=float, default=0.8, help="the power to reach (default: %(default)s)")
@@ -54,16 +73,12 @@ def command(arguments: argparse.Namespace) -> None:
     """
     if arguments.out is not None:
         figures.require()
-    names = arguments.test or list(DEFAULT_TESTS)
-    fast = [word for word in _FAST if word.partition(".")[0] in names]
-    tests = build_tests(names, [*fast, *arguments.options])
-    scenario = Scenario(
-        items=arguments.items,
-        effect=arguments.effect,
-        participant_sd=arguments.participant_sd,
-        item_sd=arguments.item_sd,
-        residual_sd=arguments.residual_sd,
-    )
+    common = {"alternative": arguments.alternative, "seed": arguments.seed}
+    tests = build_tests(arguments.test or list(DEFAULT_TESTS), arguments.options, common)
+    options = {
+        field.name: getattr(arguments, field.name) for field in fields(Scenario) if field.name in vars(arguments)
+    }
+    scenario = Scenario(**{**options, "participants": max(arguments.participants, default=1)})
     study = power_study(
         scenario,
         tests,

@@ -4,28 +4,26 @@ import argparse
 import contextlib
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TypeVar
 
 import torch
-from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from anystyle import api
-from anystyle.commands._compose import main, override, split
+from anystyle.commands._compose import job_folder, main, with_sweep
+from anystyle.commands._controls import add_controls, given_controls, with_values
+from anystyle.commands._options import Stylize, checked
 from anystyle.contracts import SceneSource, StyleSource
-from anystyle.errors import UserError
-from anystyle.inference.assemble import assemble_frozen, default_device, default_poses
-from anystyle.inference.options import ExportOptions, PoseOptions, VideoOptions, ViewOptions
+from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
+from anystyle.inference.options import PoseOptions
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import Mixture, StyleInput, check_text
 from anystyle.io.atomic import atomic_directory
+from anystyle.io.sheet import to_pil
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.registry.build import build
 from anystyle.types import Style, Views
-
-Options = TypeVar("Options", ViewOptions, ExportOptions, VideoOptions)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -36,7 +34,9 @@ def parser() -> argparse.ArgumentParser:
         epilog="Every option of every component: anystyle stylize --cfg job",
         allow_abbrev=False,
     )
-    flags.add_argument("inputs", nargs="*", help="a folder, files, a glob or a video; or none with scenes=NAME")
+    flags.add_argument(
+        "inputs", nargs="*", help="a folder, files, a glob or a video; a PLY file; or none with scenes=NAME"
+    )
     flags.add_argument("--text", action="append", default=[], help="a style in words; may be given several times")
     flags.add_argument("--image", action="append", default=[], help="a style as an image file; likewise")
     flags.add_argument(
@@ -46,27 +46,39 @@ def parser() -> argparse.ArgumentParser:
         metavar="AMOUNT",
         help="with exactly two styles: the point between them, 0 is the first and 1 the second; likewise",
     )
+    add_controls(flags)
+    flags.add_argument(
+        "--export",
+        default="",
+        metavar="FORMATS",
+        help="further files of the scene: glb, spz, sog, splat, html; several with commas",
+    )
     flags.add_argument("--out", default="out", help="where the results go (default: %(default)s)")
     return flags
 
 
 def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Run the command."""
+    options = checked(config, Stylize)
     amounts = mixing_amounts(arguments, len(arguments.text) + len(arguments.image) + len(config.style))
+    controls = given_controls(arguments)
     for text in arguments.text:
         check_text(text, "--text")
     if not arguments.inputs and config.get("scenes") is None:
         raise ValueError("no photographs are given; name a folder, files or a video")
-    views, export, video = (
-        typed(ViewOptions, config.views),
-        typed(ExportOptions, config.export),
-        typed(VideoOptions, config.video),
-    )
+    views, export, video = options.views, options.export, options.video
+    if arguments.export:
+        export = replace(export, formats=[*export.formats, *arguments.export.split(",")])
     poses = PoseOptions(config.poses or default_poses(config), config.poses_from)
     reconstruction = config.get("reconstruction")
-    stages = Stages(lambda name, note: print(f"{name} {note} …", file=sys.stderr, flush=True))
     target = job_folder(arguments.out)
-    with atomic_directory(target) as folder:
+    watched = target.with_name(f"{target.name}.progress.png")
+    stages = Stages(
+        lambda name, note: print(f"{name} {note} …", file=sys.stderr, flush=True),
+        lambda thumbnail: to_pil(thumbnail).save(watched),
+    )
+    with contextlib.ExitStack() as cleanup, atomic_directory(target, expected_entries(options)) as folder:
+        cleanup.callback(watched.unlink, missing_ok=True)
         torch.manual_seed(config.seed)
         with stages("load", "the model"):
             stylizer, weights = assemble_frozen(config)
@@ -81,8 +93,11 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
             model=stylizer,
             views=views,
             poses=poses,
+            splat=options.splat,
             reconstruction=None if reconstruction is None else build(Reconstruction, reconstruction),
+            method=make_method(config, stylizer.style_encoder),
             refine=config.refine,
+            controls=controls,
             export=export,
             video=video,
             provenance={
@@ -119,11 +134,9 @@ def mixing_amounts(arguments: argparse.Namespace, num_styles: int) -> list[float
     return amounts
 
 
-def typed(options: type[Options], node: DictConfig) -> Options:
-    """A node of the configuration as options, each value of its declared type."""
-    value = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(options), node))
-    assert isinstance(value, options)
-    return value
+def expected_entries(options: Stylize) -> list[str]:
+    """Folders that a result has and a capture may have too; where one is in the way, that is said before any work."""
+    return ["renders", *(["sparse"] if options.export.colmap != "none" else [])]
 
 
 def scene_views(config: DictConfig, take: int) -> Views:
@@ -158,21 +171,5 @@ def given_styles(arguments: argparse.Namespace, config: DictConfig, amounts: Seq
     return [Mixture(first, second, amount) for amount in amounts]
 
 
-def job_folder(out: str) -> Path:
-    """Where results go: ``--out``, and in a multirun a folder of each job's own in it."""
-    if not HydraConfig.initialized() or HydraConfig.get().mode is not RunMode.MULTIRUN:
-        return Path(out)
-    return Path(HydraConfig.get().runtime.output_dir)
-
-
-def with_sweep(words: Sequence[str]) -> list[str]:
-    """The words, and for a multirun the word that makes it write into ``--out``."""
-    with contextlib.suppress(UserError):  # raised again where the words are read for good
-        arguments, rest = split(parser(), words)
-        if {"-m", "--multirun"} & set(rest):
-            return [*words, override("hydra.sweep.dir", arguments.out)]
-    return list(words)
-
-
 if __name__ == "__main__":
-    main("stylize", stylize, parser(), with_sweep(sys.argv[1:]))
+    main("stylize", stylize, parser(), with_sweep(parser(), with_values(sys.argv[1:])))

@@ -1,13 +1,17 @@
 """Train a component, or continue to: every word is a Hydra override."""
 
+import contextlib
 import logging
+import signal
+import sys
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from anystyle.commands._compose import main
+from anystyle.io.atomic import atomic_path
 from anystyle.paths import shown
 from anystyle.training.pipeline import forwarded, stages_of, train_pipeline
 from anystyle.training.run import train
@@ -27,16 +31,32 @@ def run(config: DictConfig) -> dict[str, float]:
     # Lightning tells what it does; the run's own lines say what matters.
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
-    outcome = train(config, Path(config.out))
+    out = Path(config.out)
+    try:
+        outcome = train(config, out, lambda: keep_words(config, out))
+    finally:
+        with contextlib.suppress(OSError):
+            out.rmdir()  # Hydra makes it; a run that was refused leaves nothing
     where = shown(Path(config.out))
     if outcome.leading and outcome.finished:
         names = ", ".join(path.name for path in outcome.weights) or "nothing to keep"
         print(f"{outcome.steps} steps done; {names} in {where}")
     elif outcome.leading:
         print(f"stopped after step {outcome.steps}; the same command continues from {where}")
-    if outcome.stopped_by is not None and HydraConfig.get().mode is RunMode.MULTIRUN:
-        raise KeyboardInterrupt
+    if outcome.stopped_by is not None:
+        if HydraConfig.get().mode is RunMode.MULTIRUN:
+            raise KeyboardInterrupt
+        sys.exit(128 + signal.Signals[outcome.stopped_by])
     return dict(outcome.metrics)
+
+
+def keep_words(config: DictConfig, out: Path) -> None:
+    """Write what the run was started with into its folder ``.hydra``, as Hydra itself does before it is checked."""
+    hydra = HydraConfig.instance().cfg
+    files = {"config.yaml": config, "hydra.yaml": hydra, "overrides.yaml": HydraConfig.get().overrides.task}
+    for name, content in files.items():
+        with atomic_path(out / ".hydra" / name) as temporary:
+            temporary.write_text(OmegaConf.to_yaml(content), encoding="utf-8")
 
 
 def run_pipeline(config: DictConfig) -> None:

@@ -1,8 +1,6 @@
 """Which checkpoints there are, where each comes from and where it was looked for; verify, convert, download one."""
 
 import argparse
-import importlib
-import sys
 from collections.abc import Iterator, Sequence
 
 from anystyle.commands._flags import parse
@@ -31,9 +29,9 @@ def main(words: Sequence[str] | None = None) -> None:
     """Run ``anystyle weights``."""
     given = words_of(words)
     if given and given[0] in SUBCOMMANDS[1:]:
-        status: int = importlib.import_module(f"anystyle.commands._weights_{given[0]}").main(given[1:])
-        if status:
-            sys.exit(status)
+        from anystyle.commands import _weights_actions
+
+        getattr(_weights_actions, given[0])(given[1:])
         return
     if given[:1] == ["list"]:
         given = given[1:]

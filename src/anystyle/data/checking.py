@@ -1,22 +1,23 @@
 """What a folder of training data holds, and what in it is missing or broken."""
 
-import json
-import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
-from pathlib import Path, PurePosixPath
-from typing import Literal
+from pathlib import Path
+from typing import Literal, TypeVar
 
 from anystyle.data.captions import read_captions
 from anystyle.data.images import SUFFIXES, image_size, open_image
 from anystyle.data.paintings import listing
-from anystyle.data.poses import read_poses
+from anystyle.data.poses import frame_names, read_poses
 from anystyle.data.re10k import Re10kScenes
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.wikiart import DESCRIPTIONS, TEST_FILES
+from anystyle.documents import read_json, read_text
+from anystyle.io.images import Picture
 
+P = TypeVar("P", Path, bytes)
 Layout = Literal["scenes", "re10k", "styles", "wikiart"]
 IMAGE_FOLDERS: dict[str, str | None] = {
     "images": None,
@@ -94,7 +95,7 @@ def _scenes(root: Path, min_views: int, decode: bool) -> Report:
     probe = FolderScenes(root=str(root), index=index, images=images, cameras=cameras)
     report = Report("scenes", _words(root, images, cameras, index))
     if index is not None:
-        names = json.loads((root / index).read_text())
+        names: list[str] = read_json(root / index, list[str], what="JSON list of folder names")
         report.problems += [f"{name}: in {index}, and not there" for name in names if not (root / name).is_dir()]
     for folder in probe.folders:
         _scene(folder, images, cameras, report, min_views, decode)
@@ -132,7 +133,7 @@ def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_v
     if len(known) < len(good):
         report.problems.append(f"{folder}: {len(good) - len(known)} photographs have no camera")
     file = folder / (cameras or "transforms.json")
-    listed = _frames(file)
+    listed = frame_names(file) if file.is_file() else []
     names = {path.name for path in paths} | {path.stem for path in paths}
     absent = [name for name in listed if name not in names]
     if absent:
@@ -144,13 +145,6 @@ def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_v
     report.scenes += len(known) >= min_views
     if len(known) < min_views:
         report.problems.append(f"{folder}: {len(known)} views, fewer than {min_views}")
-
-
-def _frames(path: Path) -> list[str]:
-    if not path.is_file():
-        return []
-    frames = json.loads(path.read_text()).get("frames", [])
-    return [PurePosixPath(str(frame.get("file_path", ""))).name for frame in frames]
 
 
 def _re10k(root: Path, min_views: int, decode: bool) -> Report:
@@ -165,14 +159,9 @@ def _re10k(root: Path, min_views: int, decode: bool) -> Report:
             except ValueError as error:
                 report.problems.append(f"{split}/{source.name(scene)}: {error}")
                 continue
-            with tempfile.TemporaryDirectory() as folder:
-                paths = [Path(folder) / f"frame {number}" for number in range(len(frames))]
-                for path, frame in zip(paths, frames, strict=True):
-                    path.write_bytes(frame)
-                torn: list[str] = []
-                good = len(_look(paths, report, decode, torn))
             name = f"{split}/{source.name(scene)}"
-            report.problems += [f"{name}: {line.replace(f'{folder}/', '')}" for line in torn]
+            titles = [f"{name}: frame {number}" for number in range(len(frames))]
+            good = len(_look(frames, report, decode, titles))
             report.views[good] += 1
             report.scenes += good >= min_views
             report.posed += good
@@ -199,7 +188,7 @@ def _wikiart(root: Path, min_views: int, decode: bool) -> Report:
     tests = root / TEST_FILES
     if tests.is_file():
         present = {path.relative_to(root).as_posix() for path in paths}
-        lines = [line.strip() for line in tests.read_text(encoding="utf-8").splitlines() if line.strip()]
+        lines = [line.strip() for line in read_text(tests).splitlines() if line.strip()]
         report.problems += [f"{tests.name} names {line}, which is not there" for line in lines if line not in present]
     else:
         report.problems.append(f"{tests} is not there: no painting is kept for tests")
@@ -213,30 +202,31 @@ def _described(paths: Sequence[Path], root: Path, texts: dict[str, str], report:
     report.problems += [f"{name} has a description and is not there" for name in texts if name not in present]
 
 
-def _look(paths: Sequence[Path], report: Report, decode: bool, problems: list[str] | None = None) -> list[Path]:
-    """Those images that can be read; the others are problems, of the report where no other list is given."""
+def _look(sources: Sequence[P], report: Report, decode: bool, titles: Sequence[str] | None = None) -> list[P]:
+    """Those images that can be read; the others are problems. Titles are what messages call bytes."""
     good = []
     with ThreadPoolExecutor(4) as pool:
-        for path, result in zip(paths, pool.map(_open if decode else _measure, paths), strict=True):
+        results = pool.map(_open if decode else _measure, sources, titles or [""] * len(sources))
+        for source, result in zip(sources, results, strict=True):
             if isinstance(result, str):
-                (report.problems if problems is None else problems).append(result)
+                report.problems.append(result)
             else:
                 report.images += 1
                 report.sizes[result] += 1
-                good.append(path)
+                good.append(source)
     return good
 
 
-def _measure(path: Path) -> tuple[int, int] | str:
+def _measure(source: Picture, title: str) -> tuple[int, int] | str:
     try:
-        return image_size(path)
+        return image_size(source, title)
     except (ValueError, OSError) as error:
         return str(error)
 
 
-def _open(path: Path) -> tuple[int, int] | str:
+def _open(source: Picture, title: str) -> tuple[int, int] | str:
     try:
-        open_image(path, longest=64)
+        open_image(source, title, longest=64)
     except (ValueError, OSError) as error:
         return str(error)
-    return _measure(path)
+    return _measure(source, title)

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from anystyle.data import images
 from anystyle.io import video
+from anystyle.io.images import Picture
 from anystyle.types import Cameras, Views
 
 MAX_ASPECT = 3.0
@@ -158,17 +159,19 @@ def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> l
     return originals
 
 
-def read_picture(path: Path, name: str, size: tuple[int, int]) -> tuple[Image.Image, SourceImage]:
-    """An image file as a view of ``size``, height and width: scaled to cover it and cut evenly.
+def read_picture(source: Picture, name: str, size: tuple[int, int]) -> tuple[Image.Image, SourceImage]:
+    """An image file, or the bytes of one, as a view of ``size``, height and width: scaled to cover it and cut evenly.
 
     Raises:
         ValueError: It is no image, a damaged one, or too large.
     """
-    source = images.image_size(path)
-    scale = min(source[0] / size[1], source[1] / size[0])
+    path = source if isinstance(source, Path) else None
+    described = name if path is None else str(path)
+    whole = images.image_size(source, described)
+    scale = min(whole[0] / size[1], whole[1] / size[0])
     # Decoded at twice the size that is needed where the format can, which leaves the resampling its room.
-    picture = images.open_image(path, longest=max(1, round(2 * max(source) / max(scale, 1.0))))
-    covered, shown = cover(name, picture, source, size)
+    picture = images.open_image(source, described, longest=max(1, round(2 * max(whole) / max(scale, 1.0))))
+    covered, shown = cover(name, picture, whole, size)
     return covered, replace(shown, path=path)
 
 

@@ -1,20 +1,14 @@
 """Reading image files of any kind, without trusting them."""
 
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from PIL import ExifTags, Image, ImageOps, UnidentifiedImageError
+from PIL import ExifTags, Image, ImageOps
 from torch import Tensor
 
-from anystyle.io.images import formats
-
-MAX_PIXELS = 178_000_000
-"""What an image may hold before it is decoded; more is taken for an attack, as Pillow does."""
+from anystyle.io.images import Picture, decodable, opened
 
 SUFFIXES = frozenset({".avif", ".bmp", ".gif", ".jfif", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp"})
 """File names that are taken for images in a folder."""
@@ -24,14 +18,18 @@ _TRANSPOSED = frozenset({5, 6, 7, 8})
 """Values of the EXIF orientation for which width and height change places."""
 
 
-def image_size(path: Path) -> tuple[int, int]:
+def image_size(source: Picture, name: str = "") -> tuple[int, int]:
     """Width and height of the upright image, from its header alone.
+
+    Args:
+        source: A file, or the bytes of one.
+        name: What messages call bytes.
 
     Raises:
         ValueError: It is no image, a damaged one, or too large.
         OSError: It cannot be read.
     """
-    with _guarded(path) as image:
+    with opened(source, name) as image:
         width, height = image.size
         return (height, width) if image.getexif().get(ExifTags.Base.Orientation) in _TRANSPOSED else (width, height)
 
@@ -43,60 +41,31 @@ def read_exif(path: Path) -> Image.Exif:
         ValueError: It is no image, a damaged one, or too large.
         OSError: It cannot be read.
     """
-    with _guarded(path) as image:
+    with opened(path) as image:
         return image.getexif()
 
 
-def open_image(path: Path, *, longest: int = 4096) -> Image.Image:
+def open_image(source: Picture, name: str = "", *, longest: int = 4096) -> Image.Image:
     """Read an image as upright 8-bit sRGB: grey, 16-bit, CMYK, palette and transparent ones too.
 
     What is transparent shows white. The size is checked before any pixel is decoded, and a larger image is reduced
     while it is read, so that memory stays bounded.
 
     Args:
-        path: A file that Pillow opens.
+        source: A file that Pillow opens, or the bytes of one.
+        name: What messages call bytes.
         longest: Images with a longer side are reduced to no less than this.
 
     Raises:
         ValueError: It is no image, a damaged one, or too large.
         OSError: It cannot be read.
     """
-    with _guarded(path) as image:
-        image.draft("RGB", (longest, longest))
+    with opened(source, name) as image:
+        decodable(image, longest)
         factor = max(1, max(image.size) // longest)
         # Indices of a palette have no mean, and Pillow has none of 16-bit levels.
         small = image.reduce(factor) if factor > 1 and image.mode in ("L", "LA", "RGB", "RGBA", "CMYK") else image
         return _to_rgb(ImageOps.exif_transpose(small))
-
-
-@contextmanager
-def _guarded(path: Path) -> Iterator[Image.Image]:
-    """An image whose header has been judged; all that decoders raise becomes one line that names the file."""
-    if not path.is_file():
-        raise ValueError(f"there is no image {path}")
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            with Image.open(path, formats=formats()) as image:
-                if image.width * image.height > MAX_PIXELS:
-                    raise _TooLarge
-                yield image
-    except (_TooLarge, Image.DecompressionBombError):
-        raise ValueError(f"{path} has too many pixels; at most {MAX_PIXELS:,} are read") from None
-    except UnidentifiedImageError:
-        raise ValueError(f"{path} is no image that can be read, whatever its name says") from None
-    except MemoryError:
-        raise
-    except Exception as error:
-        # Decoders of damaged files raise nearly anything; what the system says of the file is passed on.
-        if isinstance(error, OSError) and error.errno is not None:
-            raise
-        reason = (str(error).strip() or type(error).__name__).splitlines()[0]
-        raise ValueError(f"{path} is a damaged image ({reason})") from None
-
-
-class _TooLarge(Exception):
-    """An image holds more than MAX_PIXELS."""
 
 
 def read_image(path: Path, *, longest: int = 1024) -> Float[Tensor, "3 H W"]:
@@ -118,10 +87,10 @@ def to_tensor(image: Image.Image) -> Float[Tensor, "3 H W"]:
 
 def _to_rgb(image: Image.Image) -> Image.Image:
     if image.mode.startswith("I") or image.mode == "F":
-        values = np.asarray(image, dtype=np.float64)
         # 16-bit files hold up to 65535, whatever the mode's own range; floating-point ones up to 1.
-        full = 65535.0 if image.mode.startswith("I") else 1.0
-        return Image.fromarray((values / full * 255).round().clip(0, 255).astype(np.uint8)).convert("RGB")
+        full = 65535 if image.mode.startswith("I") else 1
+        values = np.asarray(image).astype(np.float32) * np.float32(255 / full)
+        return Image.fromarray(np.nan_to_num(values).round().clip(0, 255).astype(np.uint8)).convert("RGB")
     if image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
         image = image.convert("RGBA")
         white = Image.new("RGBA", image.size, "white")

@@ -1,22 +1,30 @@
 """Cameras stored beside photographs: COLMAP, transforms.json of NeRF tools and DL3DV, poses_bounds.npy of LLFF."""
 
-import json
 import logging
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Annotated
 
+import msgspec
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from anystyle.data.folder import SourceImage
+from anystyle.documents import Positive, read_json
+from anystyle.errors import UserError
 from anystyle.io import colmap
+from anystyle.io.arrays import read_array
 from anystyle.types import Cameras
 
 _log = logging.getLogger(__name__)
+
+MAX_SIDE = 1 << 20
+"""Pixels that an image may be wide or high for a camera of it to be believed."""
+_TRANSFORMS = "transforms.json of cameras"
 
 
 @dataclass(frozen=True)
@@ -74,6 +82,19 @@ def read_poses(folder: Path, images: Sequence[str], stored_in: str | None = None
     return _llff(path, images) if path.suffix == ".npy" else _named(_transforms(path), images, path)
 
 
+def stored_cameras(folder: Path) -> dict[str, StoredCamera]:
+    """All cameras that ``transforms.json`` or a COLMAP model in a folder names, by file name; empty where none are.
+
+    Raises:
+        ValueError: A file is damaged.
+    """
+    path = folder / "transforms.json"
+    if path.is_file():
+        return _transforms(path)
+    model = colmap.find(folder)
+    return {} if model is None else _colmap(model)
+
+
 def _named(stored: Mapping[str, StoredCamera], images: Sequence[str], path: Path) -> dict[str, StoredCamera]:
     # Some tools leave the suffix out.
     pairs = [(name, stored.get(name, stored.get(PurePosixPath(name).stem))) for name in images]
@@ -103,49 +124,89 @@ def _colmap(folder: Path) -> dict[str, StoredCamera]:
     return cameras
 
 
+class _Frame(msgspec.Struct):
+    """What ``transforms.json`` says of a frame, or of all of them."""
+
+    w: Annotated[float, msgspec.Meta(ge=1, le=MAX_SIDE)] | None = None
+    h: Annotated[float, msgspec.Meta(ge=1, le=MAX_SIDE)] | None = None
+    fl_x: Positive | None = None
+    fl_y: Positive | None = None
+    cx: float | None = None
+    cy: float | None = None
+    camera_angle_x: Annotated[float, msgspec.Meta(gt=0, lt=math.pi)] | None = None
+    file_path: str = ""
+    transform_matrix: list[list[float]] = []
+
+    def camera(self, shared: "_Frame") -> StoredCamera:
+        """The camera of a frame; what it leaves out is that of all.
+
+        Raises:
+            ValueError: Its size, focal length or pose is not there, or the pose is none.
+        """
+        w, h, fx, fy, cx, cy, angle = (
+            getattr(shared if getattr(self, name) is None else self, name)
+            for name in ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x")
+        )
+        if w is None or h is None:
+            raise ValueError("there is no w and h, the size of the images")
+        width, height = int(w), int(h)
+        if fx is None and angle is None:
+            raise ValueError("there is no focal length: neither fl_x nor camera_angle_x")
+        fx = 0.5 * width / math.tan(0.5 * angle) if fx is None else fx
+        fy = fx if fy is None else fy
+        cx, cy = width / 2 if cx is None else cx, height / 2 if cy is None else cy
+        intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
+        rows = self.transform_matrix
+        if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
+            raise ValueError(f"transform_matrix of {self.file_path[:80]!r} is no 4x4 matrix")
+        # OpenGL's camera looks along -z with y up.
+        pose = _rigid(np.array(rows, np.float64)[:3] @ np.diag([1.0, -1.0, -1.0, 1.0]))
+        return StoredCamera(pose, intrinsics, (height, width))
+
+
+class _Transforms(_Frame, kw_only=True):
+    """The whole file."""
+
+    frames: Annotated[list[_Frame], msgspec.Meta(max_length=100_000)]
+
+
 def _transforms(path: Path) -> dict[str, StoredCamera]:
+    content: _Transforms = read_json(path, _Transforms, what=_TRANSFORMS)
     try:
-        content = json.loads(path.read_text())
-        return {
-            PurePosixPath(str(frame["file_path"])).name: _frame({**content, **frame}) for frame in content["frames"]
-        }
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError, ZeroDivisionError) as error:
-        reason = f"no {error}" if isinstance(error, KeyError) else str(error).splitlines()[0]
-        raise ValueError(f"{path} is not a transforms.json of cameras ({reason})") from None
+        return {PurePosixPath(frame.file_path).name: frame.camera(content) for frame in content.frames}
+    except ValueError as error:
+        raise UserError(f"{path} is no {_TRANSFORMS} ({error})") from None
 
 
-def _frame(entry: Mapping[str, Any]) -> StoredCamera:
-    width, height = int(entry["w"]), int(entry["h"])
-    if width <= 0 or height <= 0:
-        raise ValueError(f"an image of {width}x{height} pixels")
-    fx = entry["fl_x"] if "fl_x" in entry else 0.5 * width / np.tan(0.5 * float(entry["camera_angle_x"]))
-    fy = entry.get("fl_y", fx)
-    cx, cy = entry.get("cx", width / 2), entry.get("cy", height / 2)
-    intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
-    # OpenGL's camera looks along -z with y up.
-    pose = _rigid(np.array(entry["transform_matrix"], dtype=np.float64)[:3] @ np.diag([1.0, -1.0, -1.0, 1.0]))
-    return StoredCamera(pose, intrinsics, (height, width))
+def frame_names(path: Path) -> list[str]:
+    """The names of the images that a ``transforms.json`` has cameras of.
+
+    Raises:
+        ValueError: It is none.
+    """
+    content: _Transforms = read_json(path, _Transforms, what=_TRANSFORMS)
+    return [PurePosixPath(frame.file_path).name for frame in content.frames]
 
 
 def _llff(path: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
-    try:
-        rows = np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise ValueError(f"{path} is no array of poses ({str(error).splitlines()[0]})") from None
-    if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind != "f":
+    rows = read_array(path, what="array of poses, N x 17 numbers")
+    if rows.ndim != 2 or rows.shape[1] != 17:
         raise ValueError(f"{path} holds an array of shape {rows.shape}; N x 17 numbers are expected")
     if len(rows) != len(images):
         raise ValueError(f"{path} has {len(rows)} poses for {len(images)} images; remove images without a pose")
     cameras = {}
-    for name, row in zip(images, rows.astype(np.float64), strict=True):
+    for name, row in zip(images, rows, strict=True):
         matrix = row[:15].reshape(3, 5)
         height, width, focal = matrix[:, 4]
-        if not (height >= 1 and width >= 1 and focal > 0):
+        if not (1 <= height <= MAX_SIDE and 1 <= width <= MAX_SIDE and focal > 0):
             raise ValueError(f"{path} has a camera of {width:g}x{height:g} pixels and focal length {focal:g}")
         # Stored axes are down, right, back.
         axes = np.stack([matrix[:, 1], matrix[:, 0], -matrix[:, 2], matrix[:, 3]], axis=1)
         intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
-        cameras[name] = StoredCamera(_rigid(axes), intrinsics, (round(height), round(width)))
+        try:
+            cameras[name] = StoredCamera(_rigid(axes), intrinsics, (round(height), round(width)))
+        except ValueError as error:
+            raise ValueError(f"{path}: the pose of {name} is none ({error})") from None
     return cameras
 
 

@@ -3,7 +3,6 @@
 import io
 import json
 import re
-import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -17,6 +16,8 @@ from anystyle.caching import LRUCache
 from anystyle.contracts import SceneSource
 from anystyle.data.folder import SourceImage, as_views, common_size, read_picture
 from anystyle.data.images import image_size
+from anystyle.documents import read_json
+from anystyle.io.tensors import read_tensors
 from anystyle.types import Cameras, Views
 
 
@@ -92,14 +93,12 @@ class Re10kScenes(SceneSource):
                 f"views {views} of {self.name(scene)}: give at least one of 0 to {len(clip['images']) - 1}"
             )
         pictures: list[tuple[Image.Image, SourceImage]] = []
-        # A clip may be called anything, and must not be written anywhere.
-        name = re.sub(r"[^\w-]", "_", self.name(scene))
-        with tempfile.TemporaryDirectory() as folder:
-            for view in views:
-                path = Path(folder) / f"{name}_{view:05d}"
-                path.write_bytes(clip["images"][view].numpy().tobytes())
-                size = common_size([image_size(path)], short_side=self.short_side, multiple=self.multiple)
-                pictures.append(read_picture(path, path.name, size))
+        for view in views:
+            frame = clip["images"][view].numpy().tobytes()
+            # A clip may be called anything, and views' names become those of files.
+            name = f"{re.sub(r'[^A-Za-z0-9_-]', '_', self.name(scene))[:80]}_{view:05d}"
+            size = common_size([image_size(frame, name)], short_side=self.short_side, multiple=self.multiple)
+            pictures.append(read_picture(frame, name, size))
         return as_views(pictures, _cameras(clip["cameras"][views].double(), [source for _, source in pictures]))
 
     def _clip(self, scene: int) -> Mapping[str, Any]:
@@ -116,21 +115,32 @@ class Re10kScenes(SceneSource):
             raise ValueError(f"{self.folder / 'index.json'} names {chunk}, which lies outside of its folder")
         if not path.is_file():
             raise ValueError(f"{path} is in the index and not there; download the chunk or take it out of the index")
-        try:
-            clips = torch.load(path, map_location="cpu", weights_only=True)
-            return {clip["key"]: clip for clip in clips if clip["cameras"].shape == (len(clip["images"]), 18)}
-        except Exception as error:
-            # Damaged archives raise nearly anything.
-            raise ValueError(f"{path} is no chunk of clips ({str(error).strip().splitlines()[0]})") from None
+        clips = read_tensors(path, what="chunk of clips")
+        if not isinstance(clips, list):
+            raise ValueError(f"{path} is no chunk of clips, which is a list")
+        return {clip["key"]: clip for clip in clips if _is_clip(clip)}
+
+
+def _is_clip(clip: Any) -> bool:
+    """Whether a record of a chunk is of the form that :class:`Re10kScenes` describes."""
+    if not isinstance(clip, dict) or not isinstance(clip.get("key"), str):
+        return False
+    cameras, images = clip.get("cameras"), clip.get("images")
+    return (
+        isinstance(cameras, Tensor)
+        and isinstance(images, list)
+        and cameras.shape == (len(images), 18)
+        and bool(cameras.isfinite().all())
+        and bool((cameras[:, :2] > 0).all())
+        and all(isinstance(frame, Tensor) and frame.dtype == torch.uint8 and frame.ndim == 1 for frame in images)
+    )
 
 
 def _read_index(path: Path) -> dict[str, str]:
-    try:
-        index = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{path} cannot be read as JSON ({error})") from None
-    if not isinstance(index, dict) or not index or not all(isinstance(chunk, str) for chunk in index.values()):
-        raise ValueError(f"{path}: a JSON object from clips to chunk files is expected")
+    what = "JSON object from clips to chunk files"
+    index: dict[str, str] = read_json(path, dict[str, str], what=what)
+    if not index:
+        raise ValueError(f"{path} is empty; a {what} is expected")
     return index
 
 

@@ -15,6 +15,7 @@ from anystyle.data.folder import SourceImage, as_views, common_size, image_files
 from anystyle.data.images import image_size
 from anystyle.data.paintings import readable
 from anystyle.data.poses import StoredCamera, read_poses, view_camera
+from anystyle.documents import read_json
 from anystyle.types import Cameras, Views
 
 logger = logging.getLogger(__name__)
@@ -126,12 +127,7 @@ class FolderScenes(SceneSource):
         return [path for path in sorted(inside, key=lambda path: natural(path.name)) if self._photographs(path)]
 
     def _listed(self, path: Path) -> list[Path]:
-        try:
-            names = json.loads(path.read_text())
-        except (OSError, ValueError) as error:
-            raise ValueError(f"index={path} cannot be read as JSON ({error})") from None
-        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-            raise ValueError(f"index={path}: a JSON list of folder names is expected")
+        names: list[str] = read_json(path, list[str], what="JSON list of folder names")
         root = self.root.resolve()
         folders = [self.root / name for name in names]
         outside = [name for name, folder in zip(names, folders, strict=True) if root not in folder.resolve().parents]

@@ -11,6 +11,7 @@ from PIL import Image
 from anystyle.contracts import StyleSource
 from anystyle.data.captions import read_captions
 from anystyle.data.paintings import listing, read_square, readable
+from anystyle.documents import read_text
 from anystyle.types import Style
 
 logger = logging.getLogger(__name__)
@@ -136,10 +137,7 @@ class WikiArtStyles(StyleSource):
 
 
 def _lines(path: Path, option: str) -> frozenset[str]:
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"{option}={path} cannot be read ({error})") from None
+    lines = read_text(path, what=f"list of paintings ({option})").splitlines()
     return frozenset(line.strip() for line in lines if line.strip())
 
 

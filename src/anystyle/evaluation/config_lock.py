@@ -6,14 +6,26 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from omegaconf import DictConfig, OmegaConf
 
+from anystyle.documents import read_json
 from anystyle.evaluation.resume import forget
-from anystyle.io.atomic import atomic_path
+from anystyle.io.atomic import write_json
 from anystyle.io.lock import folder_lock
 
 FILE = "bound.json"
 _STYLIZER = ("backbone", "style_encoder", "placement", "injector", "renderer", "branch", "seed")
+
+
+_WHAT = "record of an evaluation; choose another --out, or delete that folder"
+
+
+class _Bound(msgspec.Struct):
+    """What the files of a folder rest on."""
+
+    images: dict[str, Any]
+    metrics: dict[str, Any]
 
 
 @contextmanager
@@ -40,6 +52,7 @@ def bind(
     """
     names = ["protocol", *(name for name in ("scenes", "styles") if name in parts)]
     names += _STYLIZER if "stylizer" in parts else ()
+    names += ("method", "loss") if "method" in parts else ()
     plain = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
     assert isinstance(plain, dict)
     images = {name: plain.get(name) for name in names}
@@ -52,8 +65,8 @@ def bind(
     path = out / FILE
     refusal = f"another evaluation is at work in {out}; wait for its end, or give another --out"
     with folder_lock(out, refusal):
-        earlier = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else current
-        before, now = dict(_flat(earlier["images"])), dict(_flat(current["images"]))
+        earlier: _Bound = read_json(path, _Bound, what=_WHAT) if path.is_file() else _Bound(**current)
+        before, now = dict(_flat(earlier.images)), dict(_flat(current["images"]))
         changed = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
         if changed:
             shown = ", ".join(f"{key} {before.get(key)} -> {now.get(key)}" for key in changed[:4])
@@ -61,11 +74,16 @@ def bind(
                 f"{out} holds an evaluation of another configuration ({shown}{', …' if len(changed) > 4 else ''}); "
                 "choose another --out, or delete that folder"
             )
-        forget(out, [name for name, row in current["metrics"].items() if earlier["metrics"].get(name) != row])
-        current["metrics"] = {**earlier["metrics"], **current["metrics"]}
-        with atomic_path(path) as temporary:
-            temporary.write_text(json.dumps(current, indent=1, sort_keys=True) + "\n", encoding="utf-8")
-        yield
+        forget(out, [name for name, row in current["metrics"].items() if earlier.metrics.get(name) != row])
+        current["metrics"] = {**earlier.metrics, **current["metrics"]}
+        new = not path.is_file()
+        write_json(path, current)
+        try:
+            yield
+        except BaseException:
+            if new and {entry.name for entry in out.iterdir()} <= {FILE, ".lock"}:
+                path.unlink()  # nothing is here yet that rests on it
+            raise
 
 
 def _flat(node: Any, prefix: str = "") -> list[tuple[str, Any]]:

@@ -1,13 +1,13 @@
 """Any method's images in three folders: which photograph and which style each stylized image belongs to."""
 
-import json
 import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
+import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -15,12 +15,18 @@ from torch import Tensor
 
 from anystyle.data.folder import natural
 from anystyle.data.images import SUFFIXES, open_image, to_tensor
+from anystyle.documents import read_json
+from anystyle.io.arrays import read_array, read_arrays
 from anystyle.types import Cameras, Comparison, Style
 
 log = logging.getLogger(__name__)
 
 DEPTH_SUFFIXES = frozenset({".npy"})
 CAMERAS = "cameras.npz"
+_CAMERAS = (
+    "file of cameras: frames (names), world_from_camera [V, 4, 4], intrinsics [V, 3, 3] in pixels and size (height, "
+    "width)"
+)
 _NUM_LISTED = 8
 _LONGEST = 1 << 16
 
@@ -185,12 +191,11 @@ def _read_stack(paths: tuple[Path, ...]) -> Float[Tensor, "1 V 3 H W"]:
 def _read_depths(paths: tuple[Path, ...]) -> Float[Tensor, "1 V H W"]:
     maps = []
     for path in paths:
-        try:
-            values = np.load(path, allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            raise ValueError(f"{path} is no array of depth ({str(error).splitlines()[0]})") from None
-        if values.ndim != 2 or not np.isfinite(values).all():
+        values = read_array(path, what="array of finite depth of shape [H, W]")
+        if values.ndim != 2:
             raise ValueError(f"{path} has shape {list(values.shape)}; expected finite depth of shape [H, W]")
+        if maps and values.shape != maps[0].shape:
+            raise ValueError(f"{path} has another shape than {paths[0]}; the depth of one scene needs one size")
         maps.append(torch.from_numpy(values.astype(np.float32)))
     return torch.stack(maps)[None]
 
@@ -198,17 +203,16 @@ def _read_depths(paths: tuple[Path, ...]) -> Float[Tensor, "1 V H W"]:
 def _read_cameras(cell: Cell, size: tuple[int, int]) -> Cameras | None:
     if cell.cameras is None:
         return None
-    try:
-        with np.load(cell.cameras, allow_pickle=False) as stored:
-            names = [str(name) for name in stored["frames"]]
-            poses, intrinsics = stored["world_from_camera"], stored["intrinsics"]
-            indices = [names.index(frame) for frame in cell.frames]
-            height, width = (int(side) for side in stored["size"])
-    except (OSError, ValueError, KeyError, EOFError) as error:
-        raise ValueError(
-            f"{cell.cameras} does not hold the cameras of {cell.scene} ({str(error).strip(chr(39))}); expected frames "
-            "(names), world_from_camera [V, 4, 4], intrinsics [V, 3, 3] in pixels and size (height, width)"
-        ) from None
+    arrays = read_arrays(cell.cameras, ("world_from_camera", "intrinsics", "size"), ("frames",), what=_CAMERAS)
+    names, poses, intrinsics = arrays["frames"].tolist(), arrays["world_from_camera"], arrays["intrinsics"]
+    shapes = (poses.shape, intrinsics.shape, arrays["size"].shape)
+    if shapes != ((len(names), 4, 4), (len(names), 3, 3), (2,)) or not (arrays["size"] >= 1).all():
+        raise ValueError(f"{cell.cameras} is no {_CAMERAS}")
+    absent = [frame for frame in cell.frames if frame not in names]
+    if absent:
+        raise ValueError(f"{cell.cameras} does not hold the cameras of {cell.scene}: {absent[0]!r} is not in it")
+    indices = [names.index(frame) for frame in cell.frames]
+    height, width = (int(side) for side in arrays["size"])
     cameras = Cameras(
         torch.from_numpy(poses[indices].astype(np.float32))[None],
         torch.from_numpy(intrinsics[indices].astype(np.float32))[None],
@@ -222,11 +226,25 @@ def seconds_file(folder: Path, style: str) -> Path:
     return folder / f".{style}"
 
 
+class _Seconds(msgspec.Struct):
+    seconds: Annotated[float, msgspec.Meta(ge=0)]
+
+
+def read_seconds(path: Path) -> float:
+    """What :func:`seconds_file` names holds.
+
+    Raises:
+        ValueError: It is damaged.
+    """
+    stored: _Seconds = read_json(path, _Seconds, what="file of seconds; delete it and evaluate again")
+    return stored.seconds
+
+
 def _read_seconds(cell: Cell) -> Float[Tensor, " B"] | None:
     path = seconds_file(cell.stylized[0].parent, cell.style)
     if not path.is_file():
         return None
-    return torch.tensor([json.loads(path.read_text(encoding="utf-8"))["seconds"]], dtype=torch.float32)
+    return torch.tensor([read_seconds(path)], dtype=torch.float32)
 
 
 def write_cameras(path: Path, frames: Sequence[str], cameras: Cameras) -> None:

@@ -15,9 +15,11 @@ from torch import Tensor
 
 from anystyle.contracts import Metric, SceneSource, StyleSource
 from anystyle.evaluation.contract import Evaluation, Progress
-from anystyle.evaluation.folders import CAMERAS, pair, seconds_file, write_cameras
+from anystyle.evaluation.folders import CAMERAS, pair, read_seconds, seconds_file, write_cameras
 from anystyle.evaluation.resume import judge_pairing
 from anystyle.io.atomic import atomic_path
+from anystyle.methods.branch import Branch
+from anystyle.methods.contract import Method
 from anystyle.stylizer import Stylizer
 from anystyle.types import Scene, Style, Views
 
@@ -47,6 +49,7 @@ class ModelRenders:
         num_styles: At most so many; ``None`` takes all.
         frames: Of each scene, the first so many are judged.
         square: Whether the middle square of each view is taken.
+        method: How scenes take styles.
 
     Raises:
         ValueError: A number is below 1, or a source lacks a scene that is named.
@@ -65,11 +68,13 @@ class ModelRenders:
         num_styles: int | None = 50,
         frames: int = 16,
         square: bool = True,
+        method: Method | None = None,
     ) -> None:
         for name, value in (("num_scenes", num_scenes), ("num_styles", num_styles), ("frames", frames)):
             if value is not None and value < 1:
                 raise ValueError(f"{name}={value}: give at least 1")
         self.stylizer = stylizer
+        self.method = method or Branch()
         self.scenes = scenes
         self.styles = styles
         self.guide = guide
@@ -186,7 +191,7 @@ class ModelRenders:
             if self.guide == "text"
             else self.stylizer.embed(image=None if style.image is None else style.image.to(device))
         )
-        gaussians = self.stylizer.restyle(scene, embedding)
+        gaussians = self.method(self.stylizer, scene, style.to(device), embedding)
         renders: list[Tensor] = []
         for first in range(0, len(frames), RENDER_CHUNK):
             chunk = scene.cameras.select(list(range(first, min(first + RENDER_CHUNK, len(frames)))))
@@ -223,7 +228,7 @@ class ModelRenders:
         for number, scene in self.plan.scenes:
             for _, style in self.plan.styles:
                 file = seconds_file(images / "stylized" / scene, style)
-                seconds.append(json.loads(file.read_text(encoding="utf-8"))["seconds"])
+                seconds.append(read_seconds(file))
                 per_image.append(seconds[-1] / self._num_inputs(number))
         return sum(seconds) / len(seconds), sum(per_image) / len(per_image)
 

@@ -178,7 +178,7 @@ def save(figure: Any, path: Path) -> None:
 
 def _values(rows: Sequence[Row], name: str) -> list[float]:
     values = [row.figures.get(name, math.nan) for row in rows]
-    return [value for value in values if not math.isnan(value)]
+    return [value for value in values if math.isfinite(value)]
 
 
 def _picture(row: Row, kind: str) -> Image.Image | None:

@@ -1,12 +1,15 @@
 """Figures that papers printed, the tables they stand in, and whether they agree with themselves."""
 
-import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
+
+import msgspec
+
+from anystyle.documents import read_json
 
 BUNDLED = Path(__file__).with_name("published.json")
 
@@ -145,32 +148,49 @@ def art_fid(lpips: float, fid: float) -> float:
 
 @lru_cache(1)
 def _bundled() -> dict[str, Any]:
-    return json.loads(BUNDLED.read_text(encoding="utf-8"))
+    return read_json(BUNDLED, dict[str, Any])
 
 
 def _read(path: Path) -> list[PublishedFigure]:
+    what = f"file of published figures, with 'sources' and 'rows' as in {BUNDLED.name}"
+    stored: _Published = read_json(path, _Published, what=what)
+    strange = [row.source for row in stored.rows if row.source not in stored.sources]
+    if strange:
+        raise ValueError(f"{path} is no {what} (there is no source {strange[0][:80]!r})")
     try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        aliases = stored.get("aliases", {})
-        return [cell for row in stored["rows"] for cell in _cells(row, stored["sources"][row["source"]], aliases)]
-    except OSError:
-        raise
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ValueError(
-            f"{path} holds no published figures ({type(error).__name__}: {error}); expected 'sources' and 'rows', "
-            f"as in {BUNDLED.name}"
-        ) from None
+        return [cell for row in stored.rows for cell in _cells(row, stored)]
+    except ValueError as error:
+        raise ValueError(f"{path} is no {what} ({error})") from None
 
 
-def _cells(row: Mapping[str, Any], source: str, aliases: Mapping[str, str]) -> list[PublishedFigure]:
-    method, marks = str(row["method"]), row.get("marks", {})
-    origin = "; ".join(str(row[name]) for name in ("family", "origin") if name in row)
+class _Row(msgspec.Struct):
+    """A method's row of a table: for each figure its cells by scene, as printed."""
+
+    method: str
+    source: str
+    table: str
+    figures: dict[str, dict[str, str | float]]
+    marks: dict[str, dict[str, str]] = {}
+    family: str | None = None
+    origin: str | None = None
+
+
+class _Published(msgspec.Struct):
+    """A file of figures that papers printed."""
+
+    sources: dict[str, str]
+    rows: list[_Row]
+    aliases: dict[str, str] = {}
+
+
+def _cells(row: _Row, stored: _Published) -> list[PublishedFigure]:
+    origin = "; ".join(text for text in (row.family, row.origin) if text is not None)
     return [
         PublishedFigure(
-            method, str(scene), str(figure), _value(str(printed)), str(printed), str(row["table"]), str(source),
-            aliases.get(method, method), origin, marks.get(figure, {}).get(scene, ""),
+            row.method, scene, figure, _value(str(printed)), str(printed), row.table, stored.sources[row.source],
+            stored.aliases.get(row.method, row.method), origin, row.marks.get(figure, {}).get(scene, ""),
         )
-        for figure, cells in row["figures"].items()
+        for figure, cells in row.figures.items()
         for scene, printed in cells.items()
     ]  # fmt: skip
 

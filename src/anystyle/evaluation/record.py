@@ -5,13 +5,31 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
+import msgspec
+
+from anystyle.documents import Count, Figure, as_number, fit, plain, read_json
 from anystyle.evaluation.contract import SCENE, Evaluation, Row
 from anystyle.evaluation.tables import STAND_IN, Table, figures_table
 from anystyle.io.atomic import atomic_path
 
 FILE = "metrics.json"
+
+
+class _Facts(msgspec.Struct):
+    """The part of an evaluation's provenance that is read back; the rest is handed on."""
+
+    n: Count = 0
+    better: dict[str, Literal["higher", "lower"]] = {}
+    stand_ins: dict[str, str] = {}
+    title: str = ""
+    variant: str | None = None
+    machine: str = ""
+    seconds: float = 0
+    protocol: str = ""
+    warnings: list[str] = []
+    scenes: list[str] = []
 
 
 def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> Table:
@@ -27,8 +45,8 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> T
     """
     evaluation = _with_times(evaluation.with_facts(**provenance))
     stored = {
-        **_plain(evaluation.figures),
-        **{name: _plain(group) for name, group in evaluation.groups.items()},
+        **evaluation.figures,
+        **evaluation.groups,
         "provenance": {
             **evaluation.provenance,
             "n": evaluation.n,
@@ -38,7 +56,7 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> T
     }
     table = summary(evaluation)
     texts = {
-        FILE: json.dumps(stored, indent=2, ensure_ascii=False) + "\n",
+        FILE: json.dumps(plain(stored), indent=2, ensure_ascii=False, allow_nan=False) + "\n",
         "metrics.csv": rows_table(evaluation.rows, evaluation.stand_ins).csv(),
         "table.md": table.markdown(),
         "table.tex": table.latex(),
@@ -58,25 +76,25 @@ def read(folder: Path) -> Evaluation | None:
     path = folder / FILE
     if not path.is_file():
         return None
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ValueError(f"{path} is damaged ({str(error).splitlines()[0]}); evaluate again") from None
-    if not isinstance(stored, dict) or not isinstance(stored.get("provenance"), dict):
+    stored: dict[str, Any] = read_json(path, dict[str, Any], what="file of figures; evaluate again")
+    if "provenance" not in stored:
         return None  # the last values that a training logged have this file name too
+    what = "file of figures of an evaluation; evaluate again"
     provenance = stored.pop("provenance")
-    figures = {name: _float(value) for name, value in stored.items() if not isinstance(value, dict)}
-    groups = {
-        name: {key: _float(item) for key, item in value.items()}
-        for name, value in stored.items()
-        if isinstance(value, dict)
-    }
+    facts: _Facts = fit(provenance, _Facts, source=str(path), what=what)
+    figures: dict[str, Figure | dict[str, Figure]] = fit(
+        stored, dict[str, Figure | dict[str, Figure]], source=str(path), what=what
+    )
     return Evaluation(
-        figures=figures,
-        n=provenance.get("n", 0),
-        better=provenance.get("better", {}),
-        groups=groups,
-        stand_ins=provenance.get("stand_ins", {}),
+        figures={name: as_number(value) for name, value in figures.items() if not isinstance(value, dict)},
+        n=facts.n,
+        better=facts.better,
+        groups={
+            name: {key: as_number(item) for key, item in value.items()}
+            for name, value in figures.items()
+            if isinstance(value, dict)
+        },
+        stand_ins=facts.stand_ins,
         provenance=provenance,
     )
 
@@ -121,12 +139,3 @@ def rows_table(rows: Sequence[Row], stand_ins: Mapping[str, str]) -> Table:
 
 def _full(value: float | None) -> str:
     return "" if value is None or math.isnan(value) else repr(value)
-
-
-def _plain(figures: Mapping[str, float]) -> dict[str, float | None]:
-    # JSON has no nan.
-    return {name: None if math.isnan(value) else value for name, value in figures.items()}
-
-
-def _float(value: Any) -> float:
-    return math.nan if value is None else float(value)

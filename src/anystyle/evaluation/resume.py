@@ -1,20 +1,22 @@
 """Figures of finished scenes and styles on disk, with which an interrupted evaluation goes on."""
 
 import hashlib
-import json
-import pickle
 import shutil
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Literal
 
+import msgspec
 import torch
 
 from anystyle.contracts import Metric
+from anystyle.documents import Figure, as_number, kept_json
 from anystyle.evaluation.contract import Evaluation, Progress
 from anystyle.evaluation.folders import Cell, Pairing, Reader
 from anystyle.evaluation.runner import RowFigures, SceneFigures, aggregate, judge_row, merge_rows
-from anystyle.io.atomic import atomic_path
+from anystyle.io.atomic import atomic_path, write_json
+from anystyle.io.tensors import read_tensors
 from anystyle.perception.preprocess import checked
 
 FOLDER = "parts"
@@ -78,7 +80,7 @@ def _judge_cell(metrics: Mapping[str, Metric], cell: Cell, reader: Reader, out: 
         comparison = checked(reader(cell))
         for name in [name for name in metrics if name not in rows]:
             rows[name] = judge_row(name, metrics[name], comparison)
-            with atomic_path(files[name]) as temporary:
+            with atomic_path(files[name], sync=True) as temporary:
                 torch.save({"digest": digest, **vars(rows[name])}, temporary)
     return rows
 
@@ -90,9 +92,9 @@ def _rows_folder(file: Path) -> Path:
 
 def _read_row(path: Path, digest: str) -> RowFigures | None:
     try:
-        stored = torch.load(path, map_location="cpu", weights_only=True)
+        stored = read_tensors(path)
         return RowFigures(**stored) if stored.pop("digest") == digest else None
-    except (OSError, ValueError, KeyError, TypeError, RuntimeError, EOFError, pickle.UnpicklingError):
+    except (ValueError, AttributeError, KeyError, TypeError):
         return None  # absent, or of another version: computed again
 
 
@@ -129,18 +131,31 @@ def _digest(cells: Iterable[Cell]) -> str:
     return digest.hexdigest()
 
 
+class _Stored(msgspec.Struct):
+    """The figures of a metric for a scene as they lie on disk."""
+
+    digest: str
+    figures: dict[str, Figure]
+    styles: dict[str, dict[str, Figure]]
+    better: dict[str, Literal["higher", "lower"]]
+    stand_ins: dict[str, str]
+    warned: tuple[str, ...]
+
+
 def write_figures(path: Path, digest: str, figures: SceneFigures) -> None:
     """Write a metric's figures for a scene, with a hash of what they depend on."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps({"digest": digest, **asdict(figures)}, indent=1) + "\n", encoding="utf-8")
+    write_json(path, {"digest": digest, **asdict(figures)})
 
 
 def read_figures(path: Path, digest: str) -> SceneFigures | None:
     """The figures that were written with this hash; ``None`` where there are none, or with another."""
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-        if stored.pop("digest") != digest:
-            return None
-        return SceneFigures(**{**stored, "warned": tuple(stored["warned"])})
-    except (OSError, ValueError, KeyError, TypeError):
-        return None  # absent, or of another version: computed again
+    stored: _Stored | None = kept_json(path, _Stored)
+    if stored is None or stored.digest != digest:
+        return None
+    return SceneFigures(
+        {name: as_number(value) for name, value in stored.figures.items()},
+        {style: {name: as_number(value) for name, value in row.items()} for style, row in stored.styles.items()},
+        stored.better,
+        stored.stand_ins,
+        stored.warned,
+    )

@@ -1,14 +1,15 @@
 """What lies in folders of runs: evaluations, trainings, the jobs of a multirun, and what became of each."""
 
-import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from omegaconf import OmegaConf
+import msgspec
 
+from anystyle.documents import kept_json, read_yaml
+from anystyle.errors import UserError
 from anystyle.evaluation import record
 from anystyle.evaluation.contract import Evaluation
 
@@ -97,24 +98,36 @@ def _evaluation(folder: Path) -> Path | None:
 
 
 def _logged(path: Path) -> dict[str, float]:
-    try:
-        stored = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    stored: dict[str, Any] | None = kept_json(path, dict[str, Any])
+    if stored is None or "provenance" in stored:
         return {}
-    if not isinstance(stored, dict) or isinstance(stored.get("provenance"), dict):
-        return {}
-    return {
-        str(name): math.nan if value is None else float(value)
-        for name, value in stored.items()
-        if value is None or isinstance(value, (int, float))
-    }
+    return {name: math.nan if value is None else float(value) for name, value in stored.items() if _is_figure(value)}
+
+
+def _is_figure(value: Any) -> bool:
+    return value is None or (isinstance(value, (int, float)) and not isinstance(value, bool))
 
 
 def _words(path: Path) -> tuple[str, ...]:
+    """The words that a run was started with; none where they cannot be read."""
     try:
-        return tuple(str(word) for word in OmegaConf.to_container(OmegaConf.load(path)) or ())
-    except (OSError, ValueError, TypeError):
+        return tuple(read_yaml(path, list[str], what="list of overrides"))
+    except UserError:
         return ()
+
+
+class _Overrides(msgspec.Struct):
+    task: list[str] = []
+
+
+class _Hydra(msgspec.Struct):
+    overrides: _Overrides
+
+
+class _Sweep(msgspec.Struct):
+    """The part of ``multirun.yaml`` that says which jobs there were to be."""
+
+    hydra: _Hydra
 
 
 def _expected(path: Path) -> list[tuple[str, ...]]:
@@ -125,10 +138,10 @@ def _expected(path: Path) -> list[tuple[str, ...]]:
 
     from hydra.core.override_parser.overrides_parser import OverridesParser
     from hydra.errors import HydraException
-    from omegaconf.errors import OmegaConfBaseException
 
     try:
-        words = [str(word) for word in OmegaConf.load(path).hydra.overrides.task]
+        sweep: _Sweep = read_yaml(path, _Sweep, what="record of a multirun")
+        words = sweep.hydra.overrides.task
         parsed = OverridesParser.create().parse_overrides(words)
         lists = [
             [f"{item.get_key_element()}={value}" for value in item.sweep_string_iterator()]
@@ -136,7 +149,7 @@ def _expected(path: Path) -> list[tuple[str, ...]]:
             else [str(item.input_line)]
             for item in parsed
         ]
-    except (OSError, HydraException, OmegaConfBaseException, AttributeError, TypeError):
+    except (UserError, HydraException):
         return []
     return [tuple(words) for words in product(*lists)]
 

@@ -52,7 +52,7 @@ class Table:
         """As comma-separated values, without caption and notes."""
         text = io.StringIO()
         writer = csv.writer(text, lineterminator="\n")
-        writer.writerows([self.columns, *self.rows])
+        writer.writerows([[_cell(text) for text in row] for row in (self.columns, *self.rows)])
         return text.getvalue()
 
     def latex(self) -> str:
@@ -130,3 +130,12 @@ def figures_table(
 
 def _md(text: str) -> str:
     return text.replace("|", r"\|").replace("\n", " ")
+
+
+def _cell(text: str) -> str:
+    """A cell that no spreadsheet takes for a formula: a text that looks like one has an apostrophe before it."""
+    try:
+        float(text)
+    except ValueError:
+        return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
+    return text

@@ -1,12 +1,12 @@
 """What training runs made, ready to be judged."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf, open_dict
 
+from anystyle.documents import read_json
 from anystyle.io.checkpoint import Header, read_header
 
 BRANCH = "branch.safetensors"
@@ -59,9 +59,7 @@ def _order(folder: Path) -> tuple[int, str]:
 
 def _run(folder: Path) -> TrainedRun:
     record = folder / "bound.json"
-    try:
-        bound = json.loads(record.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        raise ValueError(f"{record} cannot be read; it says which weights the run was trained on") from None
+    what = "record of a run, which says on which weights it was trained"
+    bound: dict[str, Any] = read_json(record, dict[str, Any], what=what)
     weights = {key.removeprefix("weights."): value for key, value in bound.items() if key.startswith("weights.")}
     return TrainedRun(folder, folder / BRANCH, read_header(folder / BRANCH), weights)

@@ -11,13 +11,16 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
 from anystyle.branch import StyleBranch, sites_of
-from anystyle.contracts import Backbone, Injector, Placement, Renderer, StyleEncoder
+from anystyle.contracts import Backbone, Injector, Loss, Placement, Renderer, StyleEncoder
 from anystyle.errors import did_you_mean
 from anystyle.io.checkpoint import Header, has_header, load_part, read_header, sha256
+from anystyle.methods.contract import Method
 from anystyle.perception import weights
 from anystyle.published import Published
-from anystyle.registry.build import build
+from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import compose
+from anystyle.registry.schema import runtime_arguments
 from anystyle.stylizer import Stylizer, modules_in_bf16
 from anystyle.types import Site
 
@@ -139,6 +142,23 @@ def assemble_frozen(config: DictConfig) -> tuple[Stylizer, dict[str, dict[str, A
     return stylizer.requires_grad_(False).eval(), loaded
 
 
+def make_method(config: DictConfig, style_encoder: StyleEncoder) -> Method:
+    """The configured method with its losses; nothing of it learns."""
+    losses = build_all(Loss, config.get("loss"), style_encoder=style_encoder) if "losses" in _named(config) else {}
+    for loss in losses.values():
+        loss.requires_grad_(False)
+    return build(Method, config.method, losses=losses)
+
+
+def _named(config: DictConfig) -> Mapping[str, bool]:
+    return runtime_arguments(catalog().owner("method", str(config.method._target_)))
+
+
+def method_named(words: str, style_encoder: StyleEncoder) -> Method:
+    """A method by its name or the name of a preset, as ``method=`` takes it."""
+    return make_method(compose("stylize", [f"method={words}"]), style_encoder)
+
+
 def default_poses(config: DictConfig) -> str:
     """Where cameras come from where nothing is said: a small bundled network predicts them badly.
 
@@ -197,7 +217,12 @@ def build_and_load(
         headers["branch"] = load_part(ours["branch"], branch, "branch")
     renderer = build(Renderer, config.renderer)
     stylizer = Stylizer(
-        backbone=backbone, style_encoder=encoder, branch=branch, renderer=renderer, fit_colors=config.fit_colors
+        backbone=backbone,
+        style_encoder=encoder,
+        branch=branch,
+        renderer=renderer,
+        fit_colors=config.fit_colors,
+        keep_harmonics=config.keep_harmonics,
     )
     return stylizer.set_precision(config.precision), headers
 
@@ -269,7 +294,7 @@ def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str
         part="branch",
         config={name: OmegaConf.to_container(config[name], resolve=True, enum_to_str=True) for name in nodes},
         base={part: sha256(file) for part, file in files.items()},
-        provenance=provenance,
+        provenance=dict(provenance),
         # Without a file of the backbone nothing says what was copied.
         omitted=tuple(name for name, part in branch.named_children() if "backbone" in files and _is_frozen(part)),
     )

@@ -2,7 +2,7 @@
 
 import logging
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -13,18 +13,22 @@ from torch import Tensor
 
 from anystyle.data.folder import SourceImage, distinct, read_views
 from anystyle.geometry.similarity import Similarity
-from anystyle.inference import known_cameras, memory
+from anystyle.inference import known_cameras, memory, splats
 from anystyle.inference.found_cameras import FoundCameras, find_cameras, read_photographs
 from anystyle.inference.groups import Capture, Group, encode_groups
-from anystyle.inference.options import PoseOptions, ViewOptions
+from anystyle.inference.options import PoseOptions, SplatOptions, ViewOptions
 from anystyle.inference.refine import refine
 from anystyle.inference.stages import Stages
-from anystyle.inference.styles import slug
+from anystyle.inference.styles import EmbeddedStyle, slug
+from anystyle.methods.branch import Branch
+from anystyle.methods.contract import Method, Progress, silent
 from anystyle.reconstructions.contract import Reconstruction
+from anystyle.reconstructions.feedforward import Feedforward
 from anystyle.reconstructions.fit import Fit
 from anystyle.reconstructions.sfm.verdict import FEWEST_VIEWS
+from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
-from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, StyleEmbedding, Views
+from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, Views
 from anystyle.types.shapes import ShapeError, check_value
 
 _log = logging.getLogger(__name__)
@@ -48,6 +52,7 @@ class EncodedCapture:
         reconstruction: How the scene came to be, for reports.
         targets: Names and cameras of further views to render, in the capture's frame.
         scene_from_known: From the frame of known cameras to the capture's, where they are used.
+        splat: The file of the scene, where Gaussians were given.
     """
 
     stylizer: Stylizer
@@ -57,6 +62,7 @@ class EncodedCapture:
     reconstruction: Mapping[str, object]
     targets: tuple[tuple[str, ...], Cameras] | None = None
     scene_from_known: Similarity | None = None
+    splat: Path | None = None
 
     @property
     def cameras(self) -> Cameras:
@@ -76,14 +82,23 @@ class EncodedCapture:
         """
         return _finite(self.capture.gaussians(self.stylizer.unstyled), "the unstyled scene")
 
-    def restyle(self, embedding: StyleEmbedding, title: str = "this style") -> Gaussians:
-        """The scene in a style.
+    def restyle(
+        self,
+        style: EmbeddedStyle,
+        method: Method | None = None,
+        on_progress: Callable[[Progress], None] = silent,
+    ) -> Gaussians:
+        """The scene in a style, by the single pass unless a method is given; groups of views one after the other.
 
         Raises:
-            ValueError: Some of its numbers are NaN or infinite.
+            ValueError: Some of its numbers are NaN or infinite, or the method cannot work on this style.
         """
-        restyle = partial(self.stylizer.restyle, embedding=embedding)
-        return _finite(self.capture.gaussians(restyle), f"the scene in the style {title}")
+
+        def stylized(scene: Scene) -> Gaussians:
+            given, embedding = style.style.to(self.stylizer.device), style.embedding
+            return (method or Branch())(self.stylizer, scene, given, embedding, on_progress=on_progress)
+
+        return _finite(self.capture.gaussians(stylized), f"the scene in the style {style.title}")
 
     @torch.no_grad()
     def render(self, gaussians: Gaussians, cameras: Cameras | None = None) -> Iterator[Float[Tensor, "3 H W"]]:
@@ -141,6 +156,29 @@ def encode_capture(
         report = reconstruction_report(reconstruction, capture, time.perf_counter() - start)
         encoded = EncodedCapture(stylizer, given, sources, capture, report)
         return encoded if poses.use in ("predicted", "auto") else _with_known_cameras(encoded, poses)
+
+
+def encode_splat(
+    path: Path, stylizer: Stylizer, views: ViewOptions, options: SplatOptions, *, stages: Stages
+) -> EncodedCapture:
+    """Read a scene of Gaussians, look at it from cameras that are stored beside it or chosen, and encode what is seen.
+
+    Raises:
+        ValueError: The file is none of Gaussians, or memory does not suffice.
+    """
+    start, patch = time.perf_counter(), stylizer.backbone.patch_size
+    with stages("read", "the Gaussians"):
+        gaussians = Gaussians.load(path).to(stylizer.device)
+        cameras, sources, origin = splats.cameras_of(
+            path, gaussians, views, options, patch, stylizer.backbone.resolution
+        )
+        line = splats.check_memory(gaussians.means.shape[1], len(sources), stylizer.device)
+    with stages("encode", f"{line}; cameras {origin}"):
+        scene = splats.scene_of_splat(gaussians, cameras.to(stylizer.device), stylizer)
+    capture = Capture((Group(scene, tuple(range(len(sources))), None, len(sources)),))
+    report = reconstruction_report(None, capture, time.perf_counter() - start) | {"kind": "given", "cameras": origin}
+    seen = replace(scene.views, names=tuple(source.name for source in sources)).to("cpu")
+    return EncodedCapture(stylizer, seen, sources, capture, report, splat=path)
 
 
 def _find(
@@ -251,7 +289,7 @@ def reconstruction_report(
 ) -> dict[str, object]:
     """How a scene came to be, for ``report.json``."""
     return {
-        "kind": "feedforward" if reconstruction is None else type(reconstruction).__name__.lower(),
+        "kind": catalog().name_of("reconstruction", type(reconstruction or Feedforward())),
         "registered": capture.cameras.intrinsics.shape[1],
         "seconds": round(seconds, 2),
         **{name: int(value) if value == int(value) else round(value, 4) for name, value in (measures or {}).items()},

@@ -1,7 +1,7 @@
 """Options of a stylization, resolved and checked: what flows down from the configuration or from a caller."""
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True)
@@ -23,6 +23,10 @@ class ViewOptions:
     overlap: int | None = None
 
     def __post_init__(self) -> None:
+        _between("views.short_side", self.short_side, 1, 1 << 16)
+        _between("views.take", self.take, 1, 1 << 20)
+        _between("views.max_views", self.max_views, 1, 1 << 20)
+        _between("views.overlap", self.overlap, 1, 1 << 20)
         if self.short_side is not None and not self.resize:
             raise ValueError(f"views.short_side={self.short_side} with views.resize=false; give one of them")
 
@@ -51,14 +55,37 @@ class ExportOptions:
 
     Args:
         colmap: ``binary`` or ``text`` writes a COLMAP model, ``none`` does not.
-        y_up: Whether the PLY is turned to the axes that most viewers expect; everything else stays in OpenCV's.
+        up: Axes of the scene's files: ``opencv``, ``y`` or ``z`` up; ``None`` is what readers of each format expect,
+            which for PLY is OpenCV's. Everything else stays in OpenCV's.
+        formats: Further files of the scene: ``glb, spz, sog, splat, html``.
     """
 
     colmap: str = "none"
-    y_up: bool = False
+    up: str | None = None
+    formats: list[str] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         _expect("export.colmap", self.colmap, ("none", "binary", "text"))
+        _expect("export.up", str(self.up), ("None", "opencv", "y", "z"))
+        for name in self.formats:
+            _expect("export.formats", name, ("ply", "glb", "spz", "sog", "splat", "html"))
+
+
+@dataclass(frozen=True)
+class SplatOptions:
+    """From where a scene that is given as Gaussians is seen.
+
+    Args:
+        cameras: From how many views at most.
+        folder: Where cameras are stored, if not beside the file or one folder above: COLMAP or ``transforms.json``.
+    """
+
+    cameras: int = 24
+    folder: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.cameras < 1:
+            raise ValueError(f"splat.cameras={self.cameras}; give at least 1")
 
 
 @dataclass(frozen=True)
@@ -75,7 +102,17 @@ class VideoOptions:
     fps: int = 30
     scale: float = 1.0
 
+    def __post_init__(self) -> None:
+        _between("video.frames", self.frames, 1, 100_000)
+        _between("video.fps", self.fps, 1, 1000)
+        _between("video.scale", self.scale, 0.01, 8)
+
 
 def _expect(option: str, value: str, choices: Collection[str]) -> None:
     if value not in choices:
         raise ValueError(f"{option}={value}; choose one of {', '.join(choices)}")
+
+
+def _between(option: str, value: int | float | None, low: int | float, high: int | float) -> None:
+    if value is not None and not low <= value <= high:
+        raise ValueError(f"{option}={value}; give a number from {low} to {high}")

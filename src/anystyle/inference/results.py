@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
-from functools import cached_property
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 
@@ -13,17 +13,21 @@ from torch import Tensor
 
 from anystyle.geometry.cameras import smooth_path
 from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.geometry.similarity import y_up_from_opencv
+from anystyle.inference.controlled import Controlled
 from anystyle.inference.encoding import EncodedCapture
+from anystyle.inference.export import export
+from anystyle.inference.licenses import lines, report_entry
 from anystyle.inference.options import ExportOptions, VideoOptions
+from anystyle.inference.page import write_page
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import EmbeddedStyle
 from anystyle.io import cameras as cameras_json
-from anystyle.io import colmap
+from anystyle.io import colmap, ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.checkpoint import save_tensors
 from anystyle.io.sheet import Cell, style_sheet, to_pil
 from anystyle.io.video import write_video
+from anystyle.methods.contract import Method
 from anystyle.types import Cameras, Gaussians
 
 MAX_POINTS = 100_000
@@ -63,6 +67,7 @@ class Result:
         encoded, stages = self.encoded, self.results.stages
         return {
             "style": self.style.title,
+            **({"controls": self.style.controls.label} if self.style.controls.label else {}),
             **({"texts": [asdict(match) for match in self.style.matches]} if self.style.matches else {}),
             "gaussians": int((self.gaussians.opacities > 0).sum()),
             "views": len(encoded.sources),
@@ -71,10 +76,12 @@ class Result:
                 **encoded.reconstruction,
                 "num_gaussians": int((self.gaussians.opacities > 0).sum()),
             },
+            "method": method_report(self.results.method),
             "inputs": [source.name for source in encoded.sources],
             "size": list(encoded.views.size),
             "seconds": {stage: round(seconds, 4) for stage, seconds in stages.seconds.items()},
             **self.results.provenance,
+            "licenses": report_entry(self.results.provenance),
             "versions": {name: version(name) for name in ("anystyle", "torch", "numpy")},
         }
 
@@ -99,8 +106,17 @@ class Result:
     def _write_scene(self, folder: Path) -> list[Image.Image]:
         gaussians, encoded, options = self.gaussians, self.encoded, self.results.export
         folder.mkdir(parents=True, exist_ok=True)
-        turned = y_up_from_opencv(gaussians.means).gaussians(gaussians) if options.y_up else gaussians
-        turned.save(folder / "scene.ply")
+        notes = "\n".join([self.style.title, *lines(report_entry(self.results.provenance))])
+        for name in dict.fromkeys(["ply", *options.formats]):
+            if name == "html":
+                styles = [("unstyled", self.results.controlled.unstyled), (self.style.title, gaussians)]
+                write_page(folder / "scene.html", styles, self.cameras, title=self.style.title, notes=notes)
+            else:
+                export(gaussians, folder / f"scene.{name}", name, up=options.up, notes=notes)
+        untouched = options.up in (None, "opencv") and same_geometry(gaussians, self.results.controlled.unstyled)
+        if self.encoded.splat is not None and untouched:
+            # A trip through float32 logarithms and back moves the last bits.
+            ply.recolor(self.encoded.splat, gaussians.harmonics[0], folder / "scene.ply")
         save_gaussians(gaussians, folder / "scene.safetensors")
         renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
         followed = self.cameras
@@ -134,6 +150,7 @@ class Results:
     Args:
         encoded: The capture.
         styles: The styles, at least one.
+        method: How it takes a style; ``None`` for the single pass.
         export: Which files a result has.
         video: The flight through the cameras.
         provenance: What reports say of the model: weights, configuration, seed.
@@ -145,12 +162,14 @@ class Results:
         encoded: EncodedCapture,
         styles: Sequence[EmbeddedStyle],
         *,
+        method: Method | None = None,
         export: ExportOptions,
         video: VideoOptions,
         provenance: Mapping[str, object],
         stages: Stages,
     ) -> None:
-        self.encoded, self.styles = encoded, tuple(styles)
+        self.encoded, self.styles, self.method = encoded, tuple(styles), method
+        self.controlled = Controlled(encoded, method, partial(stages.watch, "restyle"))
         self.export, self.video = export, video
         self.provenance, self.stages = provenance, stages
 
@@ -161,7 +180,7 @@ class Results:
         style = self.styles[index]
         note = f"{range(len(self))[index] + 1}/{len(self)}: {' '.join(style.title.split())[:70]}"
         with self.stages("restyle", note):
-            return Result(style, self.encoded.restyle(style.embedding, style.title), self)
+            return Result(style, self.controlled.gaussians(style), self)
 
     def __iter__(self) -> Iterator[Result]:
         for index in range(len(self)):
@@ -185,6 +204,7 @@ class Results:
             columns.append(result.write(inside))
             report = result.report
             del result  # before the next one is computed
+        save_gaussians(self.controlled.unstyled, folder / "unstyled.safetensors")
         if len(self) > 1:
             self.write_sheet(folder, columns[1:])
             write_json(folder / "report.json", report | {"style": [style.title for style in self.styles]})
@@ -198,7 +218,23 @@ class Results:
     def unstyled(self) -> Column:
         """The column of the reconstruction itself."""
         with self.stages("render", "the unstyled scene"):
-            return "unstyled", None, [to_pil(image) for image in self.encoded.render(self.encoded.unstyled())]
+            return "unstyled", None, [to_pil(image) for image in self.encoded.render(self.controlled.unstyled)]
+
+
+def same_geometry(first: Gaussians, second: Gaussians) -> bool:
+    """Whether two scenes differ in nothing but colours."""
+    names = ("means", "rotations", "scales", "opacities")
+    return all(torch.equal(getattr(first, name), getattr(second, name)) for name in names)
+
+
+def method_report(method: Method | None) -> dict[str, object]:
+    """What stylized a scene, for ``report.json``: the method, and the networks that it rests on."""
+    if method is None:
+        return {"kind": "branch"}
+    return {
+        "kind": type(method).__name__.lower(),
+        "networks": [asdict(source) for source in method.sources],
+    }
 
 
 def save_gaussians(gaussians: Gaussians, path: Path) -> None:

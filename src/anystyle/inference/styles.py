@@ -4,13 +4,14 @@ import logging
 import re
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.data.images import read_image
+from anystyle.inference.controls import Controls, rescaled
 from anystyle.io.sheet import Cell, to_pil
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style, StyleEmbedding, TextMatch
@@ -56,14 +57,25 @@ class EmbeddedStyle:
         title: For a heading.
         cell: Its picture, where there is one.
         embedding: A batch of one.
+        style: The image or the text itself; neither for a point between two styles.
         matches: Of each text that it is made of, what the encoder says of it.
+        controls: How it is applied.
     """
 
     name: str
     title: str
     cell: Cell
     embedding: StyleEmbedding
+    style: Style = field(default_factory=Style)
     matches: tuple[TextMatch, ...] = ()
+    controls: Controls = field(default_factory=Controls)
+
+    def under(self, controls: Controls) -> "EmbeddedStyle":
+        """This style applied as controls say, named after what they change."""
+        if not controls.label:
+            return self
+        name = f"{self.name}_{slug(controls.label.replace('.', '-'), 60)}"
+        return replace(self, name=name, title=f"{self.title}, {controls.label}", controls=controls)
 
 
 def check_text(text: str, what: str = "the text of a style") -> None:
@@ -78,34 +90,41 @@ def check_text(text: str, what: str = "the text of a style") -> None:
         raise ValueError(f"{what} has {len(text)} characters; describe the style in at most {MAX_TEXT}")
 
 
-def embed_styles(styles: Sequence[StyleInput], stylizer: Stylizer) -> list[EmbeddedStyle]:
-    """Embed styles in their order; one that occurs in several mixtures is embedded once.
+def embed_styles(
+    styles: Sequence[StyleInput], stylizer: Stylizer, controls: Sequence[Controls] = (Controls(),)
+) -> list[EmbeddedStyle]:
+    """Embed styles in their order, each under all controls; one that occurs several times is embedded once.
 
     Raises:
         ValueError: A text is empty or too long, a file is no image, or a :class:`~anystyle.types.Style` has neither an
             image nor a text.
     """
-    embedded: dict[int, EmbeddedStyle] = {}
+    embedded: dict[tuple[int, float], EmbeddedStyle] = {}
 
-    def embed(style: StyleInput) -> EmbeddedStyle:
-        if isinstance(style, Mixture):
-            return mix(embed(style.first), embed(style.second), style.amount)
-        if id(style) not in embedded:
-            embedded[id(style)] = _embed(style, stylizer)
-        return embedded[id(style)]
+    def embed(style: StyleInput, scale: float) -> EmbeddedStyle:
+        if (id(style), scale) not in embedded:
+            if isinstance(style, Mixture):
+                mixed = mix(embed(style.first, scale), embed(style.second, scale), style.amount)
+                embedded[id(style), scale] = mixed
+            else:
+                embedded[id(style), scale] = _embed(style, stylizer, scale)
+        return embedded[id(style), scale]
 
-    return [embed(style) for style in styles]
+    return [embed(style, one.scale).under(one) for style in styles for one in controls]
 
 
-def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylizer) -> EmbeddedStyle:
+def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylizer, scale: float) -> EmbeddedStyle:
     match style:
         case Style(image=None, text=(str() as text, *_)):
-            return _embed(text, stylizer)
+            return _embed(text, stylizer, scale)
         case str():
             check_text(style)
+            if scale != 1:
+                raise ValueError(f"scale={scale:g} is of strokes in a picture; the style {style[:40]!r} is a text")
             title = f"“{' '.join(style.split())}”"
             embedding = stylizer.embed(text=style)
-            return EmbeddedStyle(slug(style), title, None, embedding, _matches(style, stylizer))
+            given = Style(text=(style,))
+            return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer))
         case Path():
             title, image = style.stem, read_image(style)[None]
         case Tensor():
@@ -114,7 +133,9 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             title = names[0] if names else "image"
         case _:
             raise ValueError("a style has neither an image nor a text")
-    return EmbeddedStyle(slug(title), title, to_pil(image[0]), stylizer.embed(image=image.to(stylizer.device)))
+    cell, image = to_pil(image[0]), rescaled(image[0], scale)[None]
+    embedding = stylizer.embed(image=image.to(stylizer.device))
+    return EmbeddedStyle(slug(title), title, cell, embedding, Style(image=image, names=(title,)))
 
 
 def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
@@ -139,6 +160,7 @@ def mix(first: EmbeddedStyle, second: EmbeddedStyle, amount: float) -> EmbeddedS
         title=f"{1 - amount:.0%} {first.title}, {amount:.0%} {second.title}",
         cell=first.cell if amount == 0 else second.cell if amount == 1 else None,
         embedding=first.embedding.toward(second.embedding, amount),
+        style=first.style if amount == 0 else second.style if amount == 1 else Style(),
         matches=tuple(dict.fromkeys(first.matches + second.matches)),
     )
 

@@ -4,16 +4,27 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import psutil
+
+from anystyle.documents import kept_json, plain
+
+MADE = ".anystyle"
+"""The file in which a folder of results lists the entries that this program made there."""
+
 
 @contextmanager
-def atomic_path(target: str | Path) -> Iterator[Path]:
+def atomic_path(target: str | Path, *, sync: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside ``target`` that takes its name when the block ends well.
 
     The suffix is kept, so that writers that choose a format by it work; a failing block leaves nothing behind.
+
+    Args:
+        target: The file.
+        sync: Whether it is on the disk, rather than on its way there, before it takes its name.
     """
     target = Path(target)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -26,25 +37,44 @@ def atomic_path(target: str | Path) -> Iterator[Path]:
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)
+        if sync:
+            _sync(temporary)
         temporary.replace(target)
+        if sync and os.name == "posix":
+            _sync(target.parent)
     finally:
         temporary.unlink(missing_ok=True)
 
 
+def _sync(path: Path) -> None:
+    number = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    finally:
+        os.close(number)
+
+
 def write_json(path: str | Path, value: object) -> None:
-    """Write a value as readable JSON; whole or not at all."""
+    """Write a value as readable JSON, see :func:`anystyle.documents.plain`; whole or not at all."""
     with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(value, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+        temporary.write_text(
+            json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
+        )
 
 
 @contextmanager
-def atomic_directory(target: str | Path) -> Iterator[Path]:
+def atomic_directory(target: str | Path, expected: Collection[str] = ()) -> Iterator[Path]:
     """Yield a temporary directory whose entries move into ``target`` when the block ends well.
 
-    Entries of the same names are replaced whole, others in ``target`` stay; a failing block leaves nothing behind.
+    Entries of the same names that an earlier call made are replaced whole, others in ``target`` stay; a failing block
+    leaves nothing behind, and what a killed process left is swept.
+
+    Args:
+        target: The directory.
+        expected: Names of entries that are going to be made, so that a clash is found before the block begins.
 
     Raises:
-        ValueError: ``target`` is a file.
+        ValueError: ``target`` is a file, or holds an entry of the same name that this program did not make.
         OSError: ``target`` cannot be written; found out before the block begins.
     """
     target = Path(target)
@@ -52,11 +82,18 @@ def atomic_directory(target: str | Path) -> Iterator[Path]:
         raise ValueError(f"{target} is a file; results need a directory")
     created = [folder for folder in (target, *target.parents) if not folder.exists()]
     target.mkdir(parents=True, exist_ok=True)
-    temporary = Path(tempfile.mkdtemp(prefix=".partial-", dir=target))
+    made = frozenset(kept_json(target / MADE, list[str]) or ())
+    _refuse(target, expected, made)
+    _sweep(target)
+    temporary = Path(tempfile.mkdtemp(prefix=f"{_PARTIAL}{os.getpid()}-", dir=target))
     finished = False
     try:
         yield temporary
-        for entry in sorted(temporary.iterdir()):
+        entries = sorted(temporary.iterdir())
+        names = [entry.name for entry in entries]
+        _refuse(target, names, made)
+        write_json(target / MADE, sorted({*made, *names}))
+        for entry in entries:
             destination = target / entry.name
             if destination.is_dir() and not destination.is_symlink():
                 shutil.rmtree(destination)
@@ -67,3 +104,21 @@ def atomic_directory(target: str | Path) -> Iterator[Path]:
         for folder in [] if finished else created:
             with suppress(OSError):
                 folder.rmdir()
+
+
+_PARTIAL = ".partial-"
+
+
+def _refuse(target: Path, names: Collection[str], made: Collection[str]) -> None:
+    """Refuse to replace what was not made here."""
+    clash = next((name for name in names if name not in made and os.path.lexists(target / name)), None)
+    if clash is not None:
+        raise ValueError(f"{target / clash} is there already and was not made by anystyle; choose another --out")
+
+
+def _sweep(target: Path) -> None:
+    """Remove what processes left that are no more."""
+    for partial in target.glob(f"{_PARTIAL}*"):
+        number = partial.name.removeprefix(_PARTIAL).partition("-")[0]
+        if not (number.isdecimal() and psutil.pid_exists(int(number))):
+            shutil.rmtree(partial, ignore_errors=True)

@@ -11,6 +11,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
+from anystyle.documents import fit, parse_json, regular
+from anystyle.errors import one_line
 from anystyle.io.atomic import atomic_path
 
 FORMAT = "anystyle/1"
@@ -30,9 +32,9 @@ class Header:
     """
 
     part: str
-    config: Mapping[str, Any] = field(default_factory=dict)
-    base: Mapping[str, str] = field(default_factory=dict)
-    provenance: Mapping[str, Any] = field(default_factory=dict)
+    config: dict[str, Any] = field(default_factory=dict)
+    base: dict[str, str] = field(default_factory=dict)
+    provenance: dict[str, Any] = field(default_factory=dict)
     omitted: tuple[str, ...] = ()
 
     def omits(self, key: str) -> bool:
@@ -68,7 +70,7 @@ def save_part(path: str | Path, module: nn.Module, header: Header, *, half: bool
 
 def save_tensors(path: str | Path, state: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
     """Write a ``.safetensors`` file, whole or not at all; the same content gives the same bytes."""
-    with atomic_path(path) as temporary:
+    with atomic_path(path, sync=True) as temporary:
         save_file(dict(state), temporary, metadata=dict(metadata))
         _sort_metadata(Path(temporary))
 
@@ -95,19 +97,14 @@ def read_header(path: str | Path) -> Header:
         metadata = file.metadata() or {}
     if metadata.get("format") != FORMAT:
         raise ValueError(f"{path} is a safetensors file without an anystyle header; convert it with `anystyle weights`")
-    if "${" in metadata.get("config", ""):
+    if any("${" in text for text in metadata.values()):
         # Resolved when it was written; what is not was put there to be resolved here.
         raise ValueError(f"the header of {path} holds an interpolation; a file's configuration is taken as it is")
-    try:
-        return Header(
-            part=metadata["part"],
-            config=dict(json.loads(metadata["config"])),
-            base=dict(json.loads(metadata["base"])),
-            provenance=dict(json.loads(metadata["provenance"])),
-            omitted=tuple(json.loads(metadata.get("omitted", "[]"))),
-        )
-    except (KeyError, TypeError, ValueError, RecursionError) as error:
-        raise ValueError(f"the header of {path} is damaged ({type(error).__name__}: {error})") from None
+    plain: dict[str, Any] = {name: metadata[name] for name in ("part",) if name in metadata}
+    for name in ("config", "base", "provenance", "omitted"):
+        if name in metadata:
+            plain[name] = parse_json(metadata[name], Any, source=f"{name} in the header of {path}")
+    return fit(plain, Header, source=f"the header of {path}", what="header of weights")
 
 
 def has_header(path: str | Path) -> bool:
@@ -187,9 +184,8 @@ def sha256(path: str | Path) -> str:
 
 
 def _open(path: str | Path) -> Any:
-    if not Path(path).is_file():
-        raise ValueError(f"there is no weights file {path}")
+    regular(path, most=None, what="weights file")
     try:
         return safe_open(path, framework="pt")
-    except SafetensorError as error:
-        raise ValueError(f"{path} is truncated or no safetensors file ({error})") from None
+    except (SafetensorError, OSError) as error:
+        raise ValueError(f"{path} is truncated or no safetensors file ({one_line(error)})") from None

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
+from anystyle.io import compressed_ply
 from anystyle.io.atomic import atomic_path
 
 MAX_DEGREE = 3
@@ -30,11 +31,16 @@ class Splats(NamedTuple):
     harmonics: Float[Tensor, "N K 3"]
 
 
-def write(splats: Splats, path: Path) -> None:
+def write(splats: Splats, path: Path, notes: str = "") -> None:
     """Write one scene; whole or not at all.
 
     Every property is float32, in the order positions, normals (0), ``f_dc``, ``f_rest`` (colour-major), opacity
     (logit), scales (logarithm), rotation (unit quaternion wxyz). Gaussians of no opacity are left out.
+
+    Args:
+        splats: The scene.
+        path: A ``.ply`` file.
+        notes: Such as licences, in comments, a line each.
     """
     kept = splats.opacities > 0
     means, rotations, scales, opacities, harmonics = (tensor[kept].detach().float().cpu() for tensor in splats)
@@ -55,20 +61,53 @@ def write(splats: Splats, path: Path) -> None:
     names = _properties(degree)
     vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in names])[:, 0]
     with atomic_path(path) as temporary:
-        PlyData([PlyElement.describe(vertices, "vertex")]).write(temporary)
+        comments = notes.encode("ascii", "replace").decode().splitlines()
+        PlyData([PlyElement.describe(vertices, "vertex")], comments=comments).write(temporary)
+
+
+def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool:
+    """Write the Gaussians of a file with other colours; every other number keeps its bits, in its order.
+
+    Args:
+        source: The file that the Gaussians were read from.
+        harmonics: Of all of them; properties of higher degrees are left out.
+        path: Written whole or not at all.
+
+    Returns:
+        Whether that was done: a compressed file has no number for a colour alone.
+    """
+    data = PlyData.read(source)
+    if "chunk" in data:
+        return False
+    before = data["vertex"].data
+    colors = np.concatenate([harmonics[:, 0].cpu(), harmonics[:, 1:].mT.flatten(1).cpu()], axis=1)  # N 3*K
+    names = [f"f_dc_{index}" for index in range(3)] + [f"f_rest_{index}" for index in range(colors.shape[1] - 3)]
+    kept = [
+        (name, before.dtype[name]) for name in before.dtype.names if not name.startswith("f_rest_") or name in names
+    ]
+    after = np.empty(len(before), dtype=kept)
+    for name, _ in kept:
+        after[name] = colors[:, names.index(name)] if name in names else before[name]
+    elements = [element for element in data.elements if element.name != "vertex"]
+    with atomic_path(path) as temporary:
+        PlyData([PlyElement.describe(after, "vertex"), *elements], text=data.text).write(temporary)
+    return True
 
 
 def read(path: Path) -> Splats:
-    """Read a file.
+    """Read a file of any degree of harmonics, as trainers write it, or compressed, as SuperSplat does.
 
     Raises:
         ValueError: It is no PLY file, a damaged one, or not one of Gaussians.
     """
     try:
-        vertices = PlyData.read(path)["vertex"].data
+        data = PlyData.read(path)
+        vertices = data["vertex"].data
+        columns = compressed_ply.unpack(data) if "chunk" in data else {}
     except (PlyParseError, KeyError, ValueError) as error:
         raise ValueError(f"{path} is no PLY file of Gaussians ({error})") from None
-    present = vertices.dtype.names or ()
+    columns = columns or {name: vertices[name] for name in vertices.dtype.names or ()}
+    present = columns.keys()
     rest = sum(name.startswith("f_rest_") for name in present)
     if rest % 3:
         raise ValueError(f"{path} has {rest} properties f_rest_*; a multiple of three is expected")
@@ -76,10 +115,10 @@ def read(path: Path) -> Splats:
     missing = [name for name in names if name not in present]
     if missing:
         raise ValueError(f"{path} is a PLY file without the properties {', '.join(missing[:5])} of Gaussians")
-    columns = torch.from_numpy(np.stack([vertices[name].astype(np.float32) for name in names], axis=1))
-    if not bool(columns.isfinite().all()):
+    values = torch.from_numpy(np.stack([columns[name].astype(np.float32) for name in names], axis=1))
+    if not bool(values.isfinite().all()):
         raise ValueError(f"{path} has properties that are infinite or no numbers; export it again")
-    means, constant, higher, opacity, scales, rotations = columns.split([3, 3, rest, 1, 3, 4], dim=1)
+    means, constant, higher, opacity, scales, rotations = values.split([3, 3, rest, 1, 3, 4], dim=1)
     return Splats(
         means=means,
         rotations=rotations,
@@ -92,7 +131,9 @@ def read(path: Path) -> Splats:
 def _degree(coefficients: int) -> int:
     degree = isqrt(coefficients) - 1
     if (degree + 1) ** 2 != coefficients:
-        raise ValueError(f"{coefficients} spherical-harmonics coefficients a colour; expected 1, 4, 9 or 16")
+        raise ValueError(
+            f"{coefficients} spherical-harmonics coefficients a colour; expected a square, such as 1, 4, 9, 16 or 25"
+        )
     return degree
 
 

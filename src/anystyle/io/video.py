@@ -12,11 +12,15 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
+from anystyle.documents import regular
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import to_pil
 
 SUFFIXES = frozenset({".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ogv", ".webm"})
 """File names that are taken for videos."""
+
+_CONTAINERS = "avi,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,mpeg,mpegvideo,mpegts,ogg"
+"""What ffmpeg calls the containers of these: no playlists, which name other files."""
 
 MANY_FRAMES = 3000
 """Of longer videos only key frames are decoded."""
@@ -35,8 +39,7 @@ def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
     Raises:
         ValueError: It is no video, a damaged one, or has no frame.
     """
-    if not path.is_file():
-        raise ValueError(f"there is no video {path}")
+    regular(path, most=None, what="video")
     try:
         total = _count_frames(path)
         best = _sharpest(path, count, total, key_frames_only=total > MANY_FRAMES)
@@ -47,7 +50,21 @@ def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
         raise ValueError(f"{path} is no video, or a damaged one ({error.strerror})") from None
     if not best:
         raise ValueError(f"{path} is a video without frames")
+    with path.open("rb") as file:
+        start = file.read(8)
+    # AVI says how many bytes there are, and decoders make up an index for what is left.
+    if start[:4] == b"RIFF" and path.stat().st_size < 0.98 * (8 + int.from_bytes(start[4:], "little")):
+        raise ValueError(f"{path} has {path.stat().st_size:,} bytes and announces more: it is truncated; get it again")
+    announced, there = _seconds(path)
+    if announced - there > max(0.5, 0.02 * announced):
+        raise ValueError(f"{path} ends after {there:.1f} of {announced:.1f} s: it is truncated; get it again")
     return [best[part] for part in sorted(best)]
+
+
+def _opened(path: Path) -> av.container.InputContainer:
+    """A local file, whatever its name looks like: ``http:x.mp4`` is no address, and a playlist in it leads nowhere."""
+    local = {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS}
+    return av.open(f"file:{path.absolute()}", container_options=local, options=local)
 
 
 def _sharpest(path: Path, count: int, total: int, *, key_frames_only: bool) -> dict[int, tuple[int, Image.Image]]:
@@ -65,14 +82,27 @@ def _sharpest(path: Path, count: int, total: int, *, key_frames_only: bool) -> d
 
 def _count_frames(path: Path) -> int:
     """The number of frames by their packets, for headers do not always tell."""
-    with av.open(str(path)) as container:
+    with _opened(path) as container:
         if not container.streams.video:
             raise ValueError(f"{path} has no video in it")
         return sum(1 for packet in container.demux(container.streams.video[0]) if packet.size)
 
 
+def _seconds(path: Path) -> tuple[float, float]:
+    """How long a video says it is, and how long the part is that is there; 0 and 0 where it does not say."""
+    with _opened(path) as container:
+        stream = container.streams.video[0]
+        base = float(stream.time_base) if stream.time_base else 0.0
+        declared = float(stream.duration or 0) * base
+        announced = declared or (container.duration or 0) / av.time_base
+        ends = [
+            (packet.pts + (packet.duration or 0)) * base for packet in container.demux(stream) if packet.pts is not None
+        ]
+    return (announced, max(ends)) if announced and ends and base else (0.0, 0.0)
+
+
 def _decode(path: Path, *, key_frames_only: bool) -> Iterator[tuple[int, VideoFrame]]:
-    with av.open(str(path)) as container:
+    with _opened(path) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
         if key_frames_only:

@@ -11,6 +11,7 @@ from torch import Tensor
 from anystyle import perception
 from anystyle.contracts import Loss
 from anystyle.losses._style import mean_where, style_images
+from anystyle.perception.sources import Source
 from anystyle.types import Stylization
 
 
@@ -18,7 +19,8 @@ class FeatureLoss(Loss):
     """Reads features of some layers of a network; constructors of subclasses name the options.
 
     Args:
-        network: A network of :func:`anystyle.perception.load`.
+        network: A network of :func:`anystyle.perception.load`, or several to choose from; see
+            :func:`anystyle.perception.choose`.
         layers: Whose features.
         size: Side of the square that images are resized to before; ``None`` leaves them as they are.
         weight: In the objective.
@@ -26,10 +28,15 @@ class FeatureLoss(Loss):
 
     def __init__(self, network: str, layers: Sequence[str], size: int | None, weight: float) -> None:
         super().__init__()
-        self.network = perception.load(network)
-        self.layers = tuple(layers)
+        self._chosen = perception.choose(network, layers)
+        self.network, self.layers = self._chosen.network, self._chosen.layers
         self.size = size
         self.weight = weight
+
+    @property
+    def source(self) -> Source:
+        """The weights that the features rest on, and what stands in for them."""
+        return self._chosen.source
 
     def features(self, images: Float[Tensor, "M 3 H W"]) -> list[Float[Tensor, "M _ _ _"]]:
         """The features of sRGB images, their aspect not kept, as published."""

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from anystyle.contracts import Loss, StyleEncoder
 from anystyle.losses._reference import Reference, reference_images
-from anystyle.perception.eager_backward import differentiated
+from anystyle.perception.eager_backward import eager_backward
 from anystyle.types import Stylization
 
 
@@ -84,7 +84,7 @@ class ClipPatch(Loss):
                 change = F.normalize(embed(_resized(batch, self.size, "bilinear")) - before, dim=-1, eps=1e-4)
                 return (1 - (change * target).sum(-1)).sum()
 
-            total = total + differentiated(distance, patches[index])
+            total = total + eager_backward(distance, patches[index])
         return total / len(patches)
 
     def _patches(self, images: Float[Tensor, "M 3 H W"], generator: torch.Generator | None) -> Float[Tensor, "M 3 c c"]:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.losses._features import FeatureLoss
-from anystyle.perception.eager_backward import differentiated
+from anystyle.perception.eager_backward import eager_backward
 from anystyle.types import Stylization
 
 
@@ -54,4 +54,4 @@ class Content(FeatureLoss):
             scale = 1 if self.reduction == "mean" else 1 / len(images)
             return torch.stack([scale * F.mse_loss(*pair, reduction=self.reduction) for pair in layers]).sum()
 
-        return differentiated(distance, result.renders.color.flatten(0, 1))
+        return eager_backward(distance, result.renders.color.flatten(0, 1))

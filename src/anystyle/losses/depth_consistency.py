@@ -5,6 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
+from anystyle.losses._reference import Reference
 from anystyle.types import Stylization
 
 
@@ -15,13 +16,22 @@ class DepthConsistency(Loss):
     views. Where only colours and rotations are styled, its gradient reaches the rotations alone.
 
     Args:
+        reference: ``photograph`` is the predicted map; ``render`` the accumulated depth of the unstyled scene, as in
+            StylizedGS (Zhang et al. 2024, equation 7).
         weight: In the objective.
     """
 
-    def __init__(self, *, weight: float = 0.1) -> None:
+    def __init__(self, *, reference: Reference = "photograph", weight: float = 0.1) -> None:
         super().__init__()
+        self.needs_unstyled = reference == "render"
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""
-        return F.mse_loss(result.renders.depth, result.scene.geometry.depth)
+        if not self.needs_unstyled:
+            return F.mse_loss(result.renders.depth, result.scene.geometry.depth)
+        if result.unstyled is None:
+            raise ValueError(
+                "reference=render compares with the unstyled scene, of which this training makes no render"
+            )
+        return F.mse_loss(result.renders.depth, result.unstyled.depth)

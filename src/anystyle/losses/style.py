@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.losses._features import StatisticsLoss
-from anystyle.perception.eager_backward import differentiated
+from anystyle.perception.eager_backward import eager_backward
 from anystyle.perception.statistics import mean_std
 from anystyle.types import Stylization
 
@@ -50,7 +50,7 @@ class StyleLoss(StatisticsLoss):
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         """See :meth:`anystyle.contracts.Loss.forward`."""
-        return differentiated(partial(self.distance, result), result.renders.color.flatten(0, 1))
+        return eager_backward(partial(self.distance, result), result.renders.color.flatten(0, 1))
 
     def statistics(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M K D"]:
         """Means, then deviations."""

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 
-def differentiated(
+def eager_backward(
     function: Callable[[Tensor], Float[Tensor, ""]], images: Float[Tensor, "M 3 H W"]
 ) -> Float[Tensor, ""]:
     """``function(images)`` with its gradient, of which nothing is left to be computed.

@@ -7,13 +7,13 @@ its folder ``assets``.
 
 import importlib.util
 import os
-import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
 from anystyle import paths
+from anystyle.documents import read_toml
 from anystyle.errors import did_you_mean
 from anystyle.io.checkpoint import sha256
 from anystyle.perception.tensor_files import read
@@ -73,10 +73,7 @@ def files() -> dict[str, WeightsFile]:
 def _rows(path: Path) -> dict[str, WeightsFile]:
     if not path.is_file():
         return {}
-    try:
-        return {name: WeightsFile(**row) for name, row in tomllib.loads(path.read_text(encoding="utf-8")).items()}
-    except (TypeError, ValueError) as error:
-        raise ValueError(f"{path} is no table of weights ({error}); see anystyle.perception.weights") from None
+    return read_toml(path, dict[str, WeightsFile], what="table of weights")
 
 
 def row(name: str) -> WeightsFile:

@@ -43,6 +43,8 @@ def color_gaussians(
     renderer: Renderer,
     origins: Int[Tensor, "N 3"] | None,
     how: FitColors,
+    *,
+    keep: bool = False,
 ) -> Gaussians:
     """Colour Gaussians by pictures of them.
 
@@ -53,12 +55,13 @@ def color_gaussians(
         renderer: Differentiable in colours.
         origins: View, row and column of the pixel that each Gaussian comes from, where they are known.
         how: See :data:`FitColors`.
+        keep: Whether harmonics above degree 0 stay, where colours are not those of single pixels.
 
     Raises:
         ValueError: Origins are asked for, and there are none.
     """
     if how != "off":
-        return fit_colors(gaussians, cameras, targets, renderer, steps=0 if how == "mean" else how)
+        return fit_colors(gaussians, cameras, targets, renderer, steps=0 if how == "mean" else how, keep=keep)
     if origins is None:
         raise ValueError(
             "fit_colors=off takes colours from pixels, and it is not known which Gaussian comes from which"
@@ -75,12 +78,14 @@ def fit_colors(
     *,
     steps: int = 4,
     damping: float = 0.01,
+    keep: bool = False,
 ) -> Gaussians:
     """Colour Gaussians so that their renders are as near as can be to targets, in squared error.
 
     It begins with the mean of the pixels that each Gaussian is seen in, weighted by how much of them it covers, and
-    goes on with steps of preconditioned conjugate gradients on the normal equations. Colours do not depend on
-    the direction afterwards, and lie in [0, 1].
+    goes on with steps of preconditioned conjugate gradients on the normal equations. Colours lie in [0, 1], and do
+    not depend on the direction afterwards unless the harmonics that do are kept: what these show is then taken out
+    of the targets.
 
     Args:
         gaussians: A batch of one scene; their colours are kept only where no view sees them.
@@ -90,6 +95,7 @@ def fit_colors(
         steps: Of conjugate gradients; none gives the weighted means. A step costs a render of every view and its
             backward pass.
         damping: Pulls each colour towards its weighted mean, with this share of its own weight.
+        keep: Whether harmonics above degree 0 stay as they are.
 
     Raises:
         ValueError: There are several scenes, or targets and cameras do not belong together.
@@ -105,13 +111,16 @@ def fit_colors(
             f"targets of {tuple(targets.shape[-2:])} and cameras for {cameras.size}; resize one of the two"
         )
     system = _system(gaussians.detach(), cameras.detach(), renderer)
+    higher = gaussians.harmonics[0, :, 1:] if keep else gaussians.harmonics[0, :, :0]
+    if higher.shape[1]:
+        targets = torch.stack([targets[view] - system.change_by(view, higher) for view in range(len(targets))])
     weights = system.weights
     means = system.backproject(lambda view: targets[view]) / weights.clamp_min(MIN_WEIGHT)[:, None]  # N 3
     seen = weights > MIN_WEIGHT
     colors = _conjugate_gradients(system, targets, weights * seen, means, steps, damping) if steps else means
     constant = constant_from_rgb(colors.clamp(0, 1))
     constant = torch.where(seen[:, None], constant, gaussians.harmonics[0, :, 0])
-    return replace(gaussians, harmonics=constant[None, :, None])
+    return replace(gaussians, harmonics=torch.cat([constant[:, None], higher], dim=1)[None])
 
 
 def _conjugate_gradients(
@@ -166,6 +175,13 @@ class _System:
     def gray_renders(self) -> list[Float[Tensor, "3 H W"]]:
         """Each view of these colours, rendered once: every pass backward goes through them."""
         return [self.render(view, self.gray) for view in range(self.cameras.intrinsics.shape[1])]
+
+    def change_by(self, view: int, higher: Float[Tensor, "N K 3"]) -> Float[Tensor, "3 H W"]:
+        """What harmonics above degree 0 add to a view of grey."""
+        harmonics = torch.cat([torch.zeros_like(higher[:, :1]), higher], dim=1)[None]
+        with torch.no_grad():
+            render = self.renderer(replace(self.gaussians, harmonics=harmonics), self.cameras.select([view]))
+        return render.color[0, 0] - self.gray_renders[view].detach()
 
     def transposed(self, view: int, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
         """``Aᵀ`` of one view's pixels."""

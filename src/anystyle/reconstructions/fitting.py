@@ -1,20 +1,21 @@
 """Gaussians fitted to posed photographs through a renderer."""
 
 import logging
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import interpolate
 
 from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.reconstructions.exposure import Exposures
+from anystyle.reconstructions.gaussian_parameters import NAMES, GaussianParameters
 from anystyle.reconstructions.initial import InitialGaussians
+from anystyle.reconstructions.loop import Loop
 from anystyle.reconstructions.options import FitOptions, FitResult, HeldoutQuality, Progress
 from anystyle.reconstructions.photometric import match_colors, photometric_loss, psnr, ssim, unexplained
 from anystyle.types import Cameras, Gaussians
@@ -22,7 +23,6 @@ from anystyle.types import Cameras, Gaussians
 logger = logging.getLogger(__name__)
 
 
-PARAMETERS = ("offsets", "scales", "rotations", "opacities", "colors", "harmonics")
 DECAY = {"offsets": 0.05, "scales": 0.2, "opacities": 0.2}
 """What is left of a learning rate at the end; of the others 0.3."""
 
@@ -43,7 +43,7 @@ def background(renderer: Renderer, gaussians: Gaussians, cameras: Cameras) -> Fl
     return renderer(nothing, cameras.select([0])).color[0, 0].mean((1, 2))[:, None, None]
 
 
-class Fit:
+class Fit(Loop):
     """A fit that can be stopped and taken up again between any two steps.
 
     Args:
@@ -65,66 +65,44 @@ class Fit:
         *,
         heldout: tuple[int, ...] = (),
     ) -> None:
+        super().__init__(
+            [view for view in range(len(images)) if view not in heldout],
+            every=options.evaluate_every,
+            seed=options.seed,
+        )
         self.images, self.cameras, self.renderer, self.options = images, cameras, renderer, options
         self.heldout = heldout
-        self.training = [view for view in range(len(images)) if view not in heldout]
         size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
         self.half_images, self.half_cameras = interpolate(images, size=size, mode="area"), cameras.resized(size)
-        self.anchors, self.footprints, self.pixels = initial.means, initial.footprints, initial.pixels
-        self.parameters = self._parameters(initial)
+        self.pixels = initial.pixels
+        self.splats = GaussianParameters(_gaussians(initial, options), self._rates(), initial.footprints)
         self.behind = background(renderer, self.gaussians(), cameras)
-        self.nearest = NEAREST * float((self.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
+        self.nearest = NEAREST * float((initial.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
         self.exposures = Exposures(cameras, self.training)
-        rates = self._rates()
-        groups = [{"params": [self.parameters[name]], "name": name, "lr": rates[name]} for name in PARAMETERS]
-        self.optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
         self.exposure_optimizer = torch.optim.Adam([self.exposures.values], lr=options.exposure_lr)
-        self.generator = torch.Generator().manual_seed(options.seed)
-        self.step = 0
-        self.order: list[int] = []
-        self.recent: list[float] = []
         self.end = options.num_steps
         self.quality: HeldoutQuality | None = None
         self.best, self.stale = float("-inf"), 0
 
-    def _parameters(self, initial: InitialGaussians) -> dict[str, Tensor]:
-        n = len(initial.means)
-        opacity = torch.full((n,), self.options.opacity)
-        values = {
-            "offsets": torch.zeros(n, 3),
-            "scales": initial.scales.log()[:, None].repeat(1, 3),
-            "rotations": torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(n, 1),
-            "opacities": opacity.logit(),
-            "colors": constant_from_rgb(initial.colors)[:, None],
-            "harmonics": torch.zeros(n, (self.options.degree + 1) ** 2 - 1, 3),
-        }
-        return {name: value.to(initial.means.device).requires_grad_() for name, value in values.items()}
+    @property
+    def parameters(self) -> dict[str, Tensor]:
+        """What is learnt, by name."""
+        return self.splats.parameters
 
     def _rates(self) -> dict[str, float]:
         o = self.options
         rates = (o.means_lr, o.scales_lr, o.rotations_lr, o.opacities_lr, o.colors_lr, o.colors_lr / 20)
-        return dict(zip(PARAMETERS, rates, strict=True))
+        return dict(zip(NAMES, rates, strict=True))
 
     def gaussians(self) -> Gaussians:
         """The Gaussians as they are, a batch of one scene."""
-        p = self.parameters
-        return Gaussians(
-            means=(self.anchors + self.footprints[:, None] * p["offsets"])[None],
-            rotations=p["rotations"][None],
-            scales=p["scales"].exp()[None],
-            opacities=p["opacities"].sigmoid()[None],
-            harmonics=torch.cat([p["colors"], p["harmonics"]], dim=1)[None],
-        )
+        return self.splats.gaussians()
 
     def advance(self) -> float:
         """Take one step, on one view, and return the PSNR before it."""
         fraction = self.step / self.options.num_steps if self.step < self.end else 1.0
-        rates = self._rates()
-        for group in self.optimizer.param_groups:
-            group["lr"] = rates[group["name"]] * DECAY.get(group["name"], 0.3) ** fraction
-        if not self.order:
-            self.order = [self.training[i] for i in torch.randperm(len(self.training), generator=self.generator)]
-        view = self.order.pop()
+        self.splats.set_rates({name: lr * DECAY.get(name, 0.3) ** fraction for name, lr in self._rates().items()})
+        view = self.next_view()
         coarse = fraction < self.options.half_resolution
         images, cameras = (self.half_images, self.half_cameras) if coarse else (self.images, self.cameras)
         target = images[view, None]
@@ -135,8 +113,7 @@ class Fit:
         color = color + passing * (random if self.options.random_background else self.behind)
         loss = photometric_loss(color, target, dssim=self.options.dssim) + self._penalty()
         loss.backward()
-        self.optimizer.step()
-        self.optimizer.zero_grad(set_to_none=True)
+        self.splats.step()
         if self.options.exposure_lr:
             self.exposure_optimizer.param_groups[0]["lr"] = self.options.exposure_lr * 0.1**fraction
             self.exposure_optimizer.step()
@@ -152,7 +129,7 @@ class Fit:
         o, p = self.options, self.parameters
         loss = o.opacity_weight * p["opacities"].sigmoid().mean() if o.opacity_weight else 0.0
         if o.scale_weight:
-            loss = loss + o.scale_weight * (p["scales"].exp() / self.footprints[:, None]).mean()
+            loss = loss + o.scale_weight * (p["scales"].exp() / self.splats.units[:, None]).mean()
         return loss
 
     @torch.no_grad()
@@ -160,24 +137,12 @@ class Fit:
         p = self.parameters
         largest = p["scales"].amax(1).exp()
         distance = torch.cdist(self.gaussians().means[0], self.cameras.world_from_camera[0, :, :3, 3]).amin(1)
-        dead = (p["opacities"].sigmoid() < MIN_OPACITY) | (largest > MAX_FOOTPRINTS * self.footprints)
+        dead = (p["opacities"].sigmoid() < MIN_OPACITY) | (largest > MAX_FOOTPRINTS * self.splats.units)
         dead |= distance < self.nearest
         keep = (~dead).nonzero()[:, 0]
         if len(keep) < len(dead):
-            self._select(keep)
-
-    def _select(self, index: Int[Tensor, " n"]) -> None:
-        """Keep some of the Gaussians, and their part of the optimiser's state."""
-        self.anchors, self.footprints = self.anchors[index], self.footprints[index]
-        self.pixels = self.pixels[index]
-        for group in self.optimizer.param_groups:
-            old = group["params"][0]
-            new = old.detach()[index].requires_grad_()
-            state = self.optimizer.state.pop(old, {})
-            self.optimizer.state[new] = {
-                key: value[index] if value.shape == old.shape else value for key, value in state.items()
-            }
-            group["params"][0] = self.parameters[group["name"]] = new
+            self.splats.select(keep)
+            self.pixels = self.pixels[keep]
 
     def run(
         self, on_progress: Callable[[Progress], None] | None = None, on_checkpoint: Callable[[], None] | None = None
@@ -188,18 +153,7 @@ class Fit:
             on_progress: Called after every evaluation.
             on_checkpoint: Called where the state is worth being written: after it.
         """
-        started, first = time.monotonic(), self.step
-        while self.step < self.last_step:
-            self.recent = [*self.recent[1 - len(self.training) :], self.advance()]
-            if self.step % self.options.evaluate_every and self.step not in (self.end, self.last_step):
-                continue
-            if self.step <= self.end:
-                self._evaluate()
-            pace = (time.monotonic() - started) / (self.step - first)
-            if on_progress is not None:
-                on_progress(self.progress(pace))
-            if on_checkpoint is not None:
-                on_checkpoint()
+        self.steps(lambda pace: on_progress and on_progress(self.progress(pace)), on_checkpoint)
         return self.result()
 
     @property
@@ -212,15 +166,22 @@ class Fit:
         return Progress(
             step=self.step,
             num_steps=self.last_step,
-            train_psnr=sum(self.recent) / max(len(self.recent), 1),
+            train_psnr=self.mean,
             heldout_psnr=self.quality and self.quality.psnr,
-            num_gaussians=len(self.anchors),
+            num_gaussians=len(self.splats),
             seconds_left=pace * (self.last_step - self.step),
         )
 
-    def _evaluate(self) -> None:
+    def at_turn(self) -> bool:
+        """Views that were held out come in at the end of the first steps."""
+        return self.step == self.end
+
+    def look(self) -> None:
+        """Measure views held out, and end where nothing is gained; not in the final steps, which see all views."""
+        if self.step > self.end:
+            return
         self.quality = self.heldout_quality()
-        reached = sum(self.recent) / len(self.recent) if self.quality is None else self.quality.psnr
+        reached = self.mean if self.quality is None else self.quality.psnr
         self.stale = 0 if reached > self.best + MIN_GAIN else self.stale + 1
         self.best = max(self.best, reached)
         if self.options.patience and self.stale >= self.options.patience:
@@ -259,7 +220,7 @@ class Fit:
             gains=1 + exposures[:, :3],
             biases=exposures[:, 3:],
             steps=self.step,
-            train_psnr=sum(self.recent) / max(len(self.recent), 1),
+            train_psnr=self.mean,
             heldout=self.quality,
             unexplained=self._unexplained(),
         )
@@ -270,19 +231,11 @@ class Fit:
 
     def state_dict(self) -> dict[str, Any]:
         """All that a fit of the same photographs and options needs to go on; ``torch.save`` can write it."""
-        return {
-            "anchors": self.anchors,
-            "footprints": self.footprints,
+        return super().state_dict() | {
             "pixels": self.pixels,
-            "parameters": {name: value.detach() for name, value in self.parameters.items()},
-            "optimizer": self.optimizer.state_dict(),
+            "splats": self.splats.state_dict(),
             "exposures": self.exposures.values.detach(),
             "exposure_optimizer": self.exposure_optimizer.state_dict(),
-            "generator": self.generator.get_state(),
-            "step": self.step,
-            "training": self.training,
-            "order": self.order,
-            "recent": self.recent,
             "end": self.end,
             "quality": self.quality and tuple(self.quality),
             "best": self.best,
@@ -291,18 +244,13 @@ class Fit:
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from what :meth:`state_dict` gave."""
-        self.anchors, self.footprints, self.pixels = (state[name] for name in ("anchors", "footprints", "pixels"))
-        for group in self.optimizer.param_groups:
-            value = state["parameters"][group["name"]].clone().requires_grad_()
-            group["params"][0] = self.parameters[group["name"]] = value
-        self.optimizer.load_state_dict(state["optimizer"])
+        super().load_state_dict(state)
+        self.pixels = state["pixels"]
+        self.splats.load_state_dict(state["splats"])
         with torch.no_grad():
             self.exposures.values.copy_(state["exposures"])
         self.exposure_optimizer.load_state_dict(state["exposure_optimizer"])
-        self.training = list(state["training"])
         self.exposures.train(self.training)
-        self.generator.set_state(state["generator"])
-        self.step, self.order, self.recent = state["step"], list(state["order"]), list(state["recent"])
         self.end = state["end"]
         self.quality = state["quality"] and HeldoutQuality(*state["quality"])
         self.best, self.stale = state["best"], state["stale"]
@@ -312,3 +260,16 @@ class Fit:
         """One view as its photograph would be exposed, cut to [0, 1]."""
         color = self.renderer(self.gaussians(), self.cameras.select([view])).color[0]
         return self.exposures.apply(color, view).clamp(0, 1)
+
+
+def _gaussians(initial: InitialGaussians, options: FitOptions) -> Gaussians:
+    """Round Gaussians at the initial centres, of one opacity."""
+    count, like = len(initial.means), initial.means
+    colors = constant_from_rgb(initial.colors)[:, None]
+    return Gaussians(
+        means=like[None],
+        rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).to(like).repeat(1, count, 1),
+        scales=initial.scales[None, :, None].repeat(1, 1, 3),
+        opacities=like.new_full((1, count), options.opacity),
+        harmonics=torch.cat([colors, like.new_zeros(count, (options.degree + 1) ** 2 - 1, 3)], dim=1)[None],
+    )

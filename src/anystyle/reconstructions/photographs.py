@@ -1,10 +1,7 @@
 """Posed photographs in, fitted Gaussians out."""
 
-import hashlib
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import count
 from pathlib import Path
 from types import MappingProxyType
 
@@ -14,13 +11,11 @@ from torch import Tensor
 
 from anystyle.contracts import Renderer
 from anystyle.geometry.stereo import plane_sweep
-from anystyle.io.atomic import atomic_path
 from anystyle.reconstructions.fitting import Fit
 from anystyle.reconstructions.initial import InitialGaussians, backdrop, from_stereo
+from anystyle.reconstructions.loop import fingerprint, resume, write_state
 from anystyle.reconstructions.options import FitOptions, FitResult, Progress
 from anystyle.types import Cameras
-
-logger = logging.getLogger(__name__)
 
 UNSUPPORTED, BEHIND = 0.1, 0.05
 """Of the pixels without a supported depth, the share that is lifted all the same; Gaussians of the backdrop, as a share
@@ -102,10 +97,11 @@ def fit_photographs(
     training = [view for view in range(len(images)) if view not in heldout]
     begin = _initial(images, cameras, training, points, num_gaussians, options.seed)
     fit = Fit(images, cameras, begin, renderer, options, heldout=tuple(heldout))
-    key = _fingerprint(images, cameras, begin, options, heldout)
+    poses = {"poses": cameras.world_from_camera, "intrinsics": cameras.intrinsics}
+    key = fingerprint((options, tuple(heldout), cameras.size), {"images": images, **poses, "means": begin.means})
     if state is not None:
-        _resume(fit, state, key)
-    result = fit.run(on_progress, None if state is None else lambda: _write(fit, state, key))
+        resume(fit, state, key, images.device)
+    result = fit.run(on_progress, None if state is None else lambda: write_state(fit, state, key))
     if state is not None:
         state.unlink(missing_ok=True)
     return result
@@ -131,39 +127,3 @@ def _initial(
     begin = lifted if behind is None else InitialGaussians.cat([lifted, behind])
     view, row, column = begin.pixels.unbind(1)
     return replace(begin, pixels=torch.stack([torch.tensor(training)[view], row, column], dim=1)).to(device)
-
-
-def _fingerprint(
-    images: Tensor, cameras: Cameras, begin: InitialGaussians, options: FitOptions, heldout: Sequence[int]
-) -> str:
-    """What a state must have been written for."""
-    digest = hashlib.sha256(repr((options, tuple(heldout), cameras.size)).encode())
-    for tensor in (images, cameras.world_from_camera, cameras.intrinsics, begin.means):
-        digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
-    return digest.hexdigest()
-
-
-def _write(fit: Fit, path: Path, key: str) -> None:
-    with atomic_path(path) as temporary:
-        torch.save({"key": key, "fit": fit.state_dict()}, temporary)
-
-
-def _resume(fit: Fit, path: Path, key: str) -> None:
-    """Take up a fit that was broken off; one of other photographs or options is begun anew, and its state kept."""
-    if not path.is_file():
-        return
-    try:
-        written = torch.load(path, map_location=fit.images.device, weights_only=True)
-        same = written["key"] == key
-    except Exception as error:
-        # Damaged archives raise nearly anything.
-        raise ValueError(f"{path} is no state of a fit ({type(error).__name__}); name another file as state") from None
-    if not same:
-        aside = next(name for number in count(1) if not (name := path.with_name(f"{path.name}.{number}")).exists())
-        path.rename(aside)
-        logger.warning(
-            "%s was written for other photographs or options: it is %s now, and the fit begins anew", path, aside.name
-        )
-        return
-    fit.load_state_dict(written["fit"])
-    logger.info("the fit goes on at step %d of %d", fit.step, fit.last_step)

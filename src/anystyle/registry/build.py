@@ -99,6 +99,8 @@ def _checked(plugin: Plugin, given: Mapping[str, Any]) -> dict[str, Any]:
                 raise ValueError(f"it has no default; give it one with {where}.{item.name}=...")
             container: Any = OmegaConf.to_container(merged, resolve=True)
             values[item.name] = fitted(container[item.name], item.hint)
+            if values[item.name] != values[item.name]:
+                raise ValueError("nan is no number that anything can be set to")
         except (OmegaConfBaseException, ValueError) as error:
             message = str(error).partition("\n")[0]
             raise ValueError(f"{plugin}, option '{item.name}': {message}") from error

@@ -24,6 +24,7 @@ KINDS: dict[str, Kind] = {
     "injector": Kind("anystyle.contracts:Injector", runtime=("dim", "style_dim")),
     "renderer": Kind("anystyle.contracts:Renderer"),
     "reconstruction": Kind("anystyle.reconstructions.contract:Reconstruction"),
+    "method": Kind("anystyle.methods.contract:Method", runtime=("losses",)),
     "loss": Kind("anystyle.contracts:Loss", many=True, runtime=("style_encoder",)),
     "metric": Kind("anystyle.contracts:Metric", many=True, runtime=("style_encoder", "correspondence")),
     "correspondence": Kind("anystyle.contracts:Correspondence"),
@@ -34,7 +35,9 @@ KINDS: dict[str, Kind] = {
         "anystyle.training.contract:Training",
         runtime=("backbone", "renderer", "style_encoder", "stylizer", "losses", "features"),
     ),
-    "protocol": Kind("anystyle.evaluation.contract:Protocol", runtime=("stylizer", "metrics", "scenes", "styles")),
+    "protocol": Kind(
+        "anystyle.evaluation.contract:Protocol", runtime=("stylizer", "method", "metrics", "scenes", "styles")
+    ),
 }
 
 BUILTIN: dict[str, dict[str, str]] = {
@@ -66,7 +69,13 @@ BUILTIN: dict[str, dict[str, str]] = {
         "feedforward": "anystyle.reconstructions.feedforward:Feedforward",
         "fit": "anystyle.reconstructions.fit:Fit",
     },
+    "method": {
+        "branch": "anystyle.methods.branch:Branch",
+        "optimize": "anystyle.methods.optimize:Optimize",
+        "projection": "anystyle.methods.projection:Projection",
+    },
     "loss": {
+        "attribute_change": "anystyle.losses.attribute_change:AttributeChange",
         "clip_directional": "anystyle.losses.clip_directional:ClipDirectional",
         "clip_patch": "anystyle.losses.clip_patch:ClipPatch",
         "content": "anystyle.losses.content:Content",
@@ -75,6 +84,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "gram": "anystyle.losses.gram:Gram",
         "histogram": "anystyle.losses.histogram:Histogram",
         "nnfm": "anystyle.losses.nnfm:NNFM",
+        "simultaneous_scales": "anystyle.losses.simultaneous_scales:SimultaneousScales",
         "sliced_wasserstein": "anystyle.losses.sliced_wasserstein:SlicedWasserstein",
         "style": "anystyle.losses.style:StyleLoss",
         "style_3d": "anystyle.losses.style_3d:Style3D",
@@ -111,8 +121,7 @@ BUILTIN: dict[str, dict[str, str]] = {
         "wikiart": "anystyle.data.wikiart:WikiArtStyles",
     },
     "study_test": {
-        "cluster_bootstrap": "anystyle.study.tests.cluster_bootstrap:ClusterBootstrap",
-        "equivalence": "anystyle.study.tests.equivalence:Equivalence",
+        "crossed_t": "anystyle.study.tests.crossed_t:CrossedT",
         "one_sample_t": "anystyle.study.tests.one_sample_t:OneSampleT",
         "ordinal_mixed": "anystyle.study.tests.ordinal_mixed:OrdinalMixed",
         "sign_flip": "anystyle.study.tests.sign_flip:SignFlip",

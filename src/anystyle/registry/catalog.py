@@ -18,7 +18,10 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Any, TypeVar
 
+import msgspec
+
 from anystyle import paths
+from anystyle.documents import read_toml
 from anystyle.errors import UserError, one_line, unknown
 from anystyle.registry.builtin import BUILTIN, KINDS, Kind
 
@@ -182,6 +185,11 @@ class Catalog:
                 return self.find(kind, plugin.name)
         raise PluginError(f"_target_ '{path}' is a {plugins[0].kind}, and a {kind} is expected here")
 
+    def name_of(self, kind: str, cls: type) -> str:
+        """The name that a class is registered by; its own where the catalog does not list it."""
+        path = f"{cls.__module__}.{cls.__qualname__}"
+        return next((plugin.name for plugin in self._plugins if (plugin.kind, plugin.path) == (kind, path)), path)
+
 
 def _builtin() -> Iterator[Plugin]:
     for kind, rows in BUILTIN.items():
@@ -211,17 +219,27 @@ def _installed(problems: list[str]) -> Iterator[Plugin]:
         yield from _rows(point, problems, origin, project=name)
 
 
-def _local(root: Path, problems: list[str]) -> Iterator[Plugin]:
-    import tomllib
+class _Project(msgspec.Struct, rename="kebab"):
+    """The part of a project's table that declares plugins."""
 
+    name: str | None = None
+    entry_points: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
+
+
+class _PyProject(msgspec.Struct):
+    """The part of ``pyproject.toml`` that is read."""
+
+    project: _Project = msgspec.field(default_factory=_Project)
+
+
+def _local(root: Path, problems: list[str]) -> Iterator[Plugin]:
     origin = paths.shown(root)
     try:
-        project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8")).get("project", {})
-        name = project.get("name")
-        tables = {group: dict(rows) for group, rows in project.get("entry-points", {}).items()}
-    except (OSError, ValueError, TypeError, AttributeError) as error:
-        problems.append(f"{origin}/pyproject.toml cannot be read: {one_line(error)}")
+        declared: _PyProject = read_toml(root / "pyproject.toml", _PyProject, what="project")
+    except UserError as error:
+        problems.append(f"{origin}/pyproject.toml cannot be read: {error}")
         return
+    name, tables = declared.project.name, declared.project.entry_points
     for group, rows in tables.items():
         if not group.startswith(_PREFIX):
             continue

@@ -104,7 +104,8 @@ def explain(error: Exception) -> str:
         hint = "quote special characters twice: 'key=\"a, b\"'"
         return f"cannot read the override '{one_line(error.override)}': {reason}; {hint}"
     cause = error.__cause__
-    parts = [_message(error)]
+    key = error.full_key if isinstance(error, OmegaConfBaseException) else None
+    parts = [key if key and key not in str(error).partition("\n")[0] else "", _message(error)]
     if isinstance(cause, OmegaConfBaseException):
         parts.append(_message(cause))
     return ": ".join(part.rstrip(".:") for part in parts if part) + _nearest(error, cause)

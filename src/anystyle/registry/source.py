@@ -11,10 +11,10 @@ from hydra.core.object_type import ObjectType
 from hydra.core.plugins import Plugins
 from hydra.errors import ConfigCompositionException
 from hydra.plugins.config_source import ConfigLoadError, ConfigResult, ConfigSource
-from omegaconf import OmegaConf
 
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import PluginError, catalog
+from anystyle.registry.guard import GuardedFiles, install
 from anystyle.registry.packages import groups, package_presets
 from anystyle.registry.schema import node
 
@@ -56,8 +56,7 @@ class PluginSource(ConfigSource):
         group, _, name = config_path.removesuffix(".yaml").partition("/")
         preset = self._preset(group, name)
         if preset is not None:
-            header = self._get_header_dict(preset.read_text(encoding="utf-8"))
-            return ConfigResult(self.provider, self.full_path(), OmegaConf.load(preset), header)
+            return GuardedFiles(self.provider, str(preset.parent)).load_config(preset.name)
         try:
             config = node(catalog().find(group, name))
         except PluginError as error:
@@ -76,3 +75,4 @@ class PluginSource(ConfigSource):
 def register() -> None:
     """Make ``anystyle://`` known to Hydra in this process; calling it again changes nothing."""
     Plugins.instance().register(PluginSource)
+    install()

@@ -1,4 +1,8 @@
-"""How far participants agree: Krippendorff's alpha for ordinal answers."""
+"""How far participants agree: Krippendorff's alpha for ordinal answers.
+
+No interval is given: resampling the few items of a study, or the participants, covers in 60 to 90 % of studies what it
+should in 95 %.
+"""
 
 import math
 
@@ -31,19 +35,9 @@ def krippendorff_alpha(counts: Float[np.ndarray, "J K"]) -> float:
     return float(1 - (total - 1) * (coincidences * distance).sum() / expected)
 
 
-def agreement(
-    responses: Responses, *, resamples: int = 999, seed: int = 0, confidence: float = 0.95
-) -> tuple[float, tuple[float, float]]:
-    """Krippendorff's ordinal alpha over items, and an interval from resampling the items."""
+def agreement(responses: Responses) -> float:
+    """Krippendorff's ordinal alpha over items."""
     levels, level = np.unique(responses.deviations, return_inverse=True)
     items, item = np.unique(responses.items, return_inverse=True)
     flat = np.bincount(item * len(levels) + level, minlength=len(items) * len(levels))
-    counts = flat.reshape(len(items), len(levels)).astype(float)
-    alpha = krippendorff_alpha(counts)
-    if math.isnan(alpha) or len(items) < 2:
-        return alpha, (math.nan, math.nan)
-    generator = np.random.default_rng(seed)
-    drawn = generator.integers(0, len(items), (resamples, len(items)))
-    values = np.array([krippendorff_alpha(counts[rows]) for rows in drawn])
-    low, high = np.nanquantile(values, [(1 - confidence) / 2, (1 + confidence) / 2])
-    return alpha, (float(low), float(high))
+    return krippendorff_alpha(flat.reshape(len(items), len(levels)).astype(float))

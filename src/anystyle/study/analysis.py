@@ -3,19 +3,20 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import get_args
 
 import numpy as np
 from jaxtyping import Float
 from scipy import special
 
 from anystyle.study.agreement import agreement
-from anystyle.study.checks import Checks, Rules, check
+from anystyle.study.checks import Checks, check
 from anystyle.study.contract import Alternative, Responses, Scale, StudyTest, TestResult, Unit
+from anystyle.study.crossed import Crossing, Variation, variation
 from anystyle.study.effects import Effect, effects
-from anystyle.study.probability import holm, log_t_pvalue
+from anystyle.study.plan import Rules
+from anystyle.study.probability import holm, log_t_cdf, log_t_pvalue, t_interval
+from anystyle.study.protocol import Study
 from anystyle.study.reading import Records
-from anystyle.study.variance import Variation, variation
 
 
 @dataclass(frozen=True)
@@ -24,19 +25,34 @@ class Settings:
 
     Args:
         scale: Of the answers.
+        scales: Of the questions that have another one, by name.
         rules: Who is left out.
-        confidence: Of the intervals.
-        resamples: Of the intervals of effects and of agreement.
+        confidence: Of all intervals; a p-value up to its complement is evidence.
+        alternative: Of all tests and intervals; ``less`` claims that ours is preferred.
         seed: Of all resampling.
+        margin: The largest mean preference, as a share of the way from the neutral answer to the end of the scale,
+            that counts as none; ``None`` asks for no equivalence.
         titles: Texts of the questions, by name, for tables and figures.
+        study: The design, where there is one: its plan is told first.
     """
 
     scale: Scale = field(default_factory=Scale)
+    scales: tuple[tuple[str, Scale], ...] = ()
     rules: Rules = field(default_factory=Rules)
     confidence: float = 0.95
-    resamples: int = 1999
+    alternative: Alternative = "two-sided"
     seed: int = 0
+    margin: float | None = None
     titles: tuple[tuple[str, str], ...] = ()
+    study: Study | None = None
+
+    def __post_init__(self) -> None:
+        if not 0.5 <= self.confidence < 1:
+            raise ValueError(f"--confidence {self.confidence:g}: expected a share from 0.5 to below 1, such as 0.95")
+        if self.margin is not None and not 0 < self.margin < 1:
+            raise ValueError(f"--margin {self.margin:g}: expected a share of the way to the end of the scale, as 0.1")
+        if self.margin is not None and self.alternative != "two-sided":
+            raise ValueError("--margin needs --alternative two-sided: a one-sided interval bounds one side alone")
 
 
 @dataclass(frozen=True)
@@ -55,16 +71,34 @@ class NamedResult:
 
 
 @dataclass(frozen=True)
+class Equivalence:
+    """Two one-sided tests (Schuirmann 1987) on the interval of the crossed mean.
+
+    Args:
+        margin: In points of the answer scale.
+        pvalue: The larger of the two; ``nan`` where the mean's error is not known.
+        shown: Whether the whole interval lies within the margin.
+    """
+
+    margin: float
+    pvalue: float
+    shown: bool
+
+
+@dataclass(frozen=True)
 class Means:
     """Means of participants or of items, each over its own answers.
 
     Args:
         names: Whose.
+        titles: For people: of an item its scene and style, where they are known.
         means: Deviations; negative prefers ours.
-        reach: Half the width of the interval, from the spread of that one's own answers; ``nan`` for one answer.
+        half_width: Of an item's interval over new participants; ``nan`` for participants, whose answers share scenes
+            and styles, and for one answer.
     """
 
     names: tuple[str, ...]
+    titles: tuple[str, ...]
     means: Float[np.ndarray, " N"]
     half_width: Float[np.ndarray, " N"]
 
@@ -101,7 +135,7 @@ class QuestionAnalysis:
     effects: tuple[Effect, ...]
     variation: Variation | None
     alpha: float
-    alpha_interval: tuple[float, float]
+    equivalence: Equivalence | None
     position: Position | None
     by_participant: Means
     by_item: Means
@@ -113,9 +147,8 @@ class QuestionAnalysis:
             named
             for named in self.tests
             if named.result.estimate_unit == "points"
-            and named.result.alternative in get_args(Alternative)
             and math.isfinite(named.result.log_pvalue)
-            and named.result.generalizes_to
+            and "participants" in named.result.generalizes_to
         ]
         return max(usable, key=lambda named: len(named.result.generalizes_to), default=None)
 
@@ -148,7 +181,7 @@ def analyze(
     Raises:
         ValueError: The answers cannot be analysed.
     """
-    checks, by_question = check(records, scale=settings.scale, rules=settings.rules)
+    checks, by_question = check(records, scale=settings.scale, rules=settings.rules, scales=dict(settings.scales))
     questions: list[QuestionAnalysis] = []
     for responses in by_question:
         progress(responses.question)
@@ -165,9 +198,6 @@ def analyze(
 def _question(responses: Responses, tests: Mapping[str, StudyTest], settings: Settings) -> QuestionAnalysis:
     results = [NamedResult(name, test(responses.at(unit))) for name, test in tests.items() for unit in test.units]
     levels, counts = _distribution(responses)
-    alpha, alpha_interval = agreement(
-        responses, resamples=min(settings.resamples, 999), seed=settings.seed, confidence=settings.confidence
-    )
     return QuestionAnalysis(
         question=responses.question,
         title=dict(settings.titles).get(responses.question.partition(" vs ")[0], responses.question),
@@ -175,13 +205,12 @@ def _question(responses: Responses, tests: Mapping[str, StudyTest], settings: Se
         levels=levels,
         counts=counts,
         tests=tuple(results),
-        effects=tuple(
-            effects(responses, resamples=settings.resamples, seed=settings.seed, confidence=settings.confidence)
-        ),
+        effects=tuple(effects(responses, settings.confidence, settings.alternative)),
         variation=variation(responses),
-        alpha=alpha,
-        alpha_interval=alpha_interval,
-        position=_position(responses, settings.confidence),
+        alpha=agreement(responses),
+        equivalence=None if settings.margin is None else _equivalence(responses, settings.margin, settings.confidence),
+        # A rating is of one picture: which side it stood on is no part of the difference.
+        position=None if responses.ratings else _position(responses, settings.confidence),
         by_participant=_means(responses, "participant", settings.confidence),
         by_item=_means(responses, "item", settings.confidence),
     )
@@ -197,6 +226,18 @@ def _distribution(responses: Responses) -> tuple[tuple[float, ...], tuple[int, .
     return tuple(levels.tolist()), tuple(counts.tolist())
 
 
+def _equivalence(responses: Responses, margin: float, confidence: float) -> Equivalence:
+    points = margin * (responses.scale.high - responses.scale.midpoint)
+    crossed = Crossing(factors=responses.factors).mean(responses.deviations) if responses.factors else None
+    if crossed is None or crossed.error == 0:
+        return Equivalence(points, math.nan, False)
+    mean, error, df = float(crossed.mean), float(crossed.error), float(crossed.df)
+    low, high = t_interval(mean, error, df, confidence, "two-sided")
+    # The nearer margin decides: its statistic has the larger p-value.
+    pvalue = math.exp(log_t_cdf((abs(mean) - points) / error, df))
+    return Equivalence(points, pvalue, -points < low and high < points)
+
+
 def _means(responses: Responses, unit: Unit, confidence: float) -> Means:
     codes = responses.participants if unit == "participant" else responses.items
     names = responses.participant_names if unit == "participant" else responses.item_names
@@ -204,11 +245,15 @@ def _means(responses: Responses, unit: Unit, confidence: float) -> Means:
     present = np.flatnonzero(counts)
     n = counts[present].astype(float)
     means = np.bincount(codes, responses.deviations, len(names))[present] / n
-    squares = np.bincount(codes, responses.deviations**2, len(names))[present]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        error = np.sqrt(np.maximum(squares - n * means**2, 0) / (n - 1) / n)
-        half_width = special.stdtrit(n - 1, (1 + confidence) / 2) * error
-    return Means(tuple(names[index] for index in present), means, half_width)
+    half_width = np.full(len(present), np.nan)
+    if unit == "item":
+        squares = np.bincount(codes, responses.deviations**2, len(names))[present]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            error = np.sqrt(np.maximum(squares - n * means**2, 0) / (n - 1) / n)
+        # Where all answer alike the spread says nothing.
+        half_width = np.where(error > 0, special.stdtrit(np.maximum(n - 1, 1), (1 + confidence) / 2) * error, np.nan)
+    titles = responses.item_titles if unit == "item" else names
+    return Means(tuple(names[i] for i in present), tuple(titles[i] for i in present), means, half_width)
 
 
 def _position(responses: Responses, confidence: float) -> Position | None:
@@ -223,7 +268,7 @@ def _position(responses: Responses, confidence: float) -> Position | None:
     bias, half_width = _mean_and_half_width(biases, confidence)
     if half_width > 0:
         statistic = bias / (half_width / float(special.stdtrit(len(biases) - 1, (1 + confidence) / 2)))
-        log_pvalue = log_t_pvalue(statistic, len(biases) - 1, "two-sided")
+        log_pvalue = log_t_pvalue(statistic, float(len(biases) - 1), "two-sided")
     by_side = [_mean_and_half_width(side[np.isfinite(side)], confidence) for side in sides]
     return Position(bias, (bias - half_width, bias + half_width), log_pvalue, by_side[0], by_side[1])
 

@@ -5,25 +5,29 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
+from msgspec import structs
+
 from anystyle.study.analysis import Analysis, Means, NamedResult, QuestionAnalysis
 
 
 def as_json(analysis: Analysis) -> dict[str, Any]:
     """The analysis as plain data, ``nan`` as ``None``; what ``analysis.json`` holds."""
     checks, settings = analysis.checks, analysis.settings
-    kinds = ("missing", "duplicated", "out_of_range", "straight_lining", "failed_attention_check")
+    kinds = ("missing", "duplicated", "out_of_range", "straight_lining", "failed_attention_check", "fast")
     content = {
-        "schema": 1,
+        "schema": 2,
         "sign": "scores below the neutral answer and negative estimates mean that ours is preferred",
         "sources": list(analysis.sources),
         "settings": {
             "scale": [settings.scale.low, settings.scale.high],
             "confidence": settings.confidence,
-            "resamples": settings.resamples,
+            "alternative": settings.alternative,
+            "margin": settings.margin,
             "seed": settings.seed,
-            "rules": asdict(settings.rules),
+            "rules": structs.asdict(settings.rules),
         },
         "checks": {
+            "participants_read": checks.participants_read,
             "answers_read": checks.answers_read,
             "attention_answers": checks.attention_answers,
             "answers_used": checks.answers_used,
@@ -49,11 +53,9 @@ def _question_json(question: QuestionAnalysis) -> dict[str, Any]:
         "tests": [_row_json(named) for named in question.tests],
         "effects": [asdict(effect) for effect in question.effects],
         "variation": None if question.variation is None else asdict(question.variation),
-        "agreement": {
-            "name": "krippendorff_alpha_ordinal",
-            "estimate": question.alpha,
-            "interval": question.alpha_interval,
-        },
+        "agreement": {"name": "krippendorff_alpha_ordinal", "estimate": question.alpha},
+        "equivalence": None if question.equivalence is None else asdict(question.equivalence),
+        "ratings": None if responses.ratings is None else dict(zip(("ours", "theirs"), responses.ratings, strict=True)),
         "position": None
         if position is None
         else {

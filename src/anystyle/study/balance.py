@@ -13,8 +13,6 @@ from scipy import optimize, sparse
 def draw_pairs(available: Bool[np.ndarray, "S T"], count: int, generator: np.random.Generator) -> list[tuple[int, int]]:
     """Draw ``count`` different scene-style pairs, as evenly over scenes and over styles as the available ones allow.
 
-    Of all most even draws one is chosen at random: a transport problem with random costs, whose corners are whole.
-
     Raises:
         ValueError: Fewer pairs are available.
     """
@@ -24,38 +22,60 @@ def draw_pairs(available: Bool[np.ndarray, "S T"], count: int, generator: np.ran
             f"{count} sets are asked for and {len(pairs)} pairs of scene and style have results of every method; "
             f"plan at most {len(pairs) - len(pairs) % 2} sets, or add results"
         )
+    chosen = _evenly(pairs, available.shape, count, generator)
+    return [(int(scene), int(style)) for scene, style in generator.permutation(pairs[chosen])]
+
+
+def balanced_subsets(
+    pairs: Int[np.ndarray, "pool 2"], count: int, rounds: int, generator: np.random.Generator
+) -> Int[np.ndarray, "rounds count"]:
+    """Subsets of a pool of scene-style pairs: every set as often as every other one, or once more.
+
+    Within that, each subset is as even over scenes and over styles as it can be. Of a pool of ``count``, all are taken.
+    """
+    shape = tuple((pairs.max(axis=0) + 1).tolist())
+    times = np.zeros(len(pairs), dtype=int)
+    subsets = []
+    for _ in range(rounds):
+        threshold = np.sort(times)[count - 1]
+        subset = _evenly(pairs, shape, count, generator, low=times < threshold, high=times <= threshold)
+        times[subset] += 1
+        subsets.append(subset)
+    return np.array(subsets)
+
+
+def _evenly(
+    pairs: Int[np.ndarray, "N 2"],
+    shape: tuple[int, ...],
+    count: int,
+    generator: np.random.Generator,
+    low: Any = 0,  # scipy's stubs know single bounds only
+    high: Any = 1,
+) -> Int[np.ndarray, " count"]:
+    """Which pairs to take, at least ``low`` and at most ``high`` of each: the most even draw, ties by chance.
+
+    A transport problem with random costs, whose corners are whole; evenness gives way until there is a solution.
+    """
     costs = generator.random(len(pairs))
     for slack in range(count + 1):
-        chosen = _transport(pairs, available.shape, count, slack, costs)
-        if chosen is not None:
-            return [(int(scene), int(style)) for scene, style in generator.permutation(pairs[chosen])]
-    raise AssertionError("any pairs at all fit within a slack of as many")
-
-
-def _transport(
-    pairs: np.ndarray, shape: tuple[int, ...], count: int, slack: int, costs: np.ndarray
-) -> np.ndarray | None:
-    """Which pairs to take, every scene and style within ``slack`` of its even share; ``None`` if there is no way."""
-    rows: list[sparse.csr_array] = []
-    low: Any = []  # scipy's stubs know single bounds only
-    high: Any = []
-    for axis, size in enumerate(shape):
-        member = sparse.csr_array(
-            (np.ones(len(pairs)), (pairs[:, axis], np.arange(len(pairs)))), shape=(size, len(pairs))
+        rows: list[sparse.csr_array] = []
+        bounds: list[tuple[int, int]] = []
+        for axis, size in enumerate(shape):
+            member = (np.ones(len(pairs)), (pairs[:, axis], np.arange(len(pairs))))
+            rows.append(sparse.csr_array(member, shape=(size, len(pairs))))
+            bounds += [(max(math.floor(count / size) - slack, 0), math.ceil(count / size) + slack)] * size
+        result = optimize.milp(
+            costs,
+            integrality=np.ones(len(pairs)),
+            bounds=optimize.Bounds(low, high),
+            constraints=[
+                optimize.LinearConstraint(sparse.vstack(rows), *np.transpose(bounds).tolist()),
+                optimize.LinearConstraint(np.ones((1, len(pairs))), count, count),
+            ],
         )
-        rows.append(member)
-        low += [max(math.floor(count / size) - slack, 0)] * size
-        high += [math.ceil(count / size) + slack] * size
-    result = optimize.milp(
-        costs,
-        integrality=np.ones(len(pairs)),
-        bounds=optimize.Bounds(0, 1),
-        constraints=[
-            optimize.LinearConstraint(sparse.vstack(rows), low, high),
-            optimize.LinearConstraint(np.ones((1, len(pairs))), count, count),
-        ],
-    )
-    return None if result.x is None else np.flatnonzero(result.x > 0.5)
+        if result.x is not None:
+            return np.flatnonzero(result.x > 0.5)
+    raise AssertionError("any pairs at all fit within a slack of as many")
 
 
 def balanced_positions(

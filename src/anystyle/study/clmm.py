@@ -1,28 +1,31 @@
 """A cumulative-logit mixed model with crossed random effects, fitted by Laplace's approximation.
 
 statsmodels fits ordinal models without random effects and linear ones with them, but no ordinal model with crossed
-ones; this does. With ``y`` the deviation from the neutral answer, person p, item i and position c = +1 where ours is
-A and -1 where it is B:
+ones; this does, as ``clmm`` of R's ``ordinal`` (Christensen 2022). With ``y`` the deviation from the neutral answer,
+random effects of the answer's participant, item, scene and style, and position c = +1 where ours is A and -1 where B:
 
-    P(y <= k) = logistic(theta_k - eta),   eta = beta + delta c + sigma_p u_p + sigma_i v_i,   u, v ~ N(0, 1)
+    P(y <= k) = logistic(theta_k - eta),   eta = beta + delta c + sum_f sigma_f u_f,   u ~ N(0, 1)
 
 The thresholds theta are symmetric about 0, so that ``beta = 0`` says exactly that neither side is preferred, and
 ``delta`` takes up a preference for a position.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
-from scipy import linalg, optimize, special
+from scipy import linalg, optimize, sparse, special
 
-from anystyle.study.contract import Responses
+from anystyle.study.contract import Population, Responses
+from anystyle.study.crossed import Crossing
 
 _END = 500.0  # stands for an infinite threshold: its logistic is 0 or 1 to the last bit
 _MAX_SIZES = 11  # distinct sizes of deviations; above, answers are as good as continuous
 _MAX_CELLS = 20_000_000
+_STEEPEST = 1e-5  # the gradient's largest part an answer at what passes for a maximum
+_SUBSET = 10_000  # answers from which a part of the participants says where the maximum is about
+_STEP = 1e-4  # of differences of the gradient
 
 
 @dataclass(frozen=True)
@@ -31,31 +34,24 @@ class OrdinalFit:
 
     Args:
         preference: ``beta`` in logits; negative prefers ours.
-        error: Its standard error, from the observed information.
+        error: Its standard error, from the observed information, with each factor's variance, which maximum
+            likelihood takes too small by one of its levels, made up for.
+        df: Its degrees of freedom: those of the answers' mean (:mod:`anystyle.study.crossed`).
         position: ``delta``; 0 where ours was always shown in one place.
-        participant_sd: ``sigma_p`` in logits.
-        item_sd: ``sigma_i`` in logits.
+        sds: ``sigma`` of each factor, in logits.
         thresholds: The positive ones, ascending.
         loglikelihood: Laplace's approximation at the maximum.
-        null_loglikelihood: The same with ``beta = 0``.
-        converged: Whether both maximisations say so.
+        failure: What the optimiser said where it ended at no maximum, else empty.
     """
 
     preference: float
     error: float
+    df: float
     position: float
-    participant_sd: float
-    item_sd: float
+    sds: dict[Population, float]
     thresholds: tuple[float, ...]
     loglikelihood: float
-    null_loglikelihood: float
-    converged: bool
-
-    @property
-    def signed_root(self) -> float:
-        """The signed square root of the likelihood-ratio statistic of ``beta = 0``; normal if it is."""
-        ratio = 2 * max(self.loglikelihood - self.null_loglikelihood, 0.0)
-        return math.copysign(math.sqrt(ratio), self.preference)
+    failure: str
 
 
 @dataclass(frozen=True)
@@ -90,7 +86,7 @@ class OrdinalModel:
     """The likelihood of one question's answers.
 
     Parameters are one vector: preference, position (where it varies), logarithms of the threshold spacings, and the
-    random effects' standard deviations, of the larger of the two groups (participants, items) first.
+    random effects' standard deviations in the order of :attr:`factors`, the one of most levels first.
 
     Raises:
         ValueError: The answers are no ordinal scale, or the table is too large.
@@ -98,28 +94,38 @@ class OrdinalModel:
 
     def __init__(self, *, responses: Responses) -> None:
         sizes, size_index = np.unique(np.abs(responses.deviations), return_inverse=True)
-        groups = [np.unique(codes, return_inverse=True)[1] for codes in (responses.participants, responses.items)]
-        self.items_first = bool(groups[1].max() > groups[0].max())
-        self._row, self._column = reversed(groups) if self.items_first else groups
-        self._shape = int(self._row.max()) + 1, int(self._column.max()) + 1
+        ordered = sorted(responses.factors.items(), key=lambda factor: -int(factor[1].max()))
+        self.factors: tuple[Population, ...] = tuple(name for name, _ in ordered)
+        self._codes = [codes for _, codes in ordered]
+        self.levels = np.array([int(codes.max()) + 1 for codes in self._codes])
+        cells = int(self.levels[1:].sum()) * int(self.levels.sum())
         if len(sizes) > _MAX_SIZES:
             raise ValueError(f"{len(sizes)} sizes of deviation, more than {_MAX_SIZES}: not an ordinal scale")
-        if self._shape[0] * self._shape[1] > _MAX_CELLS:
-            raise ValueError(f"{self._shape[0]} x {self._shape[1]} cells, more than {_MAX_CELLS}")
+        if cells > _MAX_CELLS:
+            raise ValueError(f"{' x '.join(map(str, self.levels))} levels make {cells} cells, more than {_MAX_CELLS}")
+        n = self.count = responses.count
+        self._first = sparse.csr_array((np.ones(n), (self._codes[0], np.arange(n))))
+        starts = np.cumsum([0, *self.levels[1:-1]]) if len(self.levels) > 1 else np.zeros(0, dtype=int)
+        self._columns = [codes + start for codes, start in zip(self._codes[1:], starts, strict=True)]
         self.num_thresholds = len(sizes) - 1
         self._center = [] if sizes[0] == 0 else [0.0]
         above = self.num_thresholds + len(self._center)  # edges below the first non-negative level
         self._level = np.where(responses.deviations < 0, self.num_thresholds - size_index, above + size_index)
-        position = np.zeros(responses.count)
-        if responses.ours_is_a is not None and 0 < responses.ours_is_a.sum() < responses.count:
+        position = np.zeros(n)
+        if responses.ours_is_a is not None and 0 < responses.ours_is_a.sum() < n:
             position = np.where(responses.ours_is_a, 1.0, -1.0)
-        self._fixed = np.stack([np.ones(responses.count), position][: 2 if position.any() else 1])
-        self._modes = np.zeros(sum(self._shape))
+        self._fixed = np.stack([np.ones(n), position][: 2 if position.any() else 1])
+        self._modes = np.zeros(int(self.levels.sum()))
 
     @property
     def num_fixed(self) -> int:
         """How many parameters say where the answers lie: the preference and perhaps the position."""
         return len(self._fixed)
+
+    @property
+    def start(self) -> Float[np.ndarray, " P"]:
+        """Parameters to begin with."""
+        return np.array([0.0] * (self.num_fixed + self.num_thresholds) + [0.5] * len(self.levels))
 
     def loglikelihood(self, parameters: Float[np.ndarray, " P"]) -> tuple[float, Float[np.ndarray, " P"]]:
         """Laplace's approximation of the marginal log-likelihood, and its gradient.
@@ -129,7 +135,7 @@ class OrdinalModel:
         spacings = np.exp(parameters[self.num_fixed :][: self.num_thresholds])
         thresholds = np.cumsum(spacings)
         edges = np.concatenate([[-_END], -thresholds[::-1], self._center, thresholds, [_END]])
-        sds = np.abs(parameters[-2:])
+        sds = np.abs(parameters[-len(self.levels) :])
         high = edges[self._level + 1] - parameters[: self.num_fixed] @ self._fixed
         low = edges[self._level] - parameters[: self.num_fixed] @ self._fixed
         terms, inverse = self._find_modes(high, low, sds)
@@ -138,16 +144,25 @@ class OrdinalModel:
         count = self.num_thresholds
         outward = (by_edges[-1 - count : -1] - by_edges[1 : 1 + count][::-1])[::-1]
         by_spacings = spacings * np.cumsum(outward)[::-1]
+        by_sds *= np.where(parameters[-len(self.levels) :] < 0, -1.0, 1.0)
         return float(value), np.concatenate([self._fixed @ by_predictor, by_spacings, by_sds])
 
-    def _by_group(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Sums of one value an answer over each row and over each column."""
-        return np.bincount(self._row, values, self._shape[0]), np.bincount(self._column, values, self._shape[1])
+    def _by_level(self, values: np.ndarray, sds: np.ndarray) -> np.ndarray:
+        """Sums of one value an answer over each level of each factor, times the factor's standard deviation."""
+        sums = [
+            sd * np.bincount(codes, values, size)
+            for sd, codes, size in zip(sds, self._codes, self.levels.tolist(), strict=True)
+        ]
+        return np.concatenate(sums)
+
+    def _of_answers(self, effects: np.ndarray) -> list[np.ndarray]:
+        """Each factor's effect on each answer, in standard deviations."""
+        split = np.split(effects, np.cumsum(self.levels)[:-1])
+        return [effect[codes] for effect, codes in zip(split, self._codes, strict=True)]
 
     def _spread(self, effects: np.ndarray, sds: np.ndarray) -> np.ndarray:
         """The random part of each answer's linear predictor."""
-        rows = self._shape[0]
-        return sds[0] * effects[:rows][self._row] + sds[1] * effects[rows:][self._column]
+        return sum((sd * part for sd, part in zip(sds, self._of_answers(effects), strict=True)), np.zeros(self.count))
 
     def _find_modes(self, high: np.ndarray, low: np.ndarray, sds: np.ndarray) -> "tuple[_Terms, _Inverse]":
         """Newton's method; the joint density is log-concave, so a shortened step always climbs."""
@@ -161,8 +176,7 @@ class OrdinalModel:
         value, terms = at(modes)
         inverse = self._inverse(terms.curvature, sds)
         for _ in range(100):
-            by_row, by_column = self._by_group(terms.slope)
-            uphill = np.concatenate([sds[0] * by_row, sds[1] * by_column]) - modes
+            uphill = self._by_level(terms.slope, sds) - modes
             step = inverse.solve(uphill)
             if float(step @ uphill) < 1e-12:
                 break
@@ -177,9 +191,27 @@ class OrdinalModel:
         return terms, inverse
 
     def _inverse(self, curvature: np.ndarray, sds: np.ndarray) -> "_Inverse":
-        (rows, columns), (by_row, by_column) = self._shape, self._by_group(curvature)
-        cross = np.bincount(self._row * columns + self._column, curvature, rows * columns).reshape(rows, columns)
-        return _Inverse(1 + sds[0] ** 2 * by_row, 1 + sds[1] ** 2 * by_column, sds[0] * sds[1] * cross)
+        sizes = self.levels[1:]
+        answers, columns = np.tile(np.arange(self.count), len(sizes)), np.concatenate([[], *self._columns]).astype(int)
+        shape = (self.count, int(sizes.sum()))
+        weights = np.repeat(sds[1:], self.count)
+        rest = sparse.csr_array((weights, (answers, columns)), shape=shape)
+        weighted = sparse.csr_array((weights * np.tile(curvature, len(sizes)), (answers, columns)), shape=shape)
+        return _Inverse(
+            1 + sds[0] ** 2 * (self._first @ curvature),
+            sparse.csr_array(sds[0] * (self._first @ weighted)),
+            np.eye(shape[1]) + (rest.T @ weighted).toarray(),
+        )
+
+    def _leverages(self, inverse: "_Inverse", sds: np.ndarray) -> np.ndarray:
+        """For each factor, the covariance of each answer's effect of it with the answer's whole random part."""
+        first, cross, rest = inverse.blocks()
+        crossed = [cross[self._codes[0], columns] for columns in self._columns]
+        parts = [sds[0] * first[self._codes[0]] + sum(sd * one for sd, one in zip(sds[1:], crossed, strict=True))]
+        for columns, one in zip(self._columns, crossed, strict=True):
+            others = [sd * rest[columns, other] for sd, other in zip(sds[1:], self._columns, strict=True)]
+            parts.append(sds[0] * one + sum(others))
+        return np.stack(parts)
 
     def _gradients(
         self, terms: _Terms, inverse: "_Inverse", sds: np.ndarray, num_edges: int
@@ -189,106 +221,123 @@ class OrdinalModel:
         Each has three parts: of the answers' log-density, of the log-determinant at the modes, and of the
         log-determinant through the modes (implicit differentiation).
         """
-        row, column, rows = self._row, self._column, self._shape[0]
-        row_part = sds[0] * inverse.rows[row] + sds[1] * inverse.cross[row, column]
-        column_part = sds[1] * inverse.columns[column] + sds[0] * inverse.cross[row, column]
-        leverage = sds[0] * row_part + sds[1] * column_part
+        parts = self._leverages(inverse, sds)
+        leverage = sds @ parts
         bend_upper, bend_lower = terms.dense_upper * (1 - 2 * terms.upper), terms.dense_lower * (1 - 2 * terms.lower)
-        by_row, by_column = self._by_group(-leverage * (bend_upper + bend_lower))
-        mode_response = inverse.solve(np.concatenate([sds[0] * by_row, sds[1] * by_column]))
-        mode_shift = self._spread(mode_response, sds)
+        response = inverse.solve(self._by_level(-leverage * (bend_upper + bend_lower), sds))
+        shift = self._spread(response, sds)
 
-        by_predictor = terms.slope + leverage * (bend_upper + bend_lower) / 2 + mode_shift * terms.curvature / 2
+        by_predictor = terms.slope + leverage * (bend_upper + bend_lower) / 2 + shift * terms.curvature / 2
         upper_ratio, lower_ratio = terms.dense_upper / terms.probability, terms.dense_lower / terms.probability
-        at_upper = upper_ratio - leverage * bend_upper / 2 - mode_shift * terms.dense_upper / 2
-        at_lower = -lower_ratio - leverage * bend_lower / 2 - mode_shift * terms.dense_lower / 2
+        at_upper = upper_ratio - leverage * bend_upper / 2 - shift * terms.dense_upper / 2
+        at_lower = -lower_ratio - leverage * bend_lower / 2 - shift * terms.dense_lower / 2
         by_edges = np.bincount(self._level + 1, at_upper, num_edges) + np.bincount(self._level, at_lower, num_edges)
-        by_sds = np.array(
-            [
-                (by_predictor * self._modes[:rows][row] - terms.curvature * row_part).sum(),
-                (by_predictor * self._modes[rows:][column] - terms.curvature * column_part).sum(),
-            ]
-        )
-        by_sds[0] -= (mode_response[:rows][row] * terms.slope).sum() / 2
-        by_sds[1] -= (mode_response[rows:][column] * terms.slope).sum() / 2
-        return by_predictor, by_edges, by_sds
+        modes, responses = self._of_answers(self._modes), self._of_answers(response)
+        by_sds = [
+            (by_predictor * mode - terms.curvature * part - answer * terms.slope / 2).sum()
+            for mode, part, answer in zip(modes, parts, responses, strict=True)
+        ]
+        return by_predictor, by_edges, np.array(by_sds)
 
 
 class _Inverse:
-    """The inverse of ``[[diag(by_row), cross], [cross', diag(by_column)]]``, through the smaller Schur complement."""
+    """The inverse of ``[[diag(first), cross], [cross', rest]]``, ``cross`` sparse, through its Schur complement."""
 
-    def __init__(self, by_row: np.ndarray, by_column: np.ndarray, cross: np.ndarray) -> None:
-        self._by_row, self._scaled = by_row, cross / by_row[:, None]
-        factor = linalg.cholesky(np.diag(by_column) - cross.T @ self._scaled, lower=True)
-        self._small = linalg.cho_solve((factor, True), np.eye(len(by_column)))
-        self.log_determinant = float(np.log(by_row).sum() + 2 * np.log(np.diag(factor)).sum())
+    def __init__(self, first: np.ndarray, cross: sparse.csr_array, rest: np.ndarray) -> None:
+        self._first = first
+        self._scaled = sparse.csr_array(sparse.diags_array(1 / first) @ cross)
+        self._factor = linalg.cholesky(rest - (cross.T @ self._scaled).toarray(), lower=True)
+        self.log_determinant = float(np.log(first).sum() + 2 * np.log(np.diag(self._factor)).sum())
 
-    @property
-    def columns(self) -> np.ndarray:
-        """The inverse's diagonal, for columns."""
-        return np.diag(self._small)
-
-    @property
-    def cross(self) -> np.ndarray:
-        """The inverse's block of rows by columns."""
-        return -self._scaled @ self._small
-
-    @property
-    def rows(self) -> np.ndarray:
-        """The inverse's diagonal, for rows."""
-        return 1 / self._by_row - (self.cross * self._scaled).sum(1)
+    def blocks(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The inverse: the diagonal of the first block, the block beside it, and the rest."""
+        rest = linalg.cho_solve((self._factor, True), np.eye(len(self._factor)))
+        cross = -(self._scaled @ rest)
+        return 1 / self._first - np.asarray(self._scaled.multiply(cross).sum(1)).ravel(), cross, rest
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """The inverse times a vector."""
-        first, second = np.split(right, [len(self._by_row)])
-        columns = self._small @ (second - self._scaled.T @ first)
-        return np.concatenate([first / self._by_row - self._scaled @ columns, columns])
+        first, second = np.split(right, [len(self._first)])
+        columns = linalg.cho_solve((self._factor, True), second - self._scaled.T @ first)
+        return np.concatenate([first / self._first - self._scaled @ columns, columns])
 
 
 def fit(responses: Responses) -> OrdinalFit:
-    """Maximise the likelihood with and without a preference.
+    """Maximise the likelihood; a second optimiser goes on where the first ends at no maximum.
 
     Raises:
         ValueError: The answers are no ordinal scale, or the table is too large.
     """
     model = OrdinalModel(responses=responses)
-    bounds = [(-30.0, 30.0)] * model.num_fixed + [(-12.0, 5.0)] * model.num_thresholds + [(0.0, 30.0)] * 2
-    start = np.array([0.0] * (model.num_fixed + model.num_thresholds) + [0.5, 0.5])
-
-    def negative(parameters: np.ndarray) -> tuple[float, np.ndarray]:
-        # An answer's share: the optimiser's first step is as long as the gradient.
-        value, gradient = model.loglikelihood(parameters)
-        return -value / responses.count, -gradient / responses.count
-
-    def maximise(initial: np.ndarray, limits: list[tuple[float, float]]) -> optimize.OptimizeResult:
-        options = {"ftol": 1e-12, "gtol": 1e-8, "maxiter": 500}
-        return optimize.minimize(negative, initial, jac=True, method="L-BFGS-B", bounds=limits, options=options)
-
-    null = maximise(start, [(0.0, 0.0), *bounds[1:]])
-    full = maximise(null.x, bounds)
-    spreads = full.x[-2:][:: -1 if model.items_first else 1]
+    best, failure = _maximise(model, *_about(responses, model))
+    information = _information(model, best)
+    spreads = np.abs(best[-len(model.levels) :])
+    parts = [
+        sd**2 * float(np.square(np.bincount(codes)).sum()) / model.count**2
+        for sd, codes in zip(spreads, (responses.factors[name] for name in model.factors), strict=True)
+    ]
+    freedom = model.levels - 1
+    variance = _variance(information, spreads) + float(np.sum(np.array(parts) / freedom))
     return OrdinalFit(
-        preference=float(full.x[0]),
-        error=_preference_error(lambda parameters: -model.loglikelihood(parameters)[1], full.x),
-        position=float(full.x[1]) if model.num_fixed > 1 else 0.0,
-        participant_sd=float(spreads[0]),
-        item_sd=float(spreads[1]),
-        thresholds=tuple(np.cumsum(np.exp(full.x[model.num_fixed : -2])).tolist()),
-        loglikelihood=-float(full.fun) * responses.count,
-        null_loglikelihood=-float(null.fun) * responses.count,
-        converged=bool(full.success and null.success),
+        preference=float(best[0]),
+        error=math.sqrt(variance) if variance > 0 else math.nan,
+        df=float(Crossing(factors=responses.factors).mean(responses.deviations).df),
+        position=float(best[1]) if model.num_fixed > 1 else 0.0,
+        sds=dict(zip(model.factors, spreads.tolist(), strict=True)),
+        thresholds=tuple(np.cumsum(np.exp(best[model.num_fixed : -len(model.levels)])).tolist()),
+        loglikelihood=model.loglikelihood(best)[0],
+        failure=failure,
     )
 
 
-def _preference_error(gradient: Callable[[np.ndarray], np.ndarray], best: np.ndarray, step: float = 1e-4) -> float:
-    """The standard error of the first parameter; a standard deviation at its bound of 0 is held there."""
-    held = np.zeros(len(best), dtype=bool)
-    held[-2:] = best[-2:] < 10 * step
-    free = np.flatnonzero(~held)
-    moves = step * np.eye(len(best))[free]
-    information = np.stack([(gradient(best + move) - gradient(best - move))[free] / (2 * step) for move in moves])
+def _about(responses: Responses, model: OrdinalModel) -> tuple[np.ndarray, np.ndarray]:
+    """Where to start, and a guess of the inverse information an answer: those of some of the participants."""
+    every = responses.count // _SUBSET
+    if every < 2:
+        return model.start, np.eye(len(model.start))
+    rows = responses.participants % every == 0
+    some = replace(
+        responses,
+        deviations=responses.deviations[rows],
+        participants=responses.participants[rows],
+        items=responses.items[rows],
+        ours_is_a=None if responses.ours_is_a is None else responses.ours_is_a[rows],
+    )
+    small = OrdinalModel(responses=some)
+    if (small.factors, len(small.start)) != (model.factors, len(model.start)):
+        return model.start, np.eye(len(model.start))
+    best, _ = _maximise(small, small.start, np.eye(len(small.start)))
+    values, vectors = linalg.eigh(_information(small, best) / small.count)
+    return best, (vectors / np.maximum(values, 1e-3)) @ vectors.T
+
+
+def _maximise(model: OrdinalModel, start: np.ndarray, inverse: np.ndarray) -> tuple[np.ndarray, str]:
+    def negative(parameters: np.ndarray) -> tuple[float, np.ndarray]:
+        value, gradient = model.loglikelihood(np.clip(parameters, -30.0, 30.0))
+        return -value / model.count, -gradient / model.count
+
+    tries = (("BFGS", {"gtol": _STEEPEST / 10, "hess_inv0": inverse}), ("L-BFGS-B", {"ftol": 1e-13, "gtol": 1e-7}))
+    best, said = start, ""
+    for method, options in tries:
+        result = optimize.minimize(negative, best, jac=True, method=method, options=options)
+        best, said = result.x, f"{method} ended after {result.nit} steps: {result.message}"
+        if np.abs(result.jac).max() < _STEEPEST:
+            return best, ""
+    return best, said
+
+
+def _information(model: OrdinalModel, best: np.ndarray) -> np.ndarray:
+    moves = _STEP * np.eye(len(best))
+    rows = [(model.loglikelihood(best - move)[1] - model.loglikelihood(best + move)[1]) / (2 * _STEP) for move in moves]
+    information = np.stack(rows)
+    return (information + information.T) / 2
+
+
+def _variance(information: np.ndarray, spreads: np.ndarray) -> float:
+    """The preference's variance; a standard deviation at its bound of 0 is held there."""
+    free = np.ones(len(information), dtype=bool)
+    free[-len(spreads) :] = spreads >= 10 * _STEP
     try:
-        variance = float(linalg.inv((information + information.T) / 2)[0, 0])
+        return float(linalg.inv(information[np.ix_(free, free)])[0, 0])
     except linalg.LinAlgError:
         return math.nan
-    return math.sqrt(variance) if variance > 0 else math.nan

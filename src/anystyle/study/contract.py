@@ -20,6 +20,12 @@ Unit = Literal["response", "participant", "item"]
 Alternative = Literal["less", "greater", "two-sided"]
 """Which side of the neutral point is the claim; ``less`` claims that ours is preferred."""
 
+Population = Literal["participants", "items", "scenes", "styles"]
+"""Of what a claim holds for new ones; ``items`` are new sets of the scenes and styles that were shown."""
+
+LEAST_LEVELS = 3
+"""Scenes, or styles, from which others may be spoken of: below, a claim is of these."""
+
 TINY = 5e-324
 """The smallest positive double: a p-value below it is given by its logarithm alone."""
 
@@ -59,6 +65,9 @@ class Responses:
         scale: The answer scale.
         participant_names: One a participant.
         item_names: One an item.
+        item_scenes: The scene of each item; empty where it is not known.
+        item_styles: The style of each item; empty where it is not known.
+        ratings: The mean ratings of ours and of theirs, where the deviations are differences of ratings.
         unit: What one row is.
     """
 
@@ -70,12 +79,56 @@ class Responses:
     item_names: tuple[str, ...]
     ours_is_a: Bool[np.ndarray, " N"] | None = None
     scale: Scale = Scale()
+    item_scenes: tuple[str, ...] = ()
+    item_styles: tuple[str, ...] = ()
+    ratings: tuple[float, float] | None = None
     unit: Unit = "response"
 
     @property
     def count(self) -> int:
         """How many rows there are."""
         return len(self.deviations)
+
+    @property
+    def item_titles(self) -> tuple[str, ...]:
+        """The items as people call them: scene and style where both are known."""
+        if not (self.item_scenes and self.item_styles):
+            return self.item_names
+        return tuple(f"{scene}, {style}" for scene, style in zip(self.item_scenes, self.item_styles, strict=True))
+
+    @property
+    def factors(self) -> dict[Population, Int[np.ndarray, " N"]]:
+        """The level of every answer in each factor of at least two levels (:data:`LEAST_LEVELS` scenes or styles)."""
+        codes: dict[Population, np.ndarray] = {"participants": self.participants, "items": self.items}
+        for factor, names in self._shared.items():
+            codes[factor] = np.unique(names, return_inverse=True)[1][self.items]
+        levels = {factor: np.unique(of, return_inverse=True)[1] for factor, of in codes.items()}
+        items = levels["items"].max(initial=0)
+        return {
+            factor: level
+            for factor, level in levels.items()
+            # A scene of its own for every item is the item.
+            if level.max(initial=0) > 0 and not (factor in self._shared and level.max() == items)
+        }
+
+    @property
+    def _shared(self) -> dict[Population, tuple[str, ...]]:
+        """The names, item by item, of the scenes or styles that count as drawn at random."""
+        named: dict[Population, tuple[str, ...]] = {"scenes": self.item_scenes, "styles": self.item_styles}
+        judged = set(self.items.tolist())
+        return {
+            factor: names
+            for factor, names in named.items()
+            if names and len({names[item] for item in judged}) >= LEAST_LEVELS
+        }
+
+    @property
+    def populations(self) -> tuple[Population, ...]:
+        """For whom a test holds that takes every factor as drawn at random."""
+        factors = self.factors
+        participants: tuple[Population, ...] = ("participants",) if "participants" in factors else ()
+        shared: tuple[Population, ...] = tuple(self._shared)
+        return participants + (shared or ("items",) if "items" in factors else ())
 
     def at(self, unit: Unit) -> "Responses":
         """One row a ``unit``: its mean deviation. Participants and items without an answer are left out."""
@@ -109,9 +162,9 @@ class TestResult:
         unit: What was counted as one observation.
         statistic: The test statistic; ``nan`` where the test cannot be made.
         log_pvalue: Natural logarithm of the p-value, which may be far below the smallest double.
-        alternative: The claim tested against no preference, or ``equivalence``.
+        alternative: The claim tested against no preference.
         estimate: The preference, in ``estimate_unit``; negative means ours is preferred.
-        interval: Of the estimate, two-sided, at ``confidence``.
+        interval: Of the estimate, at ``confidence`` and of the sides of ``alternative``; ``nan`` where there is none.
         effect: A standardised effect, signed like the estimate unless it is a probability.
         effect_name: Such as ``cohens_d``.
         effect_interval: Of the effect, at ``confidence``.
@@ -119,7 +172,7 @@ class TestResult:
         confidence: Of both intervals.
         method: One line that says exactly what was computed.
         note: What a reader must know besides; empty if nothing.
-        generalizes_to: For whom the p-value holds: ``participants``, ``items``, both, or neither.
+        generalizes_to: For new ones of what the p-value holds.
         estimate_unit: ``points`` of the answer scale, or what else the estimate is in.
     """
 
@@ -138,7 +191,7 @@ class TestResult:
     confidence: float = 0.95
     method: str = ""
     note: str = ""
-    generalizes_to: tuple[str, ...] = ()
+    generalizes_to: tuple[Population, ...] = ()
     estimate_unit: str = "points"
 
     @property
@@ -187,6 +240,6 @@ class StudyTest(Socket, ABC):
         """Test whether the answers differ from no preference."""
 
 
-def generalization(unit: Unit) -> tuple[str, ...]:
+def generalization(unit: Unit) -> tuple[Population, ...]:
     """For whom a p-value holds that counts each ``unit`` as independent: single responses stand for nobody."""
     return {"response": (), "participant": ("participants",), "item": ("items",)}[unit]

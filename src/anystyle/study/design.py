@@ -1,20 +1,20 @@
 """From folders of results to a study: sets, positions, orders, pictures and a report on the balance."""
 
 import hashlib
-import json
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
+import msgspec
 import numpy as np
+from PIL import Image
 
 from anystyle.io.atomic import atomic_directory
 from anystyle.study import pictures
-from anystyle.study.balance import balanced_positions, draw_pairs, latin_orders, spread_checks
-from anystyle.study.naming import picture_name
+from anystyle.study.balance import balanced_positions, balanced_subsets, draw_pairs, latin_orders, spread_checks
 from anystyle.study.plan import Plan
 from anystyle.study.protocol import PICTURES, Check, Item, Participant, Study
 from anystyle.study.tabulate import escape_markdown
@@ -50,95 +50,131 @@ class _Material:
     results: Mapping[str, pictures.Results]
     styles: Mapping[str, Path]
     contents: Mapping[str, list[Path]]
-    scenes: tuple[str, ...]
-    style_names: tuple[str, ...]
+    usable: frozenset[tuple[str, str]]
     left_out: tuple[str, ...]
 
-    def complete(self, scene: str, style: str) -> bool:
-        return all((scene, style) in result.frames for result in self.results.values())
+    def pairs(self, count: int, generator: np.random.Generator) -> list[tuple[str, str]]:
+        scenes, styles = (sorted(set(names)) for names in zip(*self.usable, strict=True))
+        available = np.array([[(scene, style) in self.usable for style in styles] for scene in scenes])
+        return [(scenes[row], styles[column]) for row, column in draw_pairs(available, count, generator)]
 
 
 def design(sources: Sources, plan: Plan, out: Path) -> Study:
-    """Draw a study and write ``study.json``, the pictures, ``balance.json`` and ``balance.md`` into ``out``.
+    """Draw a study and write ``study.json``, the pictures and ``balance.md`` into ``out``.
 
     Raises:
-        ValueError: The folders lack what the plan needs, or a picture cannot be read.
+        ValueError: The folders lack what the plan needs, a picture cannot be read, or ``out`` holds answers.
     """
+    answers = sorted(out.glob("*.sqlite")) if out.is_dir() else []
+    if answers:
+        raise ValueError(f"{answers[0]} holds answers to the study that is there; design another one elsewhere")
     material = _find(sources)
     generator = np.random.default_rng(plan.seed)
-    available = np.array(
-        [[material.complete(scene, style) for style in material.style_names] for scene in material.scenes]
-    )
-    pairs = draw_pairs(available, plan.sets, generator)
-    baselines = [name for name in sources.methods if name != sources.ours]
-    named = [(material.scenes[scene], material.style_names[style]) for scene, style in pairs]
-    described = json.dumps([asdict(plan), sources.ours, baselines, named])
-    identity = hashlib.sha256(described.encode()).hexdigest()[:12]
-    items = _items(material, sources.ours, baselines, pairs, identity, generator)
-    study = _assign(identity, sources.ours, baselines, plan, items, generator)
+    pairs = material.pairs(plan.pool or plan.sets, generator)
+    baselines = tuple(name for name in sources.methods if name != sources.ours)
+    against = generator.permutation(np.arange(len(pairs)) % len(baselines))
     with atomic_directory(out) as folder:
-        notes = _write_pictures(material, study, folder / PICTURES)
+        writer = _Writer(folder / PICTURES, plan, generator)
+        spoilt = pictures.spread(range(len(pairs)), plan.degraded)
+        items, checks, notes = [], [], list(material.left_out)
+        for number, (pair, rival) in enumerate(zip(pairs, against.tolist(), strict=True)):
+            groups, cut = _images(material, plan, pair, (sources.ours, baselines[rival]))
+            item = _item(f"set-{number + 1:03d}", material, writer, pair, baselines[rival], groups)
+            items.append(item)
+            notes += [f"{item.id}: {name} has other proportions than ours and was cut to fit" for name in cut]
+            if number in spoilt:  # what is intact is by ours and by the others in turn
+                turn = len(checks) % 2
+                files = writer.views([pictures.degraded(image) for image in groups[turn]])
+                identity = f"set-{len(pairs) + len(checks) + 1:03d}"
+                checks.append(Check(identity, "degraded", item.id, (item.ours, item.theirs)[turn], files))
+        participants, repeats = _participants(plan, items, checks, generator)
+        study = Study("", sources.ours, baselines, plan, tuple(items), (*checks, *repeats), participants)
+        writer.digest.update(msgspec.json.encode(study, order="deterministic"))
+        study = msgspec.structs.replace(study, id=writer.digest.hexdigest()[:12])
         study.write(folder)
-        report = balance(study) | {"left_out": [*material.left_out, *notes]}
-        (folder / "balance.json").write_text(json.dumps(report, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
-        (folder / "balance.md").write_text(balance_text(report), encoding="utf-8")
+        (folder / "balance.md").write_text(balance_text(study, notes), encoding="utf-8")
     return study
 
 
 def _find(sources: Sources) -> _Material:
     results = {name: pictures.find_results(name, folder) for name, folder in sources.methods.items()}
     styles, contents = pictures.find_styles(sources.styles), pictures.find_contents(sources.contents)
-    pairs = sorted({pair for result in results.values() for pair in result.frames})
-    left_out = []
-    for scene, style in pairs:
-        lacking = [name for name, result in results.items() if (scene, style) not in result.frames]
+    usable, left_out = set(), []
+    for scene, style in sorted({pair for frames in results.values() for pair in frames}):
+        lacking = [name for name, frames in results.items() if (scene, style) not in frames]
         lacking += ["the photographs"] * (scene not in contents) + ["the styles"] * (style not in styles)
         if lacking:
             left_out.append(f"{scene} / {style}: not among {', '.join(lacking)}")
-    usable = {(scene, style) for scene, style in pairs if scene in contents and style in styles}
-    usable = {pair for pair in usable if all(pair in result.frames for result in results.values())}
+        else:
+            usable.add((scene, style))
     if not usable:
         raise ValueError(
             f"no scene and style have results of all of {', '.join(results)} and are among the photographs and styles; "
             f"names must match, and found were {'; '.join(left_out[:3])}"
         )
-    return _Material(
-        results=results,
-        styles=styles,
-        contents=contents,
-        scenes=tuple(sorted({scene for scene, _ in usable})),
-        style_names=tuple(sorted({style for _, style in usable})),
-        left_out=tuple(left_out),
-    )
+    return _Material(results, styles, contents, frozenset(usable), tuple(left_out))
 
 
-def _items(
-    material: _Material,
-    ours: str,
-    baselines: Sequence[str],
-    pairs: Sequence[tuple[int, int]],
+class _Writer:
+    """Pictures under names that tell nothing; ``digest`` is of them all, so that a study's id is."""
+
+    def __init__(self, folder: Path, plan: Plan, generator: np.random.Generator) -> None:
+        folder.mkdir()
+        self.folder, self.plan, self.generator = folder, plan, generator
+        self.digest = hashlib.sha256()
+
+    def picture(self, image: Image.Image) -> str:
+        name = f"{self.generator.bytes(6).hex()}.jpg"
+        pictures.write_picture(image, self.folder / name)
+        self.digest.update((self.folder / name).read_bytes())
+        return name
+
+    def views(self, images: Sequence[Image.Image]) -> tuple[str, ...]:
+        """The images, or one video of them with its first image beside it under the same name."""
+        names = tuple(map(self.picture, images if self.plan.show != "video" else images[:1]))
+        if self.plan.show != "video" or len(images) == 1:
+            return names
+        video = Path(names[0]).with_suffix(".mp4").name
+        pictures.write_video(images, self.folder / video, self.plan.frames_per_second)
+        return (video,)
+
+
+def _images(
+    material: _Material, plan: Plan, pair: tuple[str, str], methods: tuple[str, str]
+) -> tuple[list[list[Image.Image]], list[str]]:
+    """The views of ours, of the other method and of the photographs in one size; the names of those cut to fit."""
+    frames = pictures.matching_frames([material.results[name][pair] for name in methods], plan.views)
+    contents = material.contents[pair[0]]
+    named = [frame for frame in contents if frame.stem in {frame.stem for frame in frames[0]}]
+    frames.append(named if len(named) == plan.views else pictures.spread(contents, plan.views))
+    shape = pictures.read_picture(frames[0][0]).size
+    size = pictures.fitted_size(shape, plan.image_size)
+    groups, cut = [], []
+    for group in frames:
+        images = []
+        for frame in group:
+            image = pictures.read_picture(frame)
+            if not 0.98 < (image.width / image.height) / (shape[0] / shape[1]) < 1.02 and not images:
+                cut.append(frame.name)
+            images.append(pictures.filled(image, size))
+        groups.append(images)
+    return groups, cut
+
+
+def _item(
     identity: str,
-    generator: np.random.Generator,
-) -> tuple[Item, ...]:
-    against = generator.permutation(np.arange(len(pairs)) % len(baselines))
-    items = []
-    for number, ((row, column), rival) in enumerate(zip(pairs, against, strict=True), start=1):
-        scene, style = material.scenes[row], material.style_names[column]
-        in_words = material.styles[style].suffix.lower() == ".txt"
-        items.append(
-            Item(
-                id=f"set-{number:02d}",
-                scene=scene,
-                style=style,
-                baseline=baselines[int(rival)],
-                ours=picture_name(generator, identity, ours=True),
-                theirs=picture_name(generator, identity, ours=False),
-                content=picture_name(generator, identity, ours=None),
-                reference="" if in_words else picture_name(generator, identity, ours=None),
-                text=_words(material.styles[style]) if in_words else "",
-            )
-        )
-    return tuple(items)
+    material: _Material,
+    writer: _Writer,
+    pair: tuple[str, str],
+    baseline: str,
+    groups: Sequence[Sequence[Image.Image]],
+) -> Item:
+    ours, theirs, content = (writer.views(images) for images in groups)
+    file = material.styles[pair[1]]
+    if file.suffix.lower() == ".txt":
+        return Item(identity, *pair, baseline, ours, theirs, content, text=_words(file))
+    style = pictures.contained(pictures.read_picture(file), writer.plan.image_size)
+    return Item(identity, *pair, baseline, ours, theirs, content, reference=writer.picture(style))
 
 
 def _words(file: Path) -> str:
@@ -151,91 +187,77 @@ def _words(file: Path) -> str:
     return text
 
 
-def _assign(
-    identity: str,
-    ours: str,
-    baselines: Sequence[str],
+def _participants(
     plan: Plan,
-    items: tuple[Item, ...],
+    items: Sequence[Item],
+    checks: Sequence[Check],
     generator: np.random.Generator,
-) -> Study:
-    low, high = int(plan.scale.low), int(plan.scale.high)
-    checks = tuple(Check(f"check-{number + 1}", (high, low)[number % 2]) for number in range(plan.attention_checks))
+) -> tuple[tuple[Participant, ...], tuple[Check, ...]]:
+    """What each one sees, and the repeats that this takes."""
+    columns = ([item.scene for item in items], [item.style for item in items])
+    pairs = np.stack([np.unique(column, return_inverse=True)[1] for column in columns], axis=1)
+    subsets = balanced_subsets(pairs, plan.sets, plan.participants // 2, generator)
     positions = balanced_positions(plan.participants, plan.sets, generator)
+    flipped = balanced_positions(plan.participants, 2 * math.ceil(len(checks) / 2), generator) if checks else positions
     orders = latin_orders(plan.participants, plan.sets, generator)
+    repeats: dict[str, Check] = {}
     people = []
-    for number, (position, order) in enumerate(zip(positions, orders, strict=True), start=1):
-        mixed = spread_checks([items[index].id for index in order], [check.id for check in checks], generator)
-        ours_is_a = frozenset(items[index].id for index in np.flatnonzero(position))
-        people.append(Participant(f"P{number:0{max(2, len(str(plan.participants)))}d}", tuple(mixed), ours_is_a))
-    return Study(
-        id=identity,
-        ours=ours,
-        baselines=tuple(baselines),
-        plan=plan,
-        items=items,
-        checks=checks,
-        participants=tuple(people),
-    )
+    for number, (position, order) in enumerate(zip(positions, orders, strict=True)):
+        chosen = [items[index] for index in subsets[number // 2]]
+        ours_is_a = {item.id for item, first in zip(chosen, position, strict=True) if first}
+        ours_is_a |= {check.id for check, first in zip(checks, flipped[number], strict=False) if first}
+        sequence = [chosen[index].id for index in order]
+        shown = spread_checks(sequence, [check.id for check in checks], generator)
+        for index in sorted(generator.choice(plan.sets // 2, plan.repeats, replace=False), reverse=True):
+            item = next(item for item in chosen if item.id == sequence[index])
+            identity = f"set-{len(items) + len(checks) + len(repeats) + 1:03d}"
+            repeat = repeats.setdefault(item.id, Check(identity, "repeat", item.id, item.ours, item.theirs))
+            if item.id not in ours_is_a:
+                ours_is_a.add(repeat.id)
+            # Half a form later at least: far enough to be judged anew.
+            earliest = shown.index(item.id) + len(shown) // 2
+            shown.insert(int(generator.integers(earliest, len(shown))) + 1, repeat.id)
+        code = f"P{number + 1:0{max(2, len(str(plan.participants)))}d}"
+        people.append(Participant(code, tuple(shown), frozenset(ours_is_a)))
+    return tuple(people), tuple(repeats.values())
 
 
-def _write_pictures(material: _Material, study: Study, folder: Path) -> list[str]:
-    """Make every picture of a set the same size; tell where that cut something off."""
-    folder.mkdir(parents=True)
-    longest, notes = study.plan.image_size, []
-    for item in study.items:
-        groups = [material.results[name].frames[item.scene, item.style] for name in (study.ours, item.baseline)]
-        frames = pictures.matching_frames([*groups, material.contents[item.scene]])
-        ours = pictures.read_picture(frames[0])
-        size = pictures.fitted_size(ours.size, longest)
-        for name, frame in zip((item.ours, item.theirs, item.content), frames, strict=True):
-            image = pictures.read_picture(frame)
-            shape = (image.width / image.height) / (ours.width / ours.height)
-            if not 0.98 < shape < 1.02:
-                notes.append(f"{item.id}: {frame.name} has other proportions than ours and was cut to fit")
-            pictures.write_picture(pictures.filled(image, size), folder / f"{name}.jpg")
-        if item.reference:
-            reference = pictures.contained(pictures.read_picture(material.styles[item.style]), longest)
-            pictures.write_picture(reference, folder / f"{item.reference}.jpg")
-    return notes
-
-
-def balance(study: Study) -> dict[str, Any]:
-    """How even a study is: counts that a perfect design makes equal."""
-    sets = [item.id for item in study.items]
-    orders = [[entry for entry in one.order if entry in set(sets)] for one in study.participants]
-    ranks = np.array([[order.index(entry) for entry in sets] for order in orders])  # participants by sets
-    counts = np.array([np.bincount(ranks[:, column], minlength=len(sets)) for column in range(len(sets))])
+def balance(study: Study) -> dict[str, tuple[int, int]]:
+    """How even a study is: the least and the most of counts that a perfect design makes equal."""
+    sets = {item.id: item for item in study.items}
+    orders = [[entry for entry in one.order if entry in sets] for one in study.participants]
+    seen = Counter(entry for order in orders for entry in order)
+    ours_is_a = Counter(entry for one in study.participants for entry in one.ours_is_a)
+    standing = Counter((entry, rank) for order in orders for rank, entry in enumerate(order))
     following = Counter(pair for order in orders for pair in pairwise(order))
-    return {
-        "participants": len(study.participants),
-        "sets": len(sets),
-        "per_scene": dict(sorted(Counter(item.scene for item in study.items).items())),
-        "per_style": dict(sorted(Counter(item.style for item in study.items).items())),
-        "per_baseline": dict(sorted(Counter(item.baseline for item in study.items).items())),
-        "ours_is_a_per_participant": _range([len(one.ours_is_a) for one in study.participants]),
-        "ours_is_a_per_set": _range([sum(entry in one.ours_is_a for one in study.participants) for entry in sets]),
-        "times_a_set_stands_in_a_place": _range(counts.ravel().tolist()),
-        "times_a_set_follows_another": _range(
-            [following[first, second] for first in sets for second in sets if first != second]
-        ),
+    counts = {
+        **{f"sets per {name}": _count(study.items, name) for name in ("scene", "style", "baseline")},
+        "participants per set": [seen[entry] for entry in sets],
+        "ours is A per participant": [len(one.ours_is_a & sets.keys()) for one in study.participants],
+        "ours is A per set": [ours_is_a[entry] for entry in sets],
+        **{
+            f"a {name} per participant": [
+                count for order in orders for count in _count([sets[entry] for entry in order], name, study.items)
+            ]
+            for name in ("scene", "style")
+        },
+        "times a set stands in a place": [standing[entry, rank] for entry in sets for rank in range(study.plan.sets)],
+        "times a set follows another": [following[a, b] for a in sets for b in sets if a != b],
     }
+    return {name: (min(values), max(values)) for name, values in counts.items()}
 
 
-def _range(values: Sequence[int]) -> dict[str, int]:
-    return {"least": min(values), "most": max(values)}
+def _count(items: Sequence[Item], name: str, among: Sequence[Item] = ()) -> list[int]:
+    """How often each scene, style or baseline of ``among`` is in ``items``."""
+    times = Counter(getattr(item, name) for item in items)
+    return [times[value] for value in {getattr(item, name) for item in among or items}]
 
 
-def balance_text(report: Mapping[str, Any]) -> str:
-    """The balance report as Markdown."""
-    lines = [f"# Balance\n\n{report['participants']} participants, {report['sets']} sets.\n", "| what | least | most |"]
-    lines.append("|---|---:|---:|")
-    for name in ("per_scene", "per_style", "per_baseline"):
-        counts = report[name].values()
-        lines.append(f"| sets {name.replace('_', ' ')} ({len(counts)}) | {min(counts)} | {max(counts)} |")
-    for name, span in report.items():
-        if isinstance(span, Mapping) and set(span) == {"least", "most"}:
-            lines.append(f"| {name.replace('_', ' ')} | {span['least']} | {span['most']} |")
-    if report["left_out"]:
-        lines += ["\n## Left out or cut\n", *(f"- {escape_markdown(note)}" for note in report["left_out"])]
+def balance_text(study: Study, notes: Sequence[str]) -> str:
+    """The balance, and what was left out or cut, as Markdown."""
+    lines = [f"# Balance\n\n{len(study.participants)} participants, {len(study.items)} sets.\n"]
+    lines += ["| what | least | most |\n|---|---:|---:|"]
+    lines += [f"| {name} | {least} | {most} |" for name, (least, most) in balance(study).items()]
+    if notes:
+        lines += ["\n## Left out or cut\n", *(f"- {escape_markdown(note)}" for note in notes)]
     return "\n".join(lines) + "\n"

@@ -1,14 +1,13 @@
-"""Standardised effects of all answers, with intervals that respect participants and items."""
+"""Standardised effects of all answers, for new participants and items: linearised, then averaged like the answers."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
-from scipy import special
 
-from anystyle.study.bootstrap import bootstrap_counts
-from anystyle.study.contract import Responses
+from anystyle.study.contract import Alternative, Responses
+from anystyle.study.crossed import CrossedMean, Crossing
+from anystyle.study.probability import t_interval
 
 
 @dataclass(frozen=True)
@@ -16,63 +15,42 @@ class Effect:
     """An effect over all answers.
 
     Args:
-        name: ``cohens_d``, ``rank_biserial`` or ``probability_of_superiority``.
+        name: ``cohens_d`` or ``probability_of_superiority``.
         estimate: Negative prefers ours; of the probability, above 1/2 does.
-        interval: From resampling participants and items; conservative, since both margins are resampled.
-        confidence: Of the interval.
+        interval: At the study's confidence; ``nan`` where nothing varies.
     """
 
     name: str
     estimate: float
     interval: tuple[float, float]
-    confidence: float
 
 
-def cohens_d_interval(statistic: float, n: int, confidence: float) -> tuple[float, float]:
-    """Cohen's d whose noncentral t distribution has the observed statistic at either tail.
-
-    Where that distribution leaves the range of its algorithm, the large-sample interval takes its place.
-    """
-    tail = (1 - confidence) / 2
-    low = float(special.nctdtrinc(n - 1, 1 - tail, statistic)) / math.sqrt(n)
-    high = float(special.nctdtrinc(n - 1, tail, statistic)) / math.sqrt(n)
-    effect = statistic / math.sqrt(n)
-    if np.isfinite([low, high]).all() and low < effect < high and abs(statistic) < 30:
-        return low, high
-    half_width = float(special.ndtri(1 - tail)) * math.sqrt(1 / n + effect**2 / (2 * n))
-    return effect - half_width, effect + half_width
+def probability_interval(
+    crossed: CrossedMean, column: int, confidence: float, alternative: Alternative
+) -> tuple[float, float]:
+    """The interval of a probability that is above 1/2 where ours is preferred; ``nan`` where nothing varies."""
+    if crossed.error[column] == 0:
+        return math.nan, math.nan
+    sides: dict[Alternative, Alternative] = {"less": "greater", "greater": "less", "two-sided": "two-sided"}
+    mean, error, df = (float(values[column]) for values in (crossed.mean, crossed.error, crossed.df))
+    low, high = t_interval(mean, error, df, confidence, sides[alternative])
+    return max(low, 0.0), min(high, 1.0)
 
 
-def from_counts(
-    levels: Float[np.ndarray, " K"], counts: Float[np.ndarray, "R K"]
-) -> dict[str, Float[np.ndarray, " R"]]:
-    """Every effect from how often each deviation occurs, for each row of counts; ``nan`` where nothing varies."""
-    total = counts.sum(1)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = counts @ levels / total
-        variance = (counts @ levels**2 - total * mean**2) / (total - 1)
-        cohens_d = mean / np.sqrt(np.where(variance > 1e-14, variance, np.nan))
-        superiority = (counts[:, levels < 0].sum(1) + counts[:, levels == 0].sum(1) / 2) / total
-        sizes = np.unique(np.abs(levels[levels != 0]))
-        sides = [counts @ (levels == sign * sizes[:, None]).T for sign in (1, -1)]  # R sizes
-        tied = sides[0] + sides[1]
-        ranks = np.cumsum(tied, axis=1) - (tied - 1) / 2
-        plus, minus = ((side * ranks).sum(1) for side in sides)
-        rank_biserial = (plus - minus) / (plus + minus)
-    return {"cohens_d": cohens_d, "rank_biserial": rank_biserial, "probability_of_superiority": superiority}
-
-
-def effects(responses: Responses, *, resamples: int = 1999, seed: int = 0, confidence: float = 0.95) -> list[Effect]:
-    """Cohen's d, the rank-biserial correlation and the probability of superiority over all answers."""
-    levels, counts = np.unique(responses.deviations, return_counts=True)
-    estimates = from_counts(levels, counts[None].astype(float))
-    resampled = from_counts(levels, bootstrap_counts(responses, levels, resamples=resamples, seed=seed))
-    results: list[Effect] = []
-    for name, estimate in estimates.items():
-        usable = resampled[name][np.isfinite(resampled[name])]
-        interval = (math.nan, math.nan)
-        if len(usable) > resamples // 2:
-            low, high = np.quantile(usable, [(1 - confidence) / 2, (1 + confidence) / 2])
-            interval = (float(low), float(high))
-        results.append(Effect(name, float(estimate[0]), interval, confidence))
-    return results
+def effects(responses: Responses, confidence: float = 0.95, alternative: Alternative = "two-sided") -> list[Effect]:
+    """Cohen's d and the probability of superiority over all answers."""
+    values, factors, name = responses.deviations, responses.factors, "probability_of_superiority"
+    preferring = (1 - np.sign(values)) / 2
+    mean, sd = float(values.mean()), float(values.std(ddof=1)) if responses.count > 1 else 0.0
+    if not factors or sd <= 1e-14:
+        return [Effect(name, float(preferring.mean()), (math.nan, math.nan))]
+    # The influence of each answer on mean / SD.
+    standard = (values - mean) / sd
+    influence = standard - mean / sd * (standard**2 - 1) / 2
+    crossed = Crossing(factors=factors).mean(np.stack([influence, preferring], axis=1))
+    error, df = float(crossed.error[0]), float(crossed.df[0])
+    interval = t_interval(mean / sd, error, df, confidence, alternative) if error > 0 else (math.nan, math.nan)
+    return [
+        Effect("cohens_d", mean / sd, interval),
+        Effect(name, float(preferring.mean()), probability_interval(crossed, 1, confidence, alternative)),
+    ]

@@ -88,27 +88,26 @@ def new_figure(width: float, height: float) -> "Figure":
     return Figure(figsize=(width, height), layout="constrained")
 
 
-def level_colors(levels: Sequence[float], midpoint: float) -> list[Any]:
-    """A colour an answer: deep at the ends, grey in the middle."""
+def level_color(level: float) -> Any:
+    """An answer's colour, from -1 (ours) to 1 (theirs): deep at the ends, grey in the middle."""
     from matplotlib.colors import LinearSegmentedColormap
 
-    low, high = min(levels), max(levels)
-    spans = [
-        LinearSegmentedColormap.from_list("side", [NEUTRAL, mixed, color])
-        for color, mixed in ((OURS, "#8fbccb"), (THEIRS, "#eab48c"))
-    ]
-    colors = []
-    for level in levels:
-        distance = (level - midpoint) / ((high if level > midpoint else low) - midpoint) if level != midpoint else 0.0
-        colors.append(spans[int(level > midpoint)](distance))
-    return colors
+    color, mixed = ((OURS, "#8fbccb"), (THEIRS, "#eab48c"))[level > 0]
+    return LinearSegmentedColormap.from_list("side", [NEUTRAL, mixed, color])(abs(level))
 
 
-def level_labels(levels: Sequence[float], midpoint: float) -> list[str]:
-    """The answers in words where there are five, as numbers otherwise."""
-    if len(levels) == 5 and levels[2] == midpoint:
-        return ["ours much better", "ours better", "no difference", "theirs better", "theirs much better"]
-    return [f"{level:g}" for level in levels]
+def level_labels(levels: Sequence[float]) -> list[str]:
+    """The answers in words; of more than five, the ends and the middle alone."""
+    words = {-1.0: "ours much better", 0.0: "no difference", 1.0: "theirs much better"}
+    if len(levels) <= 5:
+        words |= {-0.5: "ours better", 0.5: "theirs better"}
+    return [words.get(level, "") for level in levels]
+
+
+def _relative(question: QuestionAnalysis) -> np.ndarray:
+    """A question's levels, from -1 to 1."""
+    scale = question.responses.scale
+    return (np.array(question.levels) - scale.midpoint) / (scale.high - scale.midpoint)
 
 
 def likert(analysis: Analysis) -> "Figure":
@@ -119,10 +118,8 @@ def likert(analysis: Analysis) -> "Figure":
         questions = analysis.questions
         figure = new_figure(7.0, 1.15 + 0.5 * len(questions))
         axes = figure.add_subplot()
-        levels = sorted({level for question in questions for level in question.levels})
-        midpoint = analysis.settings.scale.midpoint
-        colors = dict(zip(levels, level_colors(levels, midpoint), strict=True))
-        ends = [_likert_row(axes, row, question, colors, midpoint) for row, question in enumerate(questions)]
+        levels = sorted({float(level) for question in questions for level in _relative(question)})
+        ends = [_likert_row(axes, row, question) for row, question in enumerate(questions)]
         half_width = 1.02 * max(max(-left, right) for left, right in ends)
         axes.set_xlim(-half_width, half_width)
         axes.axvline(0, color=INK, linewidth=0.7, zorder=0)
@@ -132,9 +129,9 @@ def likert(analysis: Analysis) -> "Figure":
         axes.invert_yaxis()
         axes.xaxis.set_major_formatter(lambda value, _: f"{abs(value):.0%}")
         axes.set_xlabel("← ours preferred        share of the answers        theirs preferred →")
-        if len(levels) <= 11:
-            names = level_labels(levels, midpoint)
-            handles = [Patch(color=colors[level], label=name) for level, name in zip(levels, names, strict=True)]
+        if len(levels) <= 21:
+            named = zip(levels, level_labels(levels), strict=True)
+            handles = [Patch(color=level_color(level), label=name) for level, name in named]
             figure.legend(
                 handles=handles,
                 loc="outside upper center",
@@ -148,23 +145,20 @@ def likert(analysis: Analysis) -> "Figure":
         return figure
 
 
-def _likert_row(
-    axes: "Axes", row: int, question: QuestionAnalysis, colors: dict[float, Any], midpoint: float
-) -> tuple[float, float]:
-    counts, levels = np.array(question.counts, dtype=float), np.array(question.levels)
+def _likert_row(axes: "Axes", row: int, question: QuestionAnalysis) -> tuple[float, float]:
+    counts, levels = np.array(question.counts, dtype=float), _relative(question)
     fractions = counts / counts.sum()
-    left = -float(fractions[levels < midpoint].sum() + fractions[levels == midpoint].sum() / 2)
+    left = -float(fractions[levels < 0].sum() + fractions[levels == 0].sum() / 2)
     start = left
-    for level, count, fraction in zip(question.levels, question.counts, fractions, strict=True):
-        axes.barh(row, fraction, left=left, height=0.62, color=colors[level], edgecolor="white", linewidth=0.6)
-        edge = {question.levels[0]: ("right", left), question.levels[-1]: ("left", left + fraction)}.get(level)
+    for level, count, fraction in zip(levels.tolist(), question.counts, fractions, strict=True):
+        axes.barh(row, fraction, left=left, height=0.62, color=level_color(level), edgecolor="white", linewidth=0.6)
+        edge = {levels[0]: ("right", left), levels[-1]: ("left", left + fraction)}.get(level)
         if fraction <= 0.028 and count and edge:
             side, position = edge
             gap = -0.006 if side == "right" else 0.006
             axes.text(position + gap, row, f"{count}", ha=side, va="center", fontsize=7.5, color=SOFT)
         elif fraction > 0.028:
-            dark = abs(level - midpoint) > 0.6 * max(abs(levels - midpoint))
-            color = "white" if dark else INK
+            color = "white" if abs(level) > 0.6 else INK
             axes.text(left + fraction / 2, row, f"{count}", ha="center", va="center", fontsize=7.5, color=color)
         left += float(fraction)
     return start, left
@@ -188,9 +182,7 @@ def means(analysis: Analysis) -> "Figure":
         spread = np.concatenate([_edges(side) for q in questions for side in (q.by_participant, q.by_item)])
         limit = 1.05 * float(np.abs(spread).max(initial=0.5))
         for column, question in enumerate(questions):
-            for row, (side, name) in enumerate(
-                ((question.by_participant, "participants"), (question.by_item, "items"))
-            ):
+            for row, (side, name) in enumerate(((question.by_participant, "participants"), (question.by_item, "sets"))):
                 axes = grid[row, column]
                 _caterpillar(axes, side, question, named=len(side.names) <= _NAMED_ROWS and len(questions) <= 4)
                 axes.set_xlim(-limit, limit)
@@ -224,7 +216,8 @@ def _caterpillar(axes: "Axes", side: Means, question: QuestionAnalysis, named: b
     rows = np.arange(len(order))
     colors = np.where(centers + half_width < 0, OURS, np.where(centers - half_width > 0, THEIRS, "#8b9097"))
     if question.primary is not None:
-        axes.axvspan(*question.primary.result.interval, color="#e8eef1", linewidth=0, zorder=0)
+        low, high = np.clip(question.primary.result.interval, -9e9, 9e9)
+        axes.axvspan(low, high, color="#e8eef1", linewidth=0, zorder=0)
     axes.axvline(float(question.responses.deviations.mean()), color=INK, linewidth=0.8, linestyle=(0, (4, 2)))
     axes.axvline(0, color=INK, linewidth=0.7, zorder=1)
     crowded = len(order) > _NAMED_ROWS
@@ -233,7 +226,7 @@ def _caterpillar(axes: "Axes", side: Means, question: QuestionAnalysis, named: b
     )
     axes.scatter(centers, rows, s=1.5 if crowded else 7, c=colors.tolist(), zorder=3, linewidths=0)
     axes.set_ylim(len(order) - 0.3, -0.7)
-    axes.set_yticks(rows if named else [], [side.names[index][:14] for index in order] if named else [])
+    axes.set_yticks(rows if named else [], [side.titles[index][:24] for index in order] if named else [])
     axes.tick_params(axis="y", labelsize=4.6, length=0, pad=1)
     axes.spines["left"].set_visible(False)
 

@@ -3,100 +3,86 @@
 import base64
 import hashlib
 import json
+from collections.abc import Mapping
 from html import escape
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 from typing import Any
 
+import msgspec
+
 from anystyle.io.atomic import atomic_path
-from anystyle.study.protocol import PICTURES, Study
+from anystyle.study.protocol import PICTURES, Check, Participant, Study
+
+_SHOWN = ("title", "instructions", "consent", "demographics", "questions", "show", "frames_per_second", "id_parameters")
+"""What of a plan the page knows."""
 
 
 def picture_files(study: Study, folder: Path) -> dict[str, Path]:
-    """The file of every picture.
+    """The file of every picture and video.
 
     Raises:
         ValueError: One is missing.
     """
-    paths = {name: folder / PICTURES / f"{name}.jpg" for name in study.pictures}
-    missing = [file.name for file in paths.values() if not file.is_file()]
+    paths = {name: folder / PICTURES / name for name in study.pictures}
+    missing = [name for name, file in paths.items() if not file.is_file()]
     if missing:
-        raise ValueError(
-            f"{folder / PICTURES} lacks {len(missing)} pictures, such as {missing[0]}; design the study again"
-        )
+        raise ValueError(f"{folder / PICTURES} lacks {len(missing)} pictures, such as {missing[0]}; design anew")
     return paths
 
 
-def page_data(study: Study, *, server: bool) -> dict[str, Any]:
-    """What the page knows: nothing that names a method, and the two pictures of a set in an order of no meaning."""
-    multiple = len(study.baselines) > 1
-    pairs = {item.id: sorted((item.ours, item.theirs)) for item in study.items}
-    ours = {item.id: item.ours for item in study.items}
-
-    def entry(identity: str, ours_is_a: frozenset[str]) -> str:
-        if identity not in pairs:
-            return identity
-        ours_first = pairs[identity][0] == ours[identity]
-        return f"{identity}:{int(ours_first != (identity in ours_is_a))}"
-
-    return {
-        "id": study.id,
-        "server": server,
-        "title": study.plan.title,
-        "instructions": study.plan.instructions,
-        "questions": [{"name": question.name, "text": question.text} for question in study.plan.questions],
-        "labels": list(study.plan.labels),
-        "low": study.plan.low,
-        "items": {
-            item.id: {
-                "pair": pairs[item.id],
+def sequence(study: Study, participant: Participant) -> list[dict[str, Any]]:
+    """What a participant sees, in order: no method is named, and a check looks like any other set."""
+    sets = []
+    for name in participant.order:
+        entry = study.shown[name]
+        item = study.shown[entry.of] if isinstance(entry, Check) else entry
+        assert not isinstance(item, Check)
+        ours_is_a = name in participant.ours_is_a
+        sets.append(
+            {
+                "id": name,
+                "A": entry.ours if ours_is_a else entry.theirs,
+                "B": entry.theirs if ours_is_a else entry.ours,
                 "content": item.content,
                 "reference": item.reference,
                 "text": item.text,
-                "comparison": comparison(study, item.baseline) if multiple else "",
             }
-            for item in study.items
-        },
-        "checks": {check.id: {"expected": check.expected} for check in study.checks},
-        "participants": {
-            participant.id: [entry(name, participant.ours_is_a) for name in participant.order]
-            for participant in study.participants
-        },
-    }
+        )
+    return sets
 
 
-def comparison(study: Study, baseline: str) -> str:
-    """The name by which a baseline stands in the answers of a study with several."""
-    return f"baseline-{study.baselines.index(baseline) + 1}"
-
-
-def render(study: Study, pictures: dict[str, str], *, server: bool) -> str:
-    """The page, with pictures given as addresses or data URLs."""
+def render(study: Study, pictures: Mapping[str, str] | None = None) -> str:
+    """The page; with ``pictures`` as data URLs it needs no server, and holds what every participant sees."""
     pages = files("anystyle.study") / "pages"
     script = (pages / "form.js").read_text(encoding="utf-8")
-    data = json.dumps(page_data(study, server=server) | {"pictures": pictures}, ensure_ascii=False)
+    plan = msgspec.to_builtins(study.plan)
+    data = {"id": study.id, "server": pictures is None, **{name: plan[name] for name in _SHOWN}}
+    if pictures is not None:
+        data |= {"pictures": pictures, "people": {one.id: sequence(study, one) for one in study.participants}}
+    text = json.dumps(data, ensure_ascii=False)
     return Template((pages / "form.html").read_text(encoding="utf-8")).substitute(
         title=escape(study.plan.title),
         style=(pages / "form.css").read_text(encoding="utf-8"),
         # Inside a script element, no text may look like its end.
-        data=data.replace("<", "\\u003c").replace(">", "\\u003e").replace("\u2028", "\\u2028"),
+        data=text.replace("<", "\\u003c").replace(">", "\\u003e").replace("\u2028", "\\u2028"),
         script=script,
         hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
     )
 
 
-def static_page(study: Study, folder: Path) -> str:
-    """The page with every picture inside it: one file that works offline and needs no server."""
+def write_page(study: Study, folder: Path, out: Path) -> None:
+    """Write the page with every picture inside it: one file that works offline.
+
+    Raises:
+        ValueError: A picture is missing.
+    """
+    kinds = {".jpg": "image/jpeg", ".mp4": "video/mp4"}
     pictures = {
-        name: "data:image/jpeg;base64," + base64.b64encode(file.read_bytes()).decode()
+        name: f"data:{kinds[file.suffix]};base64,{base64.b64encode(file.read_bytes()).decode()}"
         for name, file in picture_files(study, folder).items()
     }
-    return render(study, pictures, server=False)
-
-
-def write_page(study: Study, folder: Path, out: Path) -> None:
-    """Write the static page."""
-    page = static_page(study, folder)
+    page = render(study, pictures)
     with atomic_path(out) as path:
         path.write_text(page, encoding="utf-8")

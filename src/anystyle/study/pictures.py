@@ -1,30 +1,23 @@
 """Results, photographs and styles found in folders, and pictures of one size made of them."""
 
-import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
-from PIL import Image, ImageOps, UnidentifiedImageError
+import av
+from PIL import Image, ImageOps
 
-from anystyle.io.images import formats
+from anystyle.io.images import decodable, opened
+
+_T = TypeVar("_T")
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
-_MAX_PIXELS = 100_000_000
+_LONGEST = 4096
 _INNER = ("renders", "images")  # folders that hold a result's or a scene's frames
 
 
-@dataclass(frozen=True)
-class Results:
-    """One method's results.
-
-    Args:
-        method: Its name.
-        frames: The frames of each scene and style, in order.
-    """
-
-    method: str
-    frames: Mapping[tuple[str, str], Sequence[Path]]
+Results = Mapping[tuple[str, str], Sequence[Path]]
+"""One method's frames of each scene and style, in order."""
 
 
 def frames_in(path: Path) -> list[Path]:
@@ -67,7 +60,7 @@ def find_results(method: str, folder: Path) -> Results:
                 frames_of[scene, style] = frames
     if not frames_of:
         raise ValueError(f"method {method}: {folder} holds no results; expected SCENE/STYLE.png or SCENE/STYLE/*.png")
-    return Results(method, frames_of)
+    return frames_of
 
 
 def find_contents(folder: Path) -> dict[str, list[Path]]:
@@ -81,13 +74,26 @@ def find_styles(folder: Path) -> dict[str, Path]:
     return {file.stem: file for file in files if file.suffix.lower() in (*SUFFIXES, ".txt")}
 
 
-def matching_frames(groups: Sequence[Sequence[Path]]) -> list[Path]:
-    """One frame of each group: the middle one of those that all groups name alike, else each group's middle."""
-    common = set.intersection(*({frame.stem for frame in group} for group in groups))
-    if common:
-        name = sorted(common)[len(common) // 2]
-        return [next(frame for frame in group if frame.stem == name) for group in groups]
-    return [group[len(group) // 2] for group in groups]
+def matching_frames(groups: Sequence[Sequence[Path]], count: int) -> list[list[Path]]:
+    """``count`` frames of each group, evenly spaced: of those that all groups name alike, else of each group's own.
+
+    Raises:
+        ValueError: A group has fewer.
+    """
+    few = min(groups, key=len)
+    if len(few) < count:
+        raise ValueError(f"{few[0].parent} has {len(few)} view(s) where {count} are planned; add some or plan fewer")
+    common = sorted(set.intersection(*({frame.stem for frame in group} for group in groups)))
+    if len(common) >= count:
+        names = spread(common, count)
+        return [[frame for frame in group if frame.stem in names] for group in groups]
+    return [spread(group, count) for group in groups]
+
+
+def spread(entries: Sequence[_T], count: int) -> list[_T]:
+    """``count`` evenly spaced entries, the middle one for 1; all where there are fewer."""
+    count = min(count, len(entries))
+    return [entries[(2 * index + 1) * len(entries) // (2 * count)] for index in range(count)]
 
 
 def read_picture(path: Path) -> Image.Image:
@@ -96,15 +102,9 @@ def read_picture(path: Path) -> Image.Image:
     Raises:
         ValueError: It is no image, damaged, or larger than 100 megapixels.
     """
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is judged here
-            with Image.open(path, formats=formats()) as image:
-                if image.width * image.height > _MAX_PIXELS:
-                    raise ValueError(f"{path.name} has {image.width} x {image.height} pixels; at most 100 million")
-                upright = ImageOps.exif_transpose(image).convert("RGBA")
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError) as error:
-        raise ValueError(f"{path.name} cannot be read as an image: {error}") from None
+    with opened(path) as image:
+        decodable(image, _LONGEST)
+        upright = ImageOps.exif_transpose(image).convert("RGBA")
     white = Image.new("RGBA", upright.size, "white")
     return Image.alpha_composite(white, upright).convert("RGB")
 
@@ -123,6 +123,24 @@ def filled(image: Image.Image, size: tuple[int, int]) -> Image.Image:
 def contained(image: Image.Image, longest: int) -> Image.Image:
     """An image scaled to ``longest``, uncut."""
     return image.resize(fitted_size(image.size, longest), Image.Resampling.LANCZOS)
+
+
+def degraded(image: Image.Image) -> Image.Image:
+    """What nobody prefers: gray, and blurred to a sixteenth of the resolution."""
+    small = ImageOps.grayscale(image).resize((max(1, image.width // 16), max(1, image.height // 16)))
+    return small.resize(image.size, Image.Resampling.BICUBIC).convert("RGB")
+
+
+def write_video(images: Sequence[Image.Image], path: Path, frames_per_second: int) -> None:
+    """An H.264 file that browsers play, without sound and without metadata."""
+    with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
+        stream = container.add_stream("libx264", rate=frames_per_second, options={"crf": "18", "preset": "fast"})
+        stream.pix_fmt = "yuv420p"
+        stream.width, stream.height = (side - side % 2 for side in images[0].size)
+        for image in images:
+            frame = av.VideoFrame.from_image(image.crop((0, 0, stream.width, stream.height)))
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
 
 
 def write_picture(image: Image.Image, path: Path) -> None:

@@ -1,89 +1,162 @@
-"""What a study asks, of how many: the part that a configuration file holds."""
+"""What a study asks, of how many, and by which rules: the part that a configuration file holds."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Literal
+from urllib.parse import urlsplit
 
+import msgspec
+
+from anystyle.documents import fit
 from anystyle.errors import did_you_mean
 from anystyle.study.contract import Scale
 
 
-@dataclass(frozen=True)
-class Question:
+class Question(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A question asked of every set.
 
     Args:
         name: As it stands in the answers.
-        text: As participants read it.
+        text: As participants read it; in a rating, ``{method}`` stands for A or B.
+        labels: The answers from low to high, empty where only a number stands; the first of a comparison says that A is
+            much better.
+        kind: A ``comparison`` has one answer a set, on a scale from A to B; a ``rating`` has one for each method.
+        low: The lowest score.
     """
 
     name: str
     text: str
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The sizes and the words of a study.
-
-    Args:
-        title: Of the page.
-        instructions: What participants read first; paragraphs are separated by blank lines.
-        participants: How many there will be; even, so that every set is seen in both positions equally often.
-        sets: How many sets each one judges; even, so that ours is A in half of them.
-        questions: Asked of every set.
-        labels: The answers from low to high; the first says that A is much better.
-        low: The lowest score.
-        attention_checks: How many sets tell the participant what to answer.
-        image_size: The longer side of every picture, in pixels.
-        seed: Of every draw.
-    """
-
-    title: str = "Comparison of stylized images"
-    instructions: str = (
-        "You will see a photograph, a style, and two pictures A and B: the photograph in that style, made by two "
-        "methods. Please answer the questions below each pair.\n\nThere are no right or wrong answers. Your answers "
-        "are kept after every step: you may close the page and go on later on the same device."
-    )
-    participants: int = 40
-    sets: int = 20
-    questions: tuple[Question, ...] = (
-        Question("style", "Which picture matches the style better?"),
-        Question("content", "Which picture preserves the content of the photograph better?"),
-        Question("overall", "Which picture do you prefer overall?"),
-    )
-    labels: tuple[str, ...] = ("A is much better", "A is better", "No difference", "B is better", "B is much better")
+    labels: tuple[str, ...]
+    kind: Literal["comparison", "rating"] = "comparison"
     low: int = 1
-    attention_checks: int = 2
-    image_size: int = 512
-    seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.participants < 2 or self.participants % 2:
-            near = max(2, self.participants - 1)
-            raise ValueError(
-                f"{self.participants} participants cannot see every set in both positions equally often; "
-                f"plan an even number, such as {near} or {near + 2}"
-            )
-        if self.sets < 2 or self.sets % 2:
-            near = max(2, self.sets - 1)
-            raise ValueError(
-                f"with {self.sets} sets ours cannot be A in half of them; plan an even number, such as {near} or "
-                f"{near + 2}"
-            )
-        names = [question.name for question in self.questions]
-        if not names or len(set(names)) < len(names) or not all(name.isidentifier() for name in names):
-            raise ValueError(f"questions are named {names}; expected different names of letters, digits and '_'")
-        if len(self.labels) < 2 or not all(label.strip() for label in self.labels):
-            raise ValueError(f"{len(self.labels)} labels; expected one for each of at least two answers")
-        if not 0 <= self.attention_checks <= self.sets // 2:
-            raise ValueError(f"attention_checks={self.attention_checks}; expected 0 to {self.sets // 2}, half the sets")
-        if not 64 <= self.image_size <= 4096:
-            raise ValueError(f"image_size={self.image_size}; expected 64 to 4096 pixels")
+        if not self.name.isidentifier():
+            raise ValueError(f"question {self.name!r}: expected a name of letters, digits and '_'")
+        if len(self.labels) < 2 or not (self.labels[0].strip() and self.labels[-1].strip()):
+            raise ValueError(f"question {self.name}: expected at least two labels, the first and the last with words")
 
     @property
     def scale(self) -> Scale:
         """The answer scale."""
         return Scale(float(self.low), float(self.low + len(self.labels) - 1))
+
+    @property
+    def sides(self) -> tuple[str, ...]:
+        """What a set is asked about: ``A`` and ``B`` each in a rating, ``""`` in a comparison."""
+        return ("A", "B") if self.kind == "rating" else ("",)
+
+
+class Demographic(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A question about the participant, which nobody has to answer.
+
+    Args:
+        name: As it stands in the answers.
+        text: As participants read it.
+        choices: To choose from; empty for a free text.
+    """
+
+    name: str
+    text: str
+    choices: tuple[str, ...] = ()
+
+
+class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Who is left out, said before there are data.
+
+    Args:
+        failed_checks: Attention checks that a participant may fail; ``None`` leaves nobody out for them.
+        straight_lining: Whether to leave out who gave one answer throughout; they are listed either way.
+        missing_share: Of the answers that a participant was assigned, above which they are left out.
+        min_seconds: A set that is answered faster is flagged; 0 flags none.
+        fast_share: Of a participant's sets flagged so, above which they are left out.
+    """
+
+    failed_checks: int | None = 0
+    straight_lining: bool = False
+    missing_share: float = 0.5
+    min_seconds: float = 0.0
+    fast_share: float = 0.25
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.missing_share <= 1 and 0 <= self.fast_share <= 1 and 0 <= self.min_seconds < 3600):
+            raise ValueError("rules: expected shares from 0 to 1 and seconds from 0 to 3600")
+
+
+class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The sizes, the words and the rules of a study.
+
+    Args:
+        title: Of the page.
+        instructions: What participants read first; paragraphs are separated by blank lines.
+        consent: What they agree to before the first set; empty for no such page.
+        demographics: Asked before the first set.
+        questions: Asked of every set.
+        participants: How many there will be; even, so that every set is seen in both positions equally often.
+        sets: How many sets each one judges; even, so that ours is A in half of them.
+        pool: How many sets there are; 0 for as many as each one judges.
+        views: Of each method in a set; more than one are shown as ``show`` says.
+        show: All views in a ``grid``, one at a time as a ``flipbook``, or as a looping ``video``.
+        frames_per_second: Of flip-books and videos.
+        degraded: Attention checks: sets of which one side is spoilt, so that the answer is known.
+        repeats: Attention checks: sets shown again with the sides exchanged.
+        rules: Who is left out.
+        id_parameters: Names in the page's address that hold a participant's id of elsewhere, such as ``PROLIFIC_PID``;
+            with any, the server assigns whoever comes. Without, participants enter the design's codes.
+        completion_url: Where participants go at the end; ``{code}`` stands for the code.
+        completion_code: Shown at the end, once every answer has arrived.
+        image_size: The longer side of every picture, in pixels.
+        seed: Of every draw.
+    """
+
+    title: str = "Comparison of stylized images"
+    instructions: str
+    consent: str = ""
+    demographics: tuple[Demographic, ...] = ()
+    questions: tuple[Question, ...]
+    participants: int = 40
+    sets: int = 20
+    pool: int = 0
+    views: int = 1
+    show: Literal["grid", "flipbook", "video"] = "grid"
+    frames_per_second: int = 10
+    degraded: int = 0
+    repeats: int = 0
+    rules: Rules = Rules()
+    id_parameters: tuple[str, ...] = ()
+    completion_url: str = ""
+    completion_code: str = ""
+    image_size: int = 512
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, count in (("participants", self.participants), ("sets", self.sets)):
+            if count < 2 or count % 2:
+                near = max(2, count - 1)
+                raise ValueError(
+                    f"{name}={count} cannot be balanced over the two positions; "
+                    f"plan an even number, such as {near} or {near + 2}"
+                )
+        if self.pool and self.pool < self.sets:
+            raise ValueError(f"pool={self.pool} has fewer sets than the {self.sets} that each one judges")
+        for kind, entries in (("question", self.questions), ("demographic", self.demographics)):
+            names = [entry.name for entry in entries]
+            if len(set(names)) < len(names):
+                raise ValueError(f"{kind}s are named {names}; expected different names")
+        if not self.questions:
+            raise ValueError("questions: expected at least one")
+        if self.show == "grid" and self.views > 6:
+            raise ValueError(f"views={self.views} are too many for a grid; plan at most 6, or show=flipbook or video")
+        for name, value, low, high in (
+            ("views", self.views, 1, 240),
+            ("frames_per_second", self.frames_per_second, 1, 60),
+            ("degraded", self.degraded, 0, self.sets // 2),
+            ("repeats", self.repeats, 0, self.sets // 2),
+            ("image_size", self.image_size, 64, 4096),
+        ):
+            if not low <= value <= high:
+                raise ValueError(f"{name}={value}; expected {low} to {high}")
+        if self.completion_url and urlsplit(self.completion_url).scheme not in ("http", "https"):
+            raise ValueError(f"completion_url={self.completion_url!r}; expected an address that begins with https://")
 
 
 def plan_from(options: Mapping[str, Any]) -> Plan:
@@ -92,30 +165,8 @@ def plan_from(options: Mapping[str, Any]) -> Plan:
     Raises:
         ValueError: An option is unknown or of the wrong type, or the plan cannot be balanced.
     """
-    field_types = {field.name: field.type for field in fields(Plan)}
-    for name, value in options.items():
-        if name not in field_types:
-            names = ", ".join(sorted(field_types))
-            raise ValueError(f"a study has no option {name!r}.{did_you_mean(name, field_types)} Options: {names}")
-        expected = field_types[name]
-        is_integer = isinstance(value, int) and not isinstance(value, bool)
-        if (expected is int and not is_integer) or (expected is str and not isinstance(value, str)):
-            raise ValueError(f"{name}={value!r}; expected {'a whole number' if expected is int else 'text'}")
-    values = dict(options)
-    if "questions" in values:
-        values["questions"] = tuple(_question(item) for item in _list("questions", values["questions"]))
-    if "labels" in values:
-        values["labels"] = tuple(str(label) for label in _list("labels", values["labels"]))
-    return Plan(**values)
-
-
-def _list(name: str, value: Any) -> list[Any]:
-    if not isinstance(value, (list, tuple)):
-        raise ValueError(f"{name}={value!r}; expected a list")
-    return list(value)
-
-
-def _question(item: Any) -> Question:
-    if not isinstance(item, Mapping) or set(item) != {"name", "text"}:
-        raise ValueError(f"question {item!r}; expected a name and a text")
-    return Question(str(item["name"]), str(item["text"]))
+    for name in options:
+        if name not in Plan.__struct_fields__:
+            names = ", ".join(sorted(Plan.__struct_fields__))
+            raise ValueError(f"a study has no option {name!r}.{did_you_mean(name, names.split(', '))} Options: {names}")
+    return fit(dict(options), Plan, source="the study's configuration", what="plan")

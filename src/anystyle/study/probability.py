@@ -1,4 +1,4 @@
-"""Tail probabilities as logarithms, so that no p-value underflows; and what to do with many of them."""
+"""Tail probabilities as logarithms, so that no p-value underflows; what to do with many of them; and intervals."""
 
 import math
 from collections.abc import Sequence
@@ -12,7 +12,7 @@ from anystyle.study.contract import Alternative
 _LEAST_EXACT = 1e-280
 
 
-def log_t_cdf(statistic: float, df: int) -> float:
+def log_t_cdf(statistic: float, df: float) -> float:
     """Natural logarithm of Student's t distribution function, exact far into the lower tail."""
     plain = float(special.stdtr(df, statistic))
     if plain > _LEAST_EXACT:
@@ -35,9 +35,20 @@ def log_pvalue(log_lower: float, log_upper: float, alternative: Alternative) -> 
     return {"less": log_lower, "greater": log_upper, "two-sided": both}[alternative]
 
 
-def log_t_pvalue(statistic: float, df: int, alternative: Alternative) -> float:
+def log_t_pvalue(statistic: float, df: float, alternative: Alternative) -> float:
     """The logarithm of a t test's p-value."""
     return log_pvalue(log_t_cdf(statistic, df), log_t_cdf(-statistic, df), alternative)
+
+
+def t_interval(
+    mean: float, error: float, df: float, confidence: float, alternative: Alternative
+) -> tuple[float, float]:
+    """The shifts that a t test does not reject; infinite on the side of a one-sided claim."""
+    if alternative == "two-sided":
+        reach = float(special.stdtrit(df, (1 + confidence) / 2)) * error
+        return mean - reach, mean + reach
+    reach = float(special.stdtrit(df, confidence)) * error
+    return (-math.inf, mean + reach) if alternative == "less" else (mean - reach, math.inf)
 
 
 def log_normal_pvalue(statistic: float, alternative: Alternative) -> float:

@@ -1,19 +1,21 @@
 """A designed study: what ``study.json`` holds, and only the experimenter reads."""
 
-import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+import re
+from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Literal
 
+import msgspec
+
+from anystyle.documents import read_json
 from anystyle.io.atomic import atomic_path
-from anystyle.study.plan import Plan, plan_from
+from anystyle.study.plan import Plan
 
 FILE, PICTURES = "study.json", "pictures"
+_PICTURE = re.compile(r"[0-9a-f]{12}\.(jpg|mp4)")
 
 
-@dataclass(frozen=True)
-class Item:
+class Item(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A set: one scene in one style by ours and by a baseline.
 
     Args:
@@ -21,10 +23,10 @@ class Item:
         scene: Its name.
         style: Its name.
         baseline: The other method.
-        ours: The name of the picture by ours, which tells nothing.
-        theirs: The name of the other one.
-        content: The name of the photograph's picture.
-        reference: The name of the style's picture, or empty.
+        ours: The files in ``pictures/`` by ours, one a view or one video; their names tell nothing.
+        theirs: The same of the other method.
+        content: The same of the photographs.
+        reference: The style's file, or empty.
         text: The style in words, or empty.
     """
 
@@ -32,34 +34,38 @@ class Item:
     scene: str
     style: str
     baseline: str
-    ours: str
-    theirs: str
-    content: str
+    ours: tuple[str, ...]
+    theirs: tuple[str, ...]
+    content: tuple[str, ...]
     reference: str = ""
     text: str = ""
 
 
-@dataclass(frozen=True)
-class Check:
-    """An attention check: a page that says what to answer.
+class Check(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """An attention check, which looks like any other set.
 
     Args:
         id: As it stands in the answers.
-        expected: The score to give.
+        kind: A ``degraded`` one shows intact files beside spoilt ones; a ``repeat`` shows a set again.
+        of: The set that it is made of.
+        ours: The intact files, or those by ours.
+        theirs: The spoilt files, or those of the other method.
     """
 
     id: str
-    expected: int
+    kind: Literal["degraded", "repeat"]
+    of: str
+    ours: tuple[str, ...]
+    theirs: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class Participant:
+class Participant(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What one participant sees.
 
     Args:
         id: The code to start with.
         order: Ids of sets and checks.
-        ours_is_a: Ids of the sets in which ours is A.
+        ours_is_a: Ids of those in which ``ours`` (the intact files of a degraded check) is A.
     """
 
     id: str
@@ -67,15 +73,14 @@ class Participant:
     ours_is_a: frozenset[str]
 
 
-@dataclass(frozen=True)
-class Study:
+class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
     """A designed study.
 
     Args:
         id: Made of everything else; answers of another study do not match it.
         ours: The method that the study is about.
         baselines: The others.
-        plan: Sizes and words.
+        plan: Sizes, words and rules.
         items: The sets.
         checks: The attention checks.
         participants: Who sees what.
@@ -89,19 +94,42 @@ class Study:
     checks: tuple[Check, ...]
     participants: tuple[Participant, ...]
 
+    def __post_init__(self) -> None:
+        for one in self.participants:
+            strange = [entry for entry in one.order if entry not in self.shown]
+            if strange:
+                raise ValueError(f"participant {one.id} is shown {strange[0]!r}, which there is none of")
+        unknown = [check.of for check in self.checks if check.of not in self.shown]
+        if unknown:
+            raise ValueError(f"a check is of {unknown[0]!r}, which there is none of")
+        for name in self.pictures:
+            if not _PICTURE.fullmatch(name):
+                raise ValueError(f"picture {name!r} has a name that is no file's")
+
+    @cached_property
+    def shown(self) -> dict[str, Item | Check]:
+        """Every set and check by its id."""
+        return {one.id: one for one in (*self.items, *self.checks)}
+
     @property
     def pictures(self) -> tuple[str, ...]:
-        """The names of all pictures, without a suffix."""
-        names = [name for item in self.items for name in (item.ours, item.theirs, item.content, item.reference) if name]
+        """The names of all files in ``pictures/``, each once."""
+        names = [name for one in self.shown.values() for name in (*one.ours, *one.theirs)]
+        names += [name for item in self.items for name in (*item.content, item.reference) if name]
         return tuple(dict.fromkeys(names))
+
+    def participant(self, name: str) -> Participant | None:
+        """What the participant of a name in the answers sees: ``P01-2`` took what ``P01`` had left."""
+        return self._by_code.get(name.partition("-")[0])
+
+    @cached_property
+    def _by_code(self) -> dict[str, Participant]:
+        return {one.id: one for one in self.participants}
 
     def write(self, folder: Path) -> None:
         """Write ``study.json``."""
-        content = asdict(self)
-        for participant in content["participants"]:
-            participant["ours_is_a"] = sorted(participant["ours_is_a"])
         with atomic_path(folder / FILE) as path:
-            path.write_text(json.dumps(content, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+            path.write_bytes(msgspec.json.format(msgspec.json.encode(self, order="deterministic"), indent=1) + b"\n")
 
 
 def read_study(path: Path) -> Study:
@@ -113,32 +141,4 @@ def read_study(path: Path) -> Study:
     file = path / FILE if path.is_dir() else path
     if not file.is_file():
         raise ValueError(f"{path} holds no {FILE}; make one with `anystyle study design`")
-    try:
-        content = json.loads(file.read_text(encoding="utf-8"))
-        return _study(content)
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        raise ValueError(f"{file} is no study: {type(error).__name__}: {error}; design it again") from None
-
-
-def _study(content: Mapping[str, Any]) -> Study:
-    study = Study(
-        id=str(content["id"]),
-        ours=str(content["ours"]),
-        baselines=tuple(map(str, content["baselines"])),
-        plan=plan_from(content["plan"]),
-        items=tuple(Item(**{name: str(value) for name, value in item.items()}) for item in content["items"]),
-        checks=tuple(Check(str(check["id"]), int(check["expected"])) for check in content["checks"]),
-        participants=tuple(
-            Participant(str(one["id"]), tuple(map(str, one["order"])), frozenset(map(str, one["ours_is_a"])))
-            for one in content["participants"]
-        ),
-    )
-    known = {item.id for item in study.items} | {check.id for check in study.checks}
-    for participant in study.participants:
-        strange = set(participant.order) - known
-        if strange:
-            raise ValueError(f"participant {participant.id} is shown {sorted(strange)[0]!r}, which there is none of")
-    for name in study.pictures:
-        if not name.isalnum():
-            raise ValueError(f"picture {name!r} has a name that is no file's")
-    return study
+    return read_json(file, Study, what="study; design it again")

@@ -1,132 +1,144 @@
-"""A small local server for the form: the standard library's, one request a thread, answers through the store."""
+"""A small server for the form: waitress reads the requests, answers go through the store."""
 
 import json
 import logging
-from collections.abc import Callable
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+import sqlite3
+from collections.abc import Callable, Iterable
+from http import HTTPStatus
 from pathlib import Path
-from urllib.parse import parse_qs, urlsplit
+from typing import Any
 
-from anystyle.study.form import picture_files, render
+from waitress.server import create_server
+
+from anystyle.documents import parse_json
+from anystyle.errors import UserError
+from anystyle.study.form import picture_files, render, sequence
 from anystyle.study.protocol import Study
-from anystyle.study.store import Store
+from anystyle.study.store import Answer, Claim, Fact, Message, Refused, Store
 
 _log = logging.getLogger(__name__)
 _LARGEST_MESSAGE = 64 * 1024
+_KINDS = {".jpg": "image/jpeg", ".mp4": "video/mp4"}
 
 
-class StudyServer(ThreadingHTTPServer):
-    """Serves one study's page and pictures, and takes in its answers.
+class Application:
+    """The WSGI application of one study: its page, its pictures, and what comes in.
 
     Args:
         study: The study.
         folder: Where its pictures are.
         store: Where answers go.
-        host: The address to listen at; other machines reach the server only if it is not the local one.
-        port: 0 takes a free one.
     """
 
-    daemon_threads = True
-    allow_reuse_address = True
+    def __init__(self, *, study: Study, folder: Path, store: Store) -> None:
+        self._study, self._store = study, store
+        self._pictures = {f"/pictures/{name}": file for name, file in picture_files(study, folder).items()}
+        self._page = render(study).encode()
 
-    def __init__(self, *, study: Study, folder: Path, store: Store, host: str = "127.0.0.1", port: int = 8765) -> None:
-        files = picture_files(study, folder)
-        self.store = store
-        self.pictures = {f"/pictures/{name}.jpg": file for name, file in files.items()}
-        self.page = render(study, {name: f"pictures/{name}.jpg" for name in files}, server=True).encode()
-        super().__init__((host, port), _Handler)
+    def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
+        """Answer one request."""
+        status, kind, body = self._answer(environ)
+        headers = [
+            ("Content-Type", kind),
+            ("Content-Length", str(len(body))),
+            ("Cache-Control", "no-store" if kind == "application/json" else "private, max-age=3600"),
+            ("X-Content-Type-Options", "nosniff"),
+            ("Referrer-Policy", "no-referrer"),
+        ]
+        start_response(f"{status} {HTTPStatus(status).phrase}", headers)
+        return [body]
 
-    @property
-    def url(self) -> str:
-        """Where the page is."""
-        host, port = self.server_address[:2]
-        return f"http://{host!s}:{port}/"
-
-
-class _Handler(BaseHTTPRequestHandler):
-    server_version = "anystyle-study"
-    sys_version = ""
-    protocol_version = "HTTP/1.1"
-    timeout = 60
-
-    @property
-    def _study(self) -> StudyServer:
-        assert isinstance(self.server, StudyServer)
-        return self.server
-
-    def do_GET(self) -> None:
-        """The page, a picture, or a participant's state."""
-        url = urlsplit(self.path)
-        if url.path == "/":
-            self._reply(200, "text/html; charset=utf-8", self._study.page)
-        elif url.path in self._study.pictures:
-            self._reply(200, "image/jpeg", self._study.pictures[url.path].read_bytes(), "public, max-age=86400")
-        elif url.path == "/state":
-            participant = parse_qs(url.query).get("participant", [""])[0]
-            state = self._study.store.state(participant)
-            self._json(404 if state is None else 200, state or {"error": "no answers yet"})
-        else:
-            self._json(404, {"error": "there is nothing here"})
-
-    def do_POST(self) -> None:
-        """One answer: it is on the disk before the reply."""
-        length = self.headers.get("Content-Length", "")
-        if not length.isdigit() or int(length) > _LARGEST_MESSAGE:
-            self.close_connection = True
-            return self._json(413, {"error": "an answer of known and moderate length is expected"})
-        body = self.rfile.read(int(length))
-        # A page of another site can send plain forms here, but no JSON.
-        if urlsplit(self.path).path != "/answers" or self.headers.get_content_type() != "application/json":
-            return self._json(400, {"error": "an answer as JSON is expected at /answers"})
+    def _answer(self, environ: dict[str, Any]) -> tuple[int, str, bytes]:
+        path = environ["PATH_INFO"]
+        if environ["REQUEST_METHOD"] == "GET":
+            if path == "/":
+                return 200, "text/html; charset=utf-8", self._page
+            if path in self._pictures:
+                return 200, _KINDS[self._pictures[path].suffix], self._pictures[path].read_bytes()
+            return _json(404, {"error": "there is nothing here"})
         try:
-            message = json.loads(body)
-            if not isinstance(message, dict):
-                raise ValueError("an object is expected")
-            self._study.store.add(message)
-        except (ValueError, RecursionError) as error:
-            return self._json(400, {"error": str(error)})
-        return self._json(200, {"saved": True})
+            return _json(200, self._take(path, environ))
+        except Refused as error:
+            return _json(error.status, {"error": str(error)})
+        except UserError as error:
+            return _json(400, {"error": str(error)})
+        except (sqlite3.Error, OSError) as error:
+            _log.error("nothing can be kept: %s", error)
+            return _json(503, {"error": "nothing can be kept at the moment"})
 
-    def _json(self, status: int, content: dict[str, object]) -> None:
-        self._reply(status, "application/json", json.dumps(content).encode())
+    def _take(self, path: str, environ: dict[str, Any]) -> dict[str, Any]:
+        # A page of another site can send plain forms here, but no JSON.
+        if environ.get("CONTENT_TYPE", "").partition(";")[0].strip() != "application/json":
+            raise Refused(400, "JSON is expected")
+        body = environ["wsgi.input"].read()
+        token = environ.get("HTTP_AUTHORIZATION", "").removeprefix("Bearer ")
+        if path == "/session":
+            session = self._store.claim(parse_json(body, Claim, source="the message"))
+            participant = self._study.participant(session["participant"])
+            assert participant is not None
+            return session | {"sets": sequence(self._study, participant)}
+        if path == "/answers":
+            self._store.add(parse_json(body, Answer, source="the message"), token)
+        elif path == "/facts":
+            self._store.note(parse_json(body, Fact, source="the message"), token)
+        elif path == "/finish":
+            return self._store.finish(parse_json(body, Message, source="the message"), token)
+        else:
+            raise Refused(404, "there is nothing here")
+        return {"saved": True}
 
-    def _reply(self, status: int, kind: str, body: bytes, cache: str = "no-store") -> None:
-        self.send_response(status)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(body)))
-        self.send_header("Cache-Control", cache)
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Referrer-Policy", "no-referrer")
-        self.end_headers()
-        self.wfile.write(body)
 
-    def log_message(self, format: str, *args: object) -> None:
-        """Requests go to the log, not to the terminal."""
-        _log.debug(format, *args)
+def _json(status: int, content: dict[str, Any]) -> tuple[int, str, bytes]:
+    return status, "application/json", json.dumps(content).encode()
 
 
-def serve(study: Study, folder: Path, database: Path, *, host: str, port: int, ready: Callable[[str], None]) -> None:
+def serve(
+    study: Study,
+    folder: Path,
+    database: Path,
+    *,
+    host: str,
+    port: int,
+    ready: Callable[[str], None],
+    connections: int = 900,
+    patience: int = 15,
+) -> None:
     """Serve until interrupted.
+
+    Requests are read whole before one of a few threads answers them, so that slow and idle clients hold none.
 
     Args:
         study: The study.
         folder: Where its pictures are.
         database: The SQLite file for the answers.
-        host: The address to listen at.
+        host: The address to listen at; other machines reach the server only if it is not the local one.
         port: 0 takes a free one.
         ready: Told the page's address.
+        connections: At a time; more wait.
+        patience: Seconds after which an idle connection is closed.
 
     Raises:
         ValueError: The database belongs to another study, or pictures are missing.
         OSError: The port is taken.
     """
     store = Store(study=study, path=database)
-    with StudyServer(study=study, folder=folder, store=store, host=host, port=port) as server:
-        ready(server.url)
-        try:
-            server.serve_forever()
-        except KeyboardInterrupt:
-            pass
-        finally:
-            server.server_close()
-            store.close()
+    try:
+        server: Any = create_server(
+            Application(study=study, folder=folder, store=store),
+            host=host,
+            port=port,
+            ipv6=":" in host,
+            ident="anystyle-study",
+            threads=8,
+            connection_limit=connections,
+            channel_timeout=patience,
+            cleanup_interval=max(1, patience // 3),
+            max_request_body_size=_LARGEST_MESSAGE,
+            max_request_header_size=16 * 1024,
+            asyncore_use_poll=True,
+        )
+        ready(f"http://{server.effective_host}:{server.effective_port}/")
+        server.run()
+        server.close()
+    finally:
+        store.close()

@@ -1,57 +1,101 @@
-"""Answers kept durably in SQLite, one append an answer."""
+"""Sessions and answers kept durably in SQLite, one append an answer."""
 
-import contextlib
-import re
+import hashlib
+import os
 import sqlite3
 import threading
-from collections.abc import Mapping
-from datetime import UTC, datetime
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from anystyle.study.form import comparison
-from anystyle.study.protocol import Study
+from msgspec import Meta, Struct
+
+from anystyle.study.protocol import Participant, Study
 
 _TABLES = """
 CREATE TABLE IF NOT EXISTS study (id TEXT NOT NULL);
-CREATE TABLE IF NOT EXISTS answers (
-    id INTEGER PRIMARY KEY, received TEXT NOT NULL, participant TEXT NOT NULL, session TEXT NOT NULL,
-    item TEXT NOT NULL, question TEXT NOT NULL, score INTEGER NOT NULL, ours_is TEXT NOT NULL, expected INTEGER,
-    comparison TEXT NOT NULL, seconds REAL, time TEXT, revision INTEGER NOT NULL,
-    UNIQUE (participant, session, item, question, revision)
+CREATE TABLE IF NOT EXISTS sessions (
+    participant TEXT PRIMARY KEY, slot TEXT NOT NULL, person TEXT NOT NULL UNIQUE, token TEXT, started TEXT NOT NULL,
+    finished TEXT
 );
-CREATE TABLE IF NOT EXISTS comments (
-    id INTEGER PRIMARY KEY, received TEXT NOT NULL, participant TEXT NOT NULL, session TEXT NOT NULL,
-    comment TEXT NOT NULL
+CREATE TABLE IF NOT EXISTS answers (
+    id INTEGER PRIMARY KEY, received TEXT NOT NULL, participant TEXT NOT NULL, item TEXT NOT NULL,
+    question TEXT NOT NULL, side TEXT NOT NULL, score INTEGER NOT NULL, seconds REAL NOT NULL, time TEXT NOT NULL,
+    revision INTEGER NOT NULL, UNIQUE (participant, item, question, side, revision)
+);
+CREATE TABLE IF NOT EXISTS facts (
+    participant TEXT NOT NULL, name TEXT NOT NULL, value TEXT NOT NULL, PRIMARY KEY (participant, name)
 );
 CREATE VIEW IF NOT EXISTS responses AS
-    WITH last AS (
-        SELECT * FROM answers WHERE revision = (
-            SELECT max(revision) FROM answers AS other WHERE other.participant = answers.participant
-            AND other.session = answers.session AND other.item = answers.item AND other.question = answers.question
-        )
-    )
-    SELECT participant, item, question, score, ours_is, expected, comparison, seconds, time, session, revision,
-        CASE WHEN id = (SELECT min(id) FROM last AS first WHERE first.participant = last.participant)
-            THEN (SELECT comment FROM comments WHERE comments.participant = last.participant ORDER BY id DESC LIMIT 1)
-        END AS comment
+    WITH last AS (SELECT *, max(revision) FROM answers GROUP BY participant, item, question, side)
+    SELECT (SELECT id FROM study) AS study, participant, item, question, side, score, seconds, time, revision,
+        CASE WHEN id = min(id) OVER (PARTITION BY participant) THEN
+            (SELECT value FROM facts WHERE facts.participant = last.participant AND name = 'comment') END AS comment
     FROM last ORDER BY id;
+CREATE VIEW IF NOT EXISTS people AS SELECT participant, name, value FROM facts WHERE name != 'comment';
 """
-_ADD = """
-INSERT OR IGNORE INTO answers
-    (received, participant, session, item, question, score, ours_is, expected, comparison, seconds, time, revision)
-VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
-"""
-_LONGEST_COMMENT = 10_000
-_SESSION = re.compile(r"[0-9a-f]{16}")
+_LONGEST_TEXT = 10_000
+_ABANDONED = timedelta(hours=1)
+"""Without an answer, after which what a participant was to see is given to another one too."""
+
+
+class Claim(Struct, frozen=True, forbid_unknown_fields=True):
+    """What begins or resumes a session: who, and the secret that the browser made for it."""
+
+    study: str
+    person: Annotated[str, Meta(pattern=r"^[\w.@+-]{1,100}$")]
+    token: Annotated[str, Meta(pattern=r"^[0-9a-f]{32}$")]
+
+
+class Message(Struct, frozen=True, forbid_unknown_fields=True):
+    """What a session sends; by itself, the wish to finish."""
+
+    study: str
+    participant: str
+
+
+class Answer(Message, frozen=True, forbid_unknown_fields=True):
+    """One answer; ``side`` is empty for a comparison, ``A`` or ``B`` for a rating."""
+
+    item: str
+    question: str
+    side: str
+    score: int
+    seconds: Annotated[float, Meta(ge=0, lt=1e7)]
+    time: Annotated[str, Meta(max_length=40)]
+    revision: Annotated[int, Meta(ge=1, lt=1_000_000)]
+
+
+class Fact(Message, frozen=True, forbid_unknown_fields=True):
+    """Something that a participant says once: consent, a demographic, a comment."""
+
+    name: str
+    value: str
+
+
+class Refused(Exception):
+    """A message that is not kept.
+
+    Args:
+        status: Of HTTP: 400 does not fit the study, 401 is another's, 404 nobody, 409 contradicts what is kept, 413 is
+            too long.
+        reason: In words.
+    """
+
+    def __init__(self, status: int, reason: str) -> None:
+        super().__init__(reason)
+        self.status = status
 
 
 class Store:
-    """The answers to one study.
+    """The sessions and answers of one study.
 
-    An answer is on the disk before :meth:`add` returns: the journal is written ahead and synchronised at every
-    commit. An answer that arrives twice is kept once; a changed one is a new row, and the view ``responses`` shows the
-    last. Two sessions of one participant are both kept.
+    What is kept is on the disk before a method returns: the journal is written ahead and synchronised at every commit,
+    and the file is looked for where it was opened. An answer that arrives twice is kept once; a changed one is a new
+    row with the next revision, and the view ``responses`` shows the last.
 
     Args:
         study: Whose answers.
@@ -63,10 +107,8 @@ class Store:
 
     def __init__(self, *, study: Study, path: Path) -> None:
         self._study = study
-        self._items = {item.id: item for item in study.items}
-        self._checks = {check.id: check for check in study.checks}
-        self._participants = {participant.id: participant for participant in study.participants}
-        self._questions = {question.name for question in study.plan.questions}
+        self._questions = {question.name: question for question in study.plan.questions}
+        self._facts = {"consent", "comment", *(one.name for one in study.plan.demographics)}
         self._lock = threading.Lock()
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -82,86 +124,170 @@ class Store:
         elif held[0] != study.id:
             self.close()
             raise ValueError(f"{path} holds answers to another study ({held[0]}, not {study.id}); name another file")
+        self._files = {file: file.stat().st_ino for file in (path, path.with_name(path.name + "-wal"))}
+        folder = os.open(path.parent, os.O_RDONLY)
+        os.fsync(folder)  # the files' names are to last, too
+        os.close(folder)
 
     def close(self) -> None:
         """Close the file."""
         self._database.close()
 
-    def add(self, message: Mapping[str, Any]) -> None:
-        """Keep one answer or one comment, as the page sends it.
+    @contextmanager
+    def _change(self) -> Iterator[sqlite3.Connection]:
+        """A transaction that is on the disk, in the files that are there, when the block has ended.
 
         Raises:
-            ValueError: It does not fit the study.
+            OSError: The files were removed or replaced.
+            sqlite3.Error: The disk is full, or the like.
         """
-        if message.get("study") != self._study.id:
-            raise ValueError("the answer belongs to another study")
-        participant = self._participants.get(str(message.get("participant")))
-        session = message.get("session")
-        if participant is None or not isinstance(session, str) or not _SESSION.fullmatch(session):
-            raise ValueError("participant or session is not known")
-        received = datetime.now(UTC).isoformat(timespec="milliseconds")
-        if "comment" in message:
-            comment = str(message["comment"])[:_LONGEST_COMMENT]
-            statement = "INSERT INTO comments (received, participant, session, comment) VALUES (?, ?, ?, ?)"
-            values: tuple[Any, ...] = (received, participant.id, session, comment)
-        else:
-            statement = _ADD
-            item, question, score, revision = self._checked(message)
-            judged, check = self._items.get(item), self._checks.get(item)
-            values = (
-                *(received, participant.id, session, item, question, score),
-                ("A" if item in participant.ours_is_a else "B") if judged else "",
-                check.expected if check else None,
-                comparison(self._study, judged.baseline) if judged and len(self._study.baselines) > 1 else "",
-                _seconds(message.get("seconds")),
-                str(message.get("time", ""))[:40],
-                revision,
-            )
         with self._lock:
-            self._database.execute(statement, values)
+            self._database.execute("BEGIN IMMEDIATE")
+            try:
+                yield self._database
+                self._database.execute("COMMIT")
+            except BaseException:
+                if self._database.in_transaction:
+                    self._database.execute("ROLLBACK")
+                raise
+            for file, inode in self._files.items():
+                if file.stat().st_ino != inode:
+                    raise OSError(f"{file} was replaced while the study is served")
 
-    def _checked(self, message: Mapping[str, Any]) -> tuple[str, str, int, int]:
-        item, question = str(message.get("item")), str(message.get("question"))
-        score, revision = message.get("score"), message.get("revision", 1)
-        scale = self._study.plan.scale
-        if item not in self._items and item not in self._checks:
-            raise ValueError("the set is not known")
-        if question not in self._questions:
-            raise ValueError("the question is not known")
-        if not isinstance(score, int) or isinstance(score, bool) or not scale.low <= score <= scale.high:
-            raise ValueError("the score is outside the scale")
-        if not isinstance(revision, int) or isinstance(revision, bool) or not 1 <= revision < 1_000_000:
-            raise ValueError("the revision is no number")
-        return item, question, score, revision
+    def claim(self, message: Claim) -> dict[str, Any]:
+        """Begin a person's session, or resume it in the browser that began it; what the page needs to go on.
 
-    def state(self, participant: str) -> dict[str, Any] | None:
-        """What the page needs to go on with a participant's last session; ``None`` where there is none."""
+        Without ``id_parameters``, persons are the design's codes. With them, whoever comes is assigned what fewest
+        others have seen or are seeing, always the same.
+
+        Raises:
+            Refused: The code is not known, or is in use in another browser.
+        """
+        self._belongs(message.study)
+        assigned = bool(self._study.plan.id_parameters)
+        person = message.person if assigned else message.person.upper()
+        if not assigned and person not in {one.id for one in self._study.participants}:
+            raise Refused(404, "this code is not known")
+        digest = _digest(message.token)
+        with self._change() as database:
+            row = database.execute("SELECT participant, token FROM sessions WHERE person = ?", (person,)).fetchone()
+            if row is None:
+                slot = self._free_slot() if assigned else person
+                (times,) = database.execute("SELECT count(*) FROM sessions WHERE slot = ?", (slot,)).fetchone()
+                row = f"{slot}-{times + 1}" if times else slot, digest
+                database.execute(
+                    "INSERT INTO sessions VALUES (?, ?, ?, ?, ?, NULL)", (row[0], slot, person, digest, _now())
+                )
+            elif row[1] is None:
+                database.execute("UPDATE sessions SET token = ? WHERE person = ?", (digest, person))
+            elif row[1] != digest:
+                raise Refused(409, "this code is in use in another browser")
+            return {"participant": row[0], **self._state(row[0])}
+
+    def _free_slot(self) -> str:
+        """What fewest have finished or are at, then fewest have begun, then comes first: balanced in this order."""
+        since = _now(-_ABANDONED)
+        rows = self._database.execute(
+            "SELECT slot, finished IS NOT NULL OR started > ?1 OR EXISTS (SELECT 1 FROM answers WHERE "
+            "answers.participant = sessions.participant AND received > ?1) FROM sessions",
+            (since,),
+        ).fetchall()
+        begun, taken = Counter(slot for slot, _ in rows), Counter(slot for slot, counts in rows if counts)
+        return min((one.id for one in self._study.participants), key=lambda slot: (taken[slot], begun[slot]))
+
+    def _state(self, participant: str) -> dict[str, Any]:
+        columns = ("item", "question", "side", "score", "seconds", "time", "revision")
+        answers = self._database.execute(
+            f"SELECT {', '.join(columns)} FROM responses WHERE participant = ?", (participant,)
+        )
+        facts = self._database.execute("SELECT name, value FROM facts WHERE participant = ?", (participant,))
+        return {"answers": [dict(zip(columns, row, strict=True)) for row in answers], "facts": dict(facts.fetchall())}
+
+    def release(self, person: str) -> None:
+        """Let a person go on in another browser.
+
+        Raises:
+            ValueError: No such person has begun.
+        """
+        with self._change() as database:
+            if not database.execute("UPDATE sessions SET token = NULL WHERE person = ?", (person,)).rowcount:
+                raise ValueError(f"nobody has begun as {person!r}; name a code or an id as the participant entered it")
+
+    def add(self, message: Answer, token: str) -> None:
+        """Keep one answer.
+
+        Raises:
+            Refused: It does not fit the study, is another's, or contradicts one that is kept.
+        """
+        participant = self._authorized(message, token)
+        question = self._questions.get(message.question)
+        if message.item not in participant.order:
+            raise Refused(400, "the set is not one of this participant's")
+        if question is None or message.side not in question.sides:
+            raise Refused(400, "the question is not known")
+        if not question.scale.low <= message.score <= question.scale.high:
+            raise Refused(400, "the score is outside the scale")
+        key = (message.participant, message.item, message.question, message.side)
+        with self._change() as database:
+            query = "SELECT revision, score FROM answers WHERE (participant, item, question, side) = (?, ?, ?, ?)"
+            kept = dict(database.execute(query, key).fetchall())
+            if message.revision not in kept and message.revision == len(kept) + 1:
+                values = (_now(), *key, message.score, message.seconds, message.time, message.revision)
+                database.execute("INSERT INTO answers VALUES (NULL, ?, ?, ?, ?, ?, ?, ?, ?, ?)", values)
+            elif kept.get(message.revision) != message.score:
+                raise Refused(409, f"answers to this question have revisions up to {len(kept)}, and this is another")
+
+    def note(self, message: Fact, token: str) -> None:
+        """Keep what a participant says once; the last counts.
+
+        Raises:
+            Refused: It does not fit the study, is another's, or too long.
+        """
+        self._authorized(message, token)
+        if message.name not in self._facts:
+            raise Refused(400, "this is not asked")
+        if len(message.value) > _LONGEST_TEXT:
+            raise Refused(413, f"a text has at most {_LONGEST_TEXT} characters")
+        with self._change() as database:
+            query = "INSERT OR REPLACE INTO facts VALUES (?, ?, ?)"
+            database.execute(query, (message.participant, message.name, message.value))
+
+    def finish(self, message: Message, token: str) -> dict[str, str]:
+        """The code and the address for the end, once every answer is kept.
+
+        Raises:
+            Refused: Answers are missing, or it is another's wish.
+        """
+        participant = self._authorized(message, token)
+        expected = len(participant.order) * sum(len(question.sides) for question in self._questions.values())
+        with self._change() as database:
+            query = "SELECT count(*) FROM responses WHERE participant = ?"
+            (kept,) = database.execute(query, (message.participant,)).fetchone()
+            if kept < expected:
+                raise Refused(409, f"{expected - kept} answers are missing")
+            query = "UPDATE sessions SET finished = coalesce(finished, ?) WHERE participant = ?"
+            database.execute(query, (_now(), message.participant))
+        plan = self._study.plan
+        return {"code": plan.completion_code, "url": plan.completion_url.replace("{code}", plan.completion_code)}
+
+    def _belongs(self, study: str) -> None:
+        if study != self._study.id:
+            raise Refused(400, "this belongs to another study")
+
+    def _authorized(self, message: Message, token: str) -> Participant:
+        self._belongs(message.study)
+        query = "SELECT token FROM sessions WHERE participant = ?"
         with self._lock:
-            last = self._database.execute(
-                "SELECT session FROM answers WHERE participant = ? ORDER BY id DESC LIMIT 1", (participant,)
-            ).fetchone()
-            if last is None:
-                return None
-            rows = self._database.execute(
-                "SELECT item, question, score, seconds, time, revision FROM responses "
-                "WHERE participant = ? AND session = ?",
-                (participant, last[0]),
-            ).fetchall()
-        answers: dict[str, dict[str, Any]] = {}
-        for item, question, score, seconds, time, revision in rows:
-            answers.setdefault(item, {})[question] = {
-                "score": score, "seconds": seconds, "time": time, "revision": revision,
-            }  # fmt: skip
-        return {"session": last[0], "answers": answers}
-
-    def count(self) -> int:
-        """How many answers are kept, changed ones counted once."""
-        with self._lock:
-            return int(self._database.execute("SELECT count(*) FROM responses").fetchone()[0])
+            row = self._database.execute(query, (message.participant,)).fetchone()
+        participant = self._study.participant(message.participant)
+        if participant is None or row is None or row[0] != _digest(token):
+            raise Refused(401, "this session goes on in another browser")
+        return participant
 
 
-def _seconds(value: Any) -> float | None:
-    with contextlib.suppress(TypeError, ValueError, OverflowError):
-        seconds = float(value)
-        return seconds if 0 <= seconds < 1e7 else None
-    return None
+def _now(offset: timedelta = timedelta()) -> str:
+    return (datetime.now(UTC) + offset).isoformat(timespec="milliseconds")
+
+
+def _digest(token: str) -> str:
+    return hashlib.sha256(token.encode()).hexdigest()

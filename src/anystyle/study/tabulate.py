@@ -1,15 +1,23 @@
-"""The findings as tables for papers: Markdown and LaTeX."""
+"""Numbers and names as people write them, in plain text, Markdown and LaTeX."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
-from anystyle.study.analysis import Analysis, NamedResult, QuestionAnalysis
+from anystyle.study.analysis import NamedResult
+from anystyle.study.contract import Population
 
 _SPECIAL_TEX = {
     "\\": r"\textbackslash{}",
     "~": r"\textasciitilde{}",
     "^": r"\textasciicircum{}",
     **{character: "\\" + character for character in "&%$#_{}"},
+    "−": "$-$",
+    "∞": r"$\infty$",
+    "—": "---",
+    "“": "``",
+    "”": "''",
+    "<": "$<$",
+    ">": "$>$",
 }
 
 
@@ -32,9 +40,22 @@ def plain_p(named: NamedResult) -> str:
     return text.removeprefix("= ")
 
 
-def generalizes(named: NamedResult) -> str:
-    """For whom a result holds."""
-    return "new " + " and ".join(named.result.generalizes_to) if named.result.generalizes_to else "no one else"
+def holds_for(populations: Sequence[Population]) -> str:
+    """For whom a result holds, and of what it speaks as it was shown."""
+    if not populations:
+        return "no one else"
+    parts = []
+    for population in populations:
+        parts.append("sets" if population == "items" else population)
+    new = "new " + (", ".join(parts[:-1]) + " and " + parts[-1] if len(parts) > 1 else parts[0])
+    shared = [factor for factor in ("scenes", "styles") if factor not in populations]
+    if "items" in populations:
+        new += " of these scenes and styles"
+    elif len(shared) == 1:
+        new += f", these {shared[0]}"
+    elif shared:
+        new += ", these sets"
+    return new if "participants" in populations else f"{new}, these participants"
 
 
 def title_of(name: str) -> str:
@@ -58,79 +79,9 @@ def escape_markdown(text: str) -> str:
     return " ".join("".join("\\" + letter if letter in "\\`*_[]|#" else letter for letter in plain).split())
 
 
-def _interval(bounds: tuple[float, float]) -> str:
-    return "" if math.isnan(bounds[0]) else f"[{bounds[0]:.2f}, {bounds[1]:.2f}]"
-
-
-def _rows(question: QuestionAnalysis, escape: Callable[[str], str]) -> list[list[str]]:
-    rows = []
-    for named in question.tests:
-        result = named.result
-        effect = f"{result.effect:.2f} {_interval(result.effect_interval)}".strip() if result.effect_name else ""
-        rows.append(
-            [
-                escape(title_of(named.name)),
-                result.unit,
-                str(result.n),
-                f"{result.estimate:.3f}" + (" " + escape(result.estimate_unit)) * (result.estimate_unit != "points"),
-                _interval(result.interval),
-                f"{result.statistic:.2f}" if math.isfinite(result.statistic) else "",
-                plain_p(named),
-                "n/a" if math.isnan(named.log_pvalue_holm) else p_text(math.exp(named.log_pvalue_holm)).lstrip("= "),
-                effect,
-                generalizes(named),
-            ]
-        )
-    return rows
-
-
-_HEAD = ("test", "unit", "n", "estimate", "95 % interval", "statistic", "p", "p (Holm)", "effect", "holds for")
-
-
-def _head(analysis: Analysis) -> Sequence[str]:
-    return [word.replace("95", f"{100 * analysis.settings.confidence:g}") for word in _HEAD]
-
-
-def markdown(analysis: Analysis) -> str:
-    """Every test of every question."""
-    lines = ["Negative estimates prefer ours. Response-level p-values count answers of one person as independent.", ""]
-    for question in analysis.questions:
-        mean = question.responses.deviations.mean() + question.responses.scale.midpoint
-        lines += [f"### {escape_markdown(question.title)}", ""]
-        lines += [
-            f"{question.responses.count} answers of {len(question.by_participant.names)} participants to "
-            f"{len(question.by_item.names)} items; mean {mean:.3f}; counts "
-            + ", ".join(f"{level:g}: {count}" for level, count in zip(question.levels, question.counts, strict=True)),
-            "",
-            "| " + " | ".join(_head(analysis)) + " |",
-            "|" + "|".join("---" if column in (0, 1, 8, 9) else "---:" for column in range(len(_HEAD))) + "|",
-        ]
-        lines += ["| " + " | ".join(row) + " |" for row in _rows(question, escape_markdown)]
-        lines.append("")
-    return "\n".join(lines)
-
-
-def latex(analysis: Analysis) -> str:
-    """The same as ``booktabs`` tables."""
-    lines = ["% needs \\usepackage{booktabs}; negative estimates prefer ours"]
-    for question in analysis.questions:
-        head = " & ".join(escape_tex(word) for word in _head(analysis))
-        lines += ["\\begin{tabular}{llrrrrrrll}", "\\toprule"]
-        lines += [f"\\multicolumn{{{len(_HEAD)}}}{{l}}{{{escape_tex(question.title)}}} \\\\", "\\midrule"]
-        lines += [f"{head} \\\\", "\\midrule"]
-        lines += [" & ".join(_tex_numbers(row)) + " \\\\" for row in _rows(question, escape_tex)]
-        lines += ["\\bottomrule", "\\end{tabular}", ""]
-    return "\n".join(lines)
-
-
-def _tex_numbers(row: list[str]) -> list[str]:
-    """Powers of ten and minus signs as LaTeX writes them."""
-    return [_tex_number(cell) if index in (3, 5, 6, 7) else cell for index, cell in enumerate(row)]
-
-
-def _tex_number(cell: str) -> str:
-    mantissa, exponent, power = cell.partition("e")
-    if exponent and mantissa[:1].isdigit():
-        return f"${mantissa} \\times 10^{{{int(power)}}}$"
-    number, space, unit = cell.partition(" ")
-    return f"${number}${space}{unit}" if cell.startswith("-") else cell.replace("<", "$<$")
+def bounds(interval: tuple[float, float], digits: int = 2) -> str:
+    """An interval as one writes it; a dash where there is none."""
+    if math.isnan(interval[0]) or math.isnan(interval[1]):
+        return "—"
+    low, high = ("−∞" if end == -math.inf else "∞" if end == math.inf else f"{end:.{digits}f}" for end in interval)
+    return f"[{low}, {high}]"

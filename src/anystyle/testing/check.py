@@ -101,6 +101,27 @@ def attempt(what: str, *, change: str) -> Iterator[None]:
         raise ContractError(given=f"{what} ended in {describe(error)}", expected="it to work", change=change) from error
 
 
+@contextmanager
+def refusal(change: str, *, unless: str = "") -> Iterator[None]:
+    """Expect the block to raise a ValueError of one line.
+
+    Args:
+        change: What the plugin's author can do.
+        unless: What the plugin did if the block raised nothing; empty where that is as good.
+    """
+    try:
+        yield
+    except ValueError as error:
+        expect(
+            bool(str(error)) and "\n" not in str(error),
+            given=f"a ValueError that says {str(error)[:100]!r}",
+            expected="one line: what was given, what was expected, what to do",
+            change=change,
+        )
+    else:
+        expect(not unless, given=unless, expected="a ValueError", change=change)
+
+
 def describe(error: BaseException) -> str:
     """An error in one line, with the place in the plugin's code that it came from."""
     lines = str(error).strip().splitlines()

@@ -69,6 +69,18 @@ def expect_close(value: Any, other: Any, *, what: str, expected: str, change: st
         expect(close, given=f"{_path(what, name)}: {size}", expected=expected, change=change)
 
 
+def expect_gradient(gradient: Tensor | None, where: str, *, change: str) -> None:
+    """Refuse a gradient that is missing, 0 everywhere, or not finite."""
+    usable = gradient is not None and bool(gradient.any()) and bool(gradient.isfinite().all())
+    flaw = "missing" if gradient is None else "NaN or infinite somewhere" if bool(gradient.any()) else "0 everywhere"
+    expect(
+        usable,
+        given=f"the gradient in {where} is {flaw}",
+        expected="finite numbers that are not all 0",
+        change=change,
+    )
+
+
 def _is_same(tensor: Tensor, other: Tensor) -> bool:
     # NaN is like NaN here: that numbers are finite is a promise of its own, and reported once.
     return tensor.shape == other.shape and torch.allclose(tensor, other, rtol=0, atol=0, equal_nan=True)

@@ -6,7 +6,14 @@ from torch import Tensor, nn
 
 from anystyle.contracts import Injector
 from anystyle.testing.check import Check, attempt, expect
-from anystyle.testing.comparing import conform, conform_tensor, expect_close, expect_finite, expect_same
+from anystyle.testing.comparing import (
+    conform,
+    conform_tensor,
+    expect_close,
+    expect_finite,
+    expect_gradient,
+    expect_same,
+)
 from anystyle.testing.inputs import generator
 from anystyle.testing.subject import Subject, seeded
 from anystyle.types import Tokens
@@ -64,20 +71,14 @@ def learns_everywhere_by_the_second_step(plugin: Plugin) -> None:
         change="register layers as submodules in the constructor",
     )
     _train(injector, steps=2)
+    change = "make only the last factor of a product zero at birth, and leave out layers that are not used"
     for name, parameter in names.items():
-        gradient = parameter.grad
-        expect(
-            gradient is not None and bool(gradient.any()) and bool(gradient.isfinite().all()),
-            given=f"{name} has {'no gradient' if gradient is None else 'a gradient of 0 or NaN'} in the second step",
-            expected="finite numbers that are not all 0",
-            change="make only the last factor of a product zero at birth, and leave out layers that are not used",
-        )
+        expect_gradient(parameter.grad, f"{name}, in the second step,", change=change)
 
 
 def style_matters_after_training(plugin: Plugin) -> None:
     """Once trained a little, two styles change the same tokens differently, and finitely."""
-    injector = _make(plugin, DIMS[0])
-    _train(injector, steps=3)
+    injector = _trained(plugin)
     tokens = _tokens(1, 2, (3, 5), 5, DIMS[0])
     with torch.no_grad():
         one, other = injector(tokens, _style(1, seed=1)), injector(tokens, _style(1, seed=2))
@@ -92,8 +93,7 @@ def style_matters_after_training(plugin: Plugin) -> None:
 
 def styles_of_a_batch_stay_apart(plugin: Plugin) -> None:
     """Each row of a batch gets its own style: a batch gives what its rows give alone."""
-    injector = _make(plugin, DIMS[0])
-    _train(injector, steps=3)
+    injector = _trained(plugin)
     tokens, style = _tokens(3, 2, (3, 5), 5, DIMS[0]), _style(3)
     with torch.no_grad():
         together = injector(tokens, style)
@@ -110,8 +110,7 @@ def styles_of_a_batch_stay_apart(plugin: Plugin) -> None:
 
 def views_have_no_order(plugin: Plugin) -> None:
     """Views in another order give the same tokens in that order."""
-    injector = _make(plugin, DIMS[0])
-    _train(injector, steps=3)
+    injector = _trained(plugin)
     tokens, style = _tokens(2, 3, (3, 5), 5, DIMS[0]), _style(2)
     order = [2, 0, 1]
     with torch.no_grad():
@@ -126,8 +125,7 @@ def views_have_no_order(plugin: Plugin) -> None:
 
 def tokens_are_not_overwritten(plugin: Plugin) -> None:
     """The tokens that come in are left as they were; a scene's are shared by all its styles."""
-    injector = _make(plugin, DIMS[0])
-    _train(injector, steps=3)
+    injector = _trained(plugin)
     tokens = _tokens(1, 2, (3, 5), 5, DIMS[0])
     kept = tokens.data.clone()
     with torch.no_grad():
@@ -143,20 +141,14 @@ def tokens_are_not_overwritten(plugin: Plugin) -> None:
 
 def gradients_reach_tokens_and_style(plugin: Plugin) -> None:
     """It is differentiable in the tokens at birth, and in the style once trained."""
-    injector = _make(plugin, DIMS[0])
-    _train(injector, steps=3)
+    injector = _trained(plugin)
     tokens = _tokens(1, 2, (3, 5), 5, DIMS[0])
     data, style = tokens.data.clone().requires_grad_(), _style(1).requires_grad_()
     result = injector(tokens.with_data(data), style).data
     conform_tensor(result, Float[Tensor, "B V P C"], "the injector", B=1, V=2)
     (result * torch.randn(result.shape, generator=generator(5))).sum().backward()
     for name, leaf in (("the tokens", data), ("the style", style)):
-        expect(
-            leaf.grad is not None and bool(leaf.grad.any()) and bool(leaf.grad.isfinite().all()),
-            given=f"no usable gradient in {name}",
-            expected="finite numbers that are not all 0",
-            change="do not detach, and stay within torch",
-        )
+        expect_gradient(leaf.grad, name, change="do not detach, and stay within torch")
 
 
 def _make(plugin: Plugin, dim: int, seed: int = 0) -> Injector:
@@ -171,6 +163,17 @@ def _tokens(batch: int, number: int, grid: tuple[int, int], special: int, dim: i
 
 def _style(batch: int, seed: int = 0) -> Float[Tensor, "B D"]:
     return nn.functional.normalize(torch.randn(batch, STYLE_DIM, generator=generator(100 + seed)), dim=-1)
+
+
+def _trained(plugin: Plugin) -> Injector:
+    """After three steps, made once: no check changes it."""
+
+    def make() -> Injector:
+        injector = _make(plugin, DIMS[0])
+        _train(injector, steps=3)
+        return injector
+
+    return plugin.once("trained", make)
 
 
 def _train(injector: Injector, steps: int) -> None:

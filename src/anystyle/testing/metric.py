@@ -28,7 +28,7 @@ def figures_are_declared(plugin: Plugin) -> None:
         expected="a class attribute such as {'art_fid': 'lower'}",
         change="name each figure, and say `higher` or `lower`",
     )
-    figures = _computed(plugin, _rows())
+    figures = _figures(plugin)
     expect(
         isinstance(figures, dict) and sorted(figures) == sorted(better or ()),
         given=f"`compute` returned {sorted(figures) if isinstance(figures, dict) else figures!r}",
@@ -66,7 +66,7 @@ def reset_forgets(plugin: Plugin) -> None:
     _update(metric, _rows())
     expect_close(
         _compute(metric),
-        _computed(plugin, _rows()),
+        _figures(plugin),
         what="the figures after `reset`",
         expected="those of a new metric",
         change="register everything it remembers with `self.add_state`",
@@ -75,8 +75,7 @@ def reset_forgets(plugin: Plugin) -> None:
 
 def order_does_not_matter(plugin: Plugin) -> None:
     """Taking in scenes in another order, or as one batch, gives the same figures."""
-    rows = _rows()
-    figures = _computed(plugin, rows)
+    rows, figures = _rows(), _figures(plugin)
     expected = "equal figures, but for rounding"
     for what, given in (("in another order", rows[::-1]), ("as one batch", [comparison(3)])):
         expect_close(
@@ -90,8 +89,7 @@ def order_does_not_matter(plugin: Plugin) -> None:
 
 def copies_go_on(plugin: Plugin) -> None:
     """A clone, and a pickled copy, go on from where it is."""
-    rows = _rows()
-    figures = _computed(plugin, rows)
+    rows, figures = _rows(), _figures(plugin)
     for what in ("a clone", "a pickled copy"):
         metric = plugin.build()
         _update(metric, rows[:2])
@@ -117,7 +115,7 @@ def processes_can_be_merged(plugin: Plugin) -> None:
         one.merge_state(other)
     expect_close(
         _compute(one),
-        _computed(plugin, rows),
+        _figures(plugin),
         what="the figures of two merged metrics",
         expected="those of one metric that took in everything",
         change="keep sums and counts, or lists of rows, and divide in `compute`",
@@ -155,6 +153,11 @@ def _renamed(given: Comparison, scenes: tuple[str, ...], styles: tuple[str, ...]
     index = int(styles[0].rpartition("_")[2])
     text = given.style.text[index : index + 1] if given.style.text else None
     return replace(given, scenes=scenes, styles=styles, style=replace(given.style, names=styles, text=text))
+
+
+def _figures(plugin: Plugin) -> dict[str, Tensor]:
+    """Those of :func:`_rows`, computed once."""
+    return plugin.once("figures", lambda: _computed(plugin, _rows()))
 
 
 def _computed(plugin: Plugin, rows: list[Comparison]) -> dict[str, Tensor]:

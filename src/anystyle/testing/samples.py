@@ -10,6 +10,7 @@ from anystyle.testing.inputs import generator, images, views
 from anystyle.testing.subject import seeded
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.testing.toy.correspondence import ToyCorrespondence
+from anystyle.testing.toy.loss import ToyLoss
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.types import Comparison, Renders, Style, StyleEmbedding, Stylization
 
@@ -18,10 +19,11 @@ TEXTS = ("red and orange", "deep blue", "green")
 
 
 def runtime() -> dict[str, object]:
-    """What the framework passes to losses and metrics that name it."""
+    """What the framework passes to losses, metrics and methods that name it."""
     return {
         "style_encoder": ToyStyleEncoder().requires_grad_(False).eval(),
         "correspondence": ToyCorrespondence(),
+        "losses": {"toy": ToyLoss()},
     }
 
 
@@ -53,7 +55,7 @@ def stylization(
         views=known,
         style=style,
         embedding=_embedding(style),
-        scene=scene,
+        scene=replace(scene, gaussians=gaussians.map(lambda tensor: 0.9 * tensor)),
         gaussians=gaussians.map(lambda tensor: tensor.clone().requires_grad_()),
         renders=_renders(known.images, scene.geometry.depth),
     )

@@ -1,32 +1,22 @@
 """What a source of scenes promises: see :class:`anystyle.contracts.SceneSource`."""
 
-import pickle
-
-import torch
 from torch import Tensor
 
 from anystyle.contracts import SceneSource
 from anystyle.testing.backbone_values import expect_cameras
 from anystyle.testing.check import Check, attempt, expect
 from anystyle.testing.comparing import conform, expect_finite, expect_same
+from anystyle.testing.sources import MOST, copies, expect_any, expect_srgb
 from anystyle.testing.subject import Subject
 from anystyle.types import Cameras, Views
 
 Plugin = Subject[SceneSource]
 
-MOST = 3
-"""Scenes that are looked at; a source may have thousands."""
-
 
 def scenes_are_counted_and_named(plugin: Plugin) -> None:
     """It has at least one scene, of at least one view, and no two scenes of one name."""
     source = plugin.instance
-    expect(
-        len(source) >= 1,
-        given="no scene",
-        expected="at least one",
-        change="raise a ValueError in the constructor where the folder is empty, or return a sample from `example`",
-    )
+    expect_any(source, "scene")
     names = [source.name(scene) for scene in range(min(len(source), 50))]
     counts = [source.num_views(scene) for scene in range(min(len(source), MOST))]
     expect(
@@ -82,9 +72,7 @@ def reading_twice_is_the_same(plugin: Plugin) -> None:
     first = source.read(0, _chosen(source, 0)).map(Tensor.clone)
     last = len(source) - 1
     source.read(last, [0])
-    with attempt("pickling the source", change="open files when they are read, and keep no handles or generators"):
-        copied = pickle.loads(pickle.dumps(source))
-    for what, again in (("this source", source), ("a pickled copy", copied), ("a new instance", plugin.build(seed=1))):
+    for what, again in copies(plugin):
         expect_same(
             again.read(0, _chosen(source, 0)),
             first,
@@ -101,13 +89,7 @@ def _chosen(source: SceneSource, scene: int) -> list[int]:
 def _expect_views(views: Views, number: int, where: str) -> None:
     conform(views, Views, where, B=1, V=number)
     expect_finite(views, where)
-    low, high = float(views.images.min()), float(views.images.max())
-    expect(
-        low >= 0 and high <= 1 and views.images.device.type == "cpu" and views.images.dtype == torch.float32,
-        given=f"{where}: {views.images.dtype} images from {low:.3g} to {high:.3g} on {views.images.device}",
-        expected="float32 sRGB in [0, 1] on the CPU",
-        change="divide 8-bit values by 255",
-    )
+    expect_srgb(views.images, where)
     expect(
         len(views.names) in (0, number),
         given=f"{where}: {len(views.names)} names of {number} views",

@@ -1,31 +1,21 @@
 """What a source of styles promises: see :class:`anystyle.contracts.StyleSource`."""
 
-import pickle
-
-import torch
 from torch import Tensor
 
 from anystyle.contracts import StyleSource
 from anystyle.testing.check import Check, attempt, expect
 from anystyle.testing.comparing import conform, expect_finite, expect_same
+from anystyle.testing.sources import MOST, copies, expect_any, expect_srgb
 from anystyle.testing.subject import Subject
 from anystyle.types import Style
 
 Plugin = Subject[StyleSource]
 
-MOST = 3
-"""Styles that are looked at; a source may have thousands."""
-
 
 def styles_have_an_image_or_a_text(plugin: Plugin) -> None:
     """Each style is a batch of one on the CPU: an image in [0, 1], a text, or both; all images have one size."""
     source = plugin.instance
-    expect(
-        len(source) >= 1,
-        given="no style",
-        expected="at least one",
-        change="raise a ValueError in the constructor where the folder is empty, or return a sample from `example`",
-    )
+    expect_any(source, "style")
     sizes: set[tuple[int, ...]] = set()
     for index in range(min(len(source), MOST)):
         with attempt(f"reading style {index}", change="see the line named above"):
@@ -41,7 +31,7 @@ def styles_have_an_image_or_a_text(plugin: Plugin) -> None:
             change="leave out styles that have neither",
         )
         if style.image is not None:
-            _expect_image(style.image, where)
+            expect_srgb(style.image, where)
             sizes.add(tuple(style.image.shape))
     expect(
         len(sizes) <= 1,
@@ -57,9 +47,7 @@ def reading_twice_is_the_same(plugin: Plugin) -> None:
     first = source.read(0)
     kept = first.map(Tensor.clone)
     source.read(len(source) - 1)
-    with attempt("pickling the source", change="open files when they are read, and keep no handles or generators"):
-        copied = pickle.loads(pickle.dumps(source))
-    for what, again in (("this source", source), ("a pickled copy", copied), ("a new instance", plugin.build(seed=1))):
+    for what, again in copies(plugin):
         style = again.read(0)
         change = "seed a generator with the style's number, and cache nothing that is changed later"
         expect_same(style, kept, what=f"style 0 read again from {what}", expected="the same bits", change=change)
@@ -69,16 +57,6 @@ def reading_twice_is_the_same(plugin: Plugin) -> None:
             expected=f"{first.text} and {first.names}, as at first",
             change=change,
         )
-
-
-def _expect_image(image: Tensor, where: str) -> None:
-    low, high = float(image.min()), float(image.max())
-    expect(
-        low >= 0 and high <= 1 and image.device.type == "cpu" and image.dtype == torch.float32,
-        given=f"{where}: a {image.dtype} image from {low:.3g} to {high:.3g} on {image.device}",
-        expected="float32 sRGB in [0, 1] on the CPU",
-        change="divide 8-bit values by 255",
-    )
 
 
 CHECKS: tuple[Check, ...] = (

@@ -11,7 +11,7 @@ from anystyle.contracts import Backbone, Injector, Placement
 from anystyle.io.checkpoint import load_strictly
 from anystyle.stylizer import Stylizer
 from anystyle.testing.check import Check, Unavailable, attempt, expect
-from anystyle.testing.comparing import expect_close, expect_same, tensors_of
+from anystyle.testing.comparing import expect_close, expect_gradient, expect_same, tensors_of
 from anystyle.testing.inputs import generator, images, views
 from anystyle.testing.subject import Subject
 from anystyle.testing.toy.renderer import ToyRenderer
@@ -111,13 +111,9 @@ def nothing_changes_at_birth(composed: Composition) -> None:
 def everything_learns_by_the_second_step(composed: Composition) -> None:
     """Every trainable parameter of the branch has a finite gradient, not all 0, by the second step."""
     _, gradients = composed.trained
+    change = "leave out what has no influence, or register it as a buffer; detach nothing on the way"
     for name, gradient in gradients.items():
-        expect(
-            gradient is not None and bool(gradient.any()) and bool(gradient.isfinite().all()),
-            given=f"`{name}` has {'no gradient' if gradient is None else 'a gradient of 0 or NaN'}",
-            expected="finite numbers that are not all 0",
-            change="leave out what has no influence, or register it as a buffer; detach nothing on the way",
-        )
+        expect_gradient(gradient, f"`{name}`", change=change)
 
 
 def the_backbone_does_not_learn(composed: Composition) -> None:

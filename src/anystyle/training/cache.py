@@ -1,5 +1,6 @@
 """Decoded scenes cached on disk."""
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -85,11 +86,31 @@ def _read_all(source: SceneSource, scene: int) -> Views:
     return views
 
 
+def _reserve(number: int, size: int, path: Path) -> None:
+    """Room on the disk for a whole file.
+
+    Raises:
+        OSError: There is not enough.
+    """
+    try:
+        if hasattr(os, "posix_fallocate"):
+            os.posix_fallocate(number, 0, size)
+        else:
+            os.truncate(number, size)
+    except OSError as error:
+        os.truncate(number, 0)
+        raise OSError(
+            f"{path} needs {size / 1e9:.2f} GB, and the disk does not take it ({error.strerror}); choose another cache "
+            "or none"
+        ) from None
+
+
 def _map(path: Path, record: np.dtype, count: int) -> np.memmap:
     size = count * record.itemsize
     with path.open("ab") as file:
         if file.tell() == 0:
-            file.truncate(size)
+            # A file with holes ends in a bus error when the disk is full and a page of it is written.
+            _reserve(file.fileno(), size, path)
     if path.stat().st_size != size:
         raise ValueError(f"{path} was made by another scene source; choose another cache or remove the directory")
     return np.memmap(path, dtype=record, mode="r+", shape=(count,))

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 
 from anystyle.errors import one_line
 from anystyle.io.atomic import atomic_path
+from anystyle.training.resume import before
 from anystyle.training.sampling import generator
 
 log = logging.getLogger(__name__)
@@ -40,7 +41,8 @@ class StepSeed(pl.Callback):
 class LastCheckpoint(pl.Callback):
     """Keep one checkpoint that a run can be continued from, and write it before an orderly end.
 
-    The file is written beside its final name and then renamed, so that a kill or a full disk leaves the last good one.
+    The file is written beside its final name and then renamed, so that a kill or a full disk leaves the last good one;
+    the one before it is kept beside it.
     SIGTERM and the first Ctrl-C end the run after the current optimizer step.
 
     Lightning's ``ModelCheckpoint`` does not serve: one of them counts steps or minutes, not both; none writes at the
@@ -57,12 +59,15 @@ class LastCheckpoint(pl.Callback):
         self.path = Path(path)
         self.every_steps, self.every_seconds = every_steps, 60 * every_minutes
         self.stopped_by: str | None = None
+        self.started = False
+        self.metrics: dict[str, float] = {}
         self._saved_at = time.monotonic()
         self._step = 0
         self._previous: dict[signal.Signals, Any] = {}
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Handle signals, in place of Lightning's own handler, which would end the run without saving."""
+        self.started = True
         self._saved_at, self._step = time.monotonic(), trainer.global_step
         if threading.current_thread() is threading.main_thread():
             for name in (signal.SIGTERM, signal.SIGINT):
@@ -109,9 +114,12 @@ class LastCheckpoint(pl.Callback):
         Raises:
             OSError: It cannot be written, as on a full disk; the one before it stays.
         """
+        self.metrics |= logged(trainer)
         try:
             with _atomic_on_first(trainer, self.path) as temporary:
                 trainer.save_checkpoint(temporary)
+                if trainer.is_global_zero and self.path.is_file():
+                    self.path.replace(before(self.path))
         except OSError as error:
             kept = "the last one stays and " if self.path.is_file() else ""
             raise OSError(
@@ -120,15 +128,28 @@ class LastCheckpoint(pl.Callback):
             ) from error
         self._saved_at = time.monotonic()
 
+    def state_dict(self) -> dict[str, Any]:
+        """The last values logged, which belong to the checkpoint."""
+        return {"metrics": self.metrics}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take them up again."""
+        self.metrics = dict(state_dict["metrics"])
+
     def _restore(self) -> None:
         while self._previous:
             signal.signal(*self._previous.popitem())
 
 
+def logged(trainer: pl.Trainer) -> dict[str, float]:
+    """The last values logged."""
+    return {name: float(value) for name, value in trainer.callback_metrics.items()}
+
+
 @contextmanager
 def _atomic_on_first(trainer: pl.Trainer, path: Path) -> Iterator[Path]:
     if trainer.is_global_zero:
-        with atomic_path(path) as temporary:
+        with atomic_path(path, sync=True) as temporary:
             yield temporary
     else:
         yield path

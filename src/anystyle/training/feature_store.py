@@ -13,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
 
+from anystyle.documents import parse_json
 from anystyle.errors import one_line
 from anystyle.io.atomic import atomic_path
 from anystyle.types import Attributes as RawAttributes
@@ -82,9 +83,9 @@ class FeatureStore:
             return None
         try:
             with safe_open(path, framework="pt", device=str(views.images.device)) as file:
-                layout = json.loads((file.metadata() or {})["scene"])
+                layout = parse_json((file.metadata() or {})["scene"], dict[str, Any], source=str(path))
                 parts = _joined(layout, file)
-        except (SafetensorError, KeyError, ValueError) as error:
+        except (SafetensorError, AttributeError, KeyError, TypeError, ValueError) as error:
             logger.warning("%s is damaged (%s); the scene is encoded again", path, error)
             return None
         return Scene(views=views, **parts)

@@ -40,14 +40,14 @@ def scheduled(
     return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step", "name": "lr"}}
 
 
-def check_rates(**rates: float) -> None:
+def check_rates(**rates: int | float) -> None:
     """Refuse learning rates, and shares of them, that are not positive.
 
     Raises:
         ValueError: One is not; the message names it.
     """
     for name, rate in rates.items():
-        if not rate > 0:
+        if not 0 < rate < math.inf:
             raise ValueError(f"training.{name}={rate}: give a number above 0")
 
 

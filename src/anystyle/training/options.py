@@ -5,6 +5,8 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from anystyle.training.optim import check_rates
+
 RESERVED = (
     "default_root_dir", "max_epochs", "check_val_every_n_epoch", "num_sanity_val_steps", "use_distributed_sampler",
     "enable_checkpointing", "enable_model_summary", "enable_progress_bar", "callbacks", "logger",
@@ -28,6 +30,8 @@ def check_options(config: DictConfig) -> None:
         value = OmegaConf.select(config, key)
         if not _holds(holds, value):
             raise ValueError(f"{key}={value}: {expected}")
+    rates = {str(name): value for name, value in config.training.items() if str(name).endswith("rate")}
+    check_rates(**{name: rate for name, rate in rates.items() if isinstance(rate, (int, float))})
     plain = OmegaConf.to_container(config.trainer, resolve=True)
     assert isinstance(plain, dict)
     check_trainer({str(name): value for name, value in plain.items()}, average=config.average is not None)
@@ -42,7 +46,7 @@ def _between(low: float, high: float) -> Callable[[Any], bool]:
 
 
 RANGES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
-    "seed": (lambda value: isinstance(value, int), "give a whole number"),
+    "seed": (lambda value: isinstance(value, int) and 0 <= value < 1 << 63, "give a whole number, at least 0"),
     "workers": (_at_least(0), "give a number of processes, 0 to read in the training's own"),
     "validation_steps": (_at_least(0), "give a number of steps, 0 for no validation"),
     "checkpoint.every_steps": (_at_least(1), "give a number of steps, at least 1"),

@@ -1,6 +1,7 @@
 """Resuming a run: one at a time in a folder, and with the configuration it began with."""
 
 import json
+import logging
 import os
 import shutil
 from collections.abc import Iterator
@@ -8,16 +9,39 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
+import msgspec
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.io.atomic import atomic_path
+from anystyle.documents import Count, read_json
+from anystyle.documents import plain as as_json
+from anystyle.errors import UserError
+from anystyle.io.atomic import write_json
 from anystyle.io.lock import folder_lock
+from anystyle.io.tensors import read_tensors
 
 UNBOUND = (
     "resume", "checkpoint", "loggers", "workers", "export", "out", "fast_dev_run", "name", "features", "explosion",
     "precision",
 )  # fmt: skip
 """Parts of a configuration that may change between the two halves of a run: they do not change its result."""
+
+
+RECORD = "bound.json"
+"""The file of a run's configuration."""
+_STATE = "state of a training"
+log = logging.getLogger(__name__)
+
+
+class _State(msgspec.Struct):
+    """The part of a checkpoint that every training's has."""
+
+    global_step: Count
+    state_dict: dict[str, Any]
+    optimizer_states: list[Any]
+    loops: dict[str, Any]
+
+
+_WHAT = "record of a run's configuration; pass resume=changed, resume=never, or another name=..."
 
 
 def leads() -> bool:
@@ -42,7 +66,8 @@ def bound(config: DictConfig) -> dict[str, Any]:
     """The part of a configuration that a continued run must share, as plain values by their full keys."""
     plain = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
     assert isinstance(plain, dict)
-    return dict(_flat({key: value for key, value in plain.items() if key not in UNBOUND}))
+    flat = dict(_flat({key: value for key, value in plain.items() if key not in UNBOUND}))
+    return json.loads(json.dumps(as_json(flat)))
 
 
 def _flat(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
@@ -51,32 +76,61 @@ def _flat(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
     return [(prefix, node)]
 
 
-def resumable(config: DictConfig, last: Path) -> bool:
-    """Whether there is a run to continue; writes down the configuration of a new one.
+def resumable(config: DictConfig, last: Path) -> Path | None:
+    """The state to continue from: the last checkpoint, or where that is damaged the one before; nothing is written.
 
     Raises:
-        ValueError: There is one, of another configuration or of one that is not known.
+        ValueError: There is one, of another configuration or of one that is not known; or all are damaged.
     """
-    record = last.with_name("bound.json")
-    current = json.loads(json.dumps(bound(config)))
-    if config.resume != "never" and last.is_file():
-        if not record.is_file() and config.resume != "changed":
-            raise ValueError(
-                f"{last.parent} holds a checkpoint and no {record.name} that says of which configuration; "
-                f"pass resume=changed to continue it all the same, resume=never to start again, or another name=..."
-            )
-        previous = json.loads(record.read_text()) if record.is_file() else current
-        changed = sorted(key for key in {*previous, *current} if previous.get(key) != current.get(key))
-        if changed and config.resume != "changed":
-            examples = ", ".join(f"{key} {previous.get(key)} -> {current.get(key)}" for key in changed[:5])
-            raise ValueError(
-                f"{last.parent} holds a run of another configuration ({examples}{', …' if len(changed) > 5 else ''}); "
-                f"pass resume=changed to continue it so, resume=never to start again, or another name=..."
-            )
-        return True
-    with atomic_path(record) as temporary:
-        temporary.write_text(json.dumps(current, indent=2, sort_keys=True) + "\n")
-    return False
+    if config.resume == "never" or not any(path.is_file() for path in (last, before(last))):
+        return None
+    record = last.with_name(RECORD)
+    current = bound(config)
+    if not record.is_file() and config.resume != "changed":
+        raise ValueError(
+            f"{last.parent} holds a checkpoint and no {record.name} that says of which configuration; "
+            f"pass resume=changed to continue it all the same, resume=never to start again, or another name=..."
+        )
+    previous: dict[str, Any] = read_json(record, dict[str, Any], what=_WHAT) if record.is_file() else current
+    changed = sorted(key for key in {*previous, *current} if previous.get(key) != current.get(key))
+    if changed and config.resume != "changed":
+        examples = ", ".join(f"{key} {previous.get(key)} -> {current.get(key)}" for key in changed[:5])
+        raise ValueError(
+            f"{last.parent} holds a run of another configuration ({examples}{', …' if len(changed) > 5 else ''}); "
+            f"pass resume=changed to continue it so, resume=never to start again, or another name=..."
+        )
+    return _whole(last)
+
+
+def before(last: Path) -> Path:
+    """Where the checkpoint before the last one is kept."""
+    return last.with_name(f"previous{last.suffix}")
+
+
+def _whole(last: Path) -> Path:
+    """The latest state that is no torn one.
+
+    Raises:
+        ValueError: There is none.
+    """
+    problems: list[str] = []
+    for path in (last, before(last)):
+        if not path.is_file():
+            continue
+        try:
+            msgspec.convert(read_tensors(path, what=_STATE), _State)
+        except ValueError as error:
+            problems.append(str(error) if isinstance(error, UserError) else f"{path} is no {_STATE} ({error})")
+            continue
+        for problem in problems:
+            log.warning("%s; the run goes on from %s, the one before it", problem, path.name)
+        return path
+    raise ValueError(f"{'; '.join(problems)}; pass resume=never to start again, or another name=...")
+
+
+def record(config: DictConfig, last: Path) -> None:
+    """Write down the configuration of a run that is about to begin."""
+    write_json(last.with_name(RECORD), bound(config))
 
 
 def sweep(last: Path) -> None:

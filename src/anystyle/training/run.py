@@ -1,6 +1,5 @@
 """One run of a training: built, continued from its checkpoint, and its weights exported at the end."""
 
-import json
 import os
 import shlex
 import subprocess
@@ -17,24 +16,27 @@ from safetensors import SafetensorError
 from torch import nn
 
 from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
+from anystyle.documents import Figure, as_number, kept_json
 from anystyle.errors import one_line
 from anystyle.inference.assemble import assemble, branch_header, weights_file
-from anystyle.io.atomic import atomic_path
+from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import Header, load_part, save_part, sha256
+from anystyle.io.tensors import read_tensors
 from anystyle.paths import SHARED
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
 from anystyle.registry.schema import runtime_arguments
 from anystyle.training.cache import CachedScenes
-from anystyle.training.callbacks import Average, LastCheckpoint
+from anystyle.training.callbacks import Average, LastCheckpoint, logged
 from anystyle.training.contract import Training
 from anystyle.training.data import StepData
 from anystyle.training.feature_store import FeatureFolder
 from anystyle.training.options import check_options
-from anystyle.training.resume import alone, resumable, sweep, trial
+from anystyle.training.resume import alone, leads, record, resumable, sweep, trial
 from anystyle.training.sharding import with_full_state
 from anystyle.training.trainer import make_trainer
 
+METRICS = "metrics.json"
 FEATURES = "features"
 """The ``cache`` that keeps encoded scenes; any other name is a folder of scenes as they were made or decoded."""
 
@@ -60,33 +62,35 @@ class Outcome:
     stopped_by: str | None = None
 
 
-def train(config: DictConfig, out: Path) -> Outcome:
+def train(config: DictConfig, out: Path, on_begin: Callable[[], None] = lambda: None) -> Outcome:
     """Run a training, or what is left of it.
 
     Args:
         config: As ``conf/train.yaml`` composes it.
         out: Folder of checkpoints, logs and weights; a run is continued from the checkpoint there.
+        on_begin: Called once all is checked and built, before the first step.
 
     Raises:
         ValueError: The configuration contradicts itself or is not that of the run to be continued, or another run is
             at work there.
     """
     check_options(config)
-    out.mkdir(parents=True, exist_ok=True)
     with alone(out):
         if not config.fast_dev_run:
-            return _train(config, out)
+            return _train(config, out, on_begin)
         with trial(config, out) as (short, folder):
-            outcome = _train(short, folder)
+            outcome = _train(short, folder, lambda: None)
         return replace(outcome, weights=())
 
 
-def _train(config: DictConfig, out: Path) -> Outcome:
+def _train(config: DictConfig, out: Path, on_begin: Callable[[], None]) -> Outcome:
     # At once: the checkout may move on while a run goes on with what it was begun with.
     provenance = provenance_of(config)
     last = out / "last.ckpt"
     sweep(last)
-    resume = resumable(config, last)
+    state = resumable(config, last)
+    if state is not None and (ended := _ended(config, out, state)) is not None:
+        return ended
     # Trainer and data come first: a mistake in them shows before networks are loaded, which may take minutes.
     average = Average(float(config.average)) if config.average else None
     keeper = LastCheckpoint(
@@ -97,6 +101,9 @@ def _train(config: DictConfig, out: Path) -> Outcome:
     torch.manual_seed(config.seed)
     training = make_training(config)
     data = make_data(config, training, sources)
+    if leads():
+        record(config, last)
+        on_begin()
     with warnings.catch_warnings():
         # Lightning advises on choices that are made on purpose here.
         warnings.filterwarnings("ignore", module=r"lightning\..*")
@@ -104,18 +111,34 @@ def _train(config: DictConfig, out: Path) -> Outcome:
         warnings.filterwarnings("ignore", message="This DataLoader will create .* worker processes")
         # The attributes of a branch are views of one tensor; nothing writes into them.
         warnings.filterwarnings("ignore", message="FSDP2-wrapped module .* returned a view")
-        trainer.fit(training, datamodule=data, ckpt_path=str(last) if resume else None, weights_only=resume or None)
+        try:
+            trainer.fit(training, datamodule=data, ckpt_path=state, weights_only=state is not None or None)
+        except (RuntimeError, KeyError, TypeError, AttributeError) as error:
+            if state is None or keeper.started:
+                raise
+            raise ValueError(f"{state} is no state of this training ({one_line(error)[:300]})") from error
     finished = trainer.global_step >= trainer.max_steps
-    metrics = {name: float(value) for name, value in trainer.callback_metrics.items()}
+    metrics = keeper.metrics | logged(trainer)
     weights: tuple[Path, ...] = ()
     if finished and average:
         average.swap(training)
     exports = {part: with_full_state(module) for part, module in training.exports().items()} if finished else {}
     if trainer.is_global_zero and finished:
         weights = export(config, exports, out, provenance={**provenance, "steps": trainer.global_step})
-        with atomic_path(out / "metrics.json") as temporary:
-            temporary.write_text(json.dumps(metrics, indent=2, sort_keys=True) + "\n")
+        write_json(out / METRICS, dict(sorted(metrics.items())))
     return Outcome(trainer.global_step, finished, metrics, weights, trainer.is_global_zero, keeper.stopped_by)
+
+
+def _ended(config: DictConfig, out: Path, state: Path) -> Outcome | None:
+    """The outcome of a run that came to its end and left everything; ``None`` for any other."""
+    stored = read_tensors(state)
+    kept: dict[str, Figure] | None = kept_json(out / METRICS, dict[str, Figure])
+    weights = tuple(sorted(out.glob("*.safetensors")))
+    if stored["global_step"] < config.trainer.max_steps or kept is None or not weights or config.resume == "changed":
+        return None
+    return Outcome(
+        stored["global_step"], True, {name: as_number(value) for name, value in kept.items()}, weights, leads()
+    )
 
 
 def make_training(config: DictConfig) -> Training:
@@ -255,7 +278,7 @@ def export(
             header = branch_header(config, module, provenance)
         else:
             node = OmegaConf.to_container(config[part], resolve=True, enum_to_str=True) if part in config else {}
-            header = Header(part=part, config={part: node}, provenance=provenance)
+            header = Header(part=part, config={part: node}, provenance=dict(provenance))
         path = out / f"{part}.safetensors"
         try:
             save_part(path, module, header, half=config.export.half)

@@ -1,6 +1,5 @@
 """Reconstructions of captures, judged on photographs that they never saw."""
 
-import json
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -17,6 +16,7 @@ from torch import Tensor
 from torch.nn.functional import interpolate
 
 from anystyle.data.folder import read_views
+from anystyle.documents import as_number, read_json
 from anystyle.evaluation.contract import SCENE, Evaluation, Progress, Protocol, Row
 from anystyle.inference import known_cameras
 from anystyle.inference.found_cameras import FoundCameras, find_cameras, read_photographs
@@ -111,7 +111,13 @@ class Captures(Protocol):
             if not (folder / "record.json").is_file():
                 with atomic_directory(folder) as temporary:
                     write_json(temporary / "record.json", self._judge(path, temporary))
-            records[name] = json.loads((folder / "record.json").read_text())
+            what = f"record of a capture; delete {folder}"
+            stored: dict[str, Any] = read_json(folder / "record.json", dict[str, Any], what=what)
+            stored["figures"] = {
+                kind: {figure: as_number(value) for figure, value in row.items()}
+                for kind, row in stored["figures"].items()
+            }
+            records[name] = stored
         progress("captures", len(self.captures), len(self.captures))
         return self._evaluation(records, out)
 

@@ -7,6 +7,7 @@ from typing import Literal
 from anystyle.contracts import Metric, SceneSource, StyleSource
 from anystyle.evaluation.contract import Evaluation, Progress, Protocol, required
 from anystyle.evaluation.model_renders import ModelRenders, Variant
+from anystyle.methods.contract import Method
 from anystyle.stylizer import Stylizer
 
 
@@ -15,6 +16,7 @@ class Paper(Protocol):
 
     Args:
         stylizer: What is judged; the framework passes it.
+        method: How scenes take styles; likewise.
         metrics: By name; likewise.
         scenes: What is stylized; likewise.
         styles: In which styles; likewise. Every style has an image, which the figures compare with.
@@ -39,6 +41,7 @@ class Paper(Protocol):
         metrics: Mapping[str, Metric],
         scenes: SceneSource | None,
         styles: StyleSource | None,
+        method: Method | None = None,
         guide: Literal["image", "text"] = "image",
         variant: Variant = "reference",
         scene_names: Sequence[str] = (),
@@ -59,6 +62,7 @@ class Paper(Protocol):
             num_styles=num_styles,
             frames=frames,
             square=square,
+            method=method,
         )
 
     def run(self, out: Path, progress: Progress) -> Evaluation:

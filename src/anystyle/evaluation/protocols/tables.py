@@ -19,6 +19,7 @@ from anystyle.evaluation.folders import Cell, Pairing
 from anystyle.evaluation.layout import NUM_FRAMES, NUM_STYLES, SCENES, Layout
 from anystyle.evaluation.model_renders import ModelRenders, Variant, suffix_of, write_picture
 from anystyle.evaluation.resume import judge_pairing
+from anystyle.methods.contract import Method
 from anystyle.stylizer import Stylizer
 
 PHOTOGRAPHS = "photographs"
@@ -34,6 +35,7 @@ class Tables(Protocol):
 
     Args:
         stylizer: The model; the framework passes it.
+        method: How the model's scenes take styles; likewise.
         metrics: By name; likewise.
         root: The folder.
         table: The paper's table whose figures are computed, such as ``table_2``; ``None`` takes every metric.
@@ -56,6 +58,7 @@ class Tables(Protocol):
         *,
         stylizer: Stylizer,
         metrics: Mapping[str, Metric],
+        method: Method | None = None,
         root: str | None = None,
         table: str | None = None,
         guides: Sequence[Literal["image", "text"]] = ("image", "text"),
@@ -72,7 +75,7 @@ class Tables(Protocol):
         for name, value in (("num_styles", num_styles), ("frames", frames), ("size", size)):
             if value < 1:
                 raise ValueError(f"{name}={value}: give at least 1")
-        self.stylizer = stylizer
+        self.stylizer, self.method = stylizer, method
         self.metrics = _metrics_of(metrics, table)
         self.layout = Layout(Path(root).expanduser(), tuple(scene_names), num_styles, frames)
         self.guides = tuple(guides)
@@ -129,6 +132,7 @@ class Tables(Protocol):
             scene_names=[self.layout.scene_folder_name(scene) for scene in self.layout.scene_names],
             num_styles=self.layout.num_styles,
             frames=self.layout.frames,
+            method=self.method,
         )
 
     def _pairing(self, out: Path, renders: Mapping[tuple[str, str], Sequence[Path]]) -> Pairing:

@@ -3,8 +3,8 @@
   const study = JSON.parse(document.getElementById("study").textContent);
   const main = document.getElementById("main");
   const notice = document.getElementById("notice");
-  const COLUMNS = ["participant", "item", "question", "score", "ours_is", "expected", "comparison", "seconds", "time", "session", "revision", "comment"];
-  let state = null; // {participant, session, place, answers: {item: {question: {...}}}, comment, outbox}
+  const address = new URLSearchParams(location.search);
+  let state = null; // {person, token, participant, sets, answers: {key: {...}}, facts: {name: value}, outbox: [[path, message]]}
   let shownAt = 0;
 
   // ---- small tools
@@ -17,283 +17,369 @@
       else if (value === true) node.setAttribute(name, "");
       else if (value !== false && value !== undefined) node.setAttribute(name, value);
     }
-    node.append(...children);
+    node.append(...children.filter(Boolean));
     return node;
   };
-  const show = (...nodes) => {
+  const words = (text) => text.trim().split(/\n\s*\n/).map((paragraph) => make("p", { text: paragraph }));
+  const warn = (text) => { notice.textContent = text; notice.hidden = !text; };
+  const show = (value, total, place, ...nodes) => {
+    Object.assign(document.getElementById("progress"), { max: total, value });
+    document.getElementById("place").textContent = place;
     main.replaceChildren(...nodes);
     window.scrollTo(0, 0);
-    const heading = main.querySelector("h1");
-    if (heading) heading.focus();
+    main.querySelector("h1").focus();
   };
-  const warn = (text) => { notice.textContent = text; notice.hidden = !text; };
-  const checksum = (text) => {
-    let value = 2166136261;
-    for (let place = 0; place < text.length; place++) value = Math.imul(value ^ text.charCodeAt(place), 16777619) >>> 0;
-    return value;
-  };
+  const heading = (text) => make("h1", { tabindex: "-1", text });
+  const button = (id, text, onclick, options = {}) => make("button", { type: "button", id, text, onclick, ...options });
 
   // ---- what is kept in this browser
-  const key = (participant) => `study:${study.id}:${participant}`;
+  const key = (person) => `study:${study.id}:${person}`;
   const keep = () => {
     try {
-      localStorage.setItem(key(state.participant), JSON.stringify(state));
-      localStorage.setItem(`study:${study.id}`, state.participant);
+      localStorage.setItem(key(state.person), JSON.stringify(state));
+      localStorage.setItem(`study:${study.id}`, state.person);
     } catch {
-      warn("This browser does not keep answers: please do not close the page before you have saved them at the end.");
+      warn("This browser keeps nothing: please do not close or reload the page before the end.");
     }
   };
-  const kept = (participant) => {
-    try { return JSON.parse(localStorage.getItem(key(participant))); } catch { return null; }
-  };
-  const lastParticipant = () => {
-    try { return localStorage.getItem(`study:${study.id}`) || ""; } catch { return ""; }
+  const kept = (name) => {
+    try { return localStorage.getItem(name); } catch { return null; }
   };
 
   // ---- what is sent to the study's server, where the page comes from one
+  const post = async (path, message) => {
+    const headers = { "Content-Type": "application/json", Authorization: `Bearer ${state.token}` };
+    const body = JSON.stringify({ study: study.id, ...message });
+    const reply = await fetch(path, { method: "POST", headers, body, signal: AbortSignal.timeout(20000) });
+    if (reply.status >= 500 || reply.status === 429) throw new Error(String(reply.status));
+    return { status: reply.status, ...(await reply.json()) };
+  };
   let sending = false;
   const send = async () => {
-    if (!study.server || sending || !state.outbox.length) return;
+    if (!study.server || sending) return;
     sending = true;
     while (state.outbox.length) {
+      const [path, message] = state.outbox[0];
       try {
-        const reply = await fetch("answers", {
-          method: "POST",
-          headers: { "Content-Type": "application/json" },
-          body: JSON.stringify({ study: study.id, ...state.outbox[0] }),
-        });
-        if (reply.status >= 500 || reply.status === 429) throw new Error(String(reply.status));
-        if (!reply.ok) warn(`The server did not accept an answer (${reply.status}); please tell the experimenter.`);
+        const reply = await post(path, { participant: state.participant, ...message });
         state.outbox.shift();
         keep();
-        if (reply.ok) warn("");
+        if (reply.status === 200) warn("");
+        else if (reply.status === 401) return halt("This form is being filled in in another browser. Please go on there.");
+        else if (reply.status === 409) return halt("This form was answered in another window, too. Reload this page to go on with what was saved there.");
+        else warn(`The server did not accept an answer (${reply.status}); please tell the experimenter.`);
       } catch {
         warn("The server does not answer. Your answers are kept here and sent as soon as it does.");
         await new Promise((resolve) => setTimeout(resolve, 1000));
       }
     }
     sending = false;
-    const saved = document.getElementById("saved");
-    if (saved) saved.textContent = "All answers have reached the server.";
+    document.dispatchEvent(new Event("sent"));
   };
-  const fromServer = async (participant) => {
-    if (!study.server) return null;
-    try {
-      const reply = await fetch(`state?participant=${encodeURIComponent(participant)}`);
-      return reply.ok ? await reply.json() : null;
-    } catch { return null; }
-  };
-
-  // ---- the order of things
-  const entries = () => study.participants[state.participant].map((entry) => {
-    const [id, first] = entry.split(":");
-    return { id, item: study.items[id], check: study.checks[id], first: Number(first) };
-  });
-  const sides = (entry) => (entry.first ? [entry.item.pair[1], entry.item.pair[0]] : entry.item.pair);
-  const oursIs = (entry) => (entry.item ? (checksum(study.id + sides(entry)[0]) >>> 8 & 1 ? "A" : "B") : "");
-  const answered = (entry) => study.questions.every((question) => state.answers[entry.id]?.[question.name]);
-  const firstOpen = (list) => { const place = list.findIndex((entry) => !answered(entry)); return place < 0 ? list.length : place; };
-
-  const record = (entry, question, score) => {
-    const before = state.answers[entry.id]?.[question.name];
-    if (before && before.score === score) return;
-    const answer = {
-      score,
-      seconds: Math.round((performance.now() - shownAt) / 100) / 10,
-      time: new Date().toISOString(),
-      revision: before ? before.revision + 1 : 1,
-    };
-    (state.answers[entry.id] ??= {})[question.name] = answer;
-    state.outbox.push({ participant: state.participant, session: state.session, item: entry.id, question: question.name, ...answer });
+  const halt = (text) => {
+    state.outbox = [];
     keep();
-    send();
+    show(0, 1, "", make("div", { class: "words" }, heading("Please do not go on here"), make("p", { text })));
   };
+  const enqueue = (path, message) => { state.outbox.push([path, message]); keep(); send(); };
 
-  // ---- pages
-  const progress = (value, total, text) => {
-    const bar = document.getElementById("progress");
-    bar.max = total;
-    bar.value = value;
-    document.getElementById("place").textContent = text;
-  };
-
-  const start = (error = "") => {
-    progress(0, 1, "");
-    const asked = new URLSearchParams(location.search).get("p") || decodeURIComponent(location.hash.slice(1)) || lastParticipant();
-    const input = make("input", { type: "text", id: "code", value: asked, autocomplete: "off", autocapitalize: "characters", spellcheck: "false", "aria-describedby": "codeerror" });
-    const begin = async (event) => {
-      event.preventDefault();
-      const wanted = input.value.trim().toUpperCase();
-      const code = Object.keys(study.participants).find((name) => name.toUpperCase() === wanted);
-      if (!code) {
-        message.textContent = "This code is not known. Please check it.";
-        input.focus();
-        return;
-      }
-      const local = kept(code);
-      const remote = local ? null : await fromServer(code);
-      const session = [...crypto.getRandomValues(new Uint8Array(8))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
-      state = local || { participant: code, session, answers: {}, comment: "", outbox: [], ...(remote || {}) };
+  // ---- beginning, and going on
+  const begin = async (person) => {
+    const local = JSON.parse(kept(key(person)) || "null");
+    const random = () => [...crypto.getRandomValues(new Uint8Array(16))].map((byte) => byte.toString(16).padStart(2, "0")).join("");
+    state = local || { person, token: random(), participant: person, answers: {}, facts: {}, outbox: [] };
+    if (!study.server) {
+      state.sets = study.people[person];
+      if (!state.sets) return "This code is not known. Please check it.";
       keep();
-      send();
-      page(firstOpen(entries()));
-    };
-    const message = make("p", { class: "error", id: "codeerror", role: "alert", text: error });
-    show(make("div", { class: "words" },
-      make("h1", { tabindex: "-1", text: study.title }),
-      ...study.instructions.split(/\n\s*\n/).map((text) => make("p", { text })),
-      make("form", { onsubmit: begin },
-        make("label", { for: "code", text: "Your participant code" }), input, message,
-        make("div", { class: "buttons" }, make("button", { class: "main", id: "start", text: "Start or go on" })))));
-  };
-
-  const picture = (name, caption, alt) => make("figure", {},
-    make("figcaption", { text: caption }),
-    make("img", { src: study.pictures[name], alt, draggable: "false" }));
-
-  const judged = (entry) => {
-    const [a, b] = sides(entry);
-    const pair = make("div", { class: "pair", id: "pair" }, picture(a, "A", "Picture A"), picture(b, "B", "Picture B"));
-    const shape = (img) => pair.style.setProperty("--shape", img.naturalWidth / img.naturalHeight);
-    const image = pair.querySelector("img");
-    if (image.complete && image.naturalWidth) shape(image);
-    image.addEventListener("load", () => shape(image));
-    const reference = entry.item.reference
-      ? picture(entry.item.reference, "Style", "The style to match")
-      : make("figure", {}, make("figcaption", { text: "Style" }), make("p", { class: "quote", text: entry.item.text }));
-    const enlarge = make("button", { type: "button", "aria-pressed": "false", text: "Enlarge A and B" });
-    enlarge.addEventListener("click", () => {
-      const large = pair.classList.toggle("large");
-      enlarge.setAttribute("aria-pressed", String(large));
-      enlarge.textContent = large ? "A and B side by side" : "Enlarge A and B";
-    });
-    return [
-      make("div", { class: "set" },
-        make("div", { class: "given" }, picture(entry.item.content, "Photograph", "The photograph"), reference),
-        make("div", {}, pair)),
-      enlarge,
-    ];
-  };
-
-  const page = (place) => {
-    const list = entries();
-    if (place >= list.length) return finish(list);
-    const entry = list[place];
-    state.place = place;
-    progress(place, list.length, `${place + 1} of ${list.length}`);
-    const next = make("button", { class: "main", type: "button", id: "next", text: "Next", disabled: !answered(entry), onclick: () => page(place + 1) });
-    const back = make("button", { type: "button", id: "back", text: "Back", disabled: place === 0, onclick: () => page(place - 1) });
-    const fields = study.questions.map((question) => {
-      const field = make("fieldset", { "data-question": question.name }, make("legend", { text: question.text }));
-      study.labels.forEach((label, step) => {
-        const score = study.low + step;
-        const radio = make("input", { type: "radio", name: question.name, value: score });
-        radio.checked = state.answers[entry.id]?.[question.name]?.score === score;
-        radio.addEventListener("change", () => {
-          record(entry, question, score);
-          next.disabled = !answered(entry);
-        });
-        field.append(make("label", { class: "answer" }, radio, make("b", { text: String(score), "aria-hidden": "true" }), make("span", { text: label })));
-      });
-      return field;
-    });
-    let extra = [];
-    let content;
-    if (entry.item) {
-      const [set, enlarge] = judged(entry);
-      content = [make("h1", { tabindex: "-1", text: "Compare A and B" }), set];
-      extra = [enlarge];
-    } else {
-      const label = study.labels[entry.check.expected - study.low];
-      content = [make("div", { class: "words" },
-        make("h1", { tabindex: "-1", text: "A short check" }),
-        make("p", { text: `To show that you are reading, please answer “${label}” to every question on this page.` }))];
+      return "";
     }
-    show(...content,
-      make("div", { class: "questions" }, ...fields),
-      make("div", { class: "buttons" }, back, next, ...extra,
-        make("span", { class: "hint keys", text: `Keys: ${study.low} to ${study.low + study.labels.length - 1} answer, Enter goes on, Backspace goes back.` })));
-    shownAt = performance.now();
+    keep(); // the token, before anybody else hears of it
+    try {
+      const reply = await post("session", { person, token: state.token });
+      if (reply.status === 409) return "This code is in use in another browser or on another device. Please go on there, or ask the experimenter to release it.";
+      if (reply.status !== 200) return "This code is not known. Please check it.";
+      Object.assign(state, { participant: reply.participant, sets: reply.sets, facts: { ...reply.facts }, answers: {} });
+      for (const { item, question, side, ...answer } of reply.answers) state.answers[[item, question, side]] = answer;
+      for (const [path, { item, question, side, name, value, ...answer }] of state.outbox) {
+        if (path === "answers") state.answers[[item, question, side]] = answer;
+        else state.facts[name] = value;
+      }
+      keep();
+    } catch {
+      if (!state.sets) return "The server does not answer. Please try again in a moment.";
+    }
+    return "";
   };
 
-  const keys = (event) => {
-    if (!state || event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input[type=text], textarea")) return;
-    const fields = [...main.querySelectorAll("fieldset")];
+  const welcome = () => {
+    const parameter = study.id_parameters.find((name) => address.get(name));
+    const preview = address.get("assignmentId") === "ASSIGNMENT_ID_NOT_AVAILABLE";
+    const person = parameter ? address.get(parameter) : address.get("p") || decodeURIComponent(location.hash.slice(1)) || kept(`study:${study.id}`) || "";
+    const input = make("input", { type: "text", id: "code", value: person, autocomplete: "off", autocapitalize: "characters", spellcheck: "false", "aria-describedby": "codeerror" });
+    const message = make("p", { class: "error", id: "codeerror", role: "alert" });
+    const submit = async (event) => {
+      event.preventDefault();
+      const entered = input.value.trim();
+      const error = await begin(study.id_parameters.length ? entered : entered.toUpperCase());
+      message.textContent = error;
+      if (error) return input.focus();
+      send();
+      return consent();
+    };
+    show(0, 1, "", make("div", { class: "words" }, heading(study.title), ...words(study.instructions),
+      make("form", { onsubmit: submit },
+        ...(parameter ? [] : [make("label", { for: "code", text: study.id_parameters.length ? "Your participant id" : "Your participant code" }), input]),
+        preview ? make("p", { text: "This is a preview. Accept the task to begin." }) : message,
+        make("div", { class: "buttons" }, make("button", { class: "main", id: "start", text: "Start or go on", disabled: preview })))));
+  };
+
+  const consent = () => {
+    if (!study.consent || state.facts.consent) return person();
+    const box = make("input", { type: "checkbox", id: "agree", onchange: () => { next.disabled = !box.checked; } });
+    const next = button("next", "Next", () => {
+      state.facts.consent = new Date().toISOString();
+      enqueue("facts", { name: "consent", value: state.facts.consent });
+      person();
+    }, { class: "main", disabled: true });
+    return show(0, 1, "", make("div", { class: "words" }, heading("Your consent"), ...words(study.consent),
+      make("label", { class: "agree" }, box, make("span", { text: "I have read this, and agree to take part." })),
+      make("div", { class: "buttons" }, next)));
+  };
+
+  const person = () => {
+    if (!study.demographics.length || "asked" in state || Object.keys(state.answers).length) return page(firstOpen());
+    const fields = study.demographics.map(({ name, text, choices }) => {
+      const id = `person-${name}`;
+      const field = choices.length
+        ? make("select", { id }, ...["", ...choices].map((value) => make("option", { value, text: value || "Prefer not to say" })))
+        : make("input", { type: "text", id, maxlength: "200", autocomplete: "off" });
+      return [name, field, make("p", {}, make("label", { for: id, text }), field)];
+    });
+    const next = () => {
+      state.asked = true;
+      for (const [name, field] of fields) {
+        state.facts[name] = field.value;
+        if (field.value) enqueue("facts", { name, value: field.value });
+      }
+      keep();
+      page(firstOpen());
+    };
+    return show(0, 1, "", make("div", { class: "words" }, heading("About you"), make("p", { text: "Each answer is optional." }),
+      ...fields.map((field) => field[2]), make("div", { class: "buttons" }, button("next", "Next", next, { class: "main" }))));
+  };
+
+  // ---- answers
+  const asked = study.questions.flatMap((question) => (question.kind === "rating" ? ["A", "B"] : [""]).map((side) => ({ ...question, side })));
+  const answer = (set, question) => state.answers[[set.id, question.name, question.side]];
+  const answered = (set) => asked.every((question) => answer(set, question));
+  const firstOpen = () => { const index = state.sets.findIndex((set) => !answered(set)); return index < 0 ? state.sets.length : index; };
+  const record = (set, question, score) => {
+    const before = answer(set, question);
+    if (before && before.score === score) return;
+    const seconds = Math.round((performance.now() - shownAt) / 10) / 100;
+    const given = { score, seconds, time: new Date().toISOString(), revision: before ? before.revision + 1 : 1 };
+    state.answers[[set.id, question.name, question.side]] = given;
+    enqueue("answers", { item: set.id, question: question.name, side: question.side, ...given });
+  };
+
+  // ---- pictures: every file is fetched once, whole, before it is shown
+  const cache = new Map();
+  const load = (name) => {
+    if (!cache.has(name)) {
+      const loading = (async () => {
+        const reply = await fetch(study.pictures ? study.pictures[name] : `pictures/${name}`);
+        if (!reply.ok) throw new Error(String(reply.status));
+        const url = URL.createObjectURL(await reply.blob());
+        if (!name.endsWith(".mp4")) await Object.assign(new Image(), { src: url }).decode();
+        return url;
+      })();
+      loading.catch(() => cache.delete(name));
+      cache.set(name, loading);
+    }
+    return cache.get(name);
+  };
+  const files = (set) => [...set.A, ...set.B, ...set.content, set.reference].filter(Boolean);
+  const element = async (name, alt) => {
+    const src = await load(name);
+    if (!name.endsWith(".mp4")) return make("img", { src, alt, draggable: "false" });
+    const video = Object.assign(make("video", { "aria-label": alt, role: "img", playsinline: true, preload: "auto" }), { muted: true });
+    await new Promise((resolve, reject) => {
+      video.addEventListener("canplaythrough", resolve, { once: true });
+      video.addEventListener("error", () => reject(new Error("unreadable")), { once: true });
+      video.src = src;
+    });
+    return video;
+  };
+  const column = async (kind, title, alt, names) => {
+    const label = (index) => (names.length > 1 ? `${alt}, view ${index + 1} of ${names.length}` : alt);
+    return make("section", { class: `column ${kind}`, "aria-label": title }, make("h2", { text: title }),
+      make("div", { class: "stack" }, ...(await Promise.all(names.map((name, index) => element(name, label(index)))))));
+  };
+
+  // What moves, moves together: videos begin again when the first has ended, flip-books turn by one clock.
+  const player = (views, enlarge) => {
+    const videos = [...views.querySelectorAll("video")];
+    const stacks = study.show === "flipbook" ? [...views.querySelectorAll(".stack")].filter((stack) => stack.children.length > 1) : [];
+    if (!videos.length && !stacks.length) return make("div", { class: "player" }, enlarge);
+    const count = Math.max(1, ...stacks.map((stack) => stack.children.length));
+    const slider = stacks.length ? make("input", { type: "range", min: "1", max: count, value: "1", "aria-label": "View" }) : null;
+    let timer = 0;
+    const turn = (index) => {
+      if (slider) slider.value = index + 1;
+      for (const stack of stacks) [...stack.children].forEach((view, other) => { view.hidden = other !== index % stack.children.length; });
+    };
+    const play = () => {
+      toggle.textContent = "Pause";
+      videos.forEach((video) => video.play().catch(() => {}));
+      if (stacks.length) timer = setInterval(() => (views.isConnected ? turn(Number(slider.value) % count) : pause()), 1000 / study.frames_per_second);
+    };
+    const pause = () => {
+      toggle.textContent = "Play";
+      videos.forEach((video) => video.pause());
+      clearInterval(timer);
+    };
+    const toggle = button("play", "Play", () => (toggle.textContent === "Play" ? play : pause)());
+    if (slider) slider.addEventListener("input", () => { pause(); turn(Number(slider.value) - 1); });
+    if (videos.length) videos[0].addEventListener("ended", () => { if (views.isConnected) { videos.forEach((video) => { video.currentTime = 0; }); play(); } });
+    turn(0);
+    if (!matchMedia("(prefers-reduced-motion: reduce)").matches) play();
+    return make("div", { class: "player" }, toggle, slider, enlarge);
+  };
+
+  const views = async (set) => {
+    const columns = await Promise.all([
+      column("content", set.content.length > 1 && study.show === "grid" ? "Photographs" : set.content[0].endsWith(".mp4") ? "Video" : "Photograph", "The original", set.content),
+      column("method", "A", "A", set.A), column("method", "B", "B", set.B),
+      set.reference ? column("reference", "Style", "The style to match", [set.reference])
+        : make("section", { class: "column reference", "aria-label": "Style" }, make("h2", { text: "Style" }), make("p", { class: "quote", text: set.text })),
+    ]);
+    const [, a, , reference] = columns;
+    const first = a.querySelector("img, video");
+    const ratio = (first.naturalWidth || first.videoWidth) / (first.naturalHeight || first.videoHeight);
+    const many = study.show === "grid" && set.A.length > 1;
+    const node = make("div", { class: many ? "views many" : "views", style: `--ratio: ${ratio}; --rows: ${many ? set.A.length : 1}` }, ...columns);
+    const enlarge = button("enlarge", "Enlarge", () => {
+      const large = node.parentElement.classList.toggle("large");
+      node.parentElement.classList.toggle("tall", many && !large);
+      enlarge.textContent = large ? "Side by side" : "Enlarge";
+    });
+    node.append(player(node, enlarge));
+    return node;
+  };
+
+  // ---- a set
+  const scale = (set, question, changed) => {
+    const text = question.text.replaceAll("{method}", question.side);
+    const name = `${question.name}${question.side}`;
+    return make("fieldset", { "data-question": name, disabled: true }, make("legend", { text }),
+      make("div", { class: "scale" }, ...question.labels.map((label, step) => {
+        const score = question.low + step;
+        const radio = make("input", { type: "radio", name, value: score });
+        radio.checked = answer(set, question)?.score === score;
+        radio.addEventListener("change", () => { record(set, question, score); changed(); });
+        return make("label", {}, radio, make("b", { text: score }), make("span", { text: label }));
+      })));
+  };
+
+  const page = async (index) => {
+    if (index >= state.sets.length) return finish();
+    const set = state.sets[index];
+    const next = button("next", "Next", () => page(index + 1), { class: "main", disabled: true });
+    const back = button("back", "Back", () => page(index - 1), { disabled: index === 0 });
+    const ready = () => node.dataset.loaded && answered(set);
+    const fields = asked.map((question) => scale(set, question, () => { next.disabled = !ready(); }));
+    const loading = make("div", { class: "loading", role: "status" }, make("p", { text: "Loading the pictures …" }));
+    const numbers = study.questions[0].labels.map((_, step) => study.questions[0].low + step);
+    const node = make("div", { class: "set" }, loading, make("div", { class: "questions" }, ...fields),
+      make("div", { class: "buttons" }, back, next,
+        make("span", { class: "hint keys", text: `Keys: ${numbers[0]} to ${numbers.at(-1)} answer, Enter next, Backspace back` })));
+    show(index, state.sets.length, `${index + 1} of ${state.sets.length}`, heading("Compare A and B"), node);
+    const reveal = async () => {
+      try {
+        const shown = await views(set);
+        if (!node.isConnected) return;
+        loading.replaceWith(shown);
+        node.classList.toggle("tall", shown.classList.contains("many"));
+        node.style.cssText = shown.style.cssText;
+        node.dataset.loaded = "yes";
+        fields.forEach((field) => { field.disabled = false; });
+        next.disabled = !ready();
+        shownAt = performance.now();
+        for (const name of state.sets[index + 1] ? files(state.sets[index + 1]) : []) load(name).catch(() => {});
+      } catch {
+        loading.replaceChildren(make("p", { text: "Some pictures could not be loaded. Please check your connection, and whether this browser blocks pictures. Your answers are safe." }),
+          button("again", "Try again", () => { loading.replaceChildren(make("p", { text: "Loading the pictures …" })); reveal(); }));
+      }
+    };
+    return reveal();
+  };
+
+  document.addEventListener("keydown", (event) => {
+    if (!state || event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input:not([type=radio]), textarea, select")) return;
+    const fields = [...main.querySelectorAll("fieldset:enabled")];
     if (!fields.length) return;
-    const score = Number(event.key);
-    if (event.key.length === 1 && score >= study.low && score < study.low + study.labels.length) {
-      const focused = event.target.closest("fieldset");
-      const field = focused || fields.find((one) => !one.querySelector("input:checked")) || fields[fields.length - 1];
-      const radio = [...field.querySelectorAll("input")].find((one) => Number(one.value) === score);
+    const field = event.target.closest("fieldset") || fields.find((one) => !one.querySelector("input:checked")) || fields.at(-1);
+    const radio = event.key.length === 1 && event.key !== " " && field.querySelector(`input[value="${CSS.escape(event.key)}"]`);
+    if (radio) {
       radio.checked = true;
       radio.dispatchEvent(new Event("change"));
       const open = fields.find((one) => !one.querySelector("input:checked"));
-      if (open) open.querySelector("input").focus();
-      else document.getElementById("next").focus();
-      event.preventDefault();
-    } else if (event.key === "Enter" && !event.target.matches("button")) {
-      document.getElementById("next").click();
-      event.preventDefault();
-    } else if (event.key === "Backspace") {
-      document.getElementById("back").click();
-      event.preventDefault();
-    }
-  };
-  document.addEventListener("keydown", keys);
+      (open ? open.querySelector("input") : document.getElementById("next")).focus();
+    } else if (event.key === "Enter" && !event.target.matches("button")) document.getElementById("next").click();
+    else if (event.key === "Backspace") document.getElementById("back").click();
+    else return;
+    event.preventDefault();
+  });
 
-  // ---- the end: everything as CSV and JSON
-  const rows = () => {
-    const found = entries().flatMap((entry) => study.questions.flatMap((question) => {
-      const answer = state.answers[entry.id]?.[question.name];
-      return answer ? [{
-        participant: state.participant, item: entry.id, question: question.name, score: answer.score, ours_is: oursIs(entry),
-        expected: entry.check ? entry.check.expected : "", comparison: entry.item?.comparison || "", seconds: answer.seconds,
-        time: answer.time, session: state.session, revision: answer.revision, comment: "",
-      }] : [];
-    }));
-    if (found.length) found[0].comment = state.comment;
-    return found;
-  };
-  const cell = (value) => {
-    let text = String(value);
-    if (typeof value === "string" && /^[=+\-@\t\r]/.test(text)) text = `'${text}`; // no spreadsheet takes it for a formula
-    return /[",;\t\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text;
-  };
-  const download = (name, type, text) => {
-    const link = make("a", { href: URL.createObjectURL(new Blob([text], { type })), download: name });
-    document.body.append(link);
+  // ---- the end
+  const save = () => {
+    const responses = state.sets.flatMap((set) => asked.filter((question) => answer(set, question)).map((question) => (
+      { participant: state.participant, item: set.id, question: question.name, side: question.side, ...answer(set, question) })));
+    const { comment = "", ...person } = state.facts;
+    const text = JSON.stringify({ study: study.id, participant: state.participant, person, comment, responses }, null, 1);
+    const link = make("a", { href: URL.createObjectURL(new Blob([text], { type: "application/json" })), download: `answers-${state.participant}.json` });
     link.click();
-    link.remove();
     setTimeout(() => URL.revokeObjectURL(link.href), 10000);
   };
 
-  const finish = (list) => {
-    progress(list.length, list.length, "Done");
-    const comment = make("textarea", { id: "comment", rows: "4" });
-    comment.value = state.comment;
-    const store = () => {
-      if (state.comment === comment.value) return;
-      state.comment = comment.value;
-      state.outbox.push({ participant: state.participant, session: state.session, comment: state.comment, time: new Date().toISOString() });
-      keep();
-      send();
+  const finish = () => {
+    const comment = make("textarea", { id: "comment", rows: "4", maxlength: "10000" });
+    comment.value = state.facts.comment || "";
+    comment.addEventListener("change", () => {
+      state.facts.comment = comment.value;
+      enqueue("facts", { name: "comment", value: comment.value });
+    });
+    const status = make("p", { id: "saved", role: "status", text: study.server ? "Your answers are being sent …" : "Please save your answers and send the file to the experimenter." });
+    const end = button("end", study.server ? "Finish" : "Save answers", study.server ? () => leave(end, status) : save, { class: "main", disabled: study.server });
+    const sent = () => {
+      if (!study.server || state.outbox.length) return;
+      status.textContent = "All answers have arrived.";
+      end.disabled = false;
     };
-    comment.addEventListener("change", store);
-    const name = `answers-${state.participant}`;
-    const csv = () => { store(); download(`${name}.csv`, "text/csv", [COLUMNS, ...rows().map((row) => COLUMNS.map((column) => row[column]))].map((row) => row.map(cell).join(",")).join("\r\n") + "\r\n"); };
-    const json = () => { store(); download(`${name}.json`, "application/json", JSON.stringify({ study: study.id, responses: rows() }, null, 1)); };
-    const saved = study.server
-      ? make("p", { id: "saved", role: "status", text: state.outbox.length ? "Your answers are being sent …" : "All answers have reached the server." })
-      : make("p", { text: "Please save your answers with one of the buttons and send the file to the experimenter." });
-    show(make("div", { class: "words" },
-      make("h1", { tabindex: "-1", text: "Thank you" }), saved,
+    document.addEventListener("sent", sent);
+    show(1, 1, "Done", make("div", { class: "words" }, heading("Thank you"), status,
       make("label", { for: "comment", text: "Anything you would like to say? (optional)" }), comment,
-      make("div", { class: "buttons" },
-        make("button", { class: "main", type: "button", id: "csv", text: "Save answers as CSV", onclick: csv }),
-        make("button", { type: "button", id: "json", text: "Save as JSON", onclick: json }),
-        make("button", { type: "button", id: "back", text: "Back to the sets", onclick: () => page(list.length - 1) }))));
+      make("div", { class: "buttons" }, button("back", "Back to the sets", () => page(state.sets.length - 1)), end)));
+    sent();
     send();
   };
 
-  start();
+  const leave = async (end, status) => {
+    end.disabled = true;
+    try {
+      const reply = await post("finish", { participant: state.participant });
+      if (reply.status !== 200) throw new Error(reply.error);
+      const link = reply.url && make("a", { href: reply.url, id: "return", class: "main", text: "Go back now" });
+      show(1, 1, "Done", make("div", { class: "words" }, heading("You have finished"),
+        make("p", { text: link ? "Thank you. You are taken back in a moment." : "Thank you. You may close this page." }),
+        reply.code && make("p", {}, "Your completion code: ", make("code", { id: "completion", text: reply.code })), link));
+      if (link) setTimeout(() => link.click(), 3000);
+    } catch (error) {
+      status.textContent = `This did not work (${error.message}). Please try again.`;
+      end.disabled = false;
+    }
+  };
+
+  welcome();
 })();

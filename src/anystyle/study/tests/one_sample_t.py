@@ -3,11 +3,8 @@
 import math
 from typing import ClassVar
 
-from scipy import special
-
 from anystyle.study.contract import Alternative, Responses, StudyTest, TestResult, Unit, generalization
-from anystyle.study.effects import cohens_d_interval
-from anystyle.study.probability import log_t_pvalue
+from anystyle.study.probability import log_t_pvalue, t_interval
 
 
 class OneSampleT(StudyTest):
@@ -15,12 +12,12 @@ class OneSampleT(StudyTest):
 
     Args:
         alternative: ``less`` claims that ours is preferred.
-        confidence: Of the two-sided intervals.
+        confidence: Of the intervals.
     """
 
     units: ClassVar[tuple[Unit, ...]] = ("response", "participant", "item")
 
-    def __init__(self, *, alternative: Alternative = "less", confidence: float = 0.95) -> None:
+    def __init__(self, *, alternative: Alternative = "two-sided", confidence: float = 0.95) -> None:
         self.alternative: Alternative = alternative
         self.confidence = confidence
 
@@ -37,17 +34,16 @@ class OneSampleT(StudyTest):
             return TestResult.untestable(responses, reason=reason, alternative=self.alternative, method=method)
         error = sd / math.sqrt(n)
         statistic = mean / error
-        half_width = float(special.stdtrit(n - 1, (1 + self.confidence) / 2)) * error
         return TestResult(
             unit=responses.unit,
             statistic=statistic,
-            log_pvalue=log_t_pvalue(statistic, n - 1, self.alternative),
+            log_pvalue=log_t_pvalue(statistic, float(n - 1), self.alternative),
             alternative=self.alternative,
             estimate=mean,
-            interval=(mean - half_width, mean + half_width),
+            interval=t_interval(mean, error, float(n - 1), self.confidence, self.alternative),
             effect=mean / sd,
             effect_name="cohens_d",
-            effect_interval=cohens_d_interval(statistic, n, self.confidence),
+            effect_interval=(math.nan, math.nan),
             n=n,
             confidence=self.confidence,
             method=f"{method}, {n - 1} degrees of freedom",

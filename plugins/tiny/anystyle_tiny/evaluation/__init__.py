@@ -1,1 +1,0 @@
-"""How the tiny networks are judged."""

@@ -1,0 +1,86 @@
+"""A scene as a file of any format, in the axes that its readers expect."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+from anystyle.errors import did_you_mean
+from anystyle.geometry.similarity import Similarity, y_up_from_opencv
+from anystyle.io import ply
+from anystyle.io.formats import glb, sog, spz
+from anystyle.io.formats import splat as splat_file
+from anystyle.types import Gaussians
+
+UP = ("opencv", "y", "z")
+"""Axes: x right, y down, z forward; x right, y up, z back; x right, y forward, z up. All are right-handed."""
+
+Z_UP_FROM_OPENCV = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
+
+
+class Format(NamedTuple):
+    """How a format is written, and the axes that its readers take it to be in."""
+
+    write: Callable[[ply.Splats, Path, str], None]
+    up: str
+    notes: bool
+
+
+FORMATS = {
+    "ply": Format(ply.write, "opencv", True),
+    "glb": Format(glb.write, "y", True),
+    "spz": Format(spz.write, "y", False),
+    "sog": Format(sog.write, "opencv", True),
+    "splat": Format(splat_file.write, "opencv", False),
+}
+"""By suffix. 3DGS and what comes from it have OpenCV's axes; glTF and SPZ say y up."""
+
+
+def format_of(name: str) -> Format:
+    """A format by name.
+
+    Raises:
+        ValueError: There is none of that name.
+    """
+    if name not in FORMATS:
+        known = (*FORMATS, "html")
+        raise ValueError(f"no format is named {name!r}.{did_you_mean(name, known)} Formats: {', '.join(known)}")
+    return FORMATS[name]
+
+
+def export(gaussians: Gaussians, path: Path, name: str, *, up: str | None = None, notes: str = "") -> None:
+    """Write one scene; whole or not at all. What a format has no room for lies beside it as ``NAME.txt``.
+
+    Args:
+        gaussians: A batch of one, in OpenCV's axes.
+        path: The file.
+        name: A key of :data:`FORMATS`.
+        up: One of :data:`UP`; ``None`` is what readers of the format expect.
+        notes: Such as licences.
+
+    Raises:
+        ValueError: There is no such format or axes, or the scene has no Gaussians.
+    """
+    chosen = format_of(name)
+    seen = gaussians.opacities[0] > 0
+    if not bool(seen.any()):
+        raise ValueError("the scene has no Gaussians that are visible; there is nothing to export")
+    turned = in_axes(up or chosen.up, gaussians)
+    tensors = (turned.means, turned.rotations, turned.scales, turned.opacities, turned.harmonics)
+    chosen.write(ply.Splats(*(tensor[0][seen] for tensor in tensors)), path, notes)
+    if notes and not chosen.notes:
+        path.with_suffix(path.suffix + ".txt").write_text(notes + "\n", encoding="utf-8")
+
+
+def in_axes(up: str, gaussians: Gaussians) -> Gaussians:
+    """Gaussians in OpenCV's axes turned to others; the same ones where nothing changes.
+
+    Raises:
+        ValueError: There are no such axes.
+    """
+    if up not in UP:
+        raise ValueError(f"up={up}; choose one of {', '.join(UP)}")
+    if up == "opencv":
+        return gaussians
+    means = gaussians.means
+    z_up = Similarity(means.new_ones(()), means.new_tensor(Z_UP_FROM_OPENCV), means.new_zeros(3))
+    return (y_up_from_opencv(means) if up == "y" else z_up).gaussians(gaussians)

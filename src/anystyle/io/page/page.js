@@ -1,0 +1,431 @@
+"use strict";
+// A splat renderer in one file: Gaussians in textures, sorted in a worker, drawn as quads from back to front.
+
+const element = (id) => document.getElementById(id);
+const scene = JSON.parse(element("manifest").textContent);
+const canvas = element("canvas");
+const ROW = 1024;
+
+// ---- Unpacking ----------------------------------------------------------------------------------------------------
+
+async function unpack() {
+  const packed = Uint8Array.from(atob(element("data").textContent.trim()), (letter) => letter.charCodeAt(0));
+  const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("gzip"));
+  const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
+  const n = scene.count;
+  let offset = 0;
+  const take = (type, length) => {
+    const part = new type(bytes.buffer, offset, length);
+    offset += part.byteLength;
+    return part;
+  };
+  const rotations = scene.rotations.map(() => take(Uint32Array, n));
+  const positions = take(Uint16Array, 3 * n);
+  const scales = take(Uint8Array, 3 * n);
+  const opacities = take(Uint8Array, n);
+  const colors = scene.styles.map(() => take(Uint8Array, 3 * n));
+  const means = new Float32Array(3 * n);
+  for (let axis = 0; axis < 3; axis++) {
+    const low = scene.low[axis], step = (scene.high[axis] - low) / 65535;
+    for (let i = 0; i < n; i++) {
+      const far = low + step * positions[axis * n + i];
+      means[3 * i + axis] = Math.sign(far) * Math.expm1(Math.abs(far));
+    }
+  }
+  return { n, means, rotations, scales, opacities, colors };
+}
+
+function quaternion(packed, out) {
+  const largest = packed >>> 30;
+  let rest = 1, shift = 20;
+  for (let k = 0; k < 4; k++) {
+    if (k === largest) continue;
+    out[k] = (((packed >>> shift) & 1023) / 1023 - 0.5) * Math.SQRT2;
+    rest -= out[k] * out[k];
+    shift -= 10;
+  }
+  out[largest] = Math.sqrt(Math.max(rest, 0));
+}
+
+function geometry(data, which) {
+  const { n, means, scales, opacities } = data, rotations = data.rotations[which];
+  const [low, high] = scene.scales, q = [1, 0, 0, 0], sigma = [0, 0, 0];
+  const texels = new Float32Array(4 * 3 * ROW * Math.ceil(n / ROW));
+  for (let i = 0; i < n; i++) {
+    quaternion(rotations[i], q);
+    const [w, x, y, z] = q;
+    for (let k = 0; k < 3; k++) sigma[k] = Math.exp(2 * (low + (high - low) * scales[k * n + i] / 255));
+    const r = [
+      [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+      [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+      [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ];
+    const cov = (a, b) => r[a][0] * r[b][0] * sigma[0] + r[a][1] * r[b][1] * sigma[1] + r[a][2] * r[b][2] * sigma[2];
+    texels.set([
+      means[3 * i], means[3 * i + 1], means[3 * i + 2], opacities[i] / 255,
+      cov(0, 0), cov(0, 1), cov(0, 2), cov(1, 1), cov(1, 2), cov(2, 2), 0, 0,
+    ], 12 * i);
+  }
+  return texels;
+}
+
+// ---- Sorting ------------------------------------------------------------------------------------------------------
+
+function sorter() {
+  let means = null;
+  onmessage = ({ data }) => {
+    if (data.means) { means = data.means; return; }
+    const n = means.length / 3, [a, b, c] = data.forward, depths = new Float32Array(n);
+    let low = Infinity, high = -Infinity;
+    for (let i = 0; i < n; i++) {
+      const depth = a * means[3 * i] + b * means[3 * i + 1] + c * means[3 * i + 2];
+      depths[i] = depth;
+      if (depth < low) low = depth;
+      if (depth > high) high = depth;
+    }
+    // Far ones first: a counting sort over 2^18 depths.
+    const bins = 1 << 18, scale = (bins - 1) / Math.max(high - low, 1e-12);
+    const starts = new Uint32Array(bins + 1), keys = new Uint32Array(n), order = new Uint32Array(n);
+    for (let i = 0; i < n; i++) { keys[i] = (high - depths[i]) * scale; starts[keys[i] + 1]++; }
+    for (let k = 0; k < bins; k++) starts[k + 1] += starts[k];
+    for (let i = 0; i < n; i++) order[starts[keys[i]]++] = i;
+    postMessage({ order, forward: data.forward }, [order.buffer]);
+  };
+}
+
+// ---- Drawing ------------------------------------------------------------------------------------------------------
+
+const VERTEX = `#version 300 es
+precision highp float; precision highp int; precision highp sampler2D;
+uniform sampler2D geometry, colors;
+uniform mat3 rotation; uniform vec3 translation; uniform vec2 focal, center, size; uniform float blur;
+in vec2 corner; in uint index;
+out vec4 color; out vec2 away; flat out vec3 conic;
+void main() {
+  int i = int(index);
+  ivec2 cell = ivec2((i % ${ROW}) * 3, i / ${ROW});
+  vec4 first = texelFetch(geometry, cell, 0), second = texelFetch(geometry, cell + ivec2(1, 0), 0);
+  vec4 third = texelFetch(geometry, cell + ivec2(2, 0), 0);
+  vec3 p = rotation * first.xyz + translation;
+  gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
+  if (p.z < 1e-4 || first.w < 1.0 / 255.0) return;
+  mat3 cov = mat3(second.x, second.y, second.z, second.y, second.w, third.x, second.z, third.x, third.y);
+  vec2 tangent = clamp(p.xy / p.z, -0.15 * size / focal - center / focal, 0.15 * size / focal + (size - center) / focal);
+  mat3 jacobian = mat3(focal.x / p.z, 0, 0, 0, focal.y / p.z, 0, -focal.x * tangent.x / p.z, -focal.y * tangent.y / p.z, 0);
+  mat3 flat_cov = jacobian * rotation * cov * transpose(rotation) * transpose(jacobian);
+  float xx = flat_cov[0][0] + blur, xy = flat_cov[0][1], yy = flat_cov[1][1] + blur, det = xx * yy - xy * xy;
+  if (det <= 0.0) return;
+  conic = vec3(yy, -xy, xx) / det;
+  away = corner * sqrt(2.0 * log(255.0 * first.w)) * sqrt(vec2(xx, yy));
+  vec2 pixel = focal * p.xy / p.z + center + away;
+  gl_Position = vec4(2.0 * pixel.x / size.x - 1.0, 1.0 - 2.0 * pixel.y / size.y, 0.0, 1.0);
+  color = vec4(texelFetch(colors, ivec2(i % ${ROW}, i / ${ROW}), 0).rgb, first.w);
+}`;
+const FRAGMENT = `#version 300 es
+precision highp float;
+in vec4 color; in vec2 away; flat in vec3 conic; out vec4 shown;
+void main() {
+  float power = 0.5 * (conic.x * away.x * away.x + conic.z * away.y * away.y) + conic.y * away.x * away.y;
+  float alpha = min(0.999, color.a * exp(-power));
+  if (alpha < 1.0 / 255.0) discard;
+  shown = vec4(color.rgb * alpha, alpha);
+}`;
+
+function program(gl) {
+  const made = gl.createProgram();
+  for (const [type, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, FRAGMENT]]) {
+    const shader = gl.createShader(type);
+    gl.shaderSource(shader, source);
+    gl.compileShader(shader);
+    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw new Error(gl.getShaderInfoLog(shader));
+    gl.attachShader(made, shader);
+  }
+  gl.linkProgram(made);
+  if (!gl.getProgramParameter(made, gl.LINK_STATUS)) throw new Error(gl.getProgramInfoLog(made));
+  return made;
+}
+
+class Renderer {
+  constructor(gl, data) {
+    this.gl = gl;
+    this.data = data;
+    this.rows = Math.ceil(data.n / ROW);
+    this.program = program(gl);
+    this.geometries = scene.rotations.map((_, which) => this.texture(gl.RGBA32F, 3 * ROW, gl.FLOAT, geometry(data, which)));
+    this.colors = data.colors.map((planes) => {
+      const texels = new Uint8Array(4 * ROW * this.rows);
+      for (let i = 0; i < data.n; i++) for (let k = 0; k < 3; k++) texels[4 * i + k] = planes[k * data.n + i];
+      return this.texture(gl.RGBA8, ROW, gl.UNSIGNED_BYTE, texels);
+    });
+    gl.useProgram(this.program);
+    this.uniform = (name) => gl.getUniformLocation(this.program, name);
+    gl.uniform1i(this.uniform("geometry"), 0);
+    gl.uniform1i(this.uniform("colors"), 1);
+    const corners = gl.createBuffer(), corner = gl.getAttribLocation(this.program, "corner");
+    gl.bindBuffer(gl.ARRAY_BUFFER, corners);
+    gl.bufferData(gl.ARRAY_BUFFER, new Float32Array([-1, -1, 1, -1, -1, 1, 1, 1]), gl.STATIC_DRAW);
+    gl.enableVertexAttribArray(corner);
+    gl.vertexAttribPointer(corner, 2, gl.FLOAT, false, 0, 0);
+    this.order = gl.createBuffer();
+    const index = gl.getAttribLocation(this.program, "index");
+    gl.bindBuffer(gl.ARRAY_BUFFER, this.order);
+    gl.enableVertexAttribArray(index);
+    gl.vertexAttribIPointer(index, 1, gl.UNSIGNED_INT, 0, 0);
+    gl.vertexAttribDivisor(index, 1);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA);
+  }
+
+  texture(format, width, type, texels) {
+    const gl = this.gl, made = gl.createTexture();
+    gl.bindTexture(gl.TEXTURE_2D, made);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.NEAREST);
+    gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MAG_FILTER, gl.NEAREST);
+    gl.texImage2D(gl.TEXTURE_2D, 0, format, width, this.rows, 0, gl.RGBA, type, texels);
+    return made;
+  }
+
+  sorted(order) {
+    this.gl.bindBuffer(this.gl.ARRAY_BUFFER, this.order);
+    this.gl.bufferData(this.gl.ARRAY_BUFFER, order, this.gl.DYNAMIC_DRAW);
+  }
+
+  draw(camera, left, right, divider, background) {
+    const gl = this.gl, { width, height } = canvas;
+    gl.viewport(0, 0, width, height);
+    gl.disable(gl.SCISSOR_TEST);
+    gl.clearColor(...background, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT);
+    const { rotation: r, translation } = camera.pose(), fit = Math.min(width / camera.size[0], height / camera.size[1]);
+    gl.uniformMatrix3fv(this.uniform("rotation"), true, r.flat());
+    gl.uniform3fv(this.uniform("translation"), translation);
+    gl.uniform2f(this.uniform("focal"), camera.focal[0] * fit, camera.focal[1] * fit);
+    gl.uniform2f(this.uniform("center"), width / 2 + (camera.center[0] - camera.size[0] / 2) * fit,
+      height / 2 + (camera.center[1] - camera.size[1] / 2) * fit);
+    gl.uniform2f(this.uniform("size"), width, height);
+    // The low-pass filter of a pixel of the photographs, so that no gaps open where the window is larger.
+    gl.uniform1f(this.uniform("blur"), 0.3 * Math.max(1, fit) ** 2);
+    const split = Math.round(divider * width);
+    gl.enable(gl.SCISSOR_TEST);
+    for (const [style, start, wide] of [[left, 0, split], [right, split, width - split]]) {
+      if (wide <= 0) continue;
+      gl.scissor(start, 0, wide, height);
+      gl.activeTexture(gl.TEXTURE0);
+      gl.bindTexture(gl.TEXTURE_2D, this.geometries[scene.styles[style].rotation]);
+      gl.activeTexture(gl.TEXTURE1);
+      gl.bindTexture(gl.TEXTURE_2D, this.colors[style]);
+      gl.drawArraysInstanced(gl.TRIANGLE_STRIP, 0, 4, this.data.n);
+    }
+  }
+}
+
+// ---- Camera: OpenCV's axes, turning about a point in front of it ---------------------------------------------------
+
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+const plus = (a, b, k = 1) => [a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]];
+const unit = (a) => { const l = Math.hypot(...a); return a.map((x) => x / l); };
+const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+function turned(v, axis, angle) {
+  const c = Math.cos(angle), s = Math.sin(angle);
+  return plus(plus(v.map((x) => c * x), cross(axis, v), s), axis, dot(axis, v) * (1 - c));
+}
+
+class Camera {
+  constructor(means) {
+    this.means = means;
+    this.down = unit(scene.cameras.reduce((sum, one) => plus(sum, one.axes[1]), [0, 0, 0]));
+    this.view = 0;
+    this.goTo(0);
+  }
+
+  goTo(view) {
+    this.view = (view + scene.cameras.length) % scene.cameras.length;
+    const one = scene.cameras[this.view];
+    ({ focal: this.focal, center: this.center, size: this.size } = one);
+    this.position = [...one.position];
+    this.axes = one.axes.map((axis) => [...axis]);
+    // The middle depth of what this camera sees is what it turns about.
+    const depths = [];
+    for (let i = 0; i < this.means.length; i += 3 * Math.ceil(this.means.length / 9000)) {
+      const away = plus([this.means[i], this.means[i + 1], this.means[i + 2]], this.position, -1);
+      const depth = dot(away, this.axes[2]);
+      const aside = Math.max(Math.abs(dot(away, this.axes[0])), Math.abs(dot(away, this.axes[1])));
+      if (depth > 0 && aside < 0.3 * depth) depths.push(depth);
+    }
+    depths.sort((a, b) => a - b);
+    this.distance = depths.length ? depths[depths.length >> 1] : 1;
+  }
+
+  pose() {
+    return { rotation: this.axes, translation: this.axes.map((axis) => -dot(axis, this.position)) };
+  }
+
+  turn(x, y) {
+    const pivot = plus(this.position, this.axes[2], this.distance);
+    for (const [axis, angle] of [[this.down, -x], [this.axes[0], y]]) {
+      const next = this.axes.map((one) => turned(one, axis, angle));
+      if (axis === this.down || Math.abs(dot(next[2], this.down)) < 0.985) this.axes = next;
+    }
+    this.axes[0] = unit(cross(this.axes[1], this.axes[2]));
+    this.axes[1] = unit(cross(this.axes[2], this.axes[0]));
+    this.axes[2] = unit(this.axes[2]);
+    this.position = plus(pivot, this.axes[2], -this.distance);
+  }
+
+  move(right, down, forward) {
+    const step = this.distance;
+    [right, down, forward].forEach((amount, k) => { this.position = plus(this.position, this.axes[k], amount * step); });
+  }
+
+  nearer(factor) {
+    const pivot = plus(this.position, this.axes[2], this.distance);
+    this.distance = Math.max(1e-3, this.distance / factor);
+    this.position = plus(pivot, this.axes[2], -this.distance);
+  }
+}
+
+// ---- The page ------------------------------------------------------------------------------------------------------
+
+function listen(camera, changed, actions) {
+  const pointers = new Map();
+  canvas.addEventListener("contextmenu", (event) => event.preventDefault());
+  canvas.addEventListener("pointerdown", (event) => {
+    canvas.setPointerCapture(event.pointerId);
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
+  });
+  for (const name of ["pointerup", "pointercancel"]) {
+    canvas.addEventListener(name, (event) => pointers.delete(event.pointerId));
+  }
+  canvas.addEventListener("pointermove", (event) => {
+    const before = pointers.get(event.pointerId);
+    if (!before) return;
+    const apart = () => { const [a, b] = [...pointers.values()]; return Math.hypot(a[0] - b[0], a[1] - b[1]); };
+    const x = event.clientX - before[0], y = event.clientY - before[1], side = Math.min(innerWidth, innerHeight);
+    const gap = pointers.size === 2 ? apart() : 0;
+    pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    if (pointers.size === 2) {
+      camera.nearer(apart() / Math.max(gap, 1));
+      camera.move(-x / side / 2, -y / side / 2, 0);
+    } else if (event.buttons & 2 || event.shiftKey) camera.move(-x / side, -y / side, 0);
+    else camera.turn(3 * x / side, -3 * y / side);
+    changed();
+  });
+  canvas.addEventListener("wheel", (event) => {
+    event.preventDefault();
+    camera.nearer(Math.exp(-event.deltaY * (event.deltaMode ? 0.03 : 0.001)));
+    changed();
+  }, { passive: false });
+  const keys = {
+    ArrowLeft: () => camera.turn(-0.06, 0), ArrowRight: () => camera.turn(0.06, 0),
+    ArrowUp: () => camera.turn(0, 0.06), ArrowDown: () => camera.turn(0, -0.06),
+    "+": () => camera.nearer(1.1), "=": () => camera.nearer(1.1), "-": () => camera.nearer(1 / 1.1),
+    w: () => camera.move(0, 0, 0.05), s: () => camera.move(0, 0, -0.05),
+    a: () => camera.move(-0.05, 0, 0), d: () => camera.move(0.05, 0, 0), ...actions,
+  };
+  addEventListener("keydown", (event) => {
+    const choosing = /^(INPUT|BUTTON)$/.test(event.target.tagName) && /^(Arrow|Enter| )/.test(event.key);
+    const action = keys[event.key] || keys[event.key.toLowerCase()];
+    if (event.ctrlKey || event.metaKey || event.altKey || choosing) return;
+    if (/^[1-9]$/.test(event.key)) keys.style(Number(event.key) - 1);
+    else if (action) action();
+    else return;
+    event.preventDefault();
+    changed();
+  });
+}
+
+async function main() {
+  element("title").textContent = scene.title;
+  for (const note of scene.notes) {
+    element("notes").append(Object.assign(document.createElement("p"), { textContent: note }));
+  }
+  const gl = canvas.getContext("webgl2", { alpha: false, antialias: false, preserveDrawingBuffer: true });
+  if (!gl) throw new Error("This browser shows no WebGL 2, which the scene needs.");
+  const data = await unpack(), renderer = new Renderer(gl, data), camera = new Camera(data.means);
+  const worker = new Worker(URL.createObjectURL(new Blob([`(${sorter})()`], { type: "text/javascript" })));
+  worker.postMessage({ means: data.means });
+  const state = { style: scene.first, other: 0, compare: false, divider: 0.5 };
+  let wanted = null, sorting = false, waiting = false, settled = [];
+
+  const background = () => {
+    const [r, g, b] = getComputedStyle(document.documentElement).getPropertyValue("--ground").match(/\w\w/g);
+    return [r, g, b].map((two) => parseInt(two, 16) / 255);
+  };
+  const draw = () => {
+    waiting = false;
+    const scale = Math.min(devicePixelRatio || 1, 2);
+    const [width, height] = [Math.round(innerWidth * scale), Math.round(innerHeight * scale)];
+    if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+    const { compare, divider, other, style } = state;
+    renderer.draw(camera, compare ? other : style, style, compare ? divider : 0, background());
+    if (!sorting && !wanted) settled.splice(0).forEach((resolve) => resolve());
+  };
+  const redraw = () => { if (!waiting) { waiting = true; requestAnimationFrame(draw); } };
+  const sort = () => {
+    if (sorting || !wanted) return;
+    sorting = true;
+    worker.postMessage({ forward: wanted });
+    wanted = null;
+  };
+  worker.onmessage = ({ data: { order } }) => {
+    sorting = false;
+    renderer.sorted(order);
+    sort();
+    redraw();
+  };
+  const changed = () => { wanted = camera.axes[2]; sort(); redraw(); };
+
+  const radios = scene.styles.map((style, index) => {
+    const label = document.createElement("label"), input = document.createElement("input");
+    Object.assign(input, { type: "radio", name: "style", value: index });
+    label.title = style.title;
+    label.append(input, Object.assign(document.createElement("span"), { textContent: style.title }));
+    input.addEventListener("change", () => choose(index));
+    element("styles").append(label);
+    return input;
+  });
+  const choose = (index) => {
+    if (!radios[index]) return;
+    state.style = index;
+    radios[index].checked = true;
+    radios[index].parentElement.scrollIntoView({ block: "nearest", inline: "nearest" });
+    redraw();
+  };
+  const compare = (on) => {
+    state.compare = on;
+    element("compare").setAttribute("aria-pressed", on);
+    element("divider").hidden = !on;
+    redraw();
+  };
+  const go = (view) => { camera.goTo(view); changed(); };
+  const about = () => {
+    const caption = element("caption");
+    caption.hidden = !caption.hidden;
+    element("about").setAttribute("aria-expanded", !caption.hidden);
+  };
+  element("compare").disabled = scene.styles.length < 2;
+  element("compare").onclick = () => compare(!state.compare);
+  element("divider").oninput = (event) => { state.divider = Number(event.target.value); redraw(); };
+  element("previous").onclick = () => go(camera.view - 1);
+  element("next").onclick = () => go(camera.view + 1);
+  element("about").onclick = about;
+  listen(camera, changed, {
+    "[": () => go(camera.view - 1), "]": () => go(camera.view + 1), r: () => go(0),
+    c: () => compare(!state.compare && scene.styles.length > 1), h: () => document.body.classList.toggle("bare"), style: choose,
+  });
+  addEventListener("resize", redraw);
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+  choose(scene.first);
+  changed();
+  // For other programs: what the page can be asked, each answered when the picture stands.
+  const stands = () => new Promise((resolve) => { settled.push(resolve); changed(); });
+  window.anystyle = {
+    scene, choose: (index) => { choose(index); return stands(); }, go: (view) => { go(view); return stands(); },
+    compare: (on, divider = 0.5) => { state.divider = divider; compare(on); return stands(); }, camera, stands,
+  };
+  await stands();
+  element("status").textContent = "";
+  document.body.dataset.ready = "true";
+}
+
+main().catch((error) => { element("status").textContent = error.message; document.body.dataset.ready = "failed"; throw error; });

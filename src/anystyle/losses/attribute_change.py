@@ -1,0 +1,32 @@
+"""Attribute change: Gaussians keep their sizes and opacities."""
+
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import Loss
+from anystyle.types import Stylization
+
+
+class AttributeChange(Loss):
+    """Keep scales and opacities of a scene that has Gaussians of its own (StylizedGS, Zhang et al. 2024, section 3.3).
+
+    ``s mean |scale - scale^before| + o mean |opacity - opacity^before|``. Nothing where a backbone predicts the scene,
+    whose Gaussians are no part of it.
+
+    Args:
+        scale_weight: ``s``; 0.05 in StylizedGS.
+        opacity_weight: ``o``; 0.05 in StylizedGS.
+        weight: In the objective.
+    """
+
+    def __init__(self, *, scale_weight: float = 0.05, opacity_weight: float = 0.05, weight: float = 1.0) -> None:
+        super().__init__()
+        self.scale_weight, self.opacity_weight, self.weight = scale_weight, opacity_weight, weight
+
+    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+        """See :meth:`anystyle.contracts.Loss.forward`."""
+        before, after = result.scene.gaussians, result.gaussians
+        if before is None:
+            return 0.0 * result.renders.color.sum()
+        scale = (after.scales - before.scales).abs().mean()
+        return self.scale_weight * scale + self.opacity_weight * (after.opacities - before.opacities).abs().mean()

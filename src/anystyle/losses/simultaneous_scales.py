@@ -1,0 +1,93 @@
+"""Simultaneously optimised scales: Gram matrices, means and deviations at many sizes at once."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.losses._features import FeatureLoss
+from anystyle.losses._style import mean_where, style_images
+from anystyle.perception.eager_backward import eager_backward
+from anystyle.perception.statistics import gram, mean_std
+from anystyle.types import Stylization
+
+
+class SimultaneousScales(FeatureLoss):
+    """Match Gram matrices, means and deviations of features at every scale of an image pyramid (SOS of SGSST).
+
+    ``sum_s sum_l g / C_l^2 mean_ij (G_ij - G_ij^style)^2 + m (mean_c (mu - mu^style)^2 + mean_c (sigma -
+    sigma^style)^2)``: Galerne et al. 2025; scale ``s`` halves render and style image ``s`` times. Features of a layer
+    are divided by their mean over the style image at that scale, as the network whose weights these are has
+    activations of mean 1.
+
+    Args:
+        network: A network of :func:`anystyle.perception.load`, or several to choose from; see ``NNFM``.
+        layers: Whose statistics.
+        scales: How many sizes; fewer where the smallest would be under 16 pixels.
+        gram_weight: ``g``; 1000 in SGSST, as in Gatys et al. 2017.
+        moments_weight: ``m``; 10,000 in SGSST.
+        size: Side that renders and style images are squashed to before; none keeps each as it is.
+        weight: In the objective.
+    """
+
+    def __init__(
+        self,
+        *,
+        network: str = "vgg19",
+        layers: Sequence[str] = ("relu1_1", "relu2_1", "relu3_1", "relu4_1", "relu5_1"),
+        scales: int = 3,
+        gram_weight: float = 1e3,
+        moments_weight: float = 1e4,
+        size: int | None = None,
+        weight: float = 1.0,
+    ) -> None:
+        super().__init__(network, layers, size, weight)
+        if scales < 1:
+            raise ValueError(f"loss.simultaneous_scales.scales={scales}; give at least 1")
+        self.scales, self.gram_weight, self.moments_weight = scales, gram_weight, moments_weight
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """The bundled network, on small pictures."""
+        return {"network": "texture", "layers": ("relu1_1", "relu2_1"), "scales": 2}
+
+    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+        """See :meth:`anystyle.contracts.Loss.forward`."""
+        styles = style_images(result)
+        color = result.renders.color
+        if styles is None:
+            return color.new_zeros(())
+        style, given = styles
+        num_views = color.shape[1]
+
+        def distance(images: Tensor) -> Tensor:
+            total = images.new_zeros(len(images))
+            for scale in range(self.scales):
+                small, small_style = halved(images, scale), halved(style, scale)
+                if min(*small.shape[-2:], *small_style.shape[-2:]) < 16:
+                    break
+                total = total + self._at_one_scale(small, small_style, num_views)
+            return mean_where(total, given.repeat_interleave(num_views))
+
+        return eager_backward(distance, color.flatten(0, 1))
+
+    def _at_one_scale(self, images: Tensor, style: Tensor, num_views: int) -> Float[Tensor, " M"]:
+        with torch.no_grad():
+            targets = self.features(style)
+        total = images.new_zeros(len(images))
+        for features, target in zip(self.features(images), targets, strict=True):
+            unit = target.mean((1, 2, 3), keepdim=True).clamp_min(1e-6)
+            features, target = features / unit.repeat_interleave(num_views, 0), target / unit
+            pairs = zip((gram(features), *mean_std(features)), (gram(target), *mean_std(target)), strict=True)
+            terms = [(a - b.repeat_interleave(num_views, 0)).square().flatten(1).mean(1) for a, b in pairs]
+            total = total + self.gram_weight / features.shape[1] ** 2 * terms[0]
+            total = total + self.moments_weight * (terms[1] + terms[2])
+        return total
+
+
+def halved(images: Float[Tensor, "M 3 H W"], times: int) -> Float[Tensor, "M 3 h w"]:
+    """Images at half the size, so many times over."""
+    return F.avg_pool2d(images, 2**times) if times else images

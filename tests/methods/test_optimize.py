@@ -1,0 +1,149 @@
+"""The loop of per-scene methods and its presets."""
+
+import pytest
+import torch
+
+from anystyle.losses.total_variation import TotalVariation
+from anystyle.methods.scene_loop import SceneLoop
+from anystyle.types import Gaussians, Style
+from methods.worlds import method, painting, run, scene, stylizer
+
+GEOMETRY = ("means", "rotations", "scales", "opacities")
+WEIGHTS = {
+    "nnfm": {"nnfm": 1.0, "content": 0.005, "total_variation": 1.0},
+    "stylized_gs": {
+        "nnfm": 5.0, "content": 0.005, "total_variation": 1.0, "depth_consistency": 0.01, "attribute_change": 1.0,
+    },
+    "sos": {"simultaneous_scales": 1.0, "content": 1.0},
+    "clip": {"clip_directional": 5.0, "clip_patch": 90.0, "content": 0.8},
+}  # fmt: skip
+"""As docs/rivals.md cites them."""
+SMALL = {"clip": ["loss.clip_patch.crops=1", "loss.clip_patch.crop_size=32"]}
+
+
+def loop_of(chosen, given=None):
+    style = painting()
+    embedding = stylizer().embed(image=style.image)
+    return SceneLoop(stylizer(), given or scene(), style, embedding, chosen.losses, chosen.schedule)
+
+
+@pytest.mark.parametrize("preset", WEIGHTS)
+def test_a_preset_is_the_sum_that_its_paper_says(preset):
+    chosen = method(f"method={preset}", *SMALL.get(preset, []))
+    assert {name: loss.weight for name, loss in chosen.losses.items()} == WEIGHTS[preset]
+    loop = loop_of(chosen)
+    terms = {}
+    for name, loss in chosen.losses.items():
+        loss.register_forward_hook(lambda module, inputs, value, name=name: terms.update({name: float(value.detach())}))
+    total = float(loop.loss(2).detach())
+    assert terms.keys() == WEIGHTS[preset].keys()
+    assert total == pytest.approx(sum(WEIGHTS[preset][name] * value for name, value in terms.items()), rel=1e-5)
+
+
+@pytest.mark.parametrize("preset", WEIGHTS)
+def test_what_does_not_move_keeps_its_bits(preset):
+    chosen = method(f"method={preset}", "method.num_steps=3", *SMALL.get(preset, []))
+    given = scene()
+    reports = []
+    result = run(chosen, given=given, on_progress=reports.append)
+    assert reports[-1].line.startswith("step 3 of 3: loss ") and reports[-1].thumbnail.shape == (3, 48, 48)
+    moving = preset in ("stylized_gs", "clip")
+    for name in GEOMETRY:
+        assert torch.equal(getattr(result, name), getattr(given.gaussians, name)) is not moving, name
+    assert not torch.equal(result.harmonics, given.gaussians.harmonics)
+
+
+@pytest.mark.parametrize("preset", ["nnfm", "sos"])
+def test_the_loss_falls(preset):
+    losses = []
+    words = (f"method={preset}", "method.num_steps=16", "method.report_every=4")
+    run(
+        method(*words), on_progress=lambda progress: losses.append(float(progress.line.split("loss ")[1].split(",")[0]))
+    )
+    assert losses[-1] < losses[0]
+
+
+def test_a_stopped_run_goes_on_bit_for_bit(tmp_path):
+    words = ("method=nnfm", "method.num_steps=12", "method.split_every=5", "method.report_every=4")
+    whole = run(method(*words))
+    stopped = method(*words, f"method.state={tmp_path}")
+
+    def stop(progress):
+        if progress.line.startswith("step 12"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(stopped, on_progress=stop)
+    assert len(list(tmp_path.glob("*.pt"))) == 1
+    lines = []
+    resumed = run(stopped, on_progress=lambda progress: lines.append(progress.line))
+    for name, value in vars(whole).items():
+        assert torch.equal(value, getattr(resumed, name)), name
+    assert [line.split()[1] for line in lines] == ["12"] and not list(tmp_path.iterdir())
+
+
+def test_a_split_keeps_what_is_seen_and_adds_gaussians():
+    chosen = method("method=nnfm", "method.num_steps=8", "method.split_every=4", "method.split_fraction=0.25")
+    loop = loop_of(chosen)
+    before = loop.thumbnail()
+    children = loop.splats.split(torch.arange(0, 400, 2))
+    assert len(loop.splats) == 33 * 33 + 200 == len(children)
+    assert (loop.thumbnail() - before).abs().mean() < 0.03
+    result = run(chosen)
+    assert result.means.shape[1] == round(33 * 33 * 1.25) and result.opacities.isfinite().all()
+
+
+def test_a_split_halves_lie_on_the_longest_axis():
+    chosen = method("method=stylized_gs", "method.split_every=4")
+    given = scene()
+    long = given.gaussians.scales.clone()
+    long[:, :, 1] = 0.3
+    quarter = torch.tensor([0.5**0.5, 0.0, 0.0, 0.5**0.5])  # about z: the second axis lies along -x
+    turned = Gaussians(
+        given.gaussians.means, quarter.expand(1, 1089, 4), long, *list(vars(given.gaussians).values())[3:]
+    )
+    loop = loop_of(chosen, type(given)(**{**vars(given), "gaussians": turned}))
+    loop.splats.split(torch.tensor([7]))
+    after = loop.splats.gaussians()
+    centre = given.gaussians.means[0, 7]
+    torch.testing.assert_close((after.means[0, 7] + after.means[0, -1]) / 2, centre)
+    torch.testing.assert_close((after.means[0, 7] - centre).abs(), torch.tensor([0.15, 0.0, 0.0]), rtol=0, atol=1e-6)
+    torch.testing.assert_close(after.scales[0, [7, -1]], torch.tensor([0.08, 0.3 / 1.6, 0.08]).expand(2, 3))
+
+
+def test_colours_are_matched_after():
+    chosen = method("method=optimize", "loss=[total_variation]", "method.num_steps=1", "method.recolor=both")
+    result = run(chosen)
+    with torch.no_grad():
+        renders = stylizer().render(result, scene().cameras).color[0]
+    style = painting().image
+    torch.testing.assert_close(renders.mean((0, 2, 3)), style.mean((0, 2, 3)), rtol=0, atol=0.06)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["method=optimize"], "nothing to minimise"),
+        (["method=nnfm", "method.colors_lr=0"], "give one above 0"),
+        (["method=nnfm", "method.means_lr=-1"], "none below"),
+        (["method=nnfm", "method.num_steps=0"], "at least 1"),
+        (["method=nnfm", "method.recolor=sometimes"], "recolor"),
+    ],
+)
+def test_nonsense_is_refused_in_a_line(words, message):
+    with pytest.raises(ValueError, match=message) as caught:
+        method(*words)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_text_is_refused_where_an_image_is_read():
+    with pytest.raises(ValueError, match="--image"):
+        run(method("method=nnfm"), Style(text=("red stripes",)))
+    chosen = method("method=clip", "method.num_steps=2", *SMALL["clip"])
+    assert run(chosen, Style(text=("red stripes",))).harmonics.isfinite().all()
+
+
+def test_networks_are_named():
+    chosen = method("method=nnfm")
+    assert [(source.network, source.stand_in) for source in chosen.sources] == [("vgg16", "texture")]
+    assert isinstance(chosen.losses["total_variation"], TotalVariation)

@@ -1,0 +1,200 @@
+"""How a style is applied: closed forms, scipy, and the ends that must be exact."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from scipy.spatial.transform import Rotation, Slerp
+
+import anystyle
+from anystyle.api import Controls, VideoOptions, ViewOptions
+from anystyle.commands._compose import main
+from anystyle.commands._controls import given_controls, with_values
+from anystyle.commands.stylize import parser, stylize
+from anystyle.data.folder import SourceImage
+from anystyle.geometry.harmonics import colors
+from anystyle.inference.controls import LUMA, blended, rescaled, with_colors_of
+from anystyle.inference.masks import Box, Photographs, Shown, Sphere, inside, parsed
+from anystyle.renderers.torch import TorchRenderer
+from anystyle.types import Cameras, Gaussians
+
+VIEWS = ViewOptions(short_side=56, take=3)
+VIDEO = VideoOptions(frames=2, scale=0.5)
+
+
+def gaussians_of(count=40, coefficients=4, seed=0):
+    generator = torch.Generator().manual_seed(seed)
+    return Gaussians(
+        means=torch.randn(1, count, 3, generator=generator),
+        rotations=torch.randn(1, count, 4, generator=generator),
+        scales=torch.rand(1, count, 3, generator=generator) * 0.1,
+        opacities=torch.rand(1, count, generator=generator),
+        harmonics=torch.randn(1, count, coefficients, 3, generator=generator) * 0.2,
+    )
+
+
+def test_the_ends_of_strength_have_the_bits_of_each_scene():
+    first, second = gaussians_of(), gaussians_of(seed=1)
+    weights = (torch.arange(40) % 2)[None].float()
+    mixed = blended(first, second, weights)
+    for item in fields(Gaussians):
+        one, two, both = (getattr(value, item.name) for value in (first, second, mixed))
+        assert torch.equal(both[:, ::2], one[:, ::2]) and torch.equal(both[:, 1::2], two[:, 1::2]), item.name
+
+
+def test_halfway_is_the_middle_of_colours_and_the_middle_rotation():
+    first, second = gaussians_of(coefficients=1), gaussians_of(seed=1)
+    middle = blended(first, second, 0.5)
+    torch.testing.assert_close(middle.harmonics[:, :, 0], (first.harmonics + second.harmonics[:, :, :1])[:, :, 0] / 2)
+    torch.testing.assert_close(middle.harmonics[:, :, 1:], second.harmonics[:, :, 1:] / 2)
+    for index in range(40):
+        both = np.stack([first.rotations[0, index].numpy(), second.rotations[0, index].numpy()])
+        expected = Slerp([0, 1], Rotation.from_quat(both, scalar_first=True))(0.5)
+        actual = Rotation.from_quat(middle.rotations[0, index].numpy(), scalar_first=True)
+        assert (expected * actual.inv()).magnitude() < 1e-5
+
+
+def test_scenes_of_different_sizes_are_not_blended():
+    with pytest.raises(ValueError, match="40 and 41 Gaussians"):
+        blended(gaussians_of(), gaussians_of(count=41), 0.5)
+
+
+def test_preserved_colours_have_the_styles_brightness_and_the_scenes_hues_from_every_direction():
+    scene, styled = gaussians_of(coefficients=1), gaussians_of(coefficients=9, seed=1)
+    kept = with_colors_of(scene, styled)
+    directions = torch.nn.functional.normalize(
+        torch.randn(1, 40, 3, generator=torch.Generator().manual_seed(2)), dim=-1
+    )
+
+    def shown(gaussians):
+        # An offset keeps all above the cut at 0, so that colours are linear.
+        lifted = gaussians.harmonics.clone()
+        lifted[:, :, 0] += 20
+        return colors(lifted, directions)
+
+    luma = torch.tensor(LUMA)
+    torch.testing.assert_close(shown(kept) @ luma, shown(styled) @ luma)
+    chroma = [rgb - (rgb @ luma)[..., None] for rgb in (shown(kept), shown(scene))]
+    torch.testing.assert_close(chroma[0], chroma[1], rtol=0, atol=1e-5)
+    assert torch.equal(with_colors_of(scene, styled, 0.0).harmonics, styled.harmonics)
+
+
+def test_strokes_grow_as_the_scale_says():
+    image = torch.rand(3, 32, 48, generator=torch.Generator().manual_seed(0))
+    assert rescaled(image, 1.0) is image
+    x = torch.linspace(0, 1, 48).expand(3, 32, 48)
+    # Twice as large: the middle half of a ramp, stretched over the image.
+    ramp = rescaled(x, 2.0)
+    assert float(ramp[0, 0, -1] - ramp[0, 0, 0]) == pytest.approx(0.5 * 47 / 47, abs=0.03)
+    # Half as large: the whole among its mirrors, so that the ramp runs down, up and down.
+    small = rescaled(x, 0.5)[0, 16]
+    assert float(small[12:36].diff().min()) >= -0.01 and float(small[:12].diff().max()) <= 0.01
+    assert rescaled(image, 0.5).shape == image.shape == rescaled(image, 3.0).shape
+
+
+def test_signed_distances_of_a_sphere_and_a_box():
+    gaussians = gaussians_of(count=200)
+    shown = Shown([], Cameras(torch.eye(4)[None, None], torch.eye(3)[None, None], (2, 2)), TorchRenderer())
+    points = gaussians.means[0]
+    ball = Sphere((0.1, 0.2, 0.3), 1.0).weights(gaussians, shown)[0]
+    assert torch.equal(ball == 1, (points - torch.tensor([0.1, 0.2, 0.3])).norm(dim=1) <= 1)
+    low, high = torch.tensor([-0.5, -1.0, -0.2]), torch.tensor([0.7, 0.3, 0.9])
+    box = Box(tuple(low.tolist()), tuple(high.tolist())).weights(gaussians, shown)[0]
+    assert torch.equal(box == 1, ((points >= low) & (points <= high)).all(1)) and 0 < box.mean() < 1
+    soft = Box(tuple(low.tolist()), tuple(high.tolist()), soft=0.5).weights(gaussians, shown)[0]
+    outside = torch.maximum(low - points, points - high).clamp_min(0).norm(dim=1)
+    assert bool((soft[outside > 0.25] == 0).all()) and bool((soft[box == 1] >= 0.5 - 1e-6).all())
+
+
+def test_a_soft_edge_runs_smoothly_from_one_to_zero():
+    distance = torch.linspace(-1, 1, 101)
+    weights = inside(distance, 1.0)
+    assert weights[0] == 1 and weights[-1] == 0 and float(weights[50]) == pytest.approx(0.5)
+    assert bool((weights.diff() <= 0).all())
+    torch.testing.assert_close(weights + weights.flip(0), torch.ones(101))
+
+
+def test_masks_of_photographs_reach_the_gaussians_that_show_in_them(tmp_path):
+    """Gaussians left of the middle of a view get its dark half; the mask has twice the view's size."""
+    size = (48, 64)
+    x = torch.tensor([-0.4, -0.2, 0.2, 0.4])
+    gaussians = replace(
+        gaussians_of(count=4),
+        means=torch.stack([x, torch.zeros(4), torch.full((4,), 2.0)], 1)[None],
+        scales=torch.full((1, 4, 3), 0.03),
+        opacities=torch.full((1, 4), 0.9),
+    )
+    intrinsics = torch.tensor([[64.0, 0, 32], [0, 64.0, 24], [0, 0, 1]])
+    cameras = Cameras(torch.eye(4)[None, None], intrinsics[None, None], size)
+    mask = np.zeros((96, 128), np.uint8)
+    mask[:, 64:] = 255
+    Image.fromarray(mask).save(tmp_path / "one.png")
+    shown = Shown([SourceImage.unchanged("one", size)], cameras, TorchRenderer())
+    weights = Photographs(tmp_path).weights(gaussians, shown)[0]
+    assert weights.shape == (4,) and weights[:2].max() < 0.02 and weights[2:].min() > 0.98
+    behind = replace(gaussians, means=gaussians.means * torch.tensor([1.0, 1.0, -1.0]))
+    assert float(Photographs(tmp_path).weights(behind, shown).abs().max()) < 1e-5
+    with pytest.raises(ValueError, match="no mask for the photograph two"):
+        Photographs(tmp_path).weights(gaussians, replace(shown, sources=[SourceImage.unchanged("two", size)]))
+
+
+@pytest.mark.parametrize("word", ["nowhere", "sphere:1,2,3", "sphere:1,2,3,-1", "box:1,2,3,0,0,0", "sphere:a,b,c,d"])
+def test_what_is_no_mask_is_refused(word):
+    with pytest.raises(ValueError, match="mask"):
+        parsed(word)
+
+
+def test_words_become_masks(tmp_path):
+    assert parsed("sphere:1,2,3,0.5,soft=0.1") == Sphere((1.0, 2.0, 3.0), 0.5, 0.1)
+    assert parsed("box:0,0,0,1,2,3") == Box((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
+    assert parsed(f"{tmp_path},soft=0") == Photographs(tmp_path, 0.0)
+
+
+def test_flags_become_every_combination():
+    words = with_values(["--strength", "0,0.5", "--preserve-color", "photos", "--scale", "2", "--text", "x"])
+    controls = given_controls(parser().parse_intermixed_args(words))
+    assert controls == [Controls(0.0, 1.0, 2.0), Controls(0.5, 1.0, 2.0)]
+    assert given_controls(parser().parse_args([])) == [Controls()]
+    for words in (["--strength", "x"], ["--strength", "1.5"], ["--scale", "0"]):
+        with pytest.raises(ValueError):
+            given_controls(parser().parse_args(words))
+
+
+@pytest.fixture(scope="module")
+def photographs(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("photographs")
+    pixels = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
+    for number in range(3):
+        Image.fromarray(np.roll(pixels, 3 * number, 1)).save(folder / f"IMG{number}.png")
+    return folder
+
+
+def test_strength_zero_is_the_unstyled_scene_bit_for_bit_and_a_list_is_a_strip(photographs, tmp_path):
+    words = ["views.short_side=56", "views.take=3", "video.frames=2", "video.scale=0.5"]
+    main("stylize", stylize, parser(), [str(photographs), "--text", "dots", "--strength", "0,0.5,1", "--out",
+                                        str(tmp_path / "out"), *words])  # fmt: skip
+    results = anystyle.stylize(photographs, "dots", views=VIEWS, video=VIDEO)
+    results.controlled.unstyled.save(tmp_path / "unstyled.ply")
+    results[0].gaussians.save(tmp_path / "styled.ply")
+    folders = sorted(path for path in (tmp_path / "out").iterdir() if path.is_dir())
+    assert [folder.name for folder in folders] == ["01-dots_strength-0", "02-dots_strength-0-5", "03-dots"]
+    assert (folders[0] / "scene.ply").read_bytes() == (tmp_path / "unstyled.ply").read_bytes()
+    assert (folders[2] / "scene.ply").read_bytes() == (tmp_path / "styled.ply").read_bytes()
+    with Image.open(tmp_path / "out" / "sheet.png") as sheet:
+        assert sheet.width > 5 * 220  # the photograph, the unstyled scene, and three strengths
+
+
+def test_a_mask_and_preserved_colour_change_what_they_are_for(photographs):
+    stylizer = anystyle.load()
+    everywhere = Sphere((0.0, 0.0, 0.0), 1e6)
+    nowhere = Sphere((0.0, 0.0, 0.0), 1e-9)
+    controls = [Controls(mask=everywhere), Controls(mask=nowhere), Controls(preserve_color=1.0), Controls()]
+    results = anystyle.stylize(photographs, "dots", model=stylizer, views=VIEWS, controls=controls)
+    full, none, preserved, plain = (result.gaussians for result in results)
+    assert torch.equal(full.harmonics, plain.harmonics)
+    assert torch.equal(none.harmonics, results.controlled.unstyled.harmonics)
+    assert not torch.equal(preserved.harmonics, plain.harmonics)
+    with pytest.raises(ValueError, match="is a text"):
+        anystyle.stylize(photographs, "dots", model=stylizer, views=VIEWS, controls=Controls(scale=2.0))
