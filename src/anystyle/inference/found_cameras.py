@@ -51,17 +51,21 @@ def read_photographs(inputs: Sequence[Path], options: ViewOptions) -> list[Origi
 
 
 def find_cameras(
-    originals: Sequence[Original], *, short_side: int, multiple: int, progress: Callable[[str], None]
+    originals: Sequence[Original],
+    *,
+    short_side: int,
+    multiple: int,
+    progress: Callable[[str], None],
+    keep: bool = True,
 ) -> FoundCameras | Verdict:
     """Find the cameras of photographs, and make views of one size of those that have one.
-
-    What is found is kept in the user's cache folder, for the next run with the same photographs.
 
     Args:
         originals: Of one scene.
         short_side: Of the views, in pixels; rounded to a multiple.
         multiple: Sides of views are multiples of it.
         progress: Told what is done.
+        keep: Whether what is found is kept for the next run with the same photographs.
 
     Returns:
         The verdict alone where there are no cameras.
@@ -74,7 +78,7 @@ def find_cameras(
         photographs,
         ordered=all(original.path is None for original in originals),
         threads=torch.get_num_threads(),
-        keep=True,
+        keep=keep,
         progress=lambda stage, done, total: progress(f"{stage}: {done} of {total}"),
     )
     registered = [int(view) for view in np.flatnonzero(posed.registered)]

@@ -190,7 +190,9 @@ class Captures(Protocol):
             cameras = known_cameras.from_files(sources).of_all([source.name for source in sources])
             return replace(views, cameras=cameras), None, {"trust": "known"}
         originals = read_photographs([path], self.views)
-        posed = find_cameras(originals, short_side=short_side, multiple=multiple, progress=lambda line: None)
+        posed = find_cameras(
+            originals, short_side=short_side, multiple=multiple, progress=lambda line: None, keep=False
+        )
         if not isinstance(posed, FoundCameras):
             raise ValueError(f"no cameras are found of {path}: {'; '.join(posed.reasons)}")
         verdict = posed.verdict
