@@ -13,6 +13,10 @@ from typing import Any
 NAMES = ("chromium", "chromium-headless-shell", "chromium-browser", "google-chrome")
 
 
+LOADED = "!!document.querySelector('[data-loaded]')"
+"""A set of the form is shown, with every picture."""
+
+
 def find_chromium() -> str | None:
     """The browser's program, or ``None``."""
     return os.environ.get("CHROMIUM") or next((path for name in NAMES if (path := shutil.which(name))), None)
@@ -192,3 +196,11 @@ def until(condition: Callable[[], Any], seconds: float = 120) -> Any:
             return found
         time.sleep(0.02)
     raise AssertionError("it never happened")
+
+
+def start(page: Page, url: str, clear: bool = True) -> None:
+    """Open the form as in a browser that has never been there, and begin."""
+    page.open(url)
+    if clear:
+        page.value("localStorage.clear()")
+    page.click("#start")

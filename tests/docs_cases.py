@@ -46,7 +46,7 @@ ADDED = (
     (r"anystyle evaluate .*=guides", "scenes.size=28 styles.size=28 protocol.num_scenes=1 protocol.num_styles=2"),
     (r"anystyle study design", "participants=4 sets=4 image_size=64"),
     (r"anystyle study form .*--serve", "--port 0"),
-    (r"anystyle study analyze", "--resamples 99"),
+    (r"anystyle study analyze", "sign_flip.resamples=99"),
     (r"anystyle study power", "--studies 20"),
 )
 """Words that a command is run with behind its own, by what it begins with: sizes and numbers, not what it is about."""
@@ -96,6 +96,7 @@ TELLS = {
 NOT_RUN = {
     r"pip install ": "needs a network",
     r"make (demo|setup|lint|test|test-slow)$": "sets up an environment from a network",
+    r"anystyle view \S+$": "serves until it is interrupted; viewer/test_live.py looks at it",
     r"make docs$": "tests/docs/test_site.py does what it does",
     r"python -m pytest tests/docs$": "these tests",
     r"torchrun ": "needs several graphics cards, or machines",

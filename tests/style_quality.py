@@ -1,6 +1,7 @@
 """Style quality on real captures: ``python tests/style_quality.py --split test`` prints a table in Markdown.
 
-A row is a way to stylize, without any fitting. Columns:
+A row is a way to stylize. With ``--scene single_pass`` nothing is fitted; with ``--scene fit`` Gaussians are fitted to
+the captures, whose cameras are found, and their colours are solved back in several ways. Columns:
 
 - found in colour, and in equalised grey: the share of scenes whose painting is the nearest of 35 by statistics of
   EfficientNet-Lite0, which nothing is trained with (``anystyle.perception.style_statistics``); chance is 0.03;
@@ -18,7 +19,7 @@ together.
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -33,8 +34,13 @@ from anystyle.data.images import read_image, to_tensor
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.geometry.reprojection import depth_around, reproject
 from anystyle.geometry.warp import sample_at
+from anystyle.inference.encoding import encode_capture
+from anystyle.inference.options import PoseOptions, ViewOptions
+from anystyle.inference.stages import Stages
 from anystyle.perception import efficientnet
 from anystyle.perception.style_statistics import centered_cosines, equalized_gray, style_statistics
+from anystyle.reconstructions.colors import FitColors
+from anystyle.reconstructions.fit import Fit
 from anystyle.stylizer import Stylizer
 from anystyle.types import Scene, Views
 from real_data import ROOT
@@ -94,12 +100,40 @@ def single_pass(case: Case) -> Tensor:
     return case.stylizer.render(gaussians, case.scene.cameras).color
 
 
-METHODS: dict[str, Callable[[Case], Tensor]] = {
-    "unstyled": unstyled,
-    "palette transfer": palette_transfer,
-    "2D teacher, view by view": teacher,
-    "single pass": single_pass,
+def solved(how: FitColors) -> Callable[[Case], Tensor]:
+    """The fitted scene in colours that are solved back in one way."""
+
+    def method(case: Case) -> Tensor:
+        case.stylizer.fit_colors = how
+        return single_pass(case)
+
+    return method
+
+
+METHODS: dict[str, dict[str, Callable[[Case], Tensor]]] = {
+    "single_pass": {
+        "unstyled": unstyled,
+        "palette transfer": palette_transfer,
+        "2D teacher, view by view": teacher,
+        "single pass": single_pass,
+    },
+    "fit": {
+        "unstyled": unstyled,
+        "2D teacher, view by view": teacher,
+        "fit_colors=off": solved("off"),
+        "fit_colors=mean": solved("mean"),
+        "fit_colors=2": solved(2),
+        "fit_colors=8": solved(8),
+    },
 }
+
+
+def fitted(path: Path, stylizer: Stylizer, short_side: int) -> Scene:
+    """Gaussians fitted to a capture, of at most twice as many views as are encoded elsewhere."""
+    views = ViewOptions(short_side=short_side, take=2 * NUM_VIEWS)
+    poses, stages = PoseOptions("sfm"), Stages()
+    capture = encode_capture(path, stylizer, views, poses, refined=False, stages=stages, reconstruction=Fit(holdout=0))
+    return capture.capture.groups[0].scene
 
 
 def read_capture(path: Path, short_side: int, multiple: int) -> Views:
@@ -173,23 +207,28 @@ class Tally:
 
 
 @torch.no_grad()
-def measure(stylizer: Stylizer, split: str, num_styles: int, short_side: int) -> dict[str, Tally]:
+def measure(
+    stylizer: Stylizer, captures: Sequence[str], split: str, num_styles: int, short_side: int, kind: str
+) -> dict[str, Tally]:
     """Every method on every capture of a split in the first styles."""
     network = efficientnet.load()
     choices = paintings(split)
     gallery = torch.stack([describe(network, painting) for painting in choices])  # G 2 D
-    tallies = {name: Tally() for name in METHODS}
-    for path in CAPTURES[split]:
-        views = read_capture(ROOT / path, short_side, stylizer.backbone.patch_size)
-        scene = stylizer.encode(views)
+    tallies = {name: Tally() for name in METHODS[kind]}
+    for path in captures:
+        if kind == "fit":
+            scene = fitted(ROOT / path, stylizer, short_side)
+        else:
+            scene = stylizer.encode(read_capture(ROOT / path, short_side, stylizer.backbone.patch_size))
+        photographs = scene.views.images
         base = stylizer.render(stylizer.unstyled(scene), scene.cameras)
         depth = torch.where(base.alpha > 0.5, base.depth / base.alpha.clamp_min(1e-3), 0)
         limit = 1.15 * warping_error(base.color, depth, scene) + 0.02
-        sys.stdout.write(f"{path}: {tuple(views.images.shape)}, PSNR {psnr(base.color, views.images):.1f} dB\n")
+        sys.stdout.write(f"{path}: {tuple(photographs.shape)}, PSNR {psnr(base.color, photographs):.1f} dB\n")
         sys.stdout.flush()
         cases = [Case(stylizer, scene, base.color, painting) for painting in choices[:num_styles]]
         targets = [teacher(case) for case in cases]
-        for name, method in METHODS.items():
+        for name, method in METHODS[kind].items():
             described: list[Tensor] = []
             for case, target in zip(cases, targets, strict=True):
                 started = time.process_time()
@@ -213,12 +252,16 @@ def main() -> None:
     words = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     words.add_argument("--split", choices=CAPTURES, default="tune")
     words.add_argument("--styles", type=int, default=12, help=f"paintings of the {NUM_CHOICES} to stylize in")
+    words.add_argument("--scene", choices=METHODS, default="single_pass")
+    words.add_argument("--captures", type=int, default=3, help="of the split, the first so many")
     words.add_argument("--short-side", type=int, default=112, help="of the views, in pixels")
     words.add_argument("overrides", nargs="*", help="such as injector.working_size=336")
     given = words.parse_args()
     torch.set_num_threads(1)
-    tallies = measure(anystyle.load("painter", given.overrides), given.split, given.styles, given.short_side)
-    title = f"{given.split}: {len(CAPTURES[given.split])} captures x {given.styles} paintings of {NUM_CHOICES}"
+    captures = CAPTURES[given.split][: given.captures]
+    stylizer = anystyle.load("painter", given.overrides)
+    tallies = measure(stylizer, captures, given.split, given.styles, given.short_side, given.scene)
+    title = f"{given.split}: {len(captures)} captures x {given.styles} paintings of {NUM_CHOICES}"
     columns = ("found in colour", "in equalised grey", "sharpness", "PSNR", "warp", "above its limit", "CPU s")
     lines = [f"| {' | '.join((title, *columns))} |", "|---" * (1 + len(columns)) + "|"]
     sys.stdout.write("\n".join([*lines, *(tally.row(name) for name, tally in tallies.items())]) + "\n")

@@ -17,8 +17,9 @@ from anystyle.reconstructions.fit import Fit
 from anystyle.registry import catalog as catalog_module
 from anystyle.registry.catalog import plugin
 from anystyle.testing.toy.reconstruction import ToyReconstruction
+from anystyle.testing.toy.scenes import ToyScenes
+from anystyle.testing.toy.stylizer import ToyStylizer
 from anystyle.types import Views
-from anystyle_tiny.procedural.scenes import ProceduralScenes
 from real_data import real
 from reconstructions.scenes import photographed_wall
 from reconstructions.sfm.cards import World, arc, panorama
@@ -147,13 +148,13 @@ class Wall(ToyReconstruction):
     """Registered under a name that is not its class's."""
 
 
-def test_a_report_names_a_reconstruction_as_configurations_do(stylizer, monkeypatch):
+def test_a_report_names_a_reconstruction_as_configurations_do(monkeypatch):
     monkeypatch.setattr(catalog_module, "_OWN", {})
     cardboard = plugin("reconstruction", "cardboard")(Wall)
-    views, style = ProceduralScenes(size=28, num_scenes=1).read(0, [0, 1]), torch.rand(3, 32, 32)
+    views, style, toy = ToyScenes(size=(32, 32)).read(0, [0, 1]), torch.rand(3, 32, 32), ToyStylizer().eval()
     kinds = {"feedforward": Feedforward(), "cardboard": cardboard(stride=8)}
     for kind, reconstruction in kinds.items():
-        results = anystyle.stylize(views, style, model=stylizer, reconstruction=reconstruction, video=VIDEO)
+        results = anystyle.stylize(views, style, model=toy, reconstruction=reconstruction, video=VIDEO)
         assert results[0].report["reconstruction"]["kind"] == kind
 
 

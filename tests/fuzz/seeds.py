@@ -170,11 +170,12 @@ def _studies(root: Path) -> dict[str, Case]:
     folder = _new(root / "study")
     study = design(write_results(_new(root / "results"), scenes=2, styles=2), small_plan(), folder / "study")
     rows = [
-        {"participant": person.id, "item": item, "question": question.name, "score": 1 + (index % 5),
-         "ours_is": "A" if item in person.ours_is_a else "B", "comment": "=1+1", "expected": None}
+        {"study": study.id, "participant": person.id, "item": item, "question": question.name, "side": side,
+         "score": 1 + index % 3, "seconds": 2.5, "comment": "=1+1"}
         for person in study.participants
-        for index, item in enumerate(one for one in person.order if not one.startswith("check"))
+        for index, item in enumerate(person.order)
         for question in study.plan.questions
+        for side in question.sides
     ]  # fmt: skip
     text = io.StringIO()
     writer = csv.DictWriter(text, list(rows[0]))
@@ -183,44 +184,14 @@ def _studies(root: Path) -> dict[str, Case]:
     (folder / "answers.csv").write_text(text.getvalue())
     (folder / "answers.json").write_text(json.dumps({"responses": rows}))
     with sqlite3.connect(folder / "answers.sqlite") as database:
-        database.execute("CREATE TABLE responses (participant, item, question, score, ours_is)")
-        database.executemany("INSERT INTO responses VALUES (:participant, :item, :question, :score, :ours_is)", rows)
+        database.execute(f"CREATE TABLE responses ({', '.join(rows[0])})")
+        database.executemany(f"INSERT INTO responses VALUES (:{', :'.join(rows[0])})", rows)
+    analyze = ("--study", "study", "--out", "out", "--no-report", "--test", "wilcoxon")
     cases = {
-        f"answers_{suffix}": Case(
-            (f"answers.{suffix}",),
-            (
-                "study",
-                "analyze",
-                f"answers.{suffix}",
-                "--out",
-                "out",
-                "--resamples",
-                "99",
-                "--no-report",
-                "--test",
-                "wilcoxon",
-            ),
-            3,
-        )
+        f"answers_{suffix}": Case((f"answers.{suffix}",), ("study", "analyze", f"answers.{suffix}", *analyze), 3)
         for suffix in ("csv", "json", "sqlite")
     }
-    cases["study"] = Case(
-        ("study/study.json",),
-        (
-            "study",
-            "analyze",
-            "answers.csv",
-            "--study",
-            "study",
-            "--out",
-            "out",
-            "--resamples",
-            "99",
-            "--no-report",
-            "--test",
-            "wilcoxon",
-        ),
-    )
+    cases["study"] = Case(("study/study.json",), ("study", "analyze", "answers.csv", *analyze))
     for name in cases:
         _copy(folder, root / name)
     return cases

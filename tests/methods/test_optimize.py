@@ -1,7 +1,5 @@
 """The loop of per-scene methods and its presets."""
 
-import dataclasses
-
 import pytest
 import torch
 
@@ -43,19 +41,26 @@ def test_a_preset_is_the_sum_that_its_paper_says(preset):
 
 
 @pytest.mark.parametrize("preset", WEIGHTS)
-def test_the_loss_falls_and_what_does_not_move_keeps_its_bits(preset):
-    chosen = method(f"method={preset}", "method.num_steps=8", *SMALL.get(preset, []))
+def test_what_does_not_move_keeps_its_bits(preset):
+    chosen = method(f"method={preset}", "method.num_steps=3", *SMALL.get(preset, []))
     given = scene()
     reports = []
     result = run(chosen, given=given, on_progress=reports.append)
-    assert reports[-1].line.startswith("step 8 of 8: loss ") and reports[-1].thumbnail.shape == (3, 48, 48)
+    assert reports[-1].line.startswith("step 3 of 3: loss ") and reports[-1].thumbnail.shape == (3, 48, 48)
     moving = preset in ("stylized_gs", "clip")
     for name in GEOMETRY:
         assert torch.equal(getattr(result, name), getattr(given.gaussians, name)) is not moving, name
     assert not torch.equal(result.harmonics, given.gaussians.harmonics)
-    loop, after = loop_of(chosen), loop_of(chosen, dataclasses.replace(given, gaussians=result))
-    if chosen.recolor == "none":
-        assert float(after.loss(0).detach()) < float(loop.loss(0).detach())
+
+
+@pytest.mark.parametrize("preset", ["nnfm", "sos"])
+def test_the_loss_falls(preset):
+    losses = []
+    words = (f"method={preset}", "method.num_steps=16", "method.report_every=4")
+    run(
+        method(*words), on_progress=lambda progress: losses.append(float(progress.line.split("loss ")[1].split(",")[0]))
+    )
+    assert losses[-1] < losses[0]
 
 
 def test_a_stopped_run_goes_on_bit_for_bit(tmp_path):

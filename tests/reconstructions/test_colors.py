@@ -89,3 +89,28 @@ def test_refuses_what_does_not_belong_together():
         fit_colors(scene, views, torch.rand(3, 3, 24, 32), RENDERER)
     with pytest.raises(ValueError, match="resize one"):
         fit_colors(scene, views, torch.rand(4, 3, 24, 33), RENDERER)
+
+
+class Counting(CpuRenderer):
+    """Counts its renders."""
+
+    calls = 0
+
+    def __call__(self, *scene):
+        self.calls += 1
+        return super().__call__(*scene)
+
+
+def test_a_second_style_of_a_scene_needs_fewer_renders_and_comes_to_the_same():
+    scene, views = small_scene()
+    pictures = torch.rand(2, 4, 3, 24, 32, generator=torch.Generator().manual_seed(0))
+    renderer, calls = Counting(), []
+    for targets in pictures:
+        before = renderer.calls
+        result = fit_colors(scene, views, targets, renderer, steps=2)
+        calls.append(renderer.calls - before)
+    assert calls[1] == calls[0] - 4
+    assert torch.equal(result.harmonics, fit_colors(scene, views, pictures[1], Counting(), steps=2).harmonics)
+    moved = replace(scene, means=scene.means + 0.1)
+    other = fit_colors(moved, views, pictures[1], renderer, steps=2)
+    assert torch.equal(other.harmonics, fit_colors(moved, views, pictures[1], Counting(), steps=2).harmonics)

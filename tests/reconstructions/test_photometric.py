@@ -4,7 +4,7 @@ import torch
 from skimage.metrics import structural_similarity
 from torch.nn.functional import conv2d
 
-from anystyle.reconstructions.photometric import blur, match_colors, photometric_loss, ssim
+from anystyle.reconstructions.photometric import blur, match_colors, photometric_loss, ssim, unexplained
 
 
 def pair(height=40, width=33, batch=2):
@@ -70,3 +70,14 @@ def test_colors_are_matched_in_the_dark():
     torch.testing.assert_close(match_colors(image, target), target, rtol=0, atol=1e-6)
     noisy = target + 0.001 * torch.randn(target.shape, generator=generator)
     assert (match_colors(image, noisy) - noisy).square().mean() <= (target - noisy).square().mean()
+
+
+def test_a_patch_that_differs_is_unexplained_and_fine_texture_is_not():
+    """Within the width of a window around it; what differs by single pixels does not count."""
+    images = torch.full((3, 3, 96, 96), 0.5)
+    targets = images.clone()
+    targets[1, :, 20:60, 30:70] = 0.9
+    targets[2, :, ::4, ::4] = 1.0
+    share = unexplained(images, targets)
+    assert share[0] == 0 and share[2] == 0
+    assert 38**2 <= float(share[1]) * 96**2 <= 44**2

@@ -9,6 +9,7 @@ file, design by design: run again, it goes on where it stopped; delete an entry 
 import argparse
 import json
 import math
+import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -118,7 +119,9 @@ def _crossed(scenario: Scenario, counts: Counts) -> None:
                 counts.add("comparable within a margin", 0.0, wrong.sum(), 0, weight)
 
 
-def _batch(counts: Counts, claim: str, crossing: Crossing, values: np.ndarray, truth: np.ndarray | float, effect: float) -> None:  # fmt: skip
+def _batch(
+    counts: Counts, claim: str, crossing: Crossing, values: np.ndarray, truth: np.ndarray, effect: float
+) -> None:
     found = crossing.mean(values)
     reach = special.stdtrit(found.df, 0.975) * found.error
     covered = np.abs(found.mean - truth) <= reach
@@ -216,7 +219,7 @@ def main() -> None:
             GROUPS[group](DESIGNS[name], counts)
             results[name][group] = dict(counts)
             FILE.write_text(json.dumps(results, indent=1) + "\n")
-    print(markdown(results), end="")
+    sys.stdout.write(markdown(results))
 
 
 if __name__ == "__main__":

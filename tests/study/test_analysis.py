@@ -129,7 +129,7 @@ def test_variance_components_of_a_balanced_table():
 SCENES = "participant,item,question,score,ours_is,scene,style"
 
 
-def judged(tmp_path, deviations, settings=Settings(), **names):
+def judged(tmp_path, deviations, settings):
     """An analysis of a table of deviations, participants by items, ours always A."""
     rows = [
         (f"P{person:02d}", f"S{item:02d}", "style", 3 + deviation, "A", f"c{item % 5}", f"t{item // 5}")
@@ -137,7 +137,7 @@ def judged(tmp_path, deviations, settings=Settings(), **names):
         for item, deviation in enumerate(row)
     ]
     records = read_responses([write_csv(tmp_path / "r.csv", rows, SCENES)])
-    return analyze(records, {"crossed_t": CrossedT(confidence=settings.confidence)}, settings, **names)
+    return analyze(records, {"crossed_t": CrossedT(confidence=settings.confidence)}, settings)
 
 
 @pytest.mark.parametrize(
@@ -195,14 +195,14 @@ def test_no_verdict_where_most_are_excluded_or_one_is_left(tmp_path):
     found = analyze(read_responses([path]), TESTS, Settings())
     assert verdict(found, found.questions[0]) == "No conclusion is possible: 6 of 10 participants were excluded."
     assert "6 were left out (6 for more than 0 attention checks failed)" in took_part(found)
-    one = [row for row in answer_rows(people=1, items=8, shift=-1.5)]
+    one = answer_rows(people=1, items=8, shift=-1.5)
     found = analyze(read_responses([write_csv(tmp_path / "s.csv", one)]), TESTS, Settings())
     assert "No conclusion is possible: one participant" in verdict(found, found.questions[0])
 
 
 def test_a_designed_study_is_undone_and_reported(tmp_path):
     """Answers as the form keeps them: the design says where ours was, what is a check, and who was to answer what."""
-    designed, folder = small_study(tmp_path, participants=12, repeats=1)
+    designed, _ = small_study(tmp_path, participants=12, repeats=1)
     rows = []
     for number, participant in enumerate(designed.participants):
         for name in participant.order[: 2 if number == 5 else None]:

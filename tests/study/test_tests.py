@@ -229,7 +229,8 @@ def test_several_columns_are_as_each_alone():
 
 def test_scenes_and_styles_widen_the_interval_and_the_claim():
     rows = answers(3)
-    shared = replace(rows, item_scenes=tuple(f"{i % 5}" for i in range(20)), item_styles=tuple(f"{i // 5}" for i in range(20)))  # fmt: skip
+    names = [tuple(f"{i % 5}" for i in range(20)), tuple(f"{i // 5}" for i in range(20))]
+    shared = replace(rows, item_scenes=names[0], item_styles=names[1])
     assert CrossedT()(rows).generalizes_to == ("participants", "items")
     assert CrossedT()(shared).generalizes_to == ("participants", "scenes", "styles")
     two = replace(shared, item_scenes=tuple(f"{i % 2}" for i in range(20)))

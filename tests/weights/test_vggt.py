@@ -23,7 +23,8 @@ def words(file: Path) -> list[str]:
     from anystyle_anysplat import AnySplat
 
     small = [override(f"backbone.{name}", value) for name, value in AnySplat.example(Path()).items()]
-    return ["backbone=anysplat", *small, "weights.branch=null", override("weights.backbone", str(file))]
+    weights = ["weights.branch=null", override("weights.backbone", str(file))]
+    return ["backbone=anysplat", "style_encoder=tiny", *small, *weights]
 
 
 def test_every_value_is_taken_over_and_the_gaussian_head_is_left_as_initialised(

@@ -1,11 +1,13 @@
 """Running a command on a configuration composed by Hydra: once, or once for each combination of a multirun."""
 
 import argparse
+import contextlib
 import functools
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import hydra
@@ -16,6 +18,7 @@ from omegaconf import DictConfig
 from anystyle import paths
 from anystyle.commands._flags import EPILOG, split
 from anystyle.commands._run import run, wants_traceback, words_of
+from anystyle.errors import UserError
 from anystyle.registry.compose import VERSION_BASE, check_words, choices, compose, explain, override
 from anystyle.registry.packages import groups
 from anystyle.registry.source import register
@@ -79,6 +82,22 @@ def launch(config_name: str, function: Callable[[DictConfig], Any], words: Seque
         raise failures[0]
 
 
+def with_sweep(parser: argparse.ArgumentParser, words: Sequence[str], *further: str) -> list[str]:
+    """The words, and for a multirun those that make it write into ``--out``, and further ones."""
+    with contextlib.suppress(UserError):  # raised again where the words are read for good
+        arguments, rest = split(parser, words)
+        if {"-m", "--multirun"} & set(rest):
+            return [*words, override("hydra.sweep.dir", arguments.out or "evaluation"), *further]
+    return list(words)
+
+
+def job_folder(out: str) -> Path:
+    """Where results go: ``--out``, and in a multirun a folder of each job's own in it."""
+    if not HydraConfig.initialized() or HydraConfig.get().mode is not RunMode.MULTIRUN:
+        return Path(out)
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
 @contextmanager
 def _arguments(words: Sequence[str]) -> Iterator[None]:
     """Hydra reads the process's arguments, and so does whatever starts this process again for more devices."""
@@ -109,4 +128,4 @@ def _raising() -> Iterator[None]:
                 os.environ[name] = value
 
 
-__all__ = ["compose", "explain", "launch", "main", "override", "run", "split"]
+__all__ = ["compose", "explain", "job_folder", "launch", "main", "override", "run", "split", "with_sweep"]

@@ -14,7 +14,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from anystyle.commands._bars import Bar
-from anystyle.commands._compose import describe, launch, override, run, split
+from anystyle.commands._compose import describe, job_folder, launch, override, run, split, with_sweep
 from anystyle.commands._options import Shared, checked
 from anystyle.commands._run import words_of
 from anystyle.contracts import Correspondence, Metric, SceneSource, StyleEncoder, StyleSource
@@ -175,10 +175,11 @@ def main(words: Sequence[str] | None = None) -> None:
 
         flags = parser()
         describe(flags)
-        arguments, rest = split(flags, words_of(words))
+        given = with_sweep(flags, words_of(words), "hydra.output_subdir=.hydra")
+        arguments, rest = split(flags, given)
         rest = [*folder_words(arguments), *rest]
         if arguments.trained is None:
-            launch("evaluate", lambda config: evaluate(config, Path(arguments.out or "evaluation")), rest)
+            launch("evaluate", lambda config: evaluate(config, job_folder(arguments.out or "evaluation")), rest)
             return
         runs = trained_runs(Path(arguments.trained))
         for run_ in runs:

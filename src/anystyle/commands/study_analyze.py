@@ -37,8 +37,12 @@ def parser() -> argparse.ArgumentParser:
     words.add_argument("--test", action="append", default=[], metavar="NAME", help="run only these tests")
     words.add_argument("--title", default="User study", help="of the report")
     words.add_argument("--confidence", type=float, default=0.95, help="of all intervals (default: %(default)s)")
-    words.add_argument("--alternative", choices=("two-sided", "less", "greater"), default="two-sided",
-                       help="of all tests and intervals; less claims that ours is preferred (default: %(default)s)")  # fmt: skip
+    words.add_argument(
+        "--alternative",
+        choices=("two-sided", "less", "greater"),
+        default="two-sided",
+        help="of all tests and intervals; less claims that ours is preferred (default: %(default)s)",
+    )
     words.add_argument("--seed", type=int, default=0, help="of all resampling (default: %(default)s)")
     words.add_argument(
         "--margin", type=float, metavar="SHARE", help="of the way from neutral to the scale's end, within which a "

@@ -21,9 +21,9 @@ def parser() -> argparse.ArgumentParser:
     scenario = Scenario()
     words = argparse.ArgumentParser(
         prog="anystyle study power",
-        description="Simulate studies with differences between participants, sets, scenes and styles: how often each test "
-        "finds a preference that is there and one that is not, and how many participants it needs. The defaults are "
-        "the paper's design.",
+        description="Simulate studies with differences between participants, sets, scenes and styles: how often each "
+        "test finds a preference that is there and one that is not, and how many participants it needs. The defaults "
+        "are the paper's design.",
         allow_abbrev=False,
     )
     words.add_argument("options", nargs="*", metavar="TEST.OPTION=VALUE", help="options of the tests")
@@ -50,8 +50,12 @@ def parser() -> argparse.ArgumentParser:
         words.add_argument(
             f"--{name}-sd", type=float, default=default, help=f"SD between {text} (default: %(default)s)"
         )
-    words.add_argument("--alternative", choices=("two-sided", "less", "greater"), default="two-sided",
-                       help="of the tests; less claims that ours is preferred (default: %(default)s)")  # fmt: skip
+    words.add_argument(
+        "--alternative",
+        choices=("two-sided", "less", "greater"),
+        default="two-sided",
+        help="of the tests; less claims that ours is preferred (default: %(default)s)",
+    )
     words.add_argument("--studies", type=int, default=1000, help="simulated, of each kind (default: %(default)s)")
     words.add_argument("--level", type=float, default=0.05, help="of the tests (default: %(default)s)")
     words.add_argument("--target", type=float, default=0.8, help="the power to reach (default: %(default)s)")

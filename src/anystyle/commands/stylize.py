@@ -8,16 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import torch
-from hydra.core.hydra_config import HydraConfig
-from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from anystyle import api
-from anystyle.commands._compose import main, override, split
+from anystyle.commands._compose import job_folder, main, with_sweep
 from anystyle.commands._controls import add_controls, given_controls, with_values
 from anystyle.commands._options import Stylize, checked
 from anystyle.contracts import SceneSource, StyleSource
-from anystyle.errors import UserError
 from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
 from anystyle.inference.options import PoseOptions
 from anystyle.inference.stages import Stages
@@ -174,21 +171,5 @@ def given_styles(arguments: argparse.Namespace, config: DictConfig, amounts: Seq
     return [Mixture(first, second, amount) for amount in amounts]
 
 
-def job_folder(out: str) -> Path:
-    """Where results go: ``--out``, and in a multirun a folder of each job's own in it."""
-    if not HydraConfig.initialized() or HydraConfig.get().mode is not RunMode.MULTIRUN:
-        return Path(out)
-    return Path(HydraConfig.get().runtime.output_dir)
-
-
-def with_sweep(words: Sequence[str]) -> list[str]:
-    """The words, and for a multirun the word that makes it write into ``--out``."""
-    with contextlib.suppress(UserError):  # raised again where the words are read for good
-        arguments, rest = split(parser(), words)
-        if {"-m", "--multirun"} & set(rest):
-            return [*words, override("hydra.sweep.dir", arguments.out)]
-    return list(words)
-
-
 if __name__ == "__main__":
-    main("stylize", stylize, parser(), with_sweep(with_values(sys.argv[1:])))
+    main("stylize", stylize, parser(), with_sweep(parser(), with_values(sys.argv[1:])))

@@ -74,14 +74,19 @@ def read_saved(path: Path) -> SavedScene:
     if path.is_file():
         gaussians = Gaussians.load(path)
         return SavedScene(((path.stem, gaussians),), looking_at(gaussians), ("all",), (path.name,))
-    folders = [folder for folder in [path, *sorted(path.glob("*/"))] if (folder / "scene.safetensors").is_file()]
-    if not folders:
+    if not (path / "report.json").is_file():
         raise ValueError(f"{path} has no scene that anystyle stylize wrote, and is no PLY file")
+    whole = read_json(path / "report.json", SavedReport, what="report")
+    # A folder may hold results of earlier runs beside those that its report is of.
+    folders = [path] if isinstance(whole.style, str) else sorted(file.parent for file in path.glob("*/report.json"))
     reports = [read_json(folder / "report.json", SavedReport, what="report") for folder in folders]
     styles = [
         (str(report.style), read_gaussians(folder / "scene.safetensors"))
         for folder, report in zip(folders, reports, strict=True)
+        if report.style in (whole.style if isinstance(whole.style, list) else [whole.style])
     ]
+    if not styles:
+        raise ValueError(f"{path / 'report.json'} tells of results that are not there")
     unstyled = path / "unstyled.safetensors"
     if unstyled.is_file():
         styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))

@@ -21,6 +21,8 @@ ELEVATIONS = (10.0, 35.0)
 """Degrees above the scene's middle, of two rings of chosen cameras."""
 FOCAL = 1.2
 """Of chosen cameras, in sides of their square images: 45 degrees."""
+DISTANCE = 3.0
+"""Of chosen cameras from the middle, in radii."""
 BYTES, BYTES_A_VIEW = 800, 60
 """Memory that colouring takes: of each Gaussian, and of each in each view; measured with renderer=cpu at degree 3."""
 
@@ -105,7 +107,7 @@ def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
     turn = 2 * torch.pi * torch.arange(number, dtype=torch.float32) / number
     rise = torch.deg2rad(torch.tensor(ELEVATIONS))[torch.arange(number) % len(ELEVATIONS)]
     towards = torch.stack([rise.cos() * turn.cos(), -rise.sin(), rise.cos() * turn.sin()], dim=1).to(means)
-    eye = middle + 2 * FOCAL * radius * towards
+    eye = middle + DISTANCE * radius * towards
     intrinsics = torch.tensor([[FOCAL * side, 0.0, side / 2], [0.0, FOCAL * side, side / 2], [0.0, 0.0, 1.0]])
     return Cameras(
         look_at(eye, middle.expand_as(eye))[None], intrinsics.expand(1, number, 3, 3).to(means), (side, side)

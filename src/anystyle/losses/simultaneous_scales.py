@@ -10,7 +10,7 @@ from torch import Tensor
 
 from anystyle.losses._features import FeatureLoss
 from anystyle.losses._style import mean_where, style_images
-from anystyle.perception.eager_backward import differentiated
+from anystyle.perception.eager_backward import eager_backward
 from anystyle.perception.statistics import gram, mean_std
 from anystyle.types import Stylization
 
@@ -72,7 +72,7 @@ class SimultaneousScales(FeatureLoss):
                 total = total + self._at_one_scale(small, small_style, num_views)
             return mean_where(total, given.repeat_interleave(num_views))
 
-        return differentiated(distance, color.flatten(0, 1))
+        return eager_backward(distance, color.flatten(0, 1))
 
     def _at_one_scale(self, images: Tensor, style: Tensor, num_views: int) -> Float[Tensor, " M"]:
         with torch.no_grad():

@@ -63,7 +63,7 @@ class SceneLoop(Loop):
     ) -> None:
         super().__init__(list(range(scene.views.images.shape[1])), every=schedule.report_every, seed=schedule.seed)
         self.stylizer, self.scene, self.style, self.embedding = stylizer, scene, style, embedding
-        self.losses, self.schedule = {name: loss.eval() for name, loss in losses.items()}, schedule
+        self.losses, self.schedule = {name: loss.train() for name, loss in losses.items()}, schedule
         for loss in losses.values():
             loss.to(scene.views.images.device)
         self.views, self.cameras = scene.views, scene.cameras

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from anystyle.caching import LRUCache
 from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.types import Cameras, Gaussians
@@ -109,11 +110,12 @@ def fit_colors(
         raise ValueError(
             f"targets of {tuple(targets.shape[-2:])} and cameras for {cameras.size}; resize one of the two"
         )
-    system = _System(gaussians.detach(), cameras.detach(), renderer)
+    system = _system(gaussians.detach(), cameras.detach(), renderer)
     higher = gaussians.harmonics[0, :, 1:] if keep else gaussians.harmonics[0, :, :0]
     if higher.shape[1]:
         targets = torch.stack([targets[view] - system.change_by(view, higher) for view in range(len(targets))])
-    weights, means = system.weighted_means(targets)  # N, N 3
+    weights = system.weights
+    means = system.backproject(lambda view: targets[view]) / weights.clamp_min(MIN_WEIGHT)[:, None]  # N 3
     seen = weights > MIN_WEIGHT
     colors = _conjugate_gradients(system, targets, weights * seen, means, steps, damping) if steps else means
     constant = constant_from_rgb(colors.clamp(0, 1))
@@ -174,11 +176,11 @@ class _System:
         """Each view of these colours, rendered once: every pass backward goes through them."""
         return [self.render(view, self.gray) for view in range(self.cameras.intrinsics.shape[1])]
 
-    @torch.no_grad()
     def change_by(self, view: int, higher: Float[Tensor, "N K 3"]) -> Float[Tensor, "3 H W"]:
         """What harmonics above degree 0 add to a view of grey."""
         harmonics = torch.cat([torch.zeros_like(higher[:, :1]), higher], dim=1)[None]
-        render = self.renderer(replace(self.gaussians, harmonics=harmonics), self.cameras.select([view]))
+        with torch.no_grad():
+            render = self.renderer(replace(self.gaussians, harmonics=harmonics), self.cameras.select([view]))
         return render.color[0, 0] - self.gray_renders[view].detach()
 
     def transposed(self, view: int, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
@@ -202,8 +204,19 @@ class _System:
 
         return self.backproject(change) * scale
 
-    def weighted_means(self, targets: Float[Tensor, "V 3 H W"]) -> tuple[Float[Tensor, " N"], Float[Tensor, "N 3"]]:
-        """How many pixels each Gaussian covers in all views together, and the mean target in them."""
-        weights = self.backproject(lambda view: torch.ones_like(targets[view]))
-        moments = self.backproject(lambda view: targets[view])
-        return weights[:, 0], moments / weights.clamp_min(MIN_WEIGHT)
+    @cached_property
+    def weights(self) -> Float[Tensor, " N"]:
+        """How many pixels each Gaussian covers in all views together."""
+        size = self.cameras.size
+        return self.backproject(lambda view: self.gray.new_ones(3, *size).detach())[:, 0]
+
+
+_SYSTEMS: LRUCache[tuple[object, ...], _System] = LRUCache(1)
+"""That of the last scene: its grey renders and weights serve every style."""
+
+
+def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _System:
+    tensors = *vars(gaussians).values(), cameras.world_from_camera, cameras.intrinsics
+    # A system holds its tensors, so that no others can lie where they do.
+    identity = [(tensor.data_ptr(), tensor.shape, tensor._version) for tensor in tensors]
+    return _SYSTEMS.get((*identity, cameras.size, id(renderer)), lambda: _System(gaussians, cameras, renderer))

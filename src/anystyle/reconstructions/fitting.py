@@ -17,7 +17,7 @@ from anystyle.reconstructions.gaussian_parameters import NAMES, GaussianParamete
 from anystyle.reconstructions.initial import InitialGaussians
 from anystyle.reconstructions.loop import Loop
 from anystyle.reconstructions.options import FitOptions, FitResult, HeldoutQuality, Progress
-from anystyle.reconstructions.photometric import match_colors, photometric_loss, psnr, ssim
+from anystyle.reconstructions.photometric import match_colors, photometric_loss, psnr, ssim, unexplained
 from anystyle.types import Cameras, Gaussians
 
 logger = logging.getLogger(__name__)
@@ -222,7 +222,12 @@ class Fit(Loop):
             steps=self.step,
             train_psnr=self.mean,
             heldout=self.quality,
+            unexplained=self._unexplained(),
         )
+
+    def _unexplained(self) -> float:
+        shares = [unexplained(self.render(view), self.images[view, None]) for view in self.training]
+        return float(torch.cat(shares).median())
 
     def state_dict(self) -> dict[str, Any]:
         """All that a fit of the same photographs and options needs to go on; ``torch.save`` can write it."""

@@ -105,6 +105,7 @@ class FitResult:
         steps: Steps taken.
         train_psnr: In dB, with each view's exposure.
         heldout: Of the views held out, before the final steps; ``None`` where there are none.
+        unexplained: Share of the pixels of half of the photographs, at least, that the scene shows quite otherwise.
     """
 
     gaussians: Gaussians
@@ -114,6 +115,7 @@ class FitResult:
     steps: int
     train_psnr: float
     heldout: HeldoutQuality | None
+    unexplained: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
         """Tensors and plain values that :meth:`from_dict` takes."""

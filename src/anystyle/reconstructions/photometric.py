@@ -8,13 +8,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
-from torch.nn.functional import conv2d
+from torch.nn.functional import avg_pool2d, conv2d
 
 from anystyle import compiled as compilation
 
 RADIUS, SIGMA = 5, 1.5
 """The published window of SSIM (Wang et al. 2004): a Gaussian of 11 x 11 pixels."""
 C1, C2 = 0.01**2, 0.03**2
+
+LARGE = 0.15
+"""A difference of colours, in [0, 1], that neither noise nor exposure makes."""
 
 Array = np.ndarray
 
@@ -45,6 +48,16 @@ def match_colors(image: Float[Tensor, "3 H W"], target: Float[Tensor, "3 H W"]) 
     colors = torch.cat([image.flatten(1), torch.ones_like(image[:1]).flatten(1)]).T.double()  # (H W) 4
     change = torch.linalg.lstsq(colors, target.flatten(1).T.double()).solution
     return (colors @ change).T.view_as(image).to(image.dtype)
+
+
+def unexplained(images: Float[Tensor, "M 3 H W"], targets: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M"]:
+    """The share of each pair's pixels around which it differs by more than :data:`LARGE`, on average over a window.
+
+    Windows span 1/24 of the shorter side, so that a sharp edge that is slightly off does not count.
+    """
+    side = max(3, min(images.shape[-2:]) // 24) | 1
+    error = (images - targets).abs().mean(1, keepdim=True)
+    return (avg_pool2d(error, side, 1, side // 2) > LARGE).float().mean((1, 2, 3))
 
 
 class _Dissimilarity(torch.autograd.Function):

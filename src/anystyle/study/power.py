@@ -207,9 +207,9 @@ def power_markdown(study: PowerStudy) -> str:
     head = ["test", "unit", *(f"false, {n}" for n in people), *(f"power, {n}" for n in people)]
     lines = [
         f"Effect {first.effect:g} points; each participant judges {first.items} of {first.sets} sets of {first.scenes} "
-        f"scenes and {first.styles} styles; SD {first.participant_sd:g} between participants, {first.item_sd:g} between "
-        f"sets, {first.scene_sd:g} between scenes, {first.style_sd:g} between styles, {first.residual_sd:g} of answers; "
-        f"level {study.level:g}; {study.power[0].studies} simulated studies each; numbers of participants in the heads.",
+        f"scenes and {first.styles} styles; SD {first.participant_sd:g} between participants, {first.item_sd:g} "
+        f"between sets, {first.scene_sd:g} between scenes, {first.style_sd:g} between styles, {first.residual_sd:g} of "
+        f"answers; level {study.level:g}; {study.power[0].studies} simulated studies each; participants in the heads.",
         "",
         "| " + " | ".join([*head, f"needed for {study.target:.0%}"]) + " |",
         "|---|---|" + "---:|" * (len(head) - 1),

@@ -153,7 +153,8 @@ def _effects(questions: Sequence[QuestionAnalysis], confidence: float) -> str:
         texts = {effect.name: f"{effect.estimate:.2f} {bounds(effect.interval)}" for effect in question.effects}
         rows.append(("", [question.title, *(texts.get(name, "—") for name in names)]))
     note = (
-        "Over all answers; intervals take participants, sets, scenes and styles as drawn at random. Probability of superiority: how often an answer "
+        "Over all answers; intervals take participants, sets, scenes and styles as drawn at random. "
+        "Probability of superiority: how often an answer "
         "prefers ours, ties counted half."
     )
     head = ["question", *(f"{effect_title(name)} [{confidence:g} %]" for name in names)]

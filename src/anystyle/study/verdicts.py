@@ -62,7 +62,9 @@ def paragraph(analysis: Analysis, question: QuestionAnalysis) -> str:
         text += f", {responses.count} answers: {ours} preferred ours, {neither} neither, {theirs} theirs."
     if primary is not None:
         result = primary.result
-        text += f" The mean preference is {result.estimate:+.2f} points ({confidence} interval {bounds(result.interval)}"
+        text += (
+            f" The mean preference is {result.estimate:+.2f} points ({confidence} interval {bounds(result.interval)}"
+        )
         text += f", {primary.name.replace('_', ' ')}, p {p_text(result.pvalue, result.log10_pvalue)})."
     effects = [
         f"{effect_title(effect.name)} {effect.estimate:.2f} {bounds(effect.interval)}" for effect in question.effects
@@ -85,7 +87,9 @@ def registered(analysis: Analysis) -> list[str]:
     if rules.failed_checks is not None:
         left_out.append(f"fail more than {rules.failed_checks} attention checks")
     if rules.min_seconds:
-        left_out.append(f"answer more than {percent(rules.fast_share)} of the sets in less than {rules.min_seconds:g} s")
+        left_out.append(
+            f"answer more than {percent(rules.fast_share)} of the sets in less than {rules.min_seconds:g} s"
+        )
     if rules.straight_lining:
         left_out.append("give one answer throughout")
     lines.append(
@@ -94,7 +98,9 @@ def registered(analysis: Analysis) -> list[str]:
     )
     margin = "No margin of equivalence was set."
     if settings.margin is not None:
-        margin = f"A mean within {percent(settings.margin)} of the way from neutral to the scale's end is no preference."
+        margin = (
+            f"A mean within {percent(settings.margin)} of the way from neutral to the scale's end is no preference."
+        )
     lines.append(
         f"Tests and intervals are {_CLAIMS[settings.alternative]}, at {100 * settings.confidence:g} %; p-values are "
         f"adjusted over the questions by Holm's method. {margin} Negative means that ours is preferred."
@@ -109,8 +115,8 @@ def took_part(analysis: Analysis) -> str:
     why = "; ".join(f"{rules.count(rule)} for {rule}" for rule in dict.fromkeys(rules))
     kept = checks.participants_read - len(rules)
     return (
-        f"{checks.participants_read} participants gave {checks.answers_read} answers, {checks.attention_answers} of them "
-        f"to attention checks. {len(rules) or 'None'} {'were' if len(rules) != 1 else 'was'} left out"
+        f"{checks.participants_read} participants gave {checks.answers_read} answers, {checks.attention_answers} of "
+        f"them to attention checks. {len(rules) or 'None'} {'were' if len(rules) != 1 else 'was'} left out"
         f"{f' ({why})' * bool(why)}; {checks.answers_used} answers of {kept} are analysed."
     )
 
@@ -132,8 +138,8 @@ def response_level(analysis: Analysis) -> str:
     low, high = percent(min(rates)), percent(max(rates))
     span = high if low == high else f"{low.removesuffix(' %')} to {high}"
     return (
-        f"The response-level test counts every answer as an independent one: by the variation seen here it would report "
-        f"a preference that does not exist in {span} of such studies instead of 5 %. Its p-values are given for "
+        f"The response-level test counts every answer as an independent one: by the variation seen here it would "
+        f"report a preference that does not exist in {span} of such studies instead of 5 %. Its p-values are given for "
         "comparison with published ones; conclusions rest on the tests over participants and sets."
     )
 

@@ -44,7 +44,8 @@ class Door:
         server = asyncio.start_server(self._open, host, port, limit=MAX_HEAD)
         self._server = self._loop.run_until_complete(server)
         self.port = self._server.sockets[0].getsockname()[1]
-        threading.Thread(target=self._loop.run_forever, daemon=True).start()
+        self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
+        self._thread.start()
 
     @property
     def url(self) -> str:
@@ -53,9 +54,18 @@ class Door:
         return f"http://{name}:{self.port}/" + (f"?token={self.token}" if self.token else "")
 
     def close(self) -> None:
-        """Let nobody in any more."""
-        self._loop.call_soon_threadsafe(self._server.close)
+        """Let nobody in any more, and end what is under way."""
+        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result(timeout=10)
         self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(timeout=10)
+        self._loop.close()
+
+    async def _end(self) -> None:
+        self._server.close()
+        tasks = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _open(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._connections += 1

@@ -43,6 +43,15 @@ class Flight:
         """Vertical, of the first camera, in radians."""
         return 2 * math.atan(self.cameras.size[0] / 2 / float(self.cameras.intrinsics[0, 0, 1, 1]))
 
+    def pixel_variances(self, means: Float[Tensor, "N 3"]) -> Float[Tensor, " N"]:
+        """What a renderer's low-pass filter of 0.3 pixels² adds to Gaussians, as the first camera sees them.
+
+        A browser's window is larger than the photographs were; without it gaps would open between Gaussians.
+        """
+        pose = self.cameras.camera_from_world[0, 0].to(means)
+        depth = (means @ pose[2, :3] + pose[2, 3]).abs()
+        return 0.3 * (depth / float(self.cameras.intrinsics[0, 0, 0, 0])).square()
+
     def add(self, camera: viser.CameraHandle) -> int:
         """Keep where a browser looks from; returns how many keyframes there are."""
         self._keys.append(pose_of(camera))

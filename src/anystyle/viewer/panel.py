@@ -241,9 +241,12 @@ class Panel:
     def _show(self, gaussians: Gaussians) -> None:
         # The page keeps covariances in half precision, which small scenes fall below: they are enlarged on the way.
         enlarged = 10 / self.flight.distance
+        blur = self.flight.pixel_variances(gaussians.means[0])[:, None, None] * torch.eye(
+            3, device=gaussians.means.device
+        )
         values = {
             "centers": gaussians.means[0].cpu().numpy() * enlarged,
-            "covariances": covariances(gaussians).cpu().numpy() * enlarged**2,
+            "covariances": (covariances(gaussians) + blur).cpu().numpy() * enlarged**2,
             "rgbs": rgb_from_constant(gaussians.harmonics[0, :, 0]).clamp(0, 1).cpu().numpy(),
             "opacities": gaussians.opacities[0, :, None].cpu().numpy(),
         }

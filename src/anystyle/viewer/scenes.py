@@ -16,7 +16,7 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, Views
 
 SHORT_SIDE = 224
-"""Of the renders that a saved scene takes new styles by."""
+"""Of the renders that a saved scene takes new styles by, at most."""
 MOST_VIEWS = 24
 
 
@@ -56,7 +56,7 @@ def of_saved(saved: SavedScene, stylizer: Stylizer) -> OpenScene:
     names = tuple(saved.names[index] for index in _evenly(len(saved.names)))
     height, width = cameras.size
     multiple = stylizer.backbone.patch_size
-    factor = SHORT_SIDE / min(height, width)
+    factor = min(1.0, SHORT_SIDE / min(height, width))
     size = (max(1, round(height * factor / multiple)) * multiple, max(1, round(width * factor / multiple)) * multiple)
     cameras = cameras.resized(size)
     with torch.no_grad():

@@ -388,6 +388,7 @@ async function main() {
     if (!radios[index]) return;
     state.style = index;
     radios[index].checked = true;
+    radios[index].parentElement.scrollIntoView({ block: "nearest", inline: "nearest" });
     redraw();
   };
   const compare = (on) => {

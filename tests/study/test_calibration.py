@@ -1,0 +1,36 @@
+"""The calibration table: what it promises, that the page shows it, and that the program makes it."""
+
+import json
+
+import calibration
+import pytest
+
+RESULTS = json.loads(calibration.FILE.read_text())
+ROWS = [
+    (name, claim, row)
+    for name, groups in RESULTS.items()
+    for rows in groups.values()
+    for claim, row in rows.items()
+]
+
+
+def test_every_claim_keeps_its_level_and_covers_on_every_design():
+    assert set(RESULTS) == set(calibration.DESIGNS)
+    for name, claim, (wrong, without, hits, studies) in ROWS:
+        assert wrong <= 0.06 * without, (name, claim)
+        assert hits >= 0.93 * studies, (name, claim)
+
+
+def test_the_page_shows_the_table():
+    assert calibration.markdown(RESULTS) in calibration.PAGE.read_text(encoding="utf-8")
+
+
+def test_the_program_makes_the_figures(monkeypatch):
+    monkeypatch.setitem(calibration.REPLICATIONS, "crossed", 400)
+    counts = calibration.Counts()
+    calibration.GROUPS["crossed"](calibration.DESIGNS["small"], counts)
+    kept = RESULTS["small"]["crossed"]
+    assert set(counts) == set(kept)
+    for claim, (wrong, without, hits, studies) in counts.items():
+        assert wrong / without == pytest.approx(kept[claim][0] / kept[claim][1], abs=0.03)
+        assert hits == pytest.approx(studies * kept[claim][2] / max(kept[claim][3], 1), abs=0.03 * max(studies, 1))

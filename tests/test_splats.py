@@ -1,0 +1,157 @@
+"""A scene of Gaussians that somebody has: seen, styled, and given back with other colours."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from plyfile import PlyData, PlyElement
+
+import anystyle
+from anystyle.commands._compose import main
+from anystyle.commands.stylize import parser, stylize
+from anystyle.inference import memory, splats
+from anystyle.inference.options import SplatOptions, ViewOptions
+from anystyle.io import ply
+from anystyle.reconstructions.colors import fit_colors
+from anystyle.renderers.cpu.renderer import CpuRenderer
+from anystyle.types import Gaussians
+from methods.worlds import painting
+from reconstructions.scenes import photographed_wall, rig, wall
+
+RENDERER = CpuRenderer(background=(0.0, 0.0, 0.0))
+COLORS = ("f_dc", "f_rest")
+
+
+def glossy(degree=1):
+    """The wall with colours that depend on the direction."""
+    scene = wall()
+    generator = torch.Generator().manual_seed(1)
+    higher = 0.1 * torch.randn(1, scene.means.shape[1], (degree + 1) ** 2 - 1, 3, generator=generator)
+    return replace(scene, harmonics=torch.cat([scene.harmonics, higher], dim=2))
+
+
+@pytest.fixture
+def file(tmp_path):
+    """As a trainer writes it: another property, an opacity of 0, quaternions of any norm."""
+    path = tmp_path / "scene.ply"
+    glossy().save(path)
+    data = PlyData.read(path)["vertex"].data
+    wider = np.empty(len(data), dtype=[*data.dtype.descr, ("label", "i4")])
+    for name in data.dtype.names:
+        wider[name] = data[name]
+    wider["label"] = np.arange(len(data))
+    wider["opacity"][3] = -200.0
+    for index in range(4):
+        wider[f"rot_{index}"] *= 1.7
+    PlyData([PlyElement.describe(wider, "vertex")], comments=["mine"]).write(path)
+    return path
+
+
+def transforms(folder, cameras):
+    frames = [
+        {"file_path": f"images/{view}.png", "transform_matrix": (pose @ np.diag([1, -1, -1, 1])).tolist()}
+        for view, pose in enumerate(cameras.world_from_camera[0].double().numpy())
+    ]
+    height, width = cameras.size
+    both = {"fl_x": 50.0, "fl_y": 50.0, "cx": width / 2, "cy": height / 2, "w": width, "h": height, "frames": frames}
+    (folder / "transforms.json").write_text(json.dumps(both))
+
+
+@pytest.mark.parametrize("keep", [False, True])
+def test_the_command_gives_the_file_back_with_other_colours(file, tmp_path, keep):
+    transforms(tmp_path, rig(5))
+    style = tmp_path / "stripes.png"
+    from anystyle.io.sheet import to_pil
+
+    to_pil(painting().image[0]).save(style)
+    words = ["video.frames=2", "views.short_side=40", "splat.cameras=3", f"keep_harmonics={keep}"]
+    main("stylize", stylize, parser(), [str(file), "--image", str(style), "--out", str(tmp_path / "out"), *words])
+    before = PlyData.read(file)["vertex"].data
+    after = PlyData.read(tmp_path / "out" / "scene.ply")["vertex"].data
+    assert len(after) == len(before)
+    dropped = [name for name in before.dtype.names if name not in after.dtype.names]
+    assert dropped == ([] if keep else [f"f_rest_{index}" for index in range(9)])
+    changed = [name for name in after.dtype.names if after[name].tobytes() != before[name].tobytes()]
+    assert changed == ["f_dc_0", "f_dc_1", "f_dc_2"]
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["reconstruction"]["kind"] == "given" and report["reconstruction"]["cameras"] == "stored beside it"
+    assert report["inputs"] == ["0", "2", "4"] and report["method"] == {"kind": "branch", "networks": []}
+
+
+def test_cameras_that_are_stored_see_what_they_saw(tmp_path):
+    images, cameras, _ = photographed_wall(5)
+    wall().save(tmp_path / "scene.ply")
+    transforms(tmp_path, cameras)
+    seen, sources, origin = splats.cameras_of(
+        tmp_path / "scene.ply", wall(), ViewOptions(short_side=40), SplatOptions(cameras=5), 8, 224
+    )
+    assert origin == "stored beside it" and [source.name for source in sources] == list("01234")
+    assert seen.size == (40, 48)
+    with torch.no_grad():
+        renders = RENDERER(Gaussians.load(tmp_path / "scene.ply"), seen).color[0]
+    assert (renders - images).abs().max() < 0.01
+
+
+def test_cameras_around_a_scene_see_it_whole(tmp_path):
+    scene = wall()
+    far = torch.cat([scene.means, torch.tensor([[[500.0, 0, 0]]])], dim=1)  # one floater, nearly transparent
+    parts = {name: torch.cat([value, value[:, :1]], dim=1) for name, value in vars(scene).items()}
+    scene = replace(scene, **{**parts, "means": far})
+    scene.opacities[0, -1] = 0.01
+    seen, sources, origin = splats.cameras_of(
+        tmp_path / "scene.ply", scene, ViewOptions(), SplatOptions(cameras=6), 14, 112
+    )
+    assert origin == "chosen around the scene" and len(sources) == 6 and seen.size == (112, 112)
+    with torch.no_grad():
+        alpha = RENDERER(scene, seen).alpha[0]
+    border = torch.cat([alpha[:, 0], alpha[:, -1], alpha[:, :, 0], alpha[:, :, -1]], dim=1)
+    # The wall is 4 wide: seen from its edge it is a line, from everywhere it lies inside of the image.
+    assert alpha.amax((1, 2)).min() > 0.9 and border.mean() < 0.2
+
+
+def test_harmonics_that_are_kept_are_taken_into_account():
+    """A view-dependent scene is its own solution where they are kept."""
+    scene, cameras = glossy(), rig(6)
+    with torch.no_grad():
+        renders = RENDERER(scene, cameras).color[0]
+    kept = fit_colors(scene, cameras, renders, RENDERER, steps=30, damping=1e-4, keep=True)
+    dropped = fit_colors(scene, cameras, renders, RENDERER, steps=30, damping=1e-4)
+    assert torch.equal(kept.harmonics[:, :, 1:], scene.harmonics[:, :, 1:]) and dropped.harmonics.shape[2] == 1
+    with torch.no_grad():
+        errors = [(RENDERER(result, cameras).color[0] - renders).square().mean() for result in (kept, dropped)]
+    assert errors[0] < 0.2 * errors[1]
+
+
+def test_memory_is_told_and_refused_before(monkeypatch):
+    device = torch.device("cpu")
+    monkeypatch.setattr(memory, "available", lambda device: 4 << 30)
+    line = splats.check_memory(1_000_000, 24, device)
+    assert line == "1,000,000 Gaussians from 24 views take about 2.1 GiB"
+    with pytest.raises(ValueError, match=r"set fewer views with splat\.cameras"):
+        splats.check_memory(3_000_000, 24, device)
+
+
+def test_what_it_takes_is_what_was_told():
+    count, views = 30_000, 4
+    generator = torch.Generator().manual_seed(0)
+    scene = Gaussians(
+        torch.randn(1, count, 3, generator=generator), torch.randn(1, count, 4, generator=generator),
+        0.02 * torch.rand(1, count, 3, generator=generator), torch.rand(1, count, generator=generator),
+        torch.zeros(1, count, 16, 3),
+    )  # fmt: skip
+    cameras = splats.around(scene, views, 64)
+    targets = torch.rand(views, 3, 64, 64, generator=generator)
+    fit_colors(scene, cameras, targets, RENDERER, steps=0)  # compiled before
+    idle = memory.sampled_peak(lambda: None)
+    used = memory.sampled_peak(lambda: fit_colors(scene, cameras, targets, RENDERER, steps=1)) - idle
+    assert used < splats.memory_needed(count, views)
+
+
+def test_a_file_that_is_none_is_said_in_a_line(tmp_path):
+    (tmp_path / "scene.ply").write_text("ply\nnonsense\n")
+    with pytest.raises(ValueError, match="no PLY file") as caught:
+        anystyle.stylize(tmp_path / "scene.ply", "red", model=None)
+    assert "\n" not in str(caught.value)
+    assert ply.read.__doc__
