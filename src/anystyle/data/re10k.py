@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -111,7 +112,7 @@ class Re10kScenes(SceneSource):
 
     def _load(self, chunk: str) -> dict[str, Mapping[str, Any]]:
         path = self.folder / chunk
-        if path.resolve().parent != self.folder.resolve():
+        if os.path.realpath(path.parent) != os.path.realpath(self.folder):
             raise ValueError(f"{self.folder / 'index.json'} names {chunk}, which lies outside of its folder")
         if not path.is_file():
             raise ValueError(f"{path} is in the index and not there; download the chunk or take it out of the index")

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -128,9 +129,13 @@ class FolderScenes(SceneSource):
 
     def _listed(self, path: Path) -> list[Path]:
         names: list[str] = read_json(path, list[str], what="JSON list of folder names")
-        root = self.root.resolve()
+        root = os.path.realpath(self.root)
         folders = [self.root / name for name in names]
-        outside = [name for name, folder in zip(names, folders, strict=True) if root not in folder.resolve().parents]
+        outside = [
+            name
+            for name, folder in zip(names, folders, strict=True)
+            if not os.path.realpath(folder).startswith(root + os.sep)
+        ]
         if outside:
             raise ValueError(f"index={path} names {outside[0]}, which lies outside of {self.root}")
         present = [folder for folder in folders if folder.is_dir()]

@@ -11,6 +11,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file
 from torch import Tensor
 
+from anystyle.documents import regular
+
 _IDLE = ("omegaconf.", "typing.", "collections.", "lightning.", "pytorch_lightning.", "src.")
 """Where a training checkpoint's configuration has its classes; one that does nothing replaces them, and plain types."""
 
@@ -42,12 +44,15 @@ def read(path: str | Path) -> dict[str, Tensor]:
     Raises:
         ValueError: It is truncated, or of another kind.
     """
-    path = Path(path)
+    path = regular(path, most=None, what="file of weights")
     try:
         state = load_file(path) if path.suffix == ".safetensors" else _torch_file(path)
     except pickle.UnpicklingError:
         raise ValueError(f"{path} is damaged or holds more than tensors; get it again, or convert it") from None
-    except (SafetensorError, OSError, RuntimeError, EOFError, ValueError, KeyError) as error:
+    except MemoryError:
+        raise
+    except Exception as error:
+        # Damaged archives and pickles raise nearly anything.
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise ValueError(f"{path} is truncated or no file of weights ({reason}); get it again") from None
     if isinstance(state, Mapping) and isinstance(state.get("state_dict"), Mapping):

@@ -1,0 +1,71 @@
+"""What is finished stays as it is, and a damaged state costs no more than the steps since the one before it."""
+
+import hashlib
+
+import pytest
+import torch
+
+from anystyle.training.run import train
+from training_cases import RECONSTRUCTION, configuration
+
+WORDS = (*RECONSTRUCTION, "checkpoint.every_steps=2", "trainer.max_steps=4", "scenes.num_scenes=1")
+
+
+def state(folder):
+    """Every file with a hash of its content."""
+    files = (path for path in folder.rglob("*") if path.is_file())
+    return {str(path.relative_to(folder)): hashlib.md5(path.read_bytes()).hexdigest() for path in files}
+
+
+@pytest.fixture
+def whole(tmp_path):
+    out = tmp_path / "run"
+    assert train(configuration(WORDS, out), out).finished
+    return out
+
+
+def test_a_finished_run_that_is_repeated_changes_nothing(whole):
+    before = state(whole)
+    begun = []
+    outcome = train(configuration(WORDS, whole), whole, lambda: begun.append(True))
+    assert outcome.finished and outcome.steps == 4 and "train/loss" in outcome.metrics and not begun
+    assert state(whole) == before
+    (whole / "metrics.json").unlink()
+    assert train(configuration(WORDS, whole), whole).metrics["train/loss"] == outcome.metrics["train/loss"]
+    assert (whole / "metrics.json").read_text() and set(state(whole)) >= set(before)
+
+
+def test_a_refused_run_changes_nothing(whole):
+    before, begun = state(whole), []
+    with pytest.raises(ValueError, match="another configuration"):
+        train(configuration((*WORDS, "seed=77"), whole), whole, lambda: begun.append(True))
+    assert state(whole) == before and not begun
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "foreign", "pickle"])
+def test_a_damaged_state_falls_back_to_the_one_before_and_says_so(whole, caplog, damage):
+    weights, last = (whole / "backbone.safetensors").read_bytes(), whole / "last.ckpt"
+    data = bytearray(last.read_bytes())
+    if damage == "cut":
+        data = data[: len(data) // 2]
+    elif damage == "flip":
+        data[len(data) // 2] ^= 255
+    last.write_bytes(data)
+    if damage == "foreign":
+        torch.save({"a": torch.zeros(3)}, last)
+    elif damage == "pickle":
+        torch.save({"global_step": pytest.raises}, last)
+    (whole / "metrics.json").unlink()
+    outcome = train(configuration(WORDS, whole), whole)
+    assert outcome.steps == 4 and (whole / "backbone.safetensors").read_bytes() == weights
+    (line,) = [record.message for record in caplog.records if "goes on from previous.ckpt" in record.message]
+    assert "last.ckpt" in line and "\n" not in line
+
+
+def test_where_all_states_are_damaged_it_is_one_line(whole):
+    for name in ("last.ckpt", "previous.ckpt"):
+        (whole / name).write_bytes(b"")
+    before = state(whole)
+    with pytest.raises(ValueError, match=r"last\.ckpt .*previous\.ckpt .*resume=never") as caught:
+        train(configuration(WORDS, whole), whole)
+    assert "\n" not in str(caught.value) and state(whole) == before
