@@ -170,8 +170,8 @@ def test_confidence_and_alternative_reach_every_figure(tmp_path):
     write_csv(tmp_path / "r.csv", rows)
     results = {}
     for words in (("--confidence", 0.9), ("--confidence", 0.99), ("--alternative", "less"), ("--seed", 5)):
-        study("analyze", "r.csv", "--out", "-".join(map(str, words)), "--no-report", *words, cwd=tmp_path, check=0)
-        content = json.loads((tmp_path / "-".join(map(str, words)) / "analysis.json").read_text())
+        study("analyze", "r.csv", "--out", f"out{words[-1]}", "--no-report", *words, cwd=tmp_path, check=0)
+        content = json.loads((tmp_path / f"out{words[-1]}" / "analysis.json").read_text())
         results[words[-1]] = content["questions"]["style"]
 
     def intervals(question):

@@ -296,14 +296,14 @@ def _about(responses: Responses, model: OrdinalModel) -> tuple[np.ndarray, np.nd
     if every < 2:
         return model.start, np.eye(len(model.start))
     rows = responses.participants % every == 0
-    some = replace(
+    subset = replace(
         responses,
         deviations=responses.deviations[rows],
         participants=responses.participants[rows],
         items=responses.items[rows],
         ours_is_a=None if responses.ours_is_a is None else responses.ours_is_a[rows],
     )
-    small = OrdinalModel(responses=some)
+    small = OrdinalModel(responses=subset)
     if (small.factors, len(small.start)) != (model.factors, len(model.start)):
         return model.start, np.eye(len(model.start))
     best, _ = _maximise(small, small.start, np.eye(len(small.start)))

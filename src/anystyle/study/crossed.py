@@ -67,8 +67,8 @@ class Crossing:
         residuals = values - mean
         sums = [(np.asarray(members @ residuals) ** 2).sum(0) for members in self._members]
         squares = np.stack([*sums, (residuals**2).sum(0)])
-        share = np.array(self._levels / (self._levels - 1) / self._n**2)
-        alone = (squares[:-1].T * share).T  # each factor as if it were the only one
+        per_level = np.array(self._levels / (self._levels - 1) / self._n**2)
+        alone = (squares[:-1].T * per_level).T  # each factor as if it were the only one
         # One factor alone already says as much; an estimate below that has a negative component in it.
         variance = np.maximum(np.tensordot(self._weights, squares, 1), alone.max(0))
         with np.errstate(invalid="ignore", divide="ignore"):

@@ -82,7 +82,7 @@ def table(scenario: Scenario, seed: int) -> Responses:
     subsets = np.tile(np.arange(sets), (people, 1))
     if sets > items:
         subsets = np.repeat(balanced_subsets(pairs, items, (people + 1) // 2, generator), 2, axis=0)[:people]
-    participant, place = np.divmod(np.arange(people * items), items)
+    participant, column = np.divmod(np.arange(people * items), items)
     return Responses(
         question="simulated",
         deviations=np.zeros(people * items),
@@ -92,7 +92,7 @@ def table(scenario: Scenario, seed: int) -> Responses:
         item_names=tuple(f"set-{index + 1}" for index in range(sets)),
         item_scenes=tuple(f"scene-{scene}" for scene, _ in pairs),
         item_styles=tuple(f"style-{style}" for _, style in pairs),
-        ours_is_a=(participant + place) % 2 == 0,
+        ours_is_a=(participant + column) % 2 == 0,
         scale=scenario.scale,
     )
 
