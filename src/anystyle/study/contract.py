@@ -102,7 +102,9 @@ class Responses:
         codes: dict[Population, np.ndarray] = {"participants": self.participants, "items": self.items}
         for factor, names in self._shared.items():
             codes[factor] = np.unique(names, return_inverse=True)[1][self.items]
-        levels = {factor: np.unique(of, return_inverse=True)[1] for factor, of in codes.items()}
+        levels: dict[Population, np.ndarray] = {}
+        for factor, of in codes.items():
+            levels[factor] = np.unique(of, return_inverse=True)[1]
         items = levels["items"].max(initial=0)
         return {
             factor: level
@@ -127,8 +129,8 @@ class Responses:
         """For whom a test holds that takes every factor as drawn at random."""
         factors = self.factors
         participants: tuple[Population, ...] = ("participants",) if "participants" in factors else ()
-        shared: tuple[Population, ...] = tuple(self._shared)
-        return participants + (shared or ("items",) if "items" in factors else ())
+        sets: tuple[Population, ...] = ("items",)
+        return (*participants, *((tuple(self._shared) or sets) if "items" in factors else ()))
 
     def at(self, unit: Unit) -> "Responses":
         """One row a ``unit``: its mean deviation. Participants and items without an answer are left out."""

@@ -56,7 +56,8 @@ class Wilcoxon(StudyTest):
         exact = self.method == "auto" and not zeros and ranked <= 50 and len(np.unique(np.abs(values))) == ranked
         log_pvalue = log_normal_pvalue(float(normal.zstatistic), self.alternative)
         if exact:
-            log_pvalue = math.log(stats.wilcoxon(values, alternative=self.alternative, method="exact").pvalue)
+            result: Any = stats.wilcoxon(values, alternative=self.alternative, method="exact")
+            log_pvalue = math.log(result.pvalue)
         median, interval = pseudo_median(values, self.confidence, self.alternative)
         how = "exact distribution" if exact else "normal approximation with tie correction"
         return TestResult(
