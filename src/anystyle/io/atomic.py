@@ -82,8 +82,8 @@ def atomic_directory(target: str | Path, expected: Collection[str] = ()) -> Iter
         raise ValueError(f"{target} is a file; results need a directory")
     created = [folder for folder in (target, *target.parents) if not folder.exists()]
     target.mkdir(parents=True, exist_ok=True)
-    made = frozenset(kept_json(target / MADE, list[str]) or ())
-    _refuse(target, expected, made)
+    earlier = frozenset(kept_json(target / MADE, list[str]) or ())
+    _refuse(target, expected, earlier)
     _sweep(target)
     temporary = Path(tempfile.mkdtemp(prefix=f"{_PARTIAL}{os.getpid()}-", dir=target))
     finished = False
@@ -91,8 +91,8 @@ def atomic_directory(target: str | Path, expected: Collection[str] = ()) -> Iter
         yield temporary
         entries = sorted(temporary.iterdir())
         names = [entry.name for entry in entries]
-        _refuse(target, names, made)
-        write_json(target / MADE, sorted({*made, *names}))
+        _refuse(target, names, earlier)
+        write_json(target / MADE, sorted({*earlier, *names}))
         for entry in entries:
             destination = target / entry.name
             if destination.is_dir() and not destination.is_symlink():
@@ -109,9 +109,9 @@ def atomic_directory(target: str | Path, expected: Collection[str] = ()) -> Iter
 _PARTIAL = ".partial-"
 
 
-def _refuse(target: Path, names: Collection[str], made: Collection[str]) -> None:
+def _refuse(target: Path, names: Collection[str], earlier: Collection[str]) -> None:
     """Refuse to replace what was not made here."""
-    clash = next((name for name in names if name not in made and os.path.lexists(target / name)), None)
+    clash = next((name for name in names if name not in earlier and os.path.lexists(target / name)), None)
     if clash is not None:
         raise ValueError(f"{target / clash} is there already and was not made by anystyle; choose another --out")
 

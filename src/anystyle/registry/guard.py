@@ -122,14 +122,14 @@ class GuardedFiles(FileConfigSource):
 def install() -> None:
     """Let Hydra in this process read files through the door, and judge what it composes; again changes nothing."""
     SourcesRegistry.instance().types["file"] = GuardedFiles
-    original = ConfigLoaderImpl.load_configuration
-    if hasattr(original, "__wrapped__"):
-        return
+    ConfigLoaderImpl.load_configuration = _load_judged  # type: ignore[method-assign]
 
-    @functools.wraps(original)
-    def load(loader: ConfigLoaderImpl, *args: Any, **options: Any) -> DictConfig:
-        config = original(loader, *args, **options)
-        check(config)
-        return config
 
-    ConfigLoaderImpl.load_configuration = load  # type: ignore[method-assign]
+_load = ConfigLoaderImpl.load_configuration
+
+
+@functools.wraps(_load)
+def _load_judged(loader: ConfigLoaderImpl, *args: Any, **options: Any) -> DictConfig:
+    config = _load(loader, *args, **options)
+    check(config)
+    return config

@@ -1,6 +1,7 @@
 """Decoded scenes cached on disk."""
 
 import os
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -93,7 +94,7 @@ def _reserve(number: int, size: int, path: Path) -> None:
         OSError: There is not enough.
     """
     try:
-        if hasattr(os, "posix_fallocate"):
+        if sys.platform == "linux":
             os.posix_fallocate(number, 0, size)
         else:
             os.truncate(number, size)

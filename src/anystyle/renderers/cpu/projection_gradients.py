@@ -146,6 +146,25 @@ def view_backward(
 
 @compiled
 @no_type_check
+def add_point(mean: Array, moved: tuple, lens: tuple, d_camera: Array) -> None:
+    """Add what one point owes to the gradient of the camera.
+
+    Args:
+        mean: ``[3]``, in the world.
+        moved: The gradient of the point in the camera's frame.
+        lens: Those of ``fx, fy, cx, cy``.
+        d_camera: ``[CAMERA]``, added to.
+    """
+    for i in range(4):
+        d_camera[15 + i] += lens[i]
+    for i in range(3):
+        for j in range(3):
+            d_camera[3 * i + j] += moved[i] * float(mean[j])
+        d_camera[9 + i] += moved[i]
+
+
+@compiled
+@no_type_check
 def project_backward(
     means: Array,
     covariances: Array,
@@ -233,18 +252,7 @@ def project_backward(
         for j in range(3):
             d_means[g, j] += r[j] * dx + r[3 + j] * dy + r[6 + j] * dz
         if posed:
-            d_camera[15] += dfx
-            d_camera[16] += dfy
-            d_camera[17] += dcx
-            d_camera[18] += dcy
-            for j in range(3):
-                mean = float(means[g, j])
-                d_camera[j] += dx * mean
-                d_camera[3 + j] += dy * mean
-                d_camera[6 + j] += dz * mean
-            d_camera[9] += dx
-            d_camera[10] += dy
-            d_camera[11] += dz
+            add_point(means[g], (dx, dy, dz), (dfx, dfy, dcx, dcy), d_camera)
 
         # A channel that was cut at 0 has no gradient; the splat holds it after the cut.
         red = float(moments[at, 0]) if splats[at, 6] > 0.0 else 0.0
