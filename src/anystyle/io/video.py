@@ -5,6 +5,7 @@ from pathlib import Path
 
 import av
 import numpy as np
+from av.container import InputContainer
 from av.error import FFmpegError
 from av.video.frame import VideoFrame
 from av.video.stream import VideoStream
@@ -61,7 +62,7 @@ def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
     return [best[part] for part in sorted(best)]
 
 
-def _opened(path: Path) -> av.container.InputContainer:
+def _opened(path: Path) -> InputContainer:
     """A local file, whatever its name looks like: ``http:x.mp4`` is no address, and a playlist in it leads nowhere."""
     local = {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS}
     return av.open(f"file:{path.absolute()}", container_options=local, options=local)
