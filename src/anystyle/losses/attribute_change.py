@@ -14,8 +14,8 @@ class AttributeChange(Loss):
     whose Gaussians are no part of it.
 
     Args:
-        scale_weight: ``s``; 0.05 in StylizedGS.
-        opacity_weight: ``o``; 0.05 in StylizedGS.
+        scale_weight: ``s``; the default is ours.
+        opacity_weight: ``o``; likewise.
         weight: In the objective.
     """
 
