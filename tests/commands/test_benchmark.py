@@ -45,13 +45,15 @@ def test_rows_that_are_there_are_not_measured_again(tmp_path):
 def test_the_command_measures_the_default_model_and_writes_one_table(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(command, "peak_memory", lambda words, views, size: (300 + 10 * views) * 2**20)
     out = tmp_path / "benchmark.json"
-    benchmark(["--views", "2,4", "--size", "56x56", "--repeat", "1", "--out", str(out)])
+    method = ["method=nnfm", "method.num_steps=1"]
+    benchmark(["--views", "2,4", "--size", "56x56", "--repeat", "1", "--out", str(out), *method])
     printed = capsys.readouterr().out
     assert "restyle (2 views)" in printed and "results equal" in printed
+    assert "method=nnfm method.num_steps=1" in printed
     assert "render with cpu" in printed and "render with torch" in printed
     assert "10.0 MiB a view." in printed
     stored = json.loads(out.read_text())
-    assert {"2 views", "renderers", "memory of 2 views", "memory of 4 views"} == set(stored["rows"])
+    assert {"2 views", "renderers", "method", "memory of 2 views", "memory of 4 views"} == set(stored["rows"])
 
 
 def test_wrong_words_end_in_one_line():

@@ -22,14 +22,16 @@ from anystyle.commands._flags import split
 from anystyle.commands._run import run, words_of
 from anystyle.documents import read_json
 from anystyle.inference import memory
-from anystyle.inference.assemble import default_device
+from anystyle.inference.assemble import default_device, make_method
 from anystyle.io.atomic import atomic_path
 from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import compose
 from anystyle.stylizer import Stylizer
-from anystyle.types import Gaussians, Scene, StyleEmbedding, Views
+from anystyle.types import Gaussians, Scene, Style, StyleEmbedding, Views
 
 RENDERERS = ("cpu", "torch", "gsplat")
 MEASURE_MEMORY = "--memory-of"
+METHOD_WORDS = ("method=", "method.", "loss=", "loss.")
 ATTRIBUTES = ("means", "rotations", "scales", "opacities", "harmonics")
 
 
@@ -54,7 +56,8 @@ def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle benchmark``; every other word is an override of the model's configuration."""
     flags = argparse.ArgumentParser(
         prog="anystyle benchmark",
-        description="Measure this machine. model=NAME chooses a model; weights=... its weights, as for stylize.",
+        description="Measure this machine. model=NAME chooses a model, weights=... its weights, method=NAME a method "
+        "that is measured beside the single pass; all as for stylize.",
         allow_abbrev=False,
     )
     flags.add_argument("--views", default="2,4,8", help="numbers of views (default: %(default)s)")
@@ -148,6 +151,16 @@ def passes(case: Case, repeat: int) -> list[Measured]:
         Measured("single pass", *single, "what the published code pays for every style"),
         Measured("restyle", *restyle, ratio),
     ]
+
+
+def methods(case: Case, words: Sequence[str]) -> list[Measured]:
+    """A method on the scene, once, with a picture of noise for a style."""
+    method = make_method(compose("stylize", list(words)), case.stylizer.style_encoder)
+    scene = case.encode()
+    style = Style(image=torch.rand(1, 3, *scene.cameras.size, generator=torch.Generator().manual_seed(0)))
+    style = style.to(case.device)
+    seconds = timed(lambda: method(case.stylizer, scene, style, case.style), case.device)
+    return [Measured(" ".join(words), *seconds, "a style by this method, once the scene is encoded")]
 
 
 def renderers(case: Case, repeat: int) -> list[Measured]:
@@ -247,11 +260,15 @@ def benchmark(words: Sequence[str]) -> None:
         "views": counts,
         "repeat": arguments.repeat,
     }
+    chosen = [word for word in overrides if word.startswith(METHOD_WORDS)]
+    overrides = [word for word in overrides if word not in chosen]
     results = Results(Path(arguments.out), setting)
     label = f"{counts[0]} views"
     measured = results.get(label, lambda: passes(load(overrides, counts[0], size), arguments.repeat))
     rows = [row | {"name": f"{row['name']} ({label})"} for row in measured]
     rows += results.get("renderers", lambda: renderers(load(overrides, counts[0], size), arguments.repeat))
+    if chosen:
+        rows += results.get("method", lambda: methods(load(overrides, counts[0], size), chosen))
     peaks: dict[int, int] = {}
     for count in counts:
         label = f"memory of {count} views"
@@ -272,8 +289,8 @@ def table(rows: Sequence[Mapping[str, Any]], peaks: Mapping[int, int]) -> str:
     lines += ["", "| views | peak memory |", "|---|---|"]
     lines += [f"| {views} | {size / 2**20:.0f} MiB |" for views, size in peaks.items()]
     growth = f"\nMemory grows by {slope(peaks) / 2**20:.1f} MiB a view"
-    beside = f"; the measured peaks lie within {off_line(peaks) / 2**20:.1f} MiB of that line"
-    lines.append(f"{growth}{beside if len(peaks) > 2 else ''}.")
+    beside = f"; the measured peaks lie within {off_line(peaks) / 2**20:.1f} MiB of that line" if len(peaks) > 2 else ""
+    lines.append(f"{growth}{beside}.")
     free = memory.available(torch.device("cpu"))
     if free is not None:
         lines.append(f"{free / 2**30:.1f} GiB are free on this machine.")

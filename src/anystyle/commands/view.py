@@ -18,7 +18,7 @@ from anystyle.commands._compose import compose
 from anystyle.commands._flags import split
 from anystyle.commands._options import Stylize, checked
 from anystyle.commands._run import run, words_of
-from anystyle.inference.assemble import assemble_frozen, default_device, default_poses
+from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
 from anystyle.inference.encoding import encode_capture
 from anystyle.inference.options import PoseOptions
 from anystyle.inference.page import write_page
@@ -70,8 +70,9 @@ def opened(path: Path, words: list[str]) -> tuple[OpenScene, Render]:
     saved = None if _is_photographs(path) else read_saved(path)
     with stages("load", "the model"):
         stylizer = assemble_frozen(config)[0].to(default_device())
+    method = make_method(config, stylizer.style_encoder)
     if saved is not None:
-        return of_saved(saved, stylizer), partial(rendered, stylizer)
+        return of_saved(saved, stylizer, method), partial(rendered, stylizer)
     reconstruction = config.get("reconstruction")
     encoded = encode_capture(
         path,
@@ -82,7 +83,7 @@ def opened(path: Path, words: list[str]) -> tuple[OpenScene, Render]:
         stages=stages,
         reconstruction=None if reconstruction is None else build(Reconstruction, reconstruction),
     )
-    return of_capture(encoded), partial(rendered, stylizer)
+    return of_capture(encoded, method), partial(rendered, stylizer)
 
 
 def _is_photographs(path: Path) -> bool:

@@ -12,6 +12,7 @@ from anystyle.inference.controlled import Controlled
 from anystyle.inference.encoding import EncodedCapture
 from anystyle.inference.groups import Capture, Group
 from anystyle.inference.saved import UNSTYLED, SavedScene
+from anystyle.methods.contract import Method
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, Views
 
@@ -41,14 +42,14 @@ class OpenScene:
     controlled: Controlled | None
 
 
-def of_capture(encoded: EncodedCapture) -> OpenScene:
+def of_capture(encoded: EncodedCapture, method: Method | None = None) -> OpenScene:
     """Photographs that were encoded."""
-    controlled = Controlled(encoded)
+    controlled = Controlled(encoded, method)
     pictures = encoded.views.images[0]
     return OpenScene(controlled.unstyled, encoded.cameras, tuple(encoded.names), pictures, {}, controlled)
 
 
-def of_saved(saved: SavedScene, stylizer: Stylizer) -> OpenScene:
+def of_saved(saved: SavedScene, stylizer: Stylizer, method: Method | None = None) -> OpenScene:
     """A scene that was saved: it takes new styles by its own renders where the model styles colours alone."""
     styles = dict(saved.styles)
     unstyled = styles.pop(UNSTYLED, saved.styles[-1][1]).to(stylizer.device)
@@ -65,7 +66,7 @@ def of_saved(saved: SavedScene, stylizer: Stylizer) -> OpenScene:
     views = Views(pictures[None], cameras=cameras, names=names)
     controlled = None
     if stylizer.branch.gaussian_head is None:
-        controlled = Controlled(_as_capture(unstyled, views, stylizer))
+        controlled = Controlled(_as_capture(unstyled, views, stylizer), method)
     return OpenScene(unstyled, cameras, names, pictures.cpu(), styles, controlled)
 
 
