@@ -47,7 +47,7 @@ ADDED = (
     (r"anystyle evaluate .*=guides", "scenes.size=28 styles.size=28 protocol.num_scenes=1 protocol.num_styles=2"),
     (r"anystyle study design", "participants=4 sets=4 image_size=64"),
     (r"anystyle study form .*--serve", "--port 0"),
-    (r"anystyle study analyze", "sign_flip.resamples=99"),
+    (r"anystyle study analyze (?!.*--test)", "sign_flip.resamples=99"),
     (r"anystyle study power", "--studies 20"),
 )
 """Words that a command is run with behind its own, by what it begins with: sizes and numbers, not what it is about."""
@@ -114,6 +114,7 @@ NOT_RUN = {
     r"anystyle train experiment=tiny_all$": "hours; training/test_pipeline.py runs a small one",
     r"python tests/style_(quality|grid).py": "minutes, and pictures that do not travel with the project",
     r"anystyle evaluate protocol=captures ": "minutes; evaluation/test_captures.py runs a small one",
+    r"python tests/study/calibration.py$": "minutes; study/test_calibration.py keeps its table and a small one",
     r"anystyle study 'design\|form\|analyze\|power'$": "four commands in a line; docs/user_study.md shows each",
 }
 """Commands that no test machine can run, and why. They are parsed and composed by ``test_docs.py``."""
