@@ -302,6 +302,7 @@ def test_the_command_writes_everything_twice_the_same(tmp_path):
     study(*words, "--out", "two", cwd=tmp_path, check=0)
     names = sorted(path.relative_to(tmp_path / "one").as_posix() for path in (tmp_path / "one").rglob("*.*"))
     assert names == [
+        ".anystyle",  # what was written here, so that nothing else is ever replaced
         "analysis.json",
         *(f"figures/{name}.{suffix}" for name in ("likert", "means", "positions") for suffix in ("pdf", "svg")),
         "report.html",
