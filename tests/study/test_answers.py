@@ -3,6 +3,7 @@
 import json
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -60,31 +61,19 @@ def test_every_format_says_the_same(tmp_path, rows):
         database.execute("CREATE TABLE notes (text)")
         database.execute("CREATE TABLE answers (participant, item, question, score INTEGER, ours_is)")
         database.executemany("INSERT INTO answers VALUES (?, ?, ?, ?, ?)", rows)
-    cells = {}
-    for person, item, question, score, side in rows:
-        cells.setdefault((person, item, side), {})[question] = score
-    write_csv(
-        tmp_path / "wide.csv",
-        [(*place, both["style"], both["content"], "well") for place, both in cells.items()],
-        "participant,item,ours_is,style,content,remark",
-    )
-    people = {}
-    for person, item, question, score, side in rows:
-        people.setdefault(person, {})[f"{item}:{question}"] = score
-        people[person][f"{item}:ours_is"] = side
-    columns = list(people["P00"])
-    write_csv(
-        tmp_path / "wider.csv",
-        [(person, *(cells[column] for column in columns)) for person, cells in people.items()],
-        ",".join(["participant", *columns]),
-    )
+    (tmp_path / "tabs.tsv").write_text("\n".join("\t".join(map(str, row)) for row in (names, *rows)))
+    write_csv(tmp_path / "more.csv", [(*row, "well") for row in rows], ",".join((*names, "remark")))
+    (tmp_path / "people").mkdir()
+    for person in {row[0] for row in rows}:
+        answers = [dict(zip(names[1:], row[1:], strict=True)) for row in rows if row[0] == person]
+        (tmp_path / "people" / f"{person}.json").write_text(json.dumps({"participant": person, "responses": answers}))
     files = sorted(tmp_path.iterdir())
-    assert len(files) == 7
+    assert len(files) == 8
     for file in files:
         _, by_question = judged(file)
         tables = {responses.question: table_of(responses) for responses in by_question}
         assert tables == {name: expected_table(rows, name) for name in ("style", "content")}, file.name
-    assert read_responses([tmp_path / "wide.csv"]).unused == ("remark",)
+    assert read_responses([tmp_path / "more.csv"]).unused == ("remark",)
 
 
 def test_a_folder_of_downloads_is_read_as_one(tmp_path, rows):
@@ -104,13 +93,15 @@ def test_findings_and_exclusions_are_listed(tmp_path):
         *lazy,
         ("P03", "S01", "style", 5, "A", "", "=SUM(A1)"),
         ("P04", "S02", "style", "", "A", "", ""),
+        ("P08", "S10", "style", "", "A", "", ""),
     ]
     rows[0] = (*rows[0][:3], 9, *rows[0][4:])
     rows += [(person, "check-1", "style", 5 if person != "P07" else 1, "", 5, "") for person in ("P06", "P07")]
     path = write_csv(tmp_path / "r.csv", rows, "participant,item,question,score,ours_is,expected,comment")
-    checks, (style,) = judged(path)
-    found = {(finding.kind, finding.participant) for finding in checks.findings}
-    assert {
+    records = read_responses([path])
+    records = replace(records, assigned=dict.fromkeys(records.participant.tolist(), 10))
+    checks, (style,) = check(records, scale=Scale(), rules=Rules())
+    assert {(finding.kind, finding.participant) for finding in checks.findings} == {
         ("straight_lining", "STRAIGHT"),
         ("missing", "LAZY"),
         ("missing", "P00"),
@@ -118,16 +109,20 @@ def test_findings_and_exclusions_are_listed(tmp_path):
         ("out_of_range", "P00"),
         ("failed_attention_check", "P07"),
         ("duplicated", "P04"),
-    } == found
+    }
     assert {exclusion.participant for exclusion in checks.exclusions} == {"LAZY", "P07"}
     assert checks.attention_answers == 2
-    assert read_responses([path]).comments == (("P03", "=SUM(A1)"),)
+    assert records.comments == (("P03", "=SUM(A1)"),)
     present = {style.participant_names[index] for index in style.participants}
     assert "STRAIGHT" in present
     assert not present & {"LAZY", "P07"}
     assert checks.answers_used == style.count == 10 * 9 + 10 - 1
-    stricter, _ = judged(path, Rules(straight_lining=True, failed_checks=1))
+    stricter, _ = check(records, scale=Scale(), rules=Rules(straight_lining=True, failed_checks=1))
     assert {exclusion.participant for exclusion in stricter.exclusions} == {"LAZY", "STRAIGHT"}
+    unplanned, _ = judged(path)
+    assert [finding.participant for finding in unplanned.findings if finding.kind == "missing"] == ["P08"]
+    assert {exclusion.participant for exclusion in unplanned.exclusions} == {"P07"}
+    assert any("who stopped early is not seen" in note for note in unplanned.notes)
 
 
 def test_the_first_of_two_answers_counts(tmp_path):
@@ -152,8 +147,8 @@ def test_several_comparisons_are_kept_apart(tmp_path):
         (b"", "is empty"),
         (b"   \n\n", "is empty"),
         (b"participant,item,question,score,ours_is\n", "no answers"),
-        (b"a,b,c\n1,2,3\n", "has the columns a, b, c"),
-        (b"participant,item,question,score\nP1,S1,q,3\n", "lacks the column ours_is"),
+        (b"a,b,c\n1,2,3\n", "lacks the columns participant, item, question, score; it has a, b, c"),
+        (b"participant,item,question,score\nP1,S1,q,3\n", "does not say where ours was: give the design with --study, or add ours_is"),
         (b"participant,item,question,score,ours_is\nP1,S1,q,good,A\n", "row 2: score is 'good'"),
         (b"participant,item,question,score,ours_is\nP1,S1,q,3,left\n", "row 2: ours_is is 'left'"),
         (b"participant,item,question,score,ours_is\nP1,S1,q,3,A,5\n", "row 2 has 6 cells"),
@@ -166,9 +161,9 @@ def test_several_comparisons_are_kept_apart(tmp_path):
         (b"[1, 2]", "list of answers"),
         (b"{nothing", "no list of answers"),
         (b"SQLite format 3\0 and then nothing of the kind" * 30, "no readable SQLite file"),
-        (b"participant,item,ours_is,remark\nP1,S1,A,well\n", "no column of scores"),
-        (b"participant,S1:style\nP1,3\n", "has the columns"),
-        (b"participant,S1:style,S2:ours_is\nP1,3,A\n", "no 'S1:ours_is'"),
+        (b"participant,item,ours_is,remark\nP1,S1,A,well\n", "lacks the columns question, score"),
+        (b"participant,S1:style,S1:ours_is\nP1,3,A\n", "expected one answer a row, in participant, item, question"),
+        (b"participant,item,question,ours_is\nP1,S1,q,A\n", "lacks the column score"),
     ],
 )
 def test_bad_files_end_in_one_line(tmp_path, content, words):

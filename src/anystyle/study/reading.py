@@ -24,6 +24,7 @@ LONG = ("participant", "item", "question", "score")
 
 _OPTIONAL = ("study", "side", "ours_is", "method", "scene", "style", "expected", "comparison", "seconds", "comment")
 _BOOKKEEPING = ("time", "session", "device", "revision", "received", "id")
+_KNOWN = frozenset((*LONG, *_OPTIONAL, *_BOOKKEEPING))
 _SUFFIXES = (".csv", ".tsv", ".json", ".sqlite", ".sqlite3", ".db")
 _MAX_BYTES = 256 << 20
 _MAX_STEPS = 20_000_000
@@ -213,20 +214,18 @@ def _text(value: Any) -> str:
 
 
 def _checked(names: Sequence[str], columns: Iterable[Sequence[str]], source: str) -> _Table:
-    known = (*LONG, *_OPTIONAL, *_BOOKKEEPING)
-    lowered = [name.lower() if name.lower() in known else name for name in names]
-    twice = sorted({name for name in lowered if lowered.count(name) > 1})
-    if twice:
-        raise ValueError(f"{source} has the column {twice[0]!r} twice; expected each name once")
-    missing = [name for name in LONG if name not in lowered]
+    canonical_names = [name.lower() if name.lower() in _KNOWN else name for name in names]
+    duplicates = sorted({name for name in canonical_names if canonical_names.count(name) > 1})
+    if duplicates:
+        raise ValueError(f"{source} has the column {duplicates[0]!r} twice; expected each name once")
+    missing = [name for name in LONG if name not in canonical_names]
     if missing:
         raise ValueError(
             f"{source} lacks the column{'s' * (len(missing) > 1)} {', '.join(missing)}; it has "
             f"{', '.join(names[:12])}; expected one answer a row, in {', '.join(LONG)}"
         )
-    table = _Table(
-        {name: [cell.strip() for cell in column] for name, column in zip(lowered, columns, strict=True)}, source
-    )
+    cells = {name: [cell.strip() for cell in column] for name, column in zip(canonical_names, columns, strict=True)}
+    table = _Table(cells, source)
     if not table.count:
         raise ValueError(f"{source} holds a header and no answers; expected one answer a row")
     return table
@@ -247,7 +246,6 @@ def _records(table: _Table, study: Study | None) -> Records:
         raise ValueError(f"{table.source} does not say where ours was: give the design with --study, or add ours_is")
     else:
         design = _designed(table, study)
-    known = (*LONG, *_OPTIONAL, *_BOOKKEEPING)
     return Records(
         participant=participant,
         item=item,
@@ -257,7 +255,7 @@ def _records(table: _Table, study: Study | None) -> Records:
         seconds=_numbers(table, "seconds"),
         **design,
         comments=tuple(dict.fromkeys(pair for pair in comments if pair[1])),
-        unused=tuple(name for name in table.cells if name not in known),
+        unused=tuple(name for name in table.cells if name not in _KNOWN),
         sources=(table.source,),
     )
 
