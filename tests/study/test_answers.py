@@ -148,9 +148,16 @@ def test_several_comparisons_are_kept_apart(tmp_path):
         (b"   \n\n", "is empty"),
         (b"participant,item,question,score,ours_is\n", "no answers"),
         (b"a,b,c\n1,2,3\n", "lacks the columns participant, item, question, score; it has a, b, c"),
-        (b"participant,item,question,score\nP1,S1,q,3\n", "does not say where ours was: give the design with --study, or add ours_is"),
+        (
+            b"participant,item,question,score\nP1,S1,q,3\n",
+            "does not say where ours was: give the design with --study, or add ours_is",
+        ),
         (b"participant,item,question,score,ours_is\nP1,S1,q,good,A\n", "row 2: score is 'good'"),
         (b"participant,item,question,score,ours_is\nP1,S1,q,3,left\n", "row 2: ours_is is 'left'"),
+        (
+            b"participant,item,question,score,method\nP1,S1,q,3,styl3r\n",
+            "row 2: method is 'styl3r'; expected ours or theirs",
+        ),
         (b"participant,item,question,score,ours_is\nP1,S1,q,3,A,5\n", "row 2 has 6 cells"),
         (b"participant,item,question,score,ours_is\n,S1,q,3,A\n", "row 2: participant is empty"),
         (b"participant,item,question,score,score\nP1,S1,q,3,3\n", "'score' twice"),

@@ -235,10 +235,11 @@ def _records(table: _Table, study: Study | None) -> Records:
     expected = _numbers(table, "expected")
     participant, item = _names(table, "participant"), _names(table, "item")
     comments = zip(table.get("participant"), table.get("comment"), strict=True)
+    method = _choices(table, "method", "ours or theirs", np.array(table.get("method")) == "")
     if "ours_is" in table.cells or "method" in table.cells:
         design: dict[str, Any] = {
-            "ours_is_a": _positions(table, ~np.isnan(expected) | np.isin(table.get("method"), ["ours", "theirs"])),
-            "method": np.array(table.get("method")),
+            "ours_is_a": _choices(table, "ours_is", "A or B", ~np.isnan(expected) | (method != "")) == "A",
+            "method": method,
             **{name: np.array(table.get(name)) for name in ("comparison", "scene", "style")},
             **dict.fromkeys(("check", "of"), np.full(table.count, "")),
         }
@@ -310,11 +311,12 @@ def _numbers(table: _Table, column: str) -> np.ndarray:
         raise
 
 
-def _positions(table: _Table, optional: np.ndarray) -> np.ndarray:
-    cells = table.get("ours_is")
-    upper = np.char.upper(np.array(cells))
-    wrong = np.flatnonzero(~np.isin(upper, ["A", "B"]) & ~optional)
+def _choices(table: _Table, column: str, choices: str, optional: Bool[np.ndarray, " N"]) -> np.ndarray:
+    """The cells of a column in the case of ``choices``, which are "ONE or OTHER"; any cell where it is optional."""
+    cells = np.array(table.get(column))
+    cased = np.char.lower(cells) if choices.islower() else np.char.upper(cells)
+    wrong = np.flatnonzero(~np.isin(cased, choices.split(" or ")) & ~optional)
     if len(wrong):
-        cell = cells[int(wrong[0])]
-        raise ValueError(f"{table.source}, row {int(wrong[0]) + 2}: ours_is is {cell[:40]!r}; expected A or B")
-    return upper == "A"
+        row, cell = int(wrong[0]) + 2, str(cells[wrong[0]])[:40]
+        raise ValueError(f"{table.source}, row {row}: {column} is {cell!r}; expected {choices}")
+    return cased
