@@ -184,7 +184,8 @@ def _compose(command, module, words):
 
 def _plain(command, module, words):
     """Words of a command, or of one of its sub-commands, which has a module or a parser of its own."""
-    homes = [f"anystyle.commands.{form.format(command, *words)}" for form in ("{}_{}", "_{}_{}")] if words else []
+    names = [form.format(command, *words) for form in ("{}_{}", "_{}_{}")] if words else []
+    homes = [f"anystyle.commands.{name}" for name in names if name.isidentifier()]
     below = next((home for home in homes if importlib.util.find_spec(home)), None)
     if below:
         # What a study's flags leave are overrides of its configuration.
@@ -192,6 +193,8 @@ def _plain(command, module, words):
     elif words and hasattr(module, f"{words[0]}_parser"):
         parse(getattr(module, f"{words[0]}_parser")(), words[1:])
     else:
+        if command in ("benchmark", "view"):
+            words = [word for word in words if "=" not in word]  # overrides
         given = parse(module.parser(), words[1:] if words[:1] == ["list"] else words)
         assert command != "plugins" or not words or words[0] in KINDS, given
 

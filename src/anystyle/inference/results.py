@@ -27,7 +27,9 @@ from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.checkpoint import save_tensors
 from anystyle.io.sheet import Cell, style_sheet, to_pil
 from anystyle.io.video import write_video
+from anystyle.methods.branch import Branch
 from anystyle.methods.contract import Method
+from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians
 
 MAX_POINTS = 100_000
@@ -229,11 +231,10 @@ def same_geometry(first: Gaussians, second: Gaussians) -> bool:
 
 def method_report(method: Method | None) -> dict[str, object]:
     """What stylized a scene, for ``report.json``: the method, and the networks that it rests on."""
-    if method is None:
-        return {"kind": "branch"}
+    chosen = method or Branch()
     return {
-        "kind": type(method).__name__.lower(),
-        "networks": [asdict(source) for source in method.sources],
+        "kind": catalog().name_of("method", type(chosen)),
+        "networks": [asdict(source) for source in chosen.sources],
     }
 
 
