@@ -181,7 +181,7 @@ def test_a_command_runs_with_flags_and_overrides(command):
         (["seed=[1"], "cannot read the override 'seed=[1': "),
         (["seed=1,2"], "Ambiguous value for argument 'seed=1,2'"),
         (["-m", "placement=head,haed"], "Could not find 'placement/haed'. Did you mean 'head'?"),
-        (["placement._target_=os.system"], "_target_ 'os.system' is not a plugin; a config may build only what"),
+        (["placement._target_=os.system"], "placement._target_ is 'os.system', which is no plugin of the catalog"),
         (["--txet", "x"], "unrecognized arguments: --txet. Did you mean '--text'? See: anystyle job --help"),
         (["--text"], "argument --text: expected one argument. See: anystyle job --help"),
         (["--cfg"], "--cfg takes one of job, hydra, all"),
