@@ -238,6 +238,28 @@ def test_a_failing_job_of_a_multirun_is_named(command):
     assert err == "Error executing job with overrides: ['seed=1']\nanystyle: error: two lines\n"
 
 
+def test_a_folder_of_configurations_is_read(command, tmp_path):
+    (tmp_path / "more" / "placement").mkdir(parents=True)
+    (tmp_path / "more" / "placement" / "mine.yaml").write_text("defaults: [full]\nevery_layer: true\n")
+    for flag in ("-cd", "--config-dir"):
+        assert command(flag, "more", "placement=mine", "seed=4") == (0, "JOB Full 4 [] []\n", "")
+    status, _, err = command("-cd", "absent", "placement=mine")
+    assert status == 2 and err.startswith("anystyle: error: ") and "absent" in err and err.count("\n") == 1
+
+
+def test_a_callback_in_a_folder_of_configurations_does_not_run(command, tmp_path):
+    (tmp_path / "more" / "extra").mkdir(parents=True)
+    (tmp_path / "more" / "extra" / "evil.yaml").write_text(
+        "# @package _global_\nhydra: {callbacks: {evil: {_target_: os.system, command: touch ran}}}\n"
+    )
+    status, out, err = command("-cd", "more", "+extra=evil")
+    assert (status, out) == (2, "") and not (tmp_path / "ran").exists()
+    assert err.startswith(
+        "anystyle: error: hydra.callbacks.evil._target_ is 'os.system', which a configuration may not"
+    )
+    assert err.count("\n") == 1
+
+
 def test_workers_know_the_plugins_of_a_folder(tmp_path):
     """Other processes compose again: the source and the folder, named relatively, travel there."""
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher.joblib_launcher")

@@ -97,8 +97,8 @@ def _shown(value: object) -> str:
 class FileConfigSource(file_config_source.FileConfigSource):
     """Configuration files, read through the door for documents.
 
-    Named as Hydra's: in the process of a launcher's job Hydra registers its sources after this one has arrived there, and
-    leaves one of the same name in its place.
+    Named as Hydra's: in the process of a launcher's job Hydra registers its sources after this one has arrived there,
+    and leaves one of the same name in its place.
     """
 
     def load_config(self, config_path: str) -> ConfigResult:
