@@ -89,9 +89,9 @@ def test_a_digest_is_that_of_the_bytes(tmp_path):
     ("name", "value", "message"),
     [
         ("config", '{"backbone": {"depth": "${oc.env:SECRET}"}}', "holds an interpolation"),
-        ("config", "{", "is damaged"),
-        ("base", "null", "is damaged"),
-        ("omitted", "3", "is damaged"),
+        ("config", "{", "config in the header of .* is no JSON"),
+        ("base", "null", "is no header of weights .* at 'base'"),
+        ("omitted", "3", "is no header of weights .* at 'omitted'"),
     ],
 )
 def test_a_header_of_another_form_is_one_line(tmp_path, monkeypatch, name, value, message):
@@ -102,7 +102,8 @@ def test_a_header_of_another_form_is_one_line(tmp_path, monkeypatch, name, value
     save_file({"weight": torch.zeros(1)}, tmp_path / "a.safetensors", plain | {name: value})
     with pytest.raises(ValueError, match=message) as caught:
         read_header(tmp_path / "a.safetensors")
-    assert "a.safetensors" in str(caught.value) and "whispered" not in str(caught.value)
+    said = str(caught.value)
+    assert "a.safetensors" in said and "whispered" not in said and "\n" not in said
 
 
 def test_headers_are_plain_json(tmp_path):

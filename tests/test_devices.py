@@ -12,7 +12,6 @@ from anystyle.contracts import Loss
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.testing import inputs, samples
-from anystyle.types import Style
 
 ASKS_FOR_VALUES = (
     "is on the meta device",
@@ -45,7 +44,7 @@ def test_encoding_and_restyling():
     stylizer = anystyle.load("tiny", ["renderer=torch"])
     with torch.no_grad():
         scene = stylizer.encode(inputs.views(1, 2, (56, 56)))
-        embedding = stylizer.embed(Style(image=inputs.images(1, (32, 32)), names=("a",)))
+        embedding = stylizer.embed(image=inputs.images(1, (32, 32)))
         meta = stylizer.to("meta")
         stem = meta.backbone.embedder(scene.views.images.to("meta"))
         features = meta.backbone.aggregator(stem)

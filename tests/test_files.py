@@ -1,3 +1,4 @@
+import signal
 import subprocess
 import sys
 
@@ -80,3 +81,22 @@ def test_a_folder_is_locked_against_other_processes_until_its_holder_ends_howeve
         holder.kill()
     with folder_lock(tmp_path, "taken"):
         pass
+
+
+def test_a_command_that_is_terminated_clears_away_what_it_began(tmp_path):
+    code = (
+        "import signal\nfrom anystyle.commands._run import run\nfrom anystyle.io.atomic import atomic_directory\n"
+        "def command():\n"
+        "    with atomic_directory('out') as temporary:\n"
+        "        (temporary / 'half.png').touch()\n"
+        "        print('begun', flush=True)\n"
+        "        while True: signal.pause()\n"
+        "run(command)"
+    )
+    pipe = subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", code], cwd=tmp_path, stdout=pipe, stderr=pipe, text=True) as process:
+        assert process.stdout.readline() == "begun\n"
+        process.send_signal(signal.SIGTERM)
+        assert process.communicate(timeout=60)[1] == "anystyle: terminated\n"
+    assert process.returncode == 143
+    assert list(tmp_path.rglob("*.png")) == [] and list(tmp_path.rglob(".partial-*")) == []

@@ -181,7 +181,7 @@ def test_a_command_runs_with_flags_and_overrides(command):
         (["seed=[1"], "cannot read the override 'seed=[1': "),
         (["seed=1,2"], "Ambiguous value for argument 'seed=1,2'"),
         (["-m", "placement=head,haed"], "Could not find 'placement/haed'. Did you mean 'head'?"),
-        (["placement._target_=os.system"], "_target_ 'os.system' is not a plugin; a config may build only what"),
+        (["placement._target_=os.system"], "placement._target_ is 'os.system', which is no plugin of the catalog"),
         (["--txet", "x"], "unrecognized arguments: --txet. Did you mean '--text'? See: anystyle job --help"),
         (["--text"], "argument --text: expected one argument. See: anystyle job --help"),
         (["--cfg"], "--cfg takes one of job, hydra, all"),
@@ -236,6 +236,28 @@ def test_a_failing_job_of_a_multirun_is_named(command):
     status, _, err = command("-m", "seed=1,2", "--fail", "user")
     assert status == 2
     assert err == "Error executing job with overrides: ['seed=1']\nanystyle: error: two lines\n"
+
+
+def test_a_folder_of_configurations_is_read(command, tmp_path):
+    (tmp_path / "more" / "placement").mkdir(parents=True)
+    (tmp_path / "more" / "placement" / "mine.yaml").write_text("defaults: [full]\nevery_layer: true\n")
+    for flag in ("-cd", "--config-dir"):
+        assert command(flag, "more", "placement=mine", "seed=4") == (0, "JOB Full 4 [] []\n", "")
+    status, _, err = command("-cd", "absent", "placement=mine")
+    assert status == 2 and err.startswith("anystyle: error: ") and "absent" in err and err.count("\n") == 1
+
+
+def test_a_callback_in_a_folder_of_configurations_does_not_run(command, tmp_path):
+    (tmp_path / "more" / "extra").mkdir(parents=True)
+    (tmp_path / "more" / "extra" / "evil.yaml").write_text(
+        "# @package _global_\nhydra: {callbacks: {evil: {_target_: os.system, command: touch ran}}}\n"
+    )
+    status, out, err = command("-cd", "more", "+extra=evil")
+    assert (status, out) == (2, "") and not (tmp_path / "ran").exists()
+    assert err.startswith(
+        "anystyle: error: hydra.callbacks.evil._target_ is 'os.system', which a configuration may not"
+    )
+    assert err.count("\n") == 1
 
 
 def test_workers_know_the_plugins_of_a_folder(tmp_path):

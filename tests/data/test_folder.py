@@ -181,3 +181,31 @@ def test_bad_inputs_end_in_one_line(tmp_path):
         with pytest.raises(ValueError, match=words) as caught:
             read(tmp_path / name)
         assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "words"),
+    [
+        ("a.mp4", {}, "is no video, or a damaged one"),
+        ("a.mp4", {"movflags": "faststart"}, "it is truncated"),
+        ("a.mkv", {}, "it is truncated"),
+        ("a.avi", {}, "it is truncated"),
+    ],
+)
+def test_a_truncated_video_is_refused(tmp_path, name, options, words):
+    """Whatever its container: what is left of it would pass for a shorter walk."""
+    path = tmp_path / name
+    pixels = np.random.default_rng(0).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    with av.open(str(path), "w", options=options) as container:
+        stream = container.add_stream("mpeg4", rate=2)  # several clusters of Matroska
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        for index in range(40):
+            shown = np.roll(pixels, index, axis=1)
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(shown, format="rgb24")))
+        container.mux(stream.encode())
+    assert len(read_frames(path, 4)) == 4
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) * 7 // 10])
+    with pytest.raises(ValueError, match=words) as caught:
+        read_frames(path, 4)
+    assert "\n" not in str(caught.value)

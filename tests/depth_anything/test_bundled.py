@@ -21,7 +21,7 @@ MEGABYTES = 8.0
 
 @pytest.fixture(scope="module")
 def tiny() -> Stylizer:
-    return assemble(compose("stylize", ["backbone=depth_anything_tiny", "style_encoder=tiny"]))[0]
+    return assemble(compose("stylize", ["~model", "backbone=depth_anything_tiny", "style_encoder=tiny"]))[0]
 
 
 @pytest.fixture(scope="module")

@@ -103,3 +103,26 @@ def test_figures_that_a_group_lacks_are_dashes():
     made = figures_table({"all": {"a": 1.0, "b": 2.0}, "base": {"a": 3.0}}, {}, {})
     assert made.columns == ("figure", "all", "base")
     assert made.rows == (("a", "1", "3"), ("b", "2", "–"))
+
+
+def test_no_spreadsheet_takes_a_text_for_a_formula():
+    texts = (
+        "=HYPERLINK(1)",
+        "+a",
+        "-b",
+        "@SUM(1)",
+        "\t=1",
+        "\n=1",
+        "\r=1",
+        "a\r=1",
+        "plain",
+        "a=b",
+        "-1.5",
+        "+2",
+        "1e-3",
+        "",
+    )
+    (row,) = csv.reader(io.StringIO(Table(texts, ()).csv(), newline=""))
+    assert row == [*(f"'{text}" for text in texts[:6]), "' =1", "a =1", *texts[8:]]
+    # Only there: the same text in Markdown and LaTeX is what it was.
+    assert "'" not in Table(texts[:4], ()).markdown()

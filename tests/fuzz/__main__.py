@@ -164,7 +164,7 @@ def main() -> int:
     arguments = words.parse_args()
     faulthandler.enable()
     verdicts = fuzz(arguments.inputs, arguments.seed, arguments.seconds, arguments.keep, arguments.only)
-    return int(set(verdicts) > {"fine"})
+    return int(set(verdicts) != {"fine"})
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from anystyle.contracts import Placement
+from anystyle.errors import UserError
 from anystyle.registry.build import build
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import catalog
@@ -20,6 +21,7 @@ from anystyle.registry.source import PluginSource, register
 PLACEMENTS = """
 from typing import Literal
 from anystyle.contracts import Placement
+from anystyle.errors import UserError
 class Deep(Placement):
     def __init__(self, *, depth: int = 2, attention: Literal["sdpa", "math"] = "sdpa") -> None:
         self.depth, self.attention = depth, attention
@@ -118,9 +120,10 @@ def test_two_of_one_name_are_told_when_chosen(composed, plugin_folder):
 
 
 def test_a_target_of_ones_own_builds_nothing(composed):
-    config = composed("placement._target_=os.system")
+    with pytest.raises(UserError, match=r"placement\._target_ is 'os\.system', which is no plugin of the catalog"):
+        composed("placement._target_=os.system")
     with pytest.raises(ValueError, match=r"_target_ 'os.system' is not a plugin"):
-        build(Placement, config.placement)
+        build(Placement, OmegaConf.create({"_target_": "os.system"}))
 
 
 def test_source_lists_the_catalog(composed):

@@ -24,7 +24,7 @@ def words(file: Path) -> list[str]:
 
     small = [override(f"backbone.{name}", value) for name, value in AnySplat.example(Path()).items()]
     weights = ["weights.branch=null", override("weights.backbone", str(file))]
-    return ["backbone=anysplat", "style_encoder=tiny", *small, *weights]
+    return ["~model", "backbone=anysplat", "style_encoder=tiny", *small, *weights]
 
 
 def test_every_value_is_taken_over_and_the_gaussian_head_is_left_as_initialised(

@@ -133,9 +133,13 @@ def _md(text: str) -> str:
 
 
 def _cell(text: str) -> str:
-    """A cell that no spreadsheet takes for a formula: a text that looks like one has an apostrophe before it."""
+    """A cell that no spreadsheet takes for a formula: a text that looks like one has an apostrophe before it.
+
+    A carriage return is a space: the writer leaves it bare, and readers begin a row, and maybe a formula, after it.
+    """
     try:
         float(text)
     except ValueError:
-        return f"'{text}" if text.startswith(("=", "+", "-", "@", "\t", "\r")) else text
+        risky = text.startswith(("=", "+", "-", "@", "\t", "\r", "\n"))
+        return ("'" * risky + text).replace("\r", " ")
     return text

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from hydra._internal.config_loader_impl import ConfigLoaderImpl
-from hydra._internal.core_plugins.file_config_source import FileConfigSource
+from hydra._internal.core_plugins import file_config_source
 from hydra._internal.sources_registry import SourcesRegistry
 from hydra.errors import ConfigCompositionException
 from hydra.plugins.config_source import ConfigLoadError, ConfigResult, ConfigSource
@@ -94,8 +94,12 @@ def _shown(value: object) -> str:
     return repr(value)[:100]
 
 
-class GuardedFiles(FileConfigSource):
-    """Configuration files, read through the door for documents."""
+class FileConfigSource(file_config_source.FileConfigSource):
+    """Configuration files, read through the door for documents.
+
+    Named as Hydra's: in the process of a launcher's job Hydra registers its sources after this one has arrived there,
+    and leaves one of the same name in its place.
+    """
 
     def load_config(self, config_path: str) -> ConfigResult:
         """Read a file of this source.
@@ -120,9 +124,8 @@ class GuardedFiles(FileConfigSource):
 
 
 def install() -> None:
-    """Let Hydra in this process read files through the door, and judge what it composes; again changes nothing."""
-    SourcesRegistry.instance().types["file"] = GuardedFiles
-    ConfigLoaderImpl.load_configuration = _load_judged  # type: ignore[method-assign]
+    """Let Hydra in this process read files through the door; again changes nothing."""
+    SourcesRegistry.instance().types["file"] = FileConfigSource
 
 
 _load = ConfigLoaderImpl.load_configuration
@@ -133,3 +136,7 @@ def _load_judged(loader: ConfigLoaderImpl, *args: Any, **options: Any) -> DictCo
     config = _load(loader, *args, **options)
     check(config)
     return config
+
+
+# When this file is imported: the process of a launcher's job imports it with the source above, and installs nothing.
+ConfigLoaderImpl.load_configuration = _load_judged  # type: ignore[method-assign]

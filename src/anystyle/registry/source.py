@@ -14,7 +14,7 @@ from hydra.plugins.config_source import ConfigLoadError, ConfigResult, ConfigSou
 
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import PluginError, catalog
-from anystyle.registry.guard import GuardedFiles, install
+from anystyle.registry.guard import FileConfigSource, install
 from anystyle.registry.packages import groups, package_presets
 from anystyle.registry.schema import node
 
@@ -56,7 +56,7 @@ class PluginSource(ConfigSource):
         group, _, name = config_path.removesuffix(".yaml").partition("/")
         preset = self._preset(group, name)
         if preset is not None:
-            return GuardedFiles(self.provider, str(preset.parent)).load_config(preset.name)
+            return FileConfigSource(self.provider, str(preset.parent)).load_config(preset.name)
         try:
             config = node(catalog().find(group, name))
         except PluginError as error:

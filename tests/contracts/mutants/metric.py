@@ -75,8 +75,5 @@ CHANGED = {
     ),
     "a lambda": (Pinned, {"copies go on"}),
     "counts that are not summed": (Unmergeable, {"processes can be merged"}),
-    "results overwritten": (
-        Overwriting,
-        {"inputs are left alone", "order does not matter", "copies go on", "processes can be merged"},
-    ),
+    "results overwritten": (Overwriting, {"inputs are left alone", "copies go on"}),
 }
