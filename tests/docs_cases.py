@@ -99,7 +99,7 @@ NOT_RUN = {
     r"pip install ": "needs a network",
     r"make (demo|setup|lint|test|test-slow)$": "sets up an environment from a network",
     r"anystyle view \S+$": "serves until it is interrupted; viewer/test_live.py looks at it",
-    r"make fuzz$": "sets up an environment from a network, and takes minutes; test_fuzz.py damages a few inputs",
+    r"make fuzz\b": "sets up an environment from a network, and takes minutes; test_fuzz.py damages a few inputs",
     r"make docs$": "tests/docs/test_site.py does what it does",
     r"python -m pytest tests/docs$": "these tests",
     r"torchrun ": "needs several graphics cards, or machines",
