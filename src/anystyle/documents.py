@@ -26,7 +26,11 @@ Figure = float | Literal["inf", "-inf"] | None
 
 def as_figure(value: float) -> Figure:
     """A number as JSON can hold it."""
-    return None if math.isnan(value) else str(value) if math.isinf(value) else value  # type: ignore[return-value]
+    if math.isnan(value):
+        return None
+    if math.isinf(value):
+        return "inf" if value > 0 else "-inf"
+    return value
 
 
 def plain(value: Any) -> Any:

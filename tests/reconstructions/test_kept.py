@@ -42,6 +42,17 @@ def test_keys_tell_content_shape_and_options_apart():
     assert key_of(ones, {"steps": 3}) == key_of(ones.clone(), {"steps": 3})
 
 
+def test_a_flipped_bit_is_noticed(folder):
+    kept("fit", "a", value)
+    path = folder / "fit-a.pt"
+    content = path.read_bytes()
+    number = torch.arange(6.0)[5].numpy().tobytes()
+    path.write_bytes(content.replace(number, bytes([number[0] ^ 1]) + number[1:]))
+    assert path.read_bytes() != content
+    again, before = kept("fit", "a", value)
+    assert not before and torch.equal(again["means"], value()["means"])
+
+
 def test_what_is_damaged_is_computed_anew(folder):
     kept("fit", "a", value)
     path = folder / "fit-a.pt"

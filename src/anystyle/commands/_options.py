@@ -8,7 +8,7 @@ from omegaconf import DictConfig, OmegaConf
 from anystyle.documents import fit
 from anystyle.inference.options import ExportOptions, SplatOptions, VideoOptions, ViewOptions
 
-T = TypeVar("T")
+T = TypeVar("T", bound=msgspec.Struct)
 Seed = Annotated[int, msgspec.Meta(ge=0, le=(1 << 63) - 1)]
 Index = Annotated[int, msgspec.Meta(ge=0)]
 
@@ -51,6 +51,6 @@ def checked(config: DictConfig, shape: type[T]) -> T:
     Raises:
         ValueError: One is of another type or out of its range; the message names it.
     """
-    names = [name for name in shape.__struct_fields__ if name in config]  # type: ignore[attr-defined]
+    names = [field.name for field in msgspec.structs.fields(shape) if field.name in config]
     plain: Any = OmegaConf.to_container(OmegaConf.masked_copy(config, names), resolve=True, enum_to_str=True)
     return fit(plain, shape, source="the configuration", what="valid one")

@@ -11,7 +11,6 @@ from anystyle.losses._features import FeatureLoss
 from anystyle.methods.contract import Method, Progress, silent
 from anystyle.methods.scene_loop import SceneLoop, Schedule
 from anystyle.perception.sources import Source
-from anystyle.reconstructions.gaussian_parameters import NAMES
 from anystyle.reconstructions.loop import fingerprint, resume, write_state
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, Style, StyleEmbedding
@@ -76,10 +75,13 @@ class Optimize(Method):
             )
         if recolor not in get_args(Recolor):
             raise ValueError(f"method.recolor={recolor}; choose one of {', '.join(get_args(Recolor))}")
-        given = (means_lr, scales_lr, rotations_lr, opacities_lr, colors_lr)
-        rates = {name: rate for name, rate in zip(NAMES, given, strict=False) if rate}
+        given = {
+            "offsets": means_lr, "scales": scales_lr, "rotations": rotations_lr, "opacities": opacities_lr,
+            "colors": colors_lr,
+        }  # fmt: skip
+        rates = {name: rate for name, rate in given.items() if rate}
         if not rates or min(rates.values()) < 0:
-            raise ValueError(f"method: learning rates are {given}; give one above 0, and none below")
+            raise ValueError(f"method: learning rates are {(*given.values(),)}; give one above 0, and none below")
         self.losses = dict(losses)
         self.needs_image = needs_image or recolor != "none"
         self.recolor, self.style_size = recolor, style_size

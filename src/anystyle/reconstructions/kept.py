@@ -13,7 +13,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
+from anystyle.io.tensors import read_tensors
 
 logger = logging.getLogger(__name__)
 
@@ -73,10 +75,10 @@ def kept(kind: str, key: str, compute: Callable[[], dict[str, Any]]) -> tuple[di
     path = where / f"{kind}-{key}.pt"
     if path.is_file():
         try:
-            value = torch.load(path, map_location="cpu", weights_only=True)
+            value = read_tensors(path, what="kept result")
             path.touch()
-        except Exception:  # Damaged archives raise nearly anything.
-            logger.warning("%s is damaged and is computed anew", path)
+        except (UserError, OSError) as error:
+            logger.warning("%s; it is computed anew", error)
         else:
             return value, True
     value = compute()

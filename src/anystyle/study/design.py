@@ -205,7 +205,7 @@ def _participants(
     for number, (position, order) in enumerate(zip(positions, orders, strict=True)):
         chosen = [items[index] for index in subsets[number // 2]]
         ours_is_a = {item.id for item, first in zip(chosen, position, strict=True) if first}
-        ours_is_a |= {check.id for check, first in zip(checks, flipped[number], strict=False) if first}
+        ours_is_a |= {check.id for check, first in zip(checks, flipped[number][: len(checks)], strict=True) if first}
         sequence = [chosen[index].id for index in order]
         shown = spread_checks(sequence, [check.id for check in checks], generator)
         for index in sorted(generator.choice(plan.sets // 2, plan.repeats, replace=False), reverse=True):
