@@ -30,8 +30,8 @@ class Painter(Frozen):
 class Teacher(Loss):
     """Come near the photographs as Magenta's networks stylize them: ``mean |I - T| + edges * mean |dI - dT|``.
 
-    ``T`` are the photographs of a scene, stylized together by the style image, ``d`` differences of neighbouring pixels,
-    down and across. What the style enters as does not matter; a text alone adds nothing.
+    ``T`` are the photographs of a scene, stylized together by the style image, ``d`` differences of neighbouring
+    pixels, down and across. What the style enters as does not matter; a text alone adds nothing.
 
     Args:
         working_size: The shorter side in pixels at which the teacher sees the photographs.

@@ -95,4 +95,15 @@ def _nearest_layer(layer: str, offered: Sequence[str]) -> str:
     return (block or list(offered))[-1]
 
 
-__all__ = ["NETWORKS", "VGG16", "VGG19", "AlexNet", "Chosen", "EfficientNetLite0", "FeatureNetwork", "Texture", "choose", "load"]
+__all__ = [
+    "NETWORKS",
+    "VGG16",
+    "VGG19",
+    "AlexNet",
+    "Chosen",
+    "EfficientNetLite0",
+    "FeatureNetwork",
+    "Texture",
+    "choose",
+    "load",
+]
