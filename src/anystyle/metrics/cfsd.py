@@ -56,7 +56,6 @@ class CFSD(NetworkMetric, RowMean):
         self.declare(self._source)
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean over each row's views."""
         return mean_per_row(comparison, self._distances)
 
     def _distances(self, batch: Pairs) -> Float[Tensor, " M"]:

@@ -85,7 +85,6 @@ class ResidualConv(nn.Module):
         self.conv2 = nn.Conv2d(dim, dim, 3, padding=1)
 
     def forward(self, x: Float[Tensor, "M C h w"]) -> Float[Tensor, "M C h w"]:
-        """Refine a map."""
         positive = F.relu(x)
         return self.conv2(F.relu_(self.conv1(positive))) + (positive if self.rectified else x)
 

@@ -30,7 +30,6 @@ class SourcedNetwork(Frozen):
         self.longest = longest
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M *D"]:
-        """The vector or the score of each image."""
         return self.network(shrunk(images, self.longest))
 
 

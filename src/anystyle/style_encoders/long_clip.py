@@ -122,7 +122,6 @@ class LongClip(StyleEncoder):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Two thin layers a tower, and a vocabulary of three merges."""
         merges = gzip.compress(b"#version: 0.2\nr e\nre d</w>\no f</w>\n", mtime=0)
         (folder / "vocabulary.txt.gz").write_bytes(merges)
         return {

@@ -95,7 +95,6 @@ class ReconstructionTraining(Training):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Two scenes a step, rendered in each."""
         return {"batch_size": 2, "context_views": (2, 2), "render_every": 1, "render_scenes": 1, "warmup": 1}
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
@@ -113,11 +112,9 @@ class ReconstructionTraining(Training):
         )
 
     def exports(self) -> Mapping[str, nn.Module]:
-        """The backbone."""
         return {"backbone": self.backbone}
 
     def training_step(self, batch: Batch, step: int) -> Tensor:
-        """The weighted sum of all losses."""
         backbone = self.backbone
         with self.exact():
             views = canonical(batch.views, batch.context)

@@ -85,11 +85,9 @@ class EmbeddingTraining(StyleTraining):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """A few small pictures."""
         return {"texture": None, "batch_size": 4, "photos": 2, "pool": 8, "whiten_on": 8, "warmup": 1, "bf16": False}
 
     def exports(self) -> Mapping[str, nn.Module]:
-        """The encoder."""
         return {"style_encoder": self.style_encoder}
 
     def on_train_batch_start(self, batch: StyleBatch, batch_idx: int) -> None:

@@ -76,7 +76,6 @@ class PerceptualTraining(StyleTraining):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """A few small pictures."""
         return {"batch_size": 4, "photos": 2, "pool": 8, "crop": 24, "warmup": 1, "bf16": False}
 
     def exports(self) -> Mapping[str, nn.Module]:
@@ -156,7 +155,6 @@ class Normed(nn.Module):
         self.norm = nn.BatchNorm2d(convolution.out_channels)
 
     def forward(self, maps: Float[Tensor, "M C h w"]) -> Float[Tensor, "M c h w"]:
-        """Filter, then normalise."""
         return self.norm(self.convolution(maps))
 
 
