@@ -39,6 +39,7 @@ class ToyEmbedder(Embedder):
         self.camera = nn.Parameter(torch.randn(dim))
 
     def forward(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
+        """See :meth:`anystyle.contracts.Embedder.forward`."""
         maps = self.patches(images.flatten(0, 1) * 2 - 1)  # BV C h w
         patches = maps.flatten(2).mT.unflatten(0, images.shape[:2])  # B V hw C
         camera = self.camera.expand(*images.shape[:2], 1, -1)
@@ -60,6 +61,7 @@ class ToyLayer(nn.Module):
         self.scene = nn.Linear(dim, dim)
 
     def forward(self, data: Float[Tensor, "B V P C"]) -> Float[Tensor, "B V P C"]:
+        """Mix the tokens."""
         normed = self.norm(data)
         view, scene = normed.mean(2, keepdim=True), normed.mean((1, 2), keepdim=True)
         return data + self.token(normed) + self.view(view) + self.scene(scene)
@@ -85,6 +87,7 @@ class ToyAggregator(Aggregator):
         return tuple(Site(f"aggregator/{i}", self.dim, tapped=i in self.taps) for i in range(len(self.layers)))
 
     def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
+        """See :meth:`anystyle.contracts.Aggregator.forward`."""
         tokens, features = stem, {}
         for index, layer in enumerate(self.layers):
             tokens = inject(f"aggregator/{index}", tokens)
@@ -109,6 +112,7 @@ class ToyGeometryHead(GeometryHead):
         self.depth = nn.Linear(dim, 2 * patch_size**2)
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
+        """See :meth:`anystyle.contracts.GeometryHead.forward`."""
         size = (images.shape[-2], images.shape[-1])
         tokens = features[max(features)]
         shift, turn = (0.1 * self.pose(tokens.data[:, :, 0])).split(3, dim=-1)  # B V 3 each
@@ -142,6 +146,7 @@ class ToyGaussianHead(GaussianHead):
         return (Site("head/tokens", self.dim),)
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
+        """See :meth:`anystyle.contracts.GaussianHead.forward`."""
         tokens = inject("head/tokens", features[max(features)])
         raw = _to_pixels(self.attributes(self.norm(tokens.patches)), tokens.grid, self.patch_size)  # B V H W 11
         opacity, scale, rotation, change = raw.split([1, 3, 4, 3], dim=-1)
@@ -157,6 +162,7 @@ class ToyAdapter(Adapter):
         return None
 
     def forward(self, attributes: Attributes, geometry: Geometry, clusters: Clusters | None) -> Gaussians:
+        """See :meth:`anystyle.contracts.Adapter.forward`."""
         focal = geometry.cameras.intrinsics[..., 0, 0, None, None, None]  # B V 1 1 1
         pixel = geometry.depth[..., None] / focal  # B V H W 1
         return Gaussians(
@@ -189,6 +195,7 @@ class ToyBackbone(Backbone):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
+        """Options that make it small enough to check in seconds."""
         return {"dim": 12, "depth": 2}
 
 

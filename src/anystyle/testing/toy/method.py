@@ -31,6 +31,7 @@ class ToyMethod(Method):
         *,
         on_progress: Callable[[Progress], None] = silent,
     ) -> Gaussians:
+        """See :meth:`anystyle.methods.contract.Method.__call__`."""
         gaussians = stylizer.unstyled(scene)
         if style.image is None:
             return gaussians

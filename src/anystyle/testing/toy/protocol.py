@@ -38,6 +38,7 @@ class ToyProtocol(Protocol):
         self.num_styles = min(num_styles, len(self.styles))
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
+        """See :meth:`anystyle.evaluation.contract.Protocol.run`."""
         records: list[dict[str, float]] = []
         for scene in range(self.num_scenes):
             progress("scenes", scene, self.num_scenes)

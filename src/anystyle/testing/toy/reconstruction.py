@@ -34,6 +34,7 @@ class ToyReconstruction(Reconstruction):
         points: Sequence[Float[Tensor, "_ 3"]] | None = None,
         progress: Callable[[str], None] = silent,
     ) -> Reconstructed:
+        """See :meth:`anystyle.reconstructions.contract.Reconstruction.__call__`."""
         if views.cameras is None:
             raise ValueError("a wall is put before cameras, and there are none; poses=sfm finds them")
         batch, number, _, height, width = views.images.shape

@@ -29,6 +29,7 @@ class ToyRenderer(Renderer):
         self.blur = blur
 
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        """See :meth:`anystyle.contracts.Renderer.__call__`."""
         scenes = [
             torch.stack([self._draw(gaussians, cameras, scene, view) for view in range(cameras.intrinsics.shape[1])])
             for scene in range(gaussians.means.shape[0])

@@ -31,15 +31,19 @@ class ToyScenes(SceneSource):
         self.step = step
 
     def __len__(self) -> int:
+        """See :meth:`anystyle.contracts.SceneSource.__len__`."""
         return self.num_scenes
 
     def name(self, scene: int) -> str:
+        """See :meth:`anystyle.contracts.SceneSource.name`."""
         return f"wall_{scene:04d}"
 
     def num_views(self, scene: int) -> int:
+        """See :meth:`anystyle.contracts.SceneSource.num_views`."""
         return self.views
 
     def read(self, scene: int, views: Sequence[int]) -> Views:
+        """See :meth:`anystyle.contracts.SceneSource.read`."""
         height, width = self.size
         focal = float(max(self.size))
         shift = torch.tensor([view * self.step for view in views])  # V

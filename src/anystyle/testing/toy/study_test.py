@@ -24,6 +24,7 @@ class ToyStudyTest(StudyTest):
         self.confidence = confidence
 
     def __call__(self, responses: Responses) -> TestResult:
+        """See :meth:`anystyle.study.contract.StudyTest.__call__`."""
         values = responses.deviations
         ours, decided = int((values < 0).sum()), int((values != 0).sum())
         if decided < 2:

@@ -36,6 +36,7 @@ class ToyStyleEncoder(StyleEncoder):
         self.strength = strength
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
+        """See :meth:`anystyle.contracts.StyleEncoder.embed_images`."""
         return self._embed(images.mean((2, 3)))
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:

@@ -30,6 +30,7 @@ class ToyTraining(Training):
         self.learning_rate = learning_rate
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
+        """See :meth:`anystyle.training.contract.Training.batches`."""
         return SceneBatches(
             required(scenes, "scenes"),
             seed=seed,
@@ -40,6 +41,7 @@ class ToyTraining(Training):
         )
 
     def exports(self) -> Mapping[str, nn.Module]:
+        """See :meth:`anystyle.training.contract.Training.exports`."""
         return {"backbone": self.backbone}
 
     def training_step(self, batch: Batch, step: int) -> Tensor:
@@ -52,4 +54,5 @@ class ToyTraining(Training):
         return loss
 
     def configure_optimizers(self) -> torch.optim.Optimizer:
+        """Adam."""
         return torch.optim.Adam(self.backbone.parameters(), lr=self.learning_rate)
