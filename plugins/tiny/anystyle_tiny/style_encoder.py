@@ -108,11 +108,7 @@ class Tiny(StyleEncoder):
 
 
 class ImageTower(nn.Module):
-    """From images to raw vectors of about unit norm.
-
-    Args:
-        dim: Of the vectors.
-    """
+    """From images to raw vectors of about unit norm."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()
@@ -175,12 +171,7 @@ class TextTower(nn.Module):
 
 
 class Block(nn.Module):
-    """A pre-norm transformer layer.
-
-    Args:
-        width: Channels.
-        heads: Of the attention.
-    """
+    """A pre-norm transformer layer."""
 
     def __init__(self, width: int, heads: int = 4) -> None:
         super().__init__()

@@ -108,12 +108,7 @@ class Fusion(nn.Module):
 
 
 class Chain(nn.ModuleList):
-    """Fusions from the coarsest level to the finest.
-
-    Args:
-        dim: Channels.
-        rectified: See :class:`ResidualConv`.
-    """
+    """Fusions from the coarsest level to the finest."""
 
     def __init__(self, dim: int, *, rectified: bool) -> None:
         super().__init__(Fusion(dim, takes_level=level < 3, rectified=rectified) for level in range(4))

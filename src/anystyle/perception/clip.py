@@ -67,16 +67,7 @@ class Transformer(nn.Module):
 
 
 class Vision(nn.Module):
-    """The image tower.
-
-    Args:
-        width: Channels.
-        layers: Blocks.
-        patch_size: Side of a patch in pixels.
-        resolution: Side of the images in pixels.
-        dim: Of the embedding.
-        activation: Of the MLPs.
-    """
+    """The image tower."""
 
     def __init__(
         self,

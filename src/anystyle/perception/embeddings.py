@@ -34,11 +34,7 @@ class SourcedNetwork(Frozen):
 
 
 class TextureMoments(Frozen):
-    """Mean and deviation of every channel of the bundled texture network: 640 numbers.
-
-    Args:
-        network: That network.
-    """
+    """Mean and deviation of every channel of the bundled texture network: 640 numbers."""
 
     def __init__(self, network: FeatureNetwork) -> None:
         super().__init__()
@@ -50,11 +46,7 @@ class TextureMoments(Frozen):
 
 
 class TextureScore(Frozen):
-    """The product of :class:`TextureMoments` with a fixed random direction: a number that does not measure art.
-
-    Args:
-        network: The bundled texture network.
-    """
+    """The product of :class:`TextureMoments` with a fixed random direction: a number that does not measure art."""
 
     direction: Tensor
 

@@ -51,11 +51,7 @@ LOADED_SIDE = 256
 
 
 class TextAdapter(nn.Module):
-    """A residual MLP on the text tower's features, frozen as it was initialised; part of the published checkpoints.
-
-    Args:
-        dim: Of the features.
-    """
+    """A residual MLP on the text tower's features, frozen as it was initialised; part of the published checkpoints."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()

@@ -225,7 +225,6 @@ class ReconstructionTraining(Training):
         return errors
 
     def validation_step(self, batch: Batch, step: int) -> None:
-        """Log the errors of depth, cameras and renders."""
         with self.exact():
             errors = self.errors(batch)
         self.log_dict({f"val/{name}": value for name, value in errors.items()}, batch_size=len(batch.keys))

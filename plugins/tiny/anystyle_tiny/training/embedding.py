@@ -91,7 +91,6 @@ class EmbeddingTraining(StyleTraining):
         return {"style_encoder": self.style_encoder}
 
     def on_train_batch_start(self, batch: StyleBatch, batch_idx: int) -> None:
-        """Fix the whitening when it is time."""
         if self.global_step == int(self.whiten_at * self.trainer.max_steps):
             self.whiten()
 
@@ -104,7 +103,6 @@ class EmbeddingTraining(StyleTraining):
         self.style_encoder.train()
 
     def training_step(self, batch: StyleBatch, step: int) -> Tensor:
-        """Contrast between modalities, and what each must say of the style by itself."""
         styles = len(batch.texts)
         images = torch.cat([batch.images, batch.photos])
         if self.tune_texture:

@@ -83,7 +83,6 @@ class PerceptualTraining(StyleTraining):
         return {"texture": self.network.folded()}
 
     def training_step(self, batch: StyleBatch, step: int) -> Tensor:
-        """Cross-entropies of the traits, and the palette's distance."""
         shrunk = torch.rand(len(batch.images), device=batch.images.device) < self.shrink
         images = self.varied(batch, shrunk)
         pooled = self.pooled(images)
@@ -143,11 +142,7 @@ class PerceptualTraining(StyleTraining):
 
 
 class Normed(nn.Module):
-    """A convolution and a batch normalisation.
-
-    Args:
-        convolution: Taken over as it is.
-    """
+    """A convolution and a batch normalisation."""
 
     def __init__(self, convolution: nn.Conv2d) -> None:
         super().__init__()
