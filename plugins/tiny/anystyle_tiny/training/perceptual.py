@@ -14,7 +14,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from anystyle.perception.features import walk
 from anystyle.perception.statistics import pooled_moments
 from anystyle.perception.texture import Texture, centred
-from anystyle.training.optim import decayed_groups, scheduled
+from anystyle.training.optim import decayed_adamw
 from anystyle_tiny.training.palette import COLORS, palette_loss
 from anystyle_tiny.training.styles import TRAITS, UNKNOWN, StyleBatch, StyleTraining, TraitHeads
 
@@ -132,13 +132,8 @@ class PerceptualTraining(StyleTraining):
 
     def configure_optimizers(self) -> Any:
         """AdamW with a warm-up and a cosine to 1 % of the rate."""
-        groups = decayed_groups([self], lr=self.learning_rate, weight_decay=self.weight_decay)
-        return scheduled(
-            torch.optim.AdamW(groups),
-            total=self.trainer.max_steps - self.warmup,
-            warmup=self.warmup,
-            floor=0.01 * self.learning_rate,
-        )
+        rate, decay, steps = self.learning_rate, self.weight_decay, self.trainer.max_steps
+        return decayed_adamw(self, lr=rate, weight_decay=decay, steps=steps, warmup=self.warmup, betas=(0.9, 0.999))
 
 
 class Normed(nn.Module):
