@@ -140,7 +140,7 @@ class Look:
                 f"/cameras/{view:03d} {name}",
                 fov=self.flight.field_of_view,
                 aspect=width / height,
-                scale=self.flight.distance / 40,
+                scale=self.flight.distance / 60,
                 thickness=1.0,
                 thickness_units="screen",
                 image=np.asarray(picture),

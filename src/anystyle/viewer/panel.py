@@ -11,6 +11,7 @@ from anystyle.errors import one_line
 from anystyle.inference.export import FORMATS, export
 from anystyle.inference.page import write_page
 from anystyle.io.sheet import to_pil
+from anystyle.types import Gaussians
 from anystyle.viewer.flight import Flight
 from anystyle.viewer.look import Look, drawn
 from anystyle.viewer.page import address, name_of, row
@@ -59,6 +60,7 @@ class Panel:
         self._add_files()
         session.on_change, session.on_status = self._changed, self._tell
         self._changed()
+        threading.Thread(target=self._draw_saved, daemon=True).start()
         server.on_client_connect(self._join)
         server.on_client_disconnect(self._leave)
 
@@ -199,12 +201,23 @@ class Panel:
         self._tell()
         self.command.content = f"```\n{self.session.command(*self._opened)}\n```"
         if wish == Wish(wish.style) or wish.style not in self._pictures:
-            small = self.flight.small_picture(gaussians, THUMBNAIL)
-            self._pictures[wish.style] = address(to_pil(small))
-        self.row.content = row(["", *self.session.styles()], wish.style, self._pictures)
+            self._draw(wish.style, gaussians)
+        self._show_row()
         names = (NONE, *(name_of(style) for style in self.session.styles()))
         if self.second.options != names:
             self.second.options = names
+
+    def _draw_saved(self) -> None:
+        """Pictures of the styles that were there before."""
+        for style, gaussians in self.session.saved.items():
+            self._draw(style, gaussians)
+
+    def _draw(self, style: str, gaussians: Gaussians) -> None:
+        self._pictures[style] = address(to_pil(self.flight.small_picture(gaussians, THUMBNAIL)))
+        self._show_row()
+
+    def _show_row(self) -> None:
+        self.row.content = row(["", *self.session.styles()], self.session.shown.style, dict(self._pictures))
 
     def _download(
         self, client: viser.ClientHandle, name: str, write: Callable[[Path, Callable[[int, int], None]], None]

@@ -10,7 +10,7 @@ from anystyle.errors import one_line
 LARGEST = 32 * 1024 * 1024
 """Bytes of a picture."""
 LONGEST = 2048
-"""Pixels of a side; larger pictures are reduced."""
+"""Pixels of the longer side; larger pictures are reduced to less than twice of it."""
 
 
 def keep_picture(folder: Path, name: str, content: bytes) -> Path:
