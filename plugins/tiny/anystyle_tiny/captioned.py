@@ -67,15 +67,12 @@ class CaptionedPictures(StyleSource):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Small ones, with two pictures."""
         return {"size": 32, "num_styles": 8, "paintings": FolderStyles.example(folder)["root"]}
 
     def __len__(self) -> int:
-        """How many styles there are."""
         return len(self.procedural)
 
     def read(self, style: int) -> Style:
-        """Make one picture and its caption."""
         draw = Draw((self.seed, SPLITS.index(self.split), style, 11))
         kind, invented = draw.between(0.0, 1.0), 1 - self.pictures
         if kind < invented * (1 - PHRASES) or not 0 <= style < len(self):
