@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
+from anystyle_tiny.procedural.layout import Draw
 from anystyle_tiny.procedural.palettes import COLORS
 
 SCALES = ("fine", "medium", "coarse")
@@ -74,25 +75,19 @@ def join_names(names: Sequence[str], below: Callable[[int], int]) -> str:
 
 
 def describe(
-    *,
-    pattern: str,
-    colors: Sequence[int],
-    scale: int,
-    brushwork: str,
-    direction: str | None,
-    below: Callable[[int], int],
+    draw: Draw, *, pattern: str, colors: Sequence[int], scale: int, brushwork: str, direction: str | None
 ) -> str:
     """One of many natural phrasings.
 
     Args:
+        draw: Chooses among them.
         pattern: A key of WORDS.
         colors: Indices in COLORS, the ground first where there is one.
         scale: Index in SCALES.
         brushwork: A key of MEDIA.
         direction: One of DIRECTIONS, or ``None`` where it shall not be told.
-        below: Draws an integer below its argument.
     """
-    words = WORDS[pattern]
+    words, below = WORDS[pattern], draw.below
     names = [COLORS[color].names[below(1 + below(len(COLORS[color].names)))] for color in colors]
     noun = words.nouns[below(len(words.nouns))]
     sizes = (words.fine, (), words.coarse)[scale]
@@ -105,11 +100,7 @@ def describe(
         text = " ".join([*lead, figures, noun, setting])
         return _finish(text, medium, below)
     # Where there is no ground to tell, the order of colours is anybody's.
-    order = list(names)
-    for last in range(len(order) - 1, 0, -1):
-        other = below(last + 1)
-        order[last], order[other] = order[other], order[last]
-    palette = join_names(order, below)
+    palette = join_names(draw.shuffled(names), below)
     shape = " ".join([*lead, noun])
     form = below(6)
     if form <= 1:
