@@ -63,8 +63,8 @@ def stylize(
     """Stylize a scene: read its views, encode them once, and restyle it in each style when its result is asked for.
 
     Args:
-        inputs: A folder of photographs, files, a pattern or a video; views that were read already; or one PLY file of
-            Gaussians, which keep their geometry.
+        inputs: A folder of photographs, files, a pattern or a video; views that were read already; or one scene
+            that was saved, a PLY file or a folder of results, which keeps its geometry.
         styles: Texts as ``str``, image files as ``Path``, images as tensors or :class:`~anystyle.types.Style`, points
             between two of these as :class:`Mixture`.
         model: A preset of the group ``model`` (``None`` for the default), which is loaded onto

@@ -107,6 +107,25 @@ def with_colors_of(unstyled: Gaussians, styled: Gaussians, amount: float = 1.0) 
     return replace(styled, harmonics=torch.lerp(style, content + brighter[..., None], amount))
 
 
+def applied(
+    controls: Controls, unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tensor, "B N"] = 1.0
+) -> Gaussians:
+    """A styled scene under the controls of colours.
+
+    Args:
+        controls: Of which strength and preservation of colour are applied here.
+        unstyled: The scene itself.
+        styled: It in a style.
+        weights: Of a mask, for all or for each Gaussian.
+
+    Raises:
+        ValueError: They are not of one scene.
+    """
+    if controls.preserve_color > 0:
+        styled = with_colors_of(unstyled, styled, controls.preserve_color)
+    return blended(unstyled, styled, controls.strength * weights)
+
+
 def rescaled(image: Float[Tensor, "3 H W"], scale: float) -> Float[Tensor, "3 H W"]:
     """An image of a style with strokes ``scale`` times as large: the middle enlarged, or all among its mirrors."""
     if scale == 1:

@@ -151,7 +151,8 @@ class SceneLoop(Loop):
         def tell(pace: float) -> None:
             left = pace * (self.last_step - self.step)
             line = f"step {self.step} of {self.last_step}: loss {self.mean:.4g}, {len(self.splats)} Gaussians"
-            on_progress(Progress(f"{line}, {left:.0f} s left", self.thumbnail()))
+            done = self.step / self.last_step
+            on_progress(Progress(f"{line}, {left:.0f} s left", self.thumbnail(), done))
 
         self.steps(tell, on_checkpoint)
 
