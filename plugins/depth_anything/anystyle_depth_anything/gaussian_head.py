@@ -25,14 +25,7 @@ class GaussianHead(contracts.GaussianHead):
     """
 
     def __init__(
-        self,
-        *,
-        dim: int,
-        features: int,
-        channels: Sequence[int],
-        sh_degree: int,
-        taps: Sequence[int],
-        chunk: int,
+        self, *, dim: int, features: int, channels: Sequence[int], sh_degree: int, taps: Sequence[int], chunk: int
     ) -> None:
         super().__init__()
         self.dim, self.direct_dim = dim, features // 2

@@ -62,8 +62,7 @@ class Retrieval(Metric):
         gallery, target = styles.unique(dim=0, return_inverse=True)  # G 2 D, N
         if len(gallery) < 2:
             warnings.warn(
-                f"{color}: of {len(gallery)} style images there is nothing to choose, the figures are nan",
-                stacklevel=2,
+                f"{color}: of {len(gallery)} style images there is nothing to choose, the figures are nan", stacklevel=2
             )
             return {name: torch.full((), float("nan"), device=rows.device) for name in (color, gray)}
         hits = [

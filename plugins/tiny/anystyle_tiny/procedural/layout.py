@@ -129,10 +129,9 @@ class Builder:
         row[sd.INVERSE : sd.INVERSE + 3] = [1.0 / side for side in half]
         row[sd.COS], row[sd.SIN] = turn
         x, y, z = half
-        row[sd.BOUND] = {
-            sd.SPHERE: max(half),
-            sd.BOX: np.sqrt(x * x + y * y + z * z),
-        }.get(shape, np.sqrt(max(x, z) ** 2 + y * y)) * 1.0001
+        row[sd.BOUND] = {sd.SPHERE: max(half), sd.BOX: np.sqrt(x * x + y * y + z * z)}.get(
+            shape, np.sqrt(max(x, z) ** 2 + y * y)
+        ) * 1.0001
         row[sd.BULK] = 0.75 * min(sorted(half)[1], 1.5 * min(half))
         row[sd.PAINT] = material
         self.solids.append(row)

@@ -108,9 +108,7 @@ class ProceduralStyles(StyleSource):
             direction=DIRECTIONS[traits.direction] if directed and draw.chance(0.5) else None,
         )
         return Style(
-            image=paint_style(draw, traits, self.size),
-            text=(text,),
-            names=(f"{self.split}-{self.seed}-{style:05d}",),
+            image=paint_style(draw, traits, self.size), text=(text,), names=(f"{self.split}-{self.seed}-{style:05d}",)
         )
 
     def traits(self, style: int) -> StyleTraits:

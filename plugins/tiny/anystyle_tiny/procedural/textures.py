@@ -71,15 +71,7 @@ def _laid(
 
 @compiled
 def _pattern(
-    materials: np.ndarray,
-    m: int,
-    x: float,
-    y: float,
-    z: float,
-    u: float,
-    v: float,
-    foot: float,
-    bytes_: np.ndarray,
+    materials: np.ndarray, m: int, x: float, y: float, z: float, u: float, v: float, foot: float, bytes_: np.ndarray
 ) -> tuple[float, float, float]:
     """Colour at solid coordinates (x, y, z) and surface coordinates (u, v), all in periods."""
     kind = int(materials[m, KIND])
