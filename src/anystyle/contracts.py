@@ -318,23 +318,3 @@ class StyleSource(Socket, ABC):
 def neutral_embedding(encoder: StyleEncoder) -> Float[Tensor, "1 D"]:
     """The embedding of the encoder's neutral prompt, which style directions start from."""
     return encoder.embed_texts([encoder.neutral])
-
-
-__all__ = [
-    "Adapter",
-    "Aggregator",
-    "Backbone",
-    "Correspondence",
-    "Embedder",
-    "GaussianHead",
-    "GeometryHead",
-    "Injector",
-    "Loss",
-    "Metric",
-    "Placement",
-    "Renderer",
-    "SceneSource",
-    "StyleEncoder",
-    "StyleSource",
-    "neutral_embedding",
-]
