@@ -113,12 +113,7 @@ class Store:
 
     @contextmanager
     def _change(self) -> Iterator[sqlite3.Connection]:
-        """A transaction that is on the disk, in the files that are there, when the block has ended.
-
-        Raises:
-            OSError: The files were removed or replaced.
-            sqlite3.Error: The disk is full, or the like.
-        """
+        """A transaction that is on the disk, in the files that are there, when the block has ended."""
         with self._lock:
             self._database.execute("BEGIN IMMEDIATE")
             try:

@@ -101,11 +101,7 @@ def before(last: Path) -> Path:
 
 
 def _whole(last: Path) -> Path:
-    """The latest state that is no torn one.
-
-    Raises:
-        ValueError: There is none.
-    """
+    """The latest state that is no torn one."""
     problems: list[str] = []
     for path in (last, before(last)):
         if not path.is_file():
