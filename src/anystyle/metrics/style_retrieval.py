@@ -29,8 +29,6 @@ class Retrieval(Metric):
     A subclass says what pictures are described by, and names the two figures in :attr:`better`, colour first.
     """
 
-    higher_is_better = True
-    is_differentiable = False
     full_state_update = False
     rows: list[Tensor]
     styles: list[Tensor]
