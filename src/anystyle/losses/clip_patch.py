@@ -19,7 +19,6 @@ class ClipPatch(Loss):
     the global generator, as dropout's are; out of training they are always the same.
 
     Args:
-        style_encoder: The space; the framework passes the stylizer's own.
         crops: How many a view.
         crop_size: Side of a crop in pixels.
         distortion: How far the corners move inwards at most, as a fraction of half a side.

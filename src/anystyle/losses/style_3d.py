@@ -24,12 +24,9 @@ class Style3D(FeatureLoss):
     The points are those of the predicted geometry of the input views, so the renders must be of these views.
 
     Args:
-        network: A network of :func:`anystyle.perception.load`.
-        layers: Whose statistics.
         layer_weights: Weight of each layer.
         voxel_size: At the image's resolution, in the scene's units.
         size: Side that the style image is squashed to; none keeps it as it is.
-        weight: In the objective.
     """
 
     def __init__(

@@ -29,8 +29,6 @@ class ReconstructionTraining(Training):
     rendering loss teaches depth and appearance before cameras are any good.
 
     Args:
-        backbone: The network to train.
-        renderer: Renders the Gaussians.
         batch_size: Scenes a step over all processes.
         context_views: Least and greatest number of context views.
         view_power: Numbers of views are drawn in proportion to this power of themselves.
