@@ -57,13 +57,7 @@ def cameras_of(
 ) -> tuple[Cameras, tuple[SourceImage, ...], str]:
     """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
 
-    Args:
-        path: Of the scene.
-        gaussians: A batch of one.
-        views: Gives the shorter side of renders.
-        options: How many, and where they are stored.
-        multiple: Sides of renders are multiples of it.
-        resolution: The shorter side unless it is given.
+    Sides of renders are multiples of ``multiple``; the shorter is ``resolution`` unless ``views`` give it.
 
     Returns:
         Cameras, what their images are called, and where they come from.

@@ -125,12 +125,7 @@ def random_corners(
 def warp_to_corners(
     images: Float[Tensor, "M 3 side side"], corners: Float[Tensor, "M 4 2"]
 ) -> Float[Tensor, "M 3 side side"]:
-    """Images seen in perspective, black where they end.
-
-    Args:
-        images: Square.
-        corners: Where their corners go, as of :func:`random_corners`.
-    """
+    """Square images seen in perspective, black where they end; ``corners`` as of :func:`random_corners`."""
     count, _, side, _ = images.shape
     # Corners are read as points of a plane in which a pixel's centre lies at +0.5; kornia's pixels are at integers.
     square = _square(side).to(images).expand(count, 4, 2)

@@ -92,14 +92,7 @@ class Style3D(FeatureLoss):
 def fuse_in_voxels(
     features: Float[Tensor, "C S"], points: Float[Tensor, "S 3"], confidence: Float[Tensor, " S"], side: float
 ) -> Float[Tensor, "C _"]:
-    """Mean feature of every occupied voxel, weighted by the softmax of confidence within it.
-
-    Args:
-        features: Of each point.
-        points: In any frame.
-        confidence: Logits of the weights.
-        side: Of a voxel, in the points' units.
-    """
+    """Mean feature of every occupied voxel of side ``side``, weighted by the softmax of confidence within it."""
     voxels, index = (points / side).round().long().unique(dim=0, return_inverse=True)
     count = voxels.shape[0]
     peak = confidence.new_full((count,), -torch.inf).scatter_reduce(0, index, confidence, "amax")
