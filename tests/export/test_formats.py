@@ -75,7 +75,7 @@ def test_a_file_shows_the_same_picture_to_other_readers(name, tmp_path):
 
 @pytest.mark.parametrize("name", ["spz", "sog", "splat", "ply"])
 def test_splat_transform_sees_the_same_picture(name, tmp_path):
-    """Its PLY of a file is in the axes of 3DGS, whatever the file's are: neither mirrored nor upside down."""
+    """Its PLY of a file is neither mirrored nor upside down."""
     if SPLAT_TRANSFORM is None:
         pytest.skip("splat-transform is not installed (npm install -g @playcanvas/splat-transform)")
     gaussians = scene(1 if name == "splat" else 16)
