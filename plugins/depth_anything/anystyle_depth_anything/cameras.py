@@ -11,11 +11,7 @@ from anystyle_depth_anything.pose import encode_pose
 
 
 class CameraDecoder(nn.Module):
-    """Reads pose encodings off camera tokens, in one pass.
-
-    Args:
-        dim: Channels of the tokens.
-    """
+    """Reads pose encodings off camera tokens, in one pass."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()

@@ -65,7 +65,6 @@ class GaussianHead(contracts.GaussianHead):
         return (*tokens, Site("head/direct", self.direct_dim))
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
-        """Predict raw attributes."""
         batch, views = images.shape[:2]
         raw = by_views(lambda chosen: self._raw(features, images, inject, chosen), views, max(1, self.chunk // batch))
         return Attributes(

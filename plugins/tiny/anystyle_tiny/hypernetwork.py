@@ -54,7 +54,6 @@ class HyperNetwork(TokenInjector):
         nn.init.zeros_(self.up.bias)
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
-        """Put the tokens through the style's network."""
         coded = self.fc(style)
         down, offset = self.down(coded).split([2 * self.dim * self.width, self.width], dim=-1)
         up, scale, shift = self.up(coded).split([self.width * self.dim, self.dim, self.dim], dim=-1)

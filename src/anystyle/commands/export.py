@@ -35,11 +35,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def export(arguments: argparse.Namespace) -> None:
-    """Run the command.
-
-    Raises:
-        UserError: No format is named, the file is the scene itself, or a folder of results is said to be in other axes.
-    """
+    """Run the command."""
     from anystyle.inference import export as files
     from anystyle.inference.page import write_page
     from anystyle.inference.saved import read_saved

@@ -94,14 +94,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run ``anystyle plugins new``.
-
-    Returns:
-        The exit status.
-
-    Raises:
-        UserError: The kind is unknown, the name is taken or cannot be used, or the folder exists.
-    """
+    """Run ``anystyle plugins new``."""
     arguments = parse(parser(), words_of(argv))
     folder = write(arguments.kind, arguments.name, arguments.into)
     module = f"anystyle_{arguments.name}"

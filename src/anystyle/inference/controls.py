@@ -62,11 +62,6 @@ def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tenso
 
     Where a share is 0 or 1 the result has the bits of that end.
 
-    Args:
-        unstyled: As many as styled.
-        styled: Of the same scene.
-        weights: In [0, 1], for all or for each.
-
     Raises:
         ValueError: They are not of one scene.
     """

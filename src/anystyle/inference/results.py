@@ -41,13 +41,7 @@ Column = tuple[str, Cell, Sequence[Cell]]
 
 @dataclass(frozen=True)
 class Result:
-    """A scene in one style.
-
-    Args:
-        style: The style.
-        gaussians: In the capture's frame.
-        results: Those it is one of.
-    """
+    """A scene in one style."""
 
     style: EmbeddedStyle
     gaussians: Gaussians

@@ -34,6 +34,5 @@ class AdaLN(TokenInjector):
         nn.init.zeros_(self.modulation.bias)
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
-        """Modulate the tokens by the style."""
         shift, scale, gate = self.modulation(self.fc(style))[:, None, None].chunk(3, dim=-1)
         return data + gate * (self.norm(data) * (1 + scale) + shift)

@@ -24,7 +24,6 @@ class TokenInjector(Injector):
         self.special_tokens = special_tokens
 
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
-        """See :meth:`anystyle.contracts.Injector.forward`."""
         style = self.gain * style.to(next(self.parameters()).dtype)
         if self.special_tokens:
             return tokens.with_data(self.styled(tokens.data, style))

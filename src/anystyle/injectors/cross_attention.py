@@ -60,7 +60,6 @@ class CrossAttention(TokenInjector):
         nn.init.zeros_(self.zero_proj.bias)
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
-        """Add to each token what it attends to in the style."""
         coded = self.style_norm(self.style_tokens(style).unflatten(-1, (self.num_tokens, -1)))  # B K W
         query = self.query(self.norm(data.flatten(1, 2)))  # B (V P) W
         attended = functional.scaled_dot_product_attention(

@@ -39,6 +39,5 @@ class FiLM(TokenInjector):
         nn.init.zeros_(self.modulation.bias)
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
-        """Modulate the tokens by the style."""
         scale, shift = self.modulation(self.fc(style))[:, None, None].chunk(2, dim=-1)
         return data * (1 + scale) + shift

@@ -51,6 +51,5 @@ class LoRA(TokenInjector):
         nn.init.zeros_(self.up.weight)
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
-        """Add the style's low-rank update."""
         strength = self.factor * self.strength(style)[:, None, None]
         return data + self.up(strength * self.down(data))

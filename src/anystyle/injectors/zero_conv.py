@@ -33,5 +33,4 @@ class ZeroConv(TokenInjector):
         nn.init.zeros_(self.zero_proj.bias)
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
-        """Shift the tokens by the style's vector."""
         return data + self.zero_proj(self.fc(style))[:, None, None]

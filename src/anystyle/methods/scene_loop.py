@@ -173,7 +173,6 @@ class SceneLoop(Loop):
         return with_mapped_colors(gaussians, mapped)
 
     def state_dict(self) -> dict[str, Any]:
-        """See :meth:`anystyle.reconstructions.loop.Loop.state_dict`."""
         before = {name: getattr(self.before, name) for name in self.before.__dataclass_fields__}
         return super().state_dict() | {
             "splats": self.splats.state_dict(), "gradients": self.gradients, "before": before

@@ -26,7 +26,6 @@ class NetworkMetric(Metric, ABC):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Stand-ins: quick, and the same everywhere."""
         return {"weights": "stand_in"}
 
     def declare(self, *sources: Source, figures: Iterable[str] = ()) -> None:

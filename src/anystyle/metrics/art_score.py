@@ -36,7 +36,6 @@ class ArtScore(NetworkMetric, RowMean):
         self.declare(self.network.source)
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean over each row's views."""
         return mean_per_row(comparison, self._scores)
 
     def _scores(self, batch: Pairs) -> Float[Tensor, " M"]:

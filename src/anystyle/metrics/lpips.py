@@ -43,7 +43,6 @@ class LPIPS(NetworkMetric, RowMean):
         self.declare(self.network.source)
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean over each row's views."""
         return mean_per_row(
             comparison, lambda batch: lpips_of_pairs(self.network, batch, size=self.size, rounded=self.rounded)
         )

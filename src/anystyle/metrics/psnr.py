@@ -29,7 +29,6 @@ class PSNR(RowMean):
         self.most = most
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean over each row's views."""
         return mean_per_row(comparison, self._decibels)
 
     def _decibels(self, batch: Pairs) -> Float[Tensor, " M"]:

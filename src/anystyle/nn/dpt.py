@@ -85,7 +85,6 @@ class ResidualConv(nn.Module):
         self.conv2 = nn.Conv2d(dim, dim, 3, padding=1)
 
     def forward(self, x: Float[Tensor, "M C h w"]) -> Float[Tensor, "M C h w"]:
-        """Refine a map."""
         positive = F.relu(x)
         return self.conv2(F.relu_(self.conv1(positive))) + (positive if self.rectified else x)
 
@@ -109,12 +108,7 @@ class Fusion(nn.Module):
 
 
 class Chain(nn.ModuleList):
-    """Fusions from the coarsest level to the finest.
-
-    Args:
-        dim: Channels.
-        rectified: See :class:`ResidualConv`.
-    """
+    """Fusions from the coarsest level to the finest."""
 
     def __init__(self, dim: int, *, rectified: bool) -> None:
         super().__init__(Fusion(dim, takes_level=level < 3, rectified=rectified) for level in range(4))

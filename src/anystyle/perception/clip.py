@@ -31,7 +31,6 @@ class Mlp(nn.Module):
         self.c_fc, self.c_proj = nn.Linear(width, 4 * width), nn.Linear(4 * width, width)
 
     def forward(self, x: Float[Tensor, "M L C"]) -> Float[Tensor, "M L C"]:
-        """Map each token."""
         return self.c_proj(self.activation(self.c_fc(x)))
 
 
@@ -68,16 +67,7 @@ class Transformer(nn.Module):
 
 
 class Vision(nn.Module):
-    """The image tower.
-
-    Args:
-        width: Channels.
-        layers: Blocks.
-        patch_size: Side of a patch in pixels.
-        resolution: Side of the images in pixels.
-        dim: Of the embedding.
-        activation: Of the MLPs.
-    """
+    """The image tower."""
 
     def __init__(
         self,

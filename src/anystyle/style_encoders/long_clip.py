@@ -51,11 +51,7 @@ LOADED_SIDE = 256
 
 
 class TextAdapter(nn.Module):
-    """A residual MLP on the text tower's features, frozen as it was initialised; part of the published checkpoints.
-
-    Args:
-        dim: Of the features.
-    """
+    """A residual MLP on the text tower's features, frozen as it was initialised; part of the published checkpoints."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()
@@ -122,7 +118,6 @@ class LongClip(StyleEncoder):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Two thin layers a tower, and a vocabulary of three merges."""
         merges = gzip.compress(b"#version: 0.2\nr e\nre d</w>\no f</w>\n", mtime=0)
         (folder / "vocabulary.txt.gz").write_bytes(merges)
         return {

@@ -44,7 +44,6 @@ class CachedScenes(SceneSource):
         return len(self.source)
 
     def name(self, scene: int) -> str:
-        """The source's name for it."""
         return self.source.name(scene)
 
     def num_views(self, scene: int) -> int:

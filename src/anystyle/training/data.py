@@ -300,7 +300,6 @@ class StepData(pl.LightningDataModule):
         self.validation_steps, self.workers = validation_steps, workers
 
     def train_dataloader(self) -> StepLoader:
-        """The remaining steps."""
         trainer = self.trainer
         assert trainer is not None
         done, stop = trainer.global_step, trainer.max_steps

@@ -91,15 +91,12 @@ class ProceduralStyles(StyleSource):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Small pictures."""
         return {"size": 32, "num_styles": 8}
 
     def __len__(self) -> int:
-        """How many styles there are."""
         return self.num_styles
 
     def read(self, style: int) -> Style:
-        """Paint one style and describe it."""
         draw, traits = self._draw(style)
         directed = PATTERNS[traits.pattern] in DIRECTED
         text = describe(

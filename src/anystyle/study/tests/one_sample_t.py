@@ -22,7 +22,6 @@ class OneSampleT(StudyTest):
         self.confidence = confidence
 
     def __call__(self, responses: Responses) -> TestResult:
-        """Test whether the mean deviation is 0."""
         values, n = responses.deviations, responses.count
         method = "one-sample t test of the mean deviation"
         if n < 2:
