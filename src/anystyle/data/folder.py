@@ -288,11 +288,7 @@ class _Shot(NamedTuple):
 
 
 def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]]:
-    """What can be read of inputs, and what is wrong with the rest.
-
-    Raises:
-        ValueError: Nothing can be read.
-    """
+    """What can be read of inputs, and what is wrong with the rest."""
     paths = _find(inputs)
     thinned = evenly(paths, max_views)
     if len(thinned) < len(paths):

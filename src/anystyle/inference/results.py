@@ -68,10 +68,7 @@ class Result:
             "gaussians": int((self.gaussians.opacities > 0).sum()),
             "views": len(encoded.sources),
             "groups": len(encoded.capture.groups),
-            "reconstruction": {
-                **encoded.reconstruction,
-                "num_gaussians": int((self.gaussians.opacities > 0).sum()),
-            },
+            "reconstruction": {**encoded.reconstruction, "num_gaussians": int((self.gaussians.opacities > 0).sum())},
             "method": method_report(self.results.method),
             "inputs": [source.name for source in encoded.sources],
             "size": list(encoded.views.size),

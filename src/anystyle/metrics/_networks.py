@@ -21,7 +21,6 @@ from anystyle.perception.sources import Source, checksums, stand_ins
 class NetworkMetric(Metric, ABC):
     """A metric whose figures rest on published weights or on stand-ins; its option ``weights`` says on which."""
 
-    is_differentiable = False
     full_state_update = False
 
     @classmethod

@@ -38,7 +38,6 @@ class ArtFID(NetworkMetric):
         "fid_infinity": "lower",
         "lpips": "lower",
     }
-    higher_is_better = False
     stylized: list[Tensor]
     style: list[Tensor]
     total: Tensor

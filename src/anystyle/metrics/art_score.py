@@ -27,7 +27,6 @@ class ArtScore(NetworkMetric, RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"art_score": "higher"}
-    higher_is_better = True
 
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference", weights: Weights = "auto") -> None:
         super().__init__()

@@ -43,7 +43,6 @@ class CFSD(NetworkMetric, RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"cfsd": "lower"}
-    higher_is_better = False
 
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference", weights: Weights = "auto") -> None:
         super().__init__()

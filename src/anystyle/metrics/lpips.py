@@ -26,7 +26,6 @@ class LPIPS(NetworkMetric, RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"lpips": "lower"}
-    higher_is_better = False
 
     def __init__(
         self,

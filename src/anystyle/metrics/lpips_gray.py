@@ -26,7 +26,6 @@ class LPIPSGray(NetworkMetric, RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"lpips_gray": "lower"}
-    higher_is_better = False
 
     def __init__(
         self,

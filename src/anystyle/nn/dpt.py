@@ -36,10 +36,7 @@ def uv_grid(grid: tuple[int, int], aspect: float) -> tuple[Float[Tensor, " w"], 
     rows, columns = grid
     half = (aspect**2 + 1) ** 0.5
     x, y = aspect / half * (columns - 1) / columns, 1 / half * (rows - 1) / rows
-    return (
-        torch.linspace(-x, x, columns, dtype=torch.float64),
-        torch.linspace(-y, y, rows, dtype=torch.float64),
-    )
+    return (torch.linspace(-x, x, columns, dtype=torch.float64), torch.linspace(-y, y, rows, dtype=torch.float64))
 
 
 def uv_waves(line: Float[Tensor, " n"], channels: int) -> Float[Tensor, "C n"]:

@@ -288,12 +288,7 @@ class StepData(pl.LightningDataModule):
     """
 
     def __init__(
-        self,
-        train: BatchSource,
-        validation: BatchSource | None = None,
-        *,
-        validation_steps: int = 8,
-        workers: int = 0,
+        self, train: BatchSource, validation: BatchSource | None = None, *, validation_steps: int = 8, workers: int = 0
     ) -> None:
         super().__init__()
         self.train, self.validation = train, validation
