@@ -53,7 +53,7 @@ class Reference:
         began = time.monotonic()  # of the second time, when files are cached
         assert not (problem := self.finishes(self.fresh())), f"{name} comes to another end by itself: {problem}"
         self.seconds = time.monotonic() - began
-        self.size = sum(path.stat().st_size for path in (self.folder / job.out).rglob("*") if path.is_file())
+        self.size = pages(self.folder) - pages(self.before)
 
     def fresh(self, finished: bool = False) -> Path:
         """A folder with the inputs; with the results, too, where the work was finished before."""
@@ -81,6 +81,12 @@ class Reference:
         if (now := result(folder / self.job.out)) != self.result:
             return f"another result: {sorted(set(now.items()) ^ set(self.result.items()))[:3]}"
         return ""
+
+
+def pages(folder: Path) -> int:
+    """The room that a folder takes on a disk in memory."""
+    sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
+    return sum(-(-size // 4096) * 4096 for size in sizes)
 
 
 def temporary(folder: Path) -> list[str]:
@@ -147,8 +153,8 @@ def told_to_stop(number: signal.Signals, reference: Reference, draw: random.Rand
 def no_room(reference: Reference, draw: random.Random) -> tuple[str, str]:
     """A disk of random size that is full before the work is done; afterwards there is room."""
     folder = reference.fresh()
-    room = int(reference.size * draw.uniform(0.02, 0.95)) // 4096 * 4096
-    with mounted(folder, f"size={room + sum(path.stat().st_size for path in folder.rglob('*')) + (16 << 10)}"):
+    room = int(reference.size * draw.uniform(0, 0.9))
+    with mounted(folder, f"size={room + pages(folder) + 4096}"):
         code, said = reference.run(folder)
         problem = refused(code, said) or torn(folder)
         subprocess.run(["mount", "-o", "remount,size=1g", folder], check=True)

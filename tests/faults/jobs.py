@@ -110,7 +110,7 @@ JOBS = {
 QUICK = {
     "report": Job(("report", "runs/0", "runs/1", "runs/2", "--out", "out"), _runs, "runs/*/metrics.json"),
     "analyze": Job(
-        ("study", "analyze", "answers.csv", "--test", "wilcoxon", "--resamples", "999", "--out", "out"),
+        ("study", "analyze", "answers.csv", "--test", "wilcoxon", "--out", "out"),
         _answers, "answers.csv",
     ),
 }  # fmt: skip
@@ -155,7 +155,7 @@ def result(out: Path) -> dict[str, str]:
         elif path.suffix == ".safetensors":
             tensors = load_file(path)
             contents[name] = _hash(b"".join(key.encode() + _bytes(tensors[key]) for key in sorted(tensors)))
-        elif path.suffix in (".ply", ".glb", ".png", ".csv") and "log" not in path.parts and path.name != "spread.png":
+        elif path.suffix in (".ply", ".glb", ".png", ".csv", ".md") and "log" not in path.parts and path.name != "spread.png":
             contents[name] = _hash(path.read_bytes())
     return contents
 

@@ -74,7 +74,7 @@ def opened(path: Path, words: list[str]) -> tuple[OpenScene, Render]:
     notes, render = tuple(lines(licenses(weights))), partial(rendered, stylizer)
     if saved is not None:
         encoded = encode_splat(path, stylizer, options.views, options.splat, stages=stages)
-        return opened_scene(encoded, method, saved, notes=notes), render
+        return opened_scene(encoded, method, saved if path.is_dir() else None, notes=notes), render
     reconstruction = config.get("reconstruction")
     encoded = encode_capture(
         path,

@@ -171,7 +171,7 @@ def encode_splat(
     """
     start, patch = time.perf_counter(), stylizer.backbone.patch_size
     with stages("read", "the Gaussians"):
-        gaussians = read_saved(path).unstyled.to(stylizer.device)
+        gaussians = read_saved(path, options.up).unstyled.to(stylizer.device)
         cameras, sources, origin = splats.cameras_of(
             path, gaussians, views, options, patch, stylizer.backbone.resolution
         )
@@ -181,7 +181,9 @@ def encode_splat(
     capture = Capture((Group(scene, tuple(range(len(sources))), None, len(sources)),))
     report = reconstruction_report(None, capture, time.perf_counter() - start) | {"kind": "given", "cameras": origin}
     seen = replace(scene.views, names=tuple(source.name for source in sources)).to("cpu")
-    return EncodedCapture(stylizer, seen, sources, capture, report, splat=path if path.is_file() else None)
+    return EncodedCapture(
+        stylizer, seen, sources, capture, report, splat=path if path.is_file() and options.up == "opencv" else None
+    )
 
 
 def _find(

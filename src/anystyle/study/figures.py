@@ -48,8 +48,10 @@ def drawing(salt: str) -> Iterator[None]:
 def save(figure: "Figure", path: Path) -> None:
     """Write a figure in the format of the suffix; the same figure is the same bytes."""
     stamp = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix)
+    drawn = io.BytesIO()  # of a disk that is full, matplotlib says nearly anything
     with drawing(path.stem):
-        figure.savefig(path, metadata=stamp, dpi=200)
+        figure.savefig(drawn, format=path.suffix[1:], metadata=stamp, dpi=200)
+    path.write_bytes(drawn.getvalue())
 
 
 def as_svg(figure: "Figure", name: str) -> str:
