@@ -185,9 +185,9 @@ def test_an_uploaded_picture_is_a_style(viewer, page, tmp_path):
 
 def drop(page, *files):
     data = {"items": [], "files": [str(file) for file in files], "dragOperationsMask": 1}
-    for kind in ("dragEnter", "dragOver"):
-        page.call("Input.dispatchDragEvent", type=kind, x=300, y=300, data=data)
-    page.wait("!document.getElementById('anystyle-drop').hidden")
+    page.call("Input.dispatchDragEvent", type="dragEnter", x=300, y=300, data=data)
+    while page.value("document.getElementById('anystyle-drop').hidden"):
+        page.call("Input.dispatchDragEvent", type="dragOver", x=300, y=300, data=data)
     page.call("Input.dispatchDragEvent", type="drop", x=300, y=300, data=data)
     page.wait("document.getElementById('anystyle-drop').hidden")
 
@@ -307,5 +307,6 @@ def test_a_phone_in_the_dark(viewer, tmp_path):
         phone.call("Page.navigate", url=viewer.door.url)
         phone.wait("document.querySelector('canvas') && document.body.innerText.includes('anystyle')")
         phone.wait("document.documentElement.dataset.mantineColorScheme === 'dark'")
+        phone.wait("[...document.querySelectorAll('[data-style] img')].some(e => e.complete)")
         phone.picture(tmp_path / "phone.png")
         assert phone.value("document.documentElement.scrollWidth <= innerWidth")
