@@ -115,6 +115,7 @@ NOT_RUN = {
     r"anystyle (data check ROOT|evaluate protocol=table|report .?T2)": "evaluation/test_paper_layout.py does, small",
     r"anystyle train experiment=tiny_all$": "hours; training/test_pipeline.py runs a small one",
     r"python tests/style_(quality|grid).py": "minutes, and pictures that do not travel with the project",
+    r"python tests/format_quality.py": "minutes; export/test_formats.py has a small one, for `make test-slow`",
     r"anystyle evaluate protocol=captures ": "minutes; evaluation/test_captures.py runs a small one",
     r"python tests/study/calibration.py$": "minutes; study/test_calibration.py keeps its table and a small one",
     r"anystyle study 'design\|form\|analyze\|power'$": "four commands in a line; docs/user_study.md shows each",
