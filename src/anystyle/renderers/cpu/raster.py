@@ -44,7 +44,6 @@ def falloff(sigma: float) -> float:
 
 WIDE = np.uint64(WIDTH)
 """Unsigned, as are the indices in the loops: others could count from the end, and would not compile to vectors."""
-TWO = np.uint64(2 * WIDTH)
 ALMOST = np.float32(0.9999)
 """Added before a cut to a whole number, it rounds up."""
 MARGIN = np.float32(0.01)
@@ -74,10 +73,7 @@ def reach(splats: Array, g: int, x: float, y: float, border: float, bottom: floa
     high = lean * right + bend * np.sqrt(max(wide * wide - right * right, ZERO))
     low = lean * left - bend * np.sqrt(max(wide * wide - left * left, ZERO))
     first = np.uint64(max(y + low - MARGIN + ALMOST, ZERO))
-    stop = np.uint64(max(min(y + high + MARGIN, bottom) + ONE, ZERO))
-    first = first >> np.uint64(1)
-    stop = (stop + np.uint64(1)) >> np.uint64(1) if stop > first + first else first
-    return first, stop
+    return first, max(np.uint64(max(min(y + high + MARGIN, bottom) + ONE, ZERO)), first)
 
 
 @compiled
@@ -121,7 +117,7 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
         first, stop = reach(splats, g, x, y, border, bottom)
         xx, xy, yy, opacity = HALF * splats[g, 2], splats[g, 3], HALF * splats[g, 4], splats[g, 5]
         red, green, blue, depth = splats[g, 6], splats[g, 7], splats[g, 8], splats[g, 9]
-        for i in range(first * TWO, stop * TWO):
+        for i in range(first * WIDE, stop * WIDE):
             dx, dy = tile[7, i] - x, tile[8, i] - y
             sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
             alpha = min(cap, opacity * falloff(sigma))
@@ -136,7 +132,7 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
             tile[3, i] += weight * depth
             tile[5, i] += before if full else ZERO
             tile[4, i] = ZERO if full else after
-            tile[6, i] += ZERO if full else index - tile[6, i]
+            tile[6, i] = max(tile[6, i], -ONE if full else index)
         if entry % 16 == 15 and passing(tile) == ZERO:
             break
     for j in range(tall):
@@ -251,7 +247,7 @@ def blend_tile_backward(
         xx, xy, yy, opacity = HALF * splats[g, 2], splats[g, 3], HALF * splats[g, 4], splats[g, 5]
         red, green, blue, depth = splats[g, 6], splats[g, 7], splats[g, 8], splats[g, 9]
         d_red = d_green = d_blue = d_depth = m0 = mx = my = mxx = mxy = myy = ZERO
-        for i in range(first * TWO, stop * TWO):
+        for i in range(first * WIDE, stop * WIDE):
             dx, dy = tile[7, i] - x, tile[8, i] - y
             sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
             covered = opacity * falloff(sigma)
