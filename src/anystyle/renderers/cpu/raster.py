@@ -22,24 +22,26 @@ ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 MIN_ALPHA = np.float32(1 / 255)
 MIN_TRANSMITTANCE = np.float32(1e-4)
 LOG2_E = np.float32(1.4426950408889634)
+ROUNDING = np.float32(1.5 * 2**23)
 
 
 @compiled
 @no_type_check
 def falloff(sigma: float) -> float:
-    """``exp(-sigma)`` in single precision, exact to about two units in the last place; 0 behind 80."""
-    power = -LOG2_E * min(max(sigma, ZERO), np.float32(80))
-    whole = np.int32(power - HALF)
-    part = power - np.float32(whole)
-    # The Taylor series of 2 ** part, for part within half of 0.
-    value = np.float32(1.5403530393381610e-4)
-    value = value * part + np.float32(1.3333558146428443e-3)
-    value = value * part + np.float32(9.6181291076284772e-3)
-    value = value * part + np.float32(5.5504108664821580e-2)
-    value = value * part + np.float32(2.4022650695910072e-1)
-    value = value * part + np.float32(6.9314718055994531e-1)
-    value = value * part + ONE
-    return value * np.int32((whole + np.int32(127)) << np.int32(23)).view(np.float32)
+    """``exp(-sigma)`` in single precision, exact to about two units in the last place; tiny behind 80."""
+    power = -LOG2_E * min(sigma, np.float32(80))
+    # Added to this number, a power is rounded to a whole one, which the last bits of the sum then hold.
+    rounded = power + ROUNDING
+    part = power - (rounded - ROUNDING)
+    # The Taylor series of 2 ** part, for part within half of 0, in pairs of terms that do not wait for each other.
+    square = part * part
+    low = ONE + np.float32(6.9314718055994531e-1) * part
+    middle = np.float32(2.4022650695910072e-1) + np.float32(5.5504108664821580e-2) * part
+    high = np.float32(9.6181291076284772e-3) + np.float32(1.3333558146428443e-3) * part
+    high += np.float32(1.5403530393381610e-4) * square
+    value = low + square * (middle + square * high)
+    exponent = np.float32(rounded).view(np.int32) << np.int32(23)
+    return np.int32(np.float32(value).view(np.int32) + exponent).view(np.float32)
 
 
 WIDE = np.uint64(WIDTH)
@@ -88,22 +90,21 @@ def gather(splats: Array, entries: Array, count: int, top: int, left: int) -> Ar
 def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, image: Array, last: Array) -> None:
     """Blend the splats ``entries`` of one tile; see :func:`blend`."""
     tall, wide = min(HEIGHT, last.shape[0] - top), min(WIDTH, last.shape[1] - left)
-    # Of each pixel: red, green, blue, depth, what passes while it is open, what passes once it is full, last entry,
-    # column and row.
-    tile = np.empty((9, HEIGHT * WIDTH), np.float32)
+    # Of each pixel: red, green, blue, depth, what passes (negative once it is full), last entry, column and row.
+    tile = np.empty((8, HEIGHT * WIDTH), np.float32)
     for i in range(HEIGHT * WIDTH):
-        for k in range(6):
+        for k in range(4):
             tile[k, i] = ZERO
         tile[4, i] = ONE if (i // WIDTH < tall) & (i % WIDTH < wide) else ZERO
-        tile[6, i] = -ONE
-        tile[7, i], tile[8, i] = np.float32(i % WIDTH), np.float32(i // WIDTH)
+        tile[5, i] = -ONE
+        tile[6, i], tile[7, i] = np.float32(i % WIDTH), np.float32(i // WIDTH)
     near = gather(splats, entries, entries.shape[0], top, left)
     for entry in range(entries.shape[0]):
         index, e = np.float32(entry), np.uint64(entry)
         x, y, xx, xy, yy, opacity = near[e, 0], near[e, 1], near[e, 2], near[e, 3], near[e, 4], near[e, 5]
         red, green, blue, depth = near[e, 6], near[e, 7], near[e, 8], near[e, 9]
         for i in range(np.uint64(entries[entry, 2]) * WIDE, np.uint64(entries[entry, 3]) * WIDE):
-            dx, dy = tile[7, i] - x, tile[8, i] - y
+            dx, dy = tile[6, i] - x, tile[7, i] - y
             sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
             alpha = min(cap, opacity * falloff(sigma))
             alpha = alpha if (sigma >= ZERO) & (alpha >= MIN_ALPHA) else ZERO
@@ -115,9 +116,8 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
             tile[1, i] += weight * green
             tile[2, i] += weight * blue
             tile[3, i] += weight * depth
-            tile[5, i] += before if full else ZERO
-            tile[4, i] = ZERO if full else after
-            tile[6, i] = max(tile[6, i], -ONE if full else index)
+            tile[4, i] = -abs(before) if full else after
+            tile[5, i] = tile[5, i] if full else index
         if entry % 16 == 15 and passing(tile) == ZERO:
             break
     for j in range(tall):
@@ -125,8 +125,8 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
             at = j * WIDTH + i
             for k in range(4):
                 image[k, top + j, left + i] = tile[k, at]
-            image[4, top + j, left + i] = tile[4, at] + tile[5, at]
-            last[top + j, left + i] = int(tile[6, at])
+            image[4, top + j, left + i] = abs(tile[4, at])
+            last[top + j, left + i] = int(tile[5, at])
 
 
 @summed
@@ -135,7 +135,7 @@ def passing(tile: Array) -> float:
     """The sum over a tile of what passes its open pixels."""
     value = ZERO
     for i in range(HEIGHT * WIDTH):
-        value += tile[4, i]
+        value += max(tile[4, i], ZERO)
     return value
 
 
