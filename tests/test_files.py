@@ -1,3 +1,4 @@
+import platform
 import signal
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from anystyle.io.lock import folder_lock
 def test_a_failed_write_leaves_the_old_file(tmp_path):
     target = tmp_path / "a.txt"
     target.write_text("old")
+    (tmp_path / f".a-{platform.node()}-999999999-x.txt").touch()  # of a process that is no more
     with pytest.raises(RuntimeError), atomic_path(target) as temporary:
         temporary.write_text("half")
         raise RuntimeError
@@ -24,7 +26,7 @@ def test_a_directory_appears_whole_and_replaces_what_it_names(tmp_path):
         (temporary / "renders").mkdir()
         (temporary / "renders" / "stale.png").touch()
     (target / "mine.txt").touch()
-    (target / ".partial-999999999-x").mkdir()  # of a process that is no more
+    (target / f".partial-{platform.node()}-999999999-x").mkdir()  # of a process that is no more
     with atomic_directory(target) as temporary:
         (temporary / "renders").mkdir()
         (temporary / "renders" / "new.png").touch()
@@ -36,6 +38,17 @@ def test_a_directory_appears_whole_and_replaces_what_it_names(tmp_path):
         "renders/new.png",
         "report.json",
     ]
+
+
+def test_a_folder_that_a_killed_process_was_about_to_replace_is_put_back(tmp_path):
+    before = tmp_path / f".replaced-{platform.node()}-999999999-x" / "renders"
+    before.mkdir(parents=True)
+    (before / "a.png").touch()
+    (tmp_path / ".anystyle").write_text('["renders"]')
+    with pytest.raises(RuntimeError), atomic_directory(tmp_path):
+        assert (tmp_path / "renders" / "a.png").is_file() and not list(tmp_path.glob(".replaced-*"))
+        raise RuntimeError
+    assert (tmp_path / "renders" / "a.png").is_file()
 
 
 def test_what_this_program_did_not_make_is_never_replaced(tmp_path):

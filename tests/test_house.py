@@ -18,6 +18,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import grimp
+import lightning.pytorch as lightning
 import pytest
 
 import anystyle
@@ -121,6 +122,29 @@ def test_annotations_are_evaluated():
 
 def test_no_duck_is_probed():
     assert [place(path, node) for path, node in calls("hasattr")] == []
+
+
+def test_every_public_method_says_what_it_does():
+    """Its docstring, or that of what it overrides: here, or in ``torch`` and Lightning."""
+    framework = {*dir(lightning.Callback), *dir(lightning.LightningModule), *dir(lightning.LightningDataModule)}
+    classes: dict[str, list[ast.ClassDef]] = defaultdict(list)
+    for _, node in nodes(ast.ClassDef):
+        assert isinstance(node, ast.ClassDef)
+        classes[node.name].append(node)
+
+    def documented(node: ast.ClassDef) -> set[str]:
+        names = {one.name for one in node.body if isinstance(one, ast.FunctionDef) and ast.get_docstring(one)}
+        bases = {getattr(base, "id", getattr(base, "attr", "")) for base in node.bases} - {node.name}
+        return names.union(framework, *(documented(base) for name in bases for base in classes[name]))
+
+    silent = [
+        f"{place(path, one)} {node.name}.{one.name}"
+        for path, node in nodes(ast.ClassDef)
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+        for one in node.body
+        if isinstance(one, ast.FunctionDef) and not one.name.startswith("_") and one.name not in documented(node)
+    ]
+    assert silent == []
 
 
 def test_packages_are_packages():

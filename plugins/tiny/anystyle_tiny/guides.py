@@ -43,7 +43,6 @@ class Guides(Protocol):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Two scenes in two styles."""
         return {"num_scenes": 2, "num_styles": 2, "num_views": 2}
 
     def __init__(
@@ -67,7 +66,6 @@ class Guides(Protocol):
         self.num_views = num_views
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
-        """See :meth:`anystyle.evaluation.contract.Protocol.run`."""
         options = {name: getattr(self, name) for name in ("num_scenes", "num_styles", "num_views")}
         figures: dict[str, dict[str, dict[str, SceneFigures]]] = {guide: {} for guide in GUIDES}
         done, total = 0, len(GUIDES) * self.num_scenes

@@ -72,10 +72,6 @@ def spread(evaluation: Evaluation, path: Path, *, caption: str = "") -> bool:
 def examples(evaluation: Evaluation, path: Path) -> bool:
     """Lay out the best and the worst rows of the first figure that has a better direction.
 
-    Args:
-        evaluation: The result of a protocol.
-        path: A PNG.
-
     Returns:
         Whether there were pictures to show.
     """

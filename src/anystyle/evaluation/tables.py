@@ -21,14 +21,7 @@ _LATEX = {
 
 @dataclass(frozen=True)
 class Table:
-    """Texts in rows and columns.
-
-    Args:
-        columns: Titles.
-        rows: With a text for each column.
-        caption: A line above.
-        notes: Lines below it.
-    """
+    """Texts in rows and columns, with a caption above and notes below."""
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]

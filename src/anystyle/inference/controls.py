@@ -62,11 +62,6 @@ def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tenso
 
     Where a share is 0 or 1 the result has the bits of that end.
 
-    Args:
-        unstyled: As many as styled.
-        styled: Of the same scene.
-        weights: In [0, 1], for all or for each.
-
     Raises:
         ValueError: They are not of one scene.
     """
@@ -110,6 +105,25 @@ def with_colors_of(unstyled: Gaussians, styled: Gaussians, amount: float = 1.0) 
     )
     brighter = (style - content) @ content.new_tensor(LUMA)  # B N K
     return replace(styled, harmonics=torch.lerp(style, content + brighter[..., None], amount))
+
+
+def applied(
+    controls: Controls, unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tensor, "B N"] = 1.0
+) -> Gaussians:
+    """A styled scene under the controls of colours.
+
+    Args:
+        controls: Of which strength and preservation of colour are applied here.
+        unstyled: The scene itself.
+        styled: It in a style.
+        weights: Of a mask, for all or for each Gaussian.
+
+    Raises:
+        ValueError: They are not of one scene.
+    """
+    if controls.preserve_color > 0:
+        styled = with_colors_of(unstyled, styled, controls.preserve_color)
+    return blended(unstyled, styled, controls.strength * weights)
 
 
 def rescaled(image: Float[Tensor, "3 H W"], scale: float) -> Float[Tensor, "3 H W"]:

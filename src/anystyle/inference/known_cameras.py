@@ -52,9 +52,6 @@ class KnownCameras:
     def targets_in_scene(self, predicted: Cameras) -> tuple[Cameras, Similarity]:
         """The targets in the frame of predicted cameras, and the similarity from their own frame to it.
 
-        Args:
-            predicted: Of all input views.
-
         Raises:
             ValueError: Known and predicted cameras have nothing in common.
         """

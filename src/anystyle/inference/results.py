@@ -41,13 +41,7 @@ Column = tuple[str, Cell, Sequence[Cell]]
 
 @dataclass(frozen=True)
 class Result:
-    """A scene in one style.
-
-    Args:
-        style: The style.
-        gaussians: In the capture's frame.
-        results: Those it is one of.
-    """
+    """A scene in one style."""
 
     style: EmbeddedStyle
     gaussians: Gaussians
@@ -74,10 +68,7 @@ class Result:
             "gaussians": int((self.gaussians.opacities > 0).sum()),
             "views": len(encoded.sources),
             "groups": len(encoded.capture.groups),
-            "reconstruction": {
-                **encoded.reconstruction,
-                "num_gaussians": int((self.gaussians.opacities > 0).sum()),
-            },
+            "reconstruction": {**encoded.reconstruction, "num_gaussians": int((self.gaussians.opacities > 0).sum())},
             "method": method_report(self.results.method),
             "inputs": [source.name for source in encoded.sources],
             "size": list(encoded.views.size),

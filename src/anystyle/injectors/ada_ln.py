@@ -3,7 +3,7 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.injectors.base import TokenInjector
+from anystyle.injectors.base import TokenInjector, zeroed
 
 
 class AdaLN(TokenInjector):
@@ -29,11 +29,8 @@ class AdaLN(TokenInjector):
         width = min(hidden, 2 * dim)
         self.norm = nn.LayerNorm(dim, eps=1e-6, elementwise_affine=False)
         self.fc = nn.Sequential(nn.Linear(style_dim, width), nn.SiLU())
-        self.modulation = nn.Linear(width, 3 * dim)
-        nn.init.zeros_(self.modulation.weight)
-        nn.init.zeros_(self.modulation.bias)
+        self.modulation = zeroed(nn.Linear(width, 3 * dim))
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
-        """Modulate the tokens by the style."""
         shift, scale, gate = self.modulation(self.fc(style))[:, None, None].chunk(3, dim=-1)
         return data + gate * (self.norm(data) * (1 + scale) + shift)

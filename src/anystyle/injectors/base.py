@@ -3,7 +3,7 @@
 from abc import abstractmethod
 
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from anystyle.contracts import Injector
 from anystyle.types import Tokens
@@ -24,7 +24,6 @@ class TokenInjector(Injector):
         self.special_tokens = special_tokens
 
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
-        """See :meth:`anystyle.contracts.Injector.forward`."""
         style = self.gain * style.to(next(self.parameters()).dtype)
         if self.special_tokens:
             return tokens.with_data(self.styled(tokens.data, style))
@@ -33,3 +32,10 @@ class TokenInjector(Injector):
     @abstractmethod
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         """The tokens in each style; ``data`` is left as it is."""
+
+
+def zeroed(layer: nn.Linear) -> nn.Linear:
+    """A layer whose weight and bias are 0, so that what it predicts changes nothing before it has learned."""
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)
+    return layer

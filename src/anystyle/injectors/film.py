@@ -3,7 +3,7 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.injectors.base import TokenInjector
+from anystyle.injectors.base import TokenInjector, zeroed
 
 
 class FiLM(TokenInjector):
@@ -34,11 +34,8 @@ class FiLM(TokenInjector):
         super().__init__(gain, special_tokens)
         width = min(hidden, expansion * dim)
         self.fc = nn.Sequential(nn.Linear(style_dim, width), nn.ReLU(), nn.Linear(width, dim), nn.ReLU())
-        self.modulation = nn.Linear(dim, 2 * dim)
-        nn.init.zeros_(self.modulation.weight)
-        nn.init.zeros_(self.modulation.bias)
+        self.modulation = zeroed(nn.Linear(dim, 2 * dim))
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
-        """Modulate the tokens by the style."""
         scale, shift = self.modulation(self.fc(style))[:, None, None].chunk(2, dim=-1)
         return data * (1 + scale) + shift

@@ -3,7 +3,7 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.injectors.base import TokenInjector
+from anystyle.injectors.base import TokenInjector, zeroed
 
 
 class LoRA(TokenInjector):
@@ -47,10 +47,8 @@ class LoRA(TokenInjector):
         self.factor = alpha / rank
         self.strength = nn.Linear(style_dim, rank)
         self.down = nn.Linear(dim, rank, bias=False)
-        self.up = nn.Linear(rank, dim, bias=False)
-        nn.init.zeros_(self.up.weight)
+        self.up = zeroed(nn.Linear(rank, dim, bias=False))
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
-        """Add the style's low-rank update."""
         strength = self.factor * self.strength(style)[:, None, None]
         return data + self.up(strength * self.down(data))

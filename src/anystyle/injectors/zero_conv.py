@@ -3,7 +3,7 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.injectors.base import TokenInjector
+from anystyle.injectors.base import TokenInjector, zeroed
 
 
 class ZeroConv(TokenInjector):
@@ -28,10 +28,7 @@ class ZeroConv(TokenInjector):
         super().__init__(gain, special_tokens)
         width = min(hidden, 2 * dim)
         self.fc = nn.Sequential(nn.Linear(style_dim, width), nn.ReLU(), nn.Linear(width, dim))
-        self.zero_proj = nn.Linear(dim, dim)
-        nn.init.zeros_(self.zero_proj.weight)
-        nn.init.zeros_(self.zero_proj.bias)
+        self.zero_proj = zeroed(nn.Linear(dim, dim))
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
-        """Shift the tokens by the style's vector."""
         return data + self.zero_proj(self.fc(style))[:, None, None]

@@ -1,7 +1,9 @@
 """Writing files so that nothing half-written ever stays under its final name."""
 
+import glob
 import json
 import os
+import platform
 import shutil
 import tempfile
 from collections.abc import Collection, Iterator
@@ -20,7 +22,8 @@ MADE = ".anystyle"
 def atomic_path(target: str | Path, *, sync: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside ``target`` that takes its name when the block ends well.
 
-    The suffix is kept, so that writers that choose a format by it work; a failing block leaves nothing behind.
+    The suffix is kept, so that writers that choose a format by it work; a failing block leaves nothing behind, and
+    what a killed process left beside this target is swept.
 
     Args:
         target: The file.
@@ -28,7 +31,10 @@ def atomic_path(target: str | Path, *, sync: bool = False) -> Iterator[Path]:
     """
     target = Path(target)
     target.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{target.stem[:40]}-", suffix=target.suffix, dir=target.parent)
+    prefix = f".{target.stem[:40]}-"
+    for left in _left(target.parent, prefix):
+        left.unlink(missing_ok=True)
+    handle, name = tempfile.mkstemp(prefix=_own(prefix), suffix=target.suffix, dir=target.parent)
     os.close(handle)
     temporary = Path(name)
     try:
@@ -55,8 +61,8 @@ def _sync(path: Path) -> None:
 
 
 def write_json(path: str | Path, value: object) -> None:
-    """Write a value as readable JSON, see :func:`anystyle.documents.plain`; whole or not at all."""
-    with atomic_path(path) as temporary:
+    """Write a value as readable JSON, see :func:`anystyle.documents.plain`; whole or not at all, and on the disk."""
+    with atomic_path(path, sync=True) as temporary:
         temporary.write_text(
             json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8"
         )
@@ -85,19 +91,23 @@ def atomic_directory(target: str | Path, expected: Collection[str] = ()) -> Iter
     earlier = frozenset(kept_json(target / MADE, list[str]) or ())
     _refuse(target, expected, earlier)
     _sweep(target)
-    temporary = Path(tempfile.mkdtemp(prefix=f"{_PARTIAL}{os.getpid()}-", dir=target))
+    temporary = Path(tempfile.mkdtemp(prefix=_own(_PARTIAL), dir=target))
     finished = False
     try:
         yield temporary
         entries = sorted(temporary.iterdir())
         names = [entry.name for entry in entries]
         _refuse(target, names, earlier)
+        for path in temporary.rglob("*"):
+            if path.is_file():
+                _sync(path)
         write_json(target / MADE, sorted({*earlier, *names}))
-        for entry in entries:
-            destination = target / entry.name
-            if destination.is_dir() and not destination.is_symlink():
-                shutil.rmtree(destination)
-            entry.replace(destination)
+        with tempfile.TemporaryDirectory(prefix=_own(_REPLACED), dir=target) as replaced:
+            for entry in entries:
+                destination = target / entry.name
+                if destination.is_dir() and not destination.is_symlink():
+                    destination.rename(Path(replaced) / entry.name)  # deleting a folder takes time, renaming none
+                entry.replace(destination)
         finished = True
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -106,7 +116,7 @@ def atomic_directory(target: str | Path, expected: Collection[str] = ()) -> Iter
                 folder.rmdir()
 
 
-_PARTIAL = ".partial-"
+_PARTIAL, _REPLACED = ".partial-", ".replaced-"
 
 
 def _refuse(target: Path, names: Collection[str], earlier: Collection[str]) -> None:
@@ -116,9 +126,23 @@ def _refuse(target: Path, names: Collection[str], earlier: Collection[str]) -> N
         raise ValueError(f"{target / clash} is there already and was not made by anystyle; choose another --out")
 
 
+def _own(prefix: str) -> str:
+    """The beginning of temporary names that tells whose they are; machines may share a disk."""
+    return f"{prefix}{platform.node()}-{os.getpid()}-"
+
+
+def _left(folder: Path, prefix: str) -> list[Path]:
+    """What processes of this machine left that are no more."""
+    known = f"{prefix}{platform.node()}-"
+    numbers = {path: path.name[len(known) :].partition("-")[0] for path in folder.glob(f"{glob.escape(known)}*")}
+    return [path for path, number in numbers.items() if number.isdecimal() and not psutil.pid_exists(int(number))]
+
+
 def _sweep(target: Path) -> None:
-    """Remove what processes left that are no more."""
-    for partial in target.glob(f"{_PARTIAL}*"):
-        number = partial.name.removeprefix(_PARTIAL).partition("-")[0]
-        if not (number.isdecimal() and psutil.pid_exists(int(number))):
-            shutil.rmtree(partial, ignore_errors=True)
+    """Remove what processes left that are no more; a folder that was about to be replaced is put back."""
+    for replaced in _left(target, _REPLACED):
+        for entry in replaced.iterdir():
+            if not os.path.lexists(target / entry.name):
+                entry.rename(target / entry.name)
+    for left in (*_left(target, _REPLACED), *_left(target, _PARTIAL)):
+        shutil.rmtree(left, ignore_errors=True)

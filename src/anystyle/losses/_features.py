@@ -71,7 +71,6 @@ class StatisticsLoss(FeatureLoss):
         """The statistics of one layer's features: K parts of D numbers each."""
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         return self.distance(result, result.renders.color.flatten(0, 1))
 
     def distance(self, result: Stylization, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, ""]:

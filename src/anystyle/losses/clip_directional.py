@@ -39,7 +39,6 @@ class ClipDirectional(Loss):
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         before_images = reference_images(result, self.reference).flatten(0, 1)
         after_images = result.renders.color.flatten(0, 1)
         with torch.no_grad():

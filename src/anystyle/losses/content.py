@@ -41,11 +41,9 @@ class Content(FeatureLoss):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """The bundled network, on small pictures."""
         return {"network": "texture", "layers": ("relu3_1", "relu4_1"), "size": 48}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         with torch.no_grad():
             target = self.features(result.views.images.flatten(0, 1))
 

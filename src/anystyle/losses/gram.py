@@ -36,9 +36,7 @@ class Gram(StatisticsLoss):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """The bundled network, on small pictures."""
         return {"network": "texture", "layers": ("relu1_1", "relu2_1"), "size": 48}
 
     def statistics(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M K D"]:
-        """The entries of the matrix."""
         return gram(features).flatten(1)[:, None]

@@ -38,11 +38,9 @@ class NNFM(FeatureLoss):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """The bundled network, on small pictures."""
         return {"network": "texture", "layers": ("relu3_1", "relu3_2"), "size": 48}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         styles = style_images(result)
         color = result.renders.color
         if styles is None:

@@ -51,11 +51,9 @@ class SimultaneousScales(FeatureLoss):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """The bundled network, on small pictures."""
         return {"network": "texture", "layers": ("relu1_1", "relu2_1"), "scales": 2}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         styles = style_images(result)
         color = result.renders.color
         if styles is None:

@@ -45,7 +45,6 @@ class SlicedWasserstein(StatisticsLoss):
         self.seed = seed
 
     def statistics(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M K D"]:
-        """The quantiles along all directions."""
         # The same for render and style, and on every machine: drawn on the CPU, from the seed alone.
         generator = torch.Generator().manual_seed(self.seed)
         directions = unit_directions(self.directions, features.shape[1], generator).to(features)

@@ -90,7 +90,6 @@ class Optimize(Method):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """A few steps."""
         return {"num_steps": 3, "report_every": 1, "split_every": 2}
 
     @property
@@ -108,7 +107,6 @@ class Optimize(Method):
         *,
         on_progress: Callable[[Progress], None] = silent,
     ) -> Gaussians:
-        """See :meth:`anystyle.methods.contract.Method.__call__`."""
         if style.image is None and self.needs_image:
             raise ValueError("this method reads a style's image, and this style has none; give --image, or method=clip")
         loop = SceneLoop(stylizer, scene, self._sized(style, scene), embedding, self.losses, self.schedule)

@@ -21,12 +21,10 @@ from anystyle.perception.sources import Source, checksums, stand_ins
 class NetworkMetric(Metric, ABC):
     """A metric whose figures rest on published weights or on stand-ins; its option ``weights`` says on which."""
 
-    is_differentiable = False
     full_state_update = False
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Stand-ins: quick, and the same everywhere."""
         return {"weights": "stand_in"}
 
     def declare(self, *sources: Source, figures: Iterable[str] = ()) -> None:

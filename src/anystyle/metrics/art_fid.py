@@ -38,7 +38,6 @@ class ArtFID(NetworkMetric):
         "fid_infinity": "lower",
         "lpips": "lower",
     }
-    higher_is_better = False
     stylized: list[Tensor]
     style: list[Tensor]
     total: Tensor
@@ -69,7 +68,6 @@ class ArtFID(NetworkMetric):
         self.style.append(self._vectors(style).repeat_interleave(comparison.stylized.shape[1], 0))
 
     def compute(self) -> dict[str, Tensor]:
-        """See :meth:`anystyle.contracts.Metric.compute`."""
         if int(self.rows) == 0:
             warnings.warn("art_fid: nothing to average; the figures are nan", stacklevel=2)
         # 0 / 0 is the nan that is meant.

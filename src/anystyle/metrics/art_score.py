@@ -27,7 +27,6 @@ class ArtScore(NetworkMetric, RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"art_score": "higher"}
-    higher_is_better = True
 
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference", weights: Weights = "auto") -> None:
         super().__init__()
@@ -36,7 +35,6 @@ class ArtScore(NetworkMetric, RowMean):
         self.declare(self.network.source)
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean over each row's views."""
         return mean_per_row(comparison, self._scores)
 
     def _scores(self, batch: Pairs) -> Float[Tensor, " M"]:

@@ -24,7 +24,6 @@ class ClipDirection(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"clip_direction": "higher"}
-    higher_is_better = True
 
     def __init__(self, *, style_encoder: StyleEncoder, size: int | None = 224) -> None:
         super().__init__()

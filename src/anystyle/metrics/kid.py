@@ -27,7 +27,6 @@ class KID(NetworkMetric):
     """
 
     better: ClassVar[Mapping[str, str]] = {"kid": "lower"}
-    higher_is_better = False
     stylized: list[Tensor]
     style: list[Tensor]
 

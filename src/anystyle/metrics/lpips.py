@@ -26,7 +26,6 @@ class LPIPS(NetworkMetric, RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"lpips": "lower"}
-    higher_is_better = False
 
     def __init__(
         self,
@@ -43,7 +42,6 @@ class LPIPS(NetworkMetric, RowMean):
         self.declare(self.network.source)
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean over each row's views."""
         return mean_per_row(
             comparison, lambda batch: lpips_of_pairs(self.network, batch, size=self.size, rounded=self.rounded)
         )

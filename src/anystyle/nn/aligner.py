@@ -45,12 +45,7 @@ class Aligner(nn.Module):
         return cosines * self.log_sharpness.exp()
 
     def aligned(self, geometry: Geometry, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
-        """The geometry with the poses that matches between the images give; focal lengths and depth are kept.
-
-        Args:
-            geometry: As a network predicts it.
-            images: sRGB in [0, 1].
-        """
+        """The geometry with the poses that matches between the images give; focal lengths and depth are kept."""
         correlation = self.correlation(images)
         with torch.autocast(images.device.type, enabled=False):
             pose = self(correlation, geometry.cameras, geometry.depth)

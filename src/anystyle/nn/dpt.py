@@ -36,10 +36,7 @@ def uv_grid(grid: tuple[int, int], aspect: float) -> tuple[Float[Tensor, " w"], 
     rows, columns = grid
     half = (aspect**2 + 1) ** 0.5
     x, y = aspect / half * (columns - 1) / columns, 1 / half * (rows - 1) / rows
-    return (
-        torch.linspace(-x, x, columns, dtype=torch.float64),
-        torch.linspace(-y, y, rows, dtype=torch.float64),
-    )
+    return (torch.linspace(-x, x, columns, dtype=torch.float64), torch.linspace(-y, y, rows, dtype=torch.float64))
 
 
 def uv_waves(line: Float[Tensor, " n"], channels: int) -> Float[Tensor, "C n"]:
@@ -85,7 +82,6 @@ class ResidualConv(nn.Module):
         self.conv2 = nn.Conv2d(dim, dim, 3, padding=1)
 
     def forward(self, x: Float[Tensor, "M C h w"]) -> Float[Tensor, "M C h w"]:
-        """Refine a map."""
         positive = F.relu(x)
         return self.conv2(F.relu_(self.conv1(positive))) + (positive if self.rectified else x)
 
@@ -109,12 +105,7 @@ class Fusion(nn.Module):
 
 
 class Chain(nn.ModuleList):
-    """Fusions from the coarsest level to the finest.
-
-    Args:
-        dim: Channels.
-        rectified: See :class:`ResidualConv`.
-    """
+    """Fusions from the coarsest level to the finest."""
 
     def __init__(self, dim: int, *, rectified: bool) -> None:
         super().__init__(Fusion(dim, takes_level=level < 3, rectified=rectified) for level in range(4))

@@ -52,8 +52,7 @@ def rotary(positions: Float[Tensor, "L 2"], dim: int, *, base: float, like: Floa
     angles = positions.to(like.device)[:, :, None] * frequencies  # L 2 quarter
     sin, cos = angles.sin(), angles.cos()
     return Rotary(
-        cos=torch.stack([cos, cos], dim=2).flatten(1).to(like),
-        sin=torch.stack([-sin, sin], dim=2).flatten(1).to(like),
+        cos=torch.stack([cos, cos], dim=2).flatten(1).to(like), sin=torch.stack([-sin, sin], dim=2).flatten(1).to(like)
     )
 
 

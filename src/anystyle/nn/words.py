@@ -13,12 +13,7 @@ WORD = re.compile(r"[^\W_]+")
 
 
 class WordTable(nn.EmbeddingBag):
-    """Vectors of words: the mean of the rows that a word and its letter triples are hashed to.
-
-    Args:
-        buckets: Rows of the table.
-        width: Channels of a word.
-    """
+    """Vectors of words: the mean of the rows that a word and its letter triples are hashed to."""
 
     def __init__(self, buckets: int, width: int) -> None:
         super().__init__(buckets, width, mode="mean")

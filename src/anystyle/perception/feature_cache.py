@@ -34,11 +34,7 @@ def _num_bytes(value: tuple[Tensor, ...]) -> int:
 
 
 class FeatureCache:
-    """Results of frozen networks by image; the least recently used go first.
-
-    Args:
-        limit: Bytes to keep.
-    """
+    """Results of frozen networks by image, up to ``limit`` bytes; the least recently used go first."""
 
     def __init__(self, limit: int = LIMIT) -> None:
         self._entries: LRUCache[Key, tuple[Tensor, ...]] = LRUCache(limit, _num_bytes)

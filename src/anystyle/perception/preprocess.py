@@ -77,10 +77,6 @@ def gray(images: Float[Tensor, "M 3 H W"], *, rounded: bool) -> Float[Tensor, "M
 def finite(images: Float[Tensor, "*batch"], what: str) -> Float[Tensor, "*batch"]:
     """Images whose values are all numbers.
 
-    Args:
-        images: Of any shape.
-        what: Their name in the message.
-
     Raises:
         ValueError: A value is NaN or infinite.
     """

@@ -207,7 +207,6 @@ class Residual(nn.Module):
             self.downsample.append(nn.Conv2d(channels, width, 1, stride=stride)).append(norm(width))
 
     def forward(self, x: Tensor) -> Tensor:
-        """The rectified sum of both branches."""
         y = F.relu(self.norm1(self.conv1(x)), inplace=True)
         y = F.relu(self.norm2(self.conv2(y)), inplace=True)
         return F.relu(self.downsample(x) + y, inplace=True)

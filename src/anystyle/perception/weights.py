@@ -16,7 +16,7 @@ from anystyle import paths
 from anystyle.documents import read_toml
 from anystyle.errors import did_you_mean
 from anystyle.io.checkpoint import sha256
-from anystyle.perception.tensor_files import read
+from anystyle.perception.tensor_files import read as read
 from anystyle.registry.packages import packages
 
 FOLDERS = "ANYSTYLE_WEIGHTS"
@@ -186,19 +186,3 @@ def verified(name: str, path: str | Path) -> bool | None:
     """Whether a file has the checksum that its publisher states; ``None`` if none is stated."""
     stated = row(name).sha256
     return None if stated is None else sha256(path).startswith(stated)
-
-
-__all__ = [
-    "FOLDERS",
-    "TABLE",
-    "WeightsFile",
-    "candidates",
-    "download",
-    "files",
-    "find",
-    "folders",
-    "missing",
-    "read",
-    "row",
-    "verified",
-]

@@ -32,13 +32,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Exclusion:
-    """A participant left out.
-
-    Args:
-        participant: Who.
-        rule: By which rule.
-        detail: Why it applies.
-    """
+    """A participant left out."""
 
     participant: str
     rule: str

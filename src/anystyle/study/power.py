@@ -47,15 +47,7 @@ class Rate:
 def rejection_rates(
     scenario: Scenario, tests: Mapping[str, StudyTest], *, studies: int, seed: int, level: float = 0.05
 ) -> list[Rate]:
-    """Run every test at each of its units on simulated studies.
-
-    Args:
-        scenario: How the answers come about.
-        tests: By name.
-        studies: How many to simulate.
-        seed: Of the simulation.
-        level: A p-value up to this one rejects.
-    """
+    """Run every test at each of its units on simulated studies."""
     counts: dict[tuple[str, Unit], int] = {}
     holds: dict[tuple[str, Unit], tuple[str, ...]] = {}
     log_level = math.log(level)

@@ -288,19 +288,13 @@ class StepData(pl.LightningDataModule):
     """
 
     def __init__(
-        self,
-        train: BatchSource,
-        validation: BatchSource | None = None,
-        *,
-        validation_steps: int = 8,
-        workers: int = 0,
+        self, train: BatchSource, validation: BatchSource | None = None, *, validation_steps: int = 8, workers: int = 0
     ) -> None:
         super().__init__()
         self.train, self.validation = train, validation
         self.validation_steps, self.workers = validation_steps, workers
 
     def train_dataloader(self) -> StepLoader:
-        """The remaining steps."""
         trainer = self.trainer
         assert trainer is not None
         done, stop = trainer.global_step, trainer.max_steps

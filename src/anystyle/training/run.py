@@ -12,7 +12,6 @@ from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
-from safetensors import SafetensorError
 from torch import nn
 
 from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
@@ -282,8 +281,8 @@ def export(
         path = out / f"{part}.safetensors"
         try:
             save_part(path, module, header, half=config.export.half)
-        except SafetensorError as error:
-            raise OSError(f"{path} cannot be written ({one_line(error)}); the same command does once it can") from None
+        except OSError as error:
+            raise OSError(f"{one_line(error)}; the same command writes it once it can") from None
         written.append(path)
     return tuple(written)
 

@@ -86,7 +86,6 @@ class MatchedReconstruction(ReconstructionTraining):
     def auxiliary_losses(
         self, features: Features, cameras: Cameras, depth: Float[Tensor, "B V H W"]
     ) -> dict[str, Float[Tensor, ""]]:
-        """The terms of matches."""
         losses = self.probes(features, patch_matches(cameras, depth, next(iter(features.values())).grid))
         correlation, self._correlation = self._correlation, None
         if correlation is not None:

@@ -66,5 +66,4 @@ class Paper(Protocol):
         )
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
-        """See :meth:`anystyle.evaluation.contract.Protocol.run`."""
         return self.renders.judge(self.metrics, out, progress)

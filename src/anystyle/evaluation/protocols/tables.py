@@ -89,7 +89,6 @@ class Tables(Protocol):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """One scene, one style, and a method that turned the photographs upside down."""
         grey = Image.linear_gradient("L").convert("RGB").resize((16, 16))
         render = folder / "methods" / "flip" / "garden" / "00"
         for path in (folder / "content" / "Garden", folder / "styles", render):
@@ -104,7 +103,6 @@ class Tables(Protocol):
         }  # fmt: skip
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
-        """See :meth:`anystyle.evaluation.contract.Protocol.run`."""
         rows: dict[str, Evaluation] = {}
         for guide in self.guides:
             name = f"model_{guide}"
