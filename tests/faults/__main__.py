@@ -104,7 +104,8 @@ def torn(folder: Path) -> str:
     for path in sorted(folder.rglob("*")):
         parts = path.relative_to(folder).parts
         if path.is_file() and not path.name.startswith(".") and not any(part.startswith(hidden) for part in parts):
-            if "log" not in parts and (problem := whole(path)):
+            problem = "" if "log" in parts else whole(path)
+            if problem:
                 return f"half-written: {problem}"
     return ""
 
