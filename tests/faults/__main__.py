@@ -22,8 +22,8 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-for folder in (Path(__file__).parents[1], Path(__file__).parents[1] / "study"):
-    sys.path.insert(0, str(folder))
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[1] / "study"))
 
 import forked
 from faults.jobs import JOBS, QUICK, Job, result, whole
