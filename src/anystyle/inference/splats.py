@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.capacity import USABLE
 from anystyle.data.folder import SourceImage, covering
 from anystyle.data.poses import StoredCamera, stored_cameras, view_camera
 from anystyle.geometry.cameras import look_at
@@ -47,7 +48,7 @@ def check_memory(num_gaussians: int, num_views: int, device: torch.device) -> st
     """
     needed, free = memory_needed(num_gaussians, num_views), memory.available(device)
     line = f"{num_gaussians:,} Gaussians from {num_views} views take about {needed / 2**30:.2g} GiB"
-    if free is not None and needed > memory.USABLE * free:
+    if free is not None and needed > USABLE * free:
         raise ValueError(f"{line}, and {free / 2**30:.2g} GiB are free; set fewer views with splat.cameras")
     return line
 

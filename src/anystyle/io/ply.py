@@ -10,6 +10,8 @@ from jaxtyping import Float
 from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
+from anystyle.capacity import require
+from anystyle.documents import regular
 from anystyle.io import compressed_ply
 from anystyle.io.atomic import atomic_path
 
@@ -95,6 +97,8 @@ def read(path: Path) -> Splats:
     Raises:
         ValueError: It is no PLY file, a damaged one, or not one of Gaussians.
     """
+    regular(path, most=None, what="PLY file of Gaussians")
+    require(3 * path.stat().st_size, str(path), "a scene of fewer Gaussians, or another machine")
     try:
         data = PlyData.read(path)
         vertices = data["vertex"].data

@@ -17,7 +17,7 @@ from torch import nn
 from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
 from anystyle.documents import Figure, as_number, kept_json
 from anystyle.errors import one_line
-from anystyle.inference.assemble import assemble, branch_header, weights_file
+from anystyle.inference.assemble import assemble, branch_header, room_for_backbone, weights_file
 from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import Header, load_part, save_part, sha256
 from anystyle.io.tensors import read_tensors
@@ -151,7 +151,7 @@ def make_training(config: DictConfig) -> Training:
     parts: dict[str, Any] = {}
     makers: dict[str, Callable[[], Any]] = {
         "stylizer": lambda: assemble(config, learns=True)[0],
-        "backbone": lambda: _weighted(config, "backbone", build(Backbone, config.backbone)),
+        "backbone": lambda: _learning_backbone(config),
         "style_encoder": lambda: _weighted(config, "style_encoder", build(StyleEncoder, config.style_encoder)),
         "renderer": lambda: build(Renderer, config.renderer),
         "losses": lambda: build_all(
@@ -198,6 +198,11 @@ def objective(config: DictConfig) -> dict[str, Any]:
     for name in without:
         catalog().find("loss", name)
     return {name: node for name, node in (config.loss or {}).items() if name not in without}
+
+
+def _learning_backbone(config: DictConfig) -> nn.Module:
+    room_for_backbone(config, learns=True)
+    return _weighted(config, "backbone", build(Backbone, config.backbone))
 
 
 def _weighted(config: DictConfig, part: str, module: nn.Module) -> nn.Module:
