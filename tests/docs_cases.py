@@ -42,6 +42,7 @@ ADDED = (
     (r"anystyle train (?!.*(paper|depth_anything|--cfg|--info))", _BACKBONE),
     (r"anystyle train -m (?!.*(sweep.dir|hydra/launcher))", "hydra.sweep.dir=multirun/DATE/TIME"),
     (r"anystyle benchmark(?!.*model)", "--views 2 --repeat 1 --size 56x56"),
+    (r"anystyle benchmark .*method=", "method.num_steps=4"),
     (r"anystyle evaluate --run .*=paper_image", f"{_SOURCES} scenes.short_side=28"),
     (r"anystyle evaluate .*=SCENES", "scenes.short_side=56"),
     (r"anystyle stylize .*method=(nnfm|stylized_gs)(?!.*--cfg)", "method.num_steps=2"),
