@@ -49,7 +49,7 @@ def viewer(world, tmp_path_factory):
 def visit(page, viewer):
     """Open the viewer; returns what the program knows of this browser."""
     before = set(viewer.panel._looks)
-    page.size(1100, 700)
+    page.size(1120, 840)  # of the pictures that are compared: viser would squeeze others
     page.call("Page.navigate", url=viewer.door.url)
     page.wait("document.body && document.body.innerText.includes('Preserve colour')")
     (number,) = until(lambda: set(viewer.panel._looks) - before)
@@ -71,26 +71,30 @@ def page(viewer, tmp_path_factory):
 @pytest.fixture(autouse=True)
 def begun(viewer, page):
     """Every test begins with the unstyled scene and closed folders."""
-    viewer.panel.strength.value, viewer.panel.preserve.value = 1.0, False
+    viewer.panel.strength.value, viewer.panel.preserve.value, page.look.split.value = 1.0, False, 0.0
     viewer.panel.ask("")
     until(lambda: viewer.session.shown == Wish() and viewer.panel._shown == Wish())
 
 
 def press(page, text, kind="button"):
-    """Click the element that says so, scrolled into view."""
+    """Click the element that says so, once it stands still and nothing covers it."""
     mark = f"mark-{time.monotonic_ns()}"
     page.wait(
-        f"(() => {{ const e = [...document.querySelectorAll('{kind}')].find(e => e.innerText.trim() === '{text}');"
-        f" if (e) e.id = '{mark}'; return !!e; }})()"
+        f"(() => {{ const e = [...document.querySelectorAll('{kind}')].findLast(e => e.innerText.trim() === '{text}');"
+        " if (!e) return false; e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"
+        " const before = e.dataset.at; e.dataset.at = [r.x, r.y, r.height];"
+        " const top = document.elementFromPoint(r.x + r.width / 2, r.y + r.height / 2);"
+        f" if (before !== e.dataset.at || !e.contains(top)) return false; e.id = '{mark}'; return true; }})()",
+        60,
     )
     page.click(f"#{mark}")
 
 
 def expand(page, folder, inside):
     """Open a folder of the panel."""
-    while not page.value(f"document.body.innerText.includes('{inside}')"):
-        press(page, folder, "div, span, p")
-        time.sleep(0.5)
+    if not page.value(f"document.body.innerText.includes('{inside}')"):
+        press(page, folder, "div")
+        page.wait(f"document.body.innerText.includes('{inside}')", 60)
 
 
 def shown(page, text):
@@ -181,9 +185,9 @@ def test_an_uploaded_picture_is_a_style(viewer, page, tmp_path):
 
 def drop(page, *files):
     data = {"items": [], "files": [str(file) for file in files], "dragOperationsMask": 1}
-    for kind in ("dragEnter", "dragOver"):
-        page.call("Input.dispatchDragEvent", type=kind, x=300, y=300, data=data)
-    page.wait("!document.getElementById('anystyle-drop').hidden")
+    page.call("Input.dispatchDragEvent", type="dragEnter", x=300, y=300, data=data)
+    while page.value("document.getElementById('anystyle-drop').hidden"):
+        page.call("Input.dispatchDragEvent", type="dragOver", x=300, y=300, data=data)
     page.call("Input.dispatchDragEvent", type="drop", x=300, y=300, data=data)
     page.wait("document.getElementById('anystyle-drop').hidden")
 
@@ -232,12 +236,13 @@ def test_before_and_after_part_at_the_line_and_follow_the_camera(viewer, page, t
     assert abs(left - 0.5) < 0.01
     half = SIZE[1] // 2
     target = np.concatenate([before[:, :half], styled[:, half:]], axis=1)
-    # The split is of the window, as wide as it is; the picture is narrower, and their middles are one.
+    # The split is of the window, whose aspect the picture has.
     compared(page.look, target, tmp_path / "split.png")
     turn = torch.eye(4)
     turn[:3, :3] = torch.tensor([[0.98, 0.0, 0.199], [0.0, 1.0, 0.0], [-0.199, 0.0, 0.98]])
     viewer.flight.look_from(page.look.client, turn.double().numpy())
-    pose = until(lambda: (pose := pose_of(page.look.client.camera))[0, 2] > 0.19 and pose)
+    until(lambda: float(pose_of(page.look.client.camera)[0, 2]) > 0.19)
+    pose = pose_of(page.look.client.camera)
     pictures = [expected(scene, pose) for scene in (viewer.session.controlled.unstyled, viewer.session.gaussians)]
     target = np.concatenate([pictures[0][:, :half], pictures[1][:, half:]], axis=1)
     compared(page.look, target, tmp_path / "turned.png")
@@ -302,5 +307,6 @@ def test_a_phone_in_the_dark(viewer, tmp_path):
         phone.call("Page.navigate", url=viewer.door.url)
         phone.wait("document.querySelector('canvas') && document.body.innerText.includes('anystyle')")
         phone.wait("document.documentElement.dataset.mantineColorScheme === 'dark'")
+        phone.wait("[...document.querySelectorAll('[data-style] img')].some(e => e.complete)")
         phone.picture(tmp_path / "phone.png")
         assert phone.value("document.documentElement.scrollWidth <= innerWidth")

@@ -164,19 +164,14 @@ def encode_splat(
 ) -> EncodedCapture:
     """Read a scene that was saved, look at it from cameras that are stored with it or chosen, and encode what is seen.
 
-    Args:
-        path: A PLY file, or a folder of results, whose unstyled scene is taken.
-        stylizer: In ``eval`` mode, on the device to compute on.
-        views: Their size.
-        options: From where it is seen.
-        stages: Times the work.
+    Of a folder of results the unstyled scene is taken.
 
     Raises:
         ValueError: The file is none of Gaussians, or memory does not suffice.
     """
     start, patch = time.perf_counter(), stylizer.backbone.patch_size
     with stages("read", "the Gaussians"):
-        gaussians = read_saved(path).unstyled.to(stylizer.device)
+        gaussians = read_saved(path, options.up).unstyled.to(stylizer.device)
         cameras, sources, origin = splats.cameras_of(
             path, gaussians, views, options, patch, stylizer.backbone.resolution
         )
@@ -186,7 +181,9 @@ def encode_splat(
     capture = Capture((Group(scene, tuple(range(len(sources))), None, len(sources)),))
     report = reconstruction_report(None, capture, time.perf_counter() - start) | {"kind": "given", "cameras": origin}
     seen = replace(scene.views, names=tuple(source.name for source in sources)).to("cpu")
-    return EncodedCapture(stylizer, seen, sources, capture, report, splat=path if path.is_file() else None)
+    return EncodedCapture(
+        stylizer, seen, sources, capture, report, splat=path if path.is_file() and options.up == "opencv" else None
+    )
 
 
 def _find(

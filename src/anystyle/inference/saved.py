@@ -12,6 +12,7 @@ from safetensors import SafetensorError, safe_open
 from anystyle.data.poses import StoredCamera
 from anystyle.documents import Count, read_json, regular
 from anystyle.geometry.cameras import look_at
+from anystyle.inference.export import from_axes
 from anystyle.inference.licenses import lines
 from anystyle.types import Cameras, Gaussians
 
@@ -78,14 +79,18 @@ def is_saved(path: Path) -> bool:
     return path.suffix.lower() == ".ply"
 
 
-def read_saved(path: Path) -> SavedScene:
+def read_saved(path: Path, up: str = "opencv") -> SavedScene:
     """Read a folder of results or a PLY file.
+
+    Args:
+        path: The folder or the file.
+        up: The axes of a file, one of :data:`~anystyle.inference.export.UP`.
 
     Raises:
         ValueError: It is neither, or damaged.
     """
     if path.is_file():
-        gaussians = Gaussians.load(path)
+        gaussians = from_axes(up, Gaussians.load(path))
         return SavedScene(((path.stem, gaussians),), looking_at(gaussians), ("all",), (path.name,))
     if not (path / "report.json").is_file():
         raise ValueError(f"{path} has no scene that anystyle stylize wrote, and is no PLY file")

@@ -66,7 +66,7 @@ class Look:
     """
 
     def __init__(
-        self, client: viser.ClientHandle, scene: OpenScene, flight: Flight, before: Drawn, *, order: float
+        self, client: viser.ClientHandle, scene: OpenScene, flight: Flight, before: Drawn, *, order: int
     ) -> None:
         self.client, self.scene, self.flight = client, scene, flight
         self._before = self._after = before

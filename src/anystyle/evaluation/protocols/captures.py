@@ -199,11 +199,7 @@ class Captures(Protocol):
         return (
             posed.views,
             posed.points,
-            {
-                "trust": verdict.trust,
-                "reasons": list(verdict.reasons),
-                "registered": registered,
-            },
+            {"trust": verdict.trust, "reasons": list(verdict.reasons), "registered": registered},
         )
 
     @torch.no_grad()
