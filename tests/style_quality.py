@@ -4,7 +4,7 @@ A row is a way to stylize. With ``--scene single_pass`` nothing is fitted; with 
 the captures, whose cameras are found, and their colours are solved back in several ways. Columns:
 
 - found in colour, and in equalised grey: the share of scenes whose painting is the nearest of 35, or with ``--paintings
-  unseen`` of the 21 that ``model=tiny_paper`` was not trained on; by chance 0.03, or 0.05. By
+  unseen`` of the 20 that ``model=tiny_paper`` was not trained on; by chance 0.03, or 0.05. By
   statistics of EfficientNet-Lite0 (``anystyle.perception.style_statistics``), which trained ``model=tiny_paper`` and
   not the painter, and by the 100 numbers of Magenta, whose networks are the painter's and trained nothing else;
 - edges: the correlation of the gradients of renders with those of the unstyled scene's;
@@ -173,7 +173,7 @@ def read_capture(path: Path, short_side: int, multiple: int) -> Views:
 def paintings(split: str, kind: str = "all") -> list[Tensor]:
     """Those of a split, or those that nothing was trained on."""
     if kind == "unseen":
-        return [read_image(file)[None] for file in sorted((ROOT / "styles").glob("*.jpg"))]
+        return [read_image(file)[None] for file in sorted((ROOT / "styles").glob("style_*.jpg"))]
     files = sorted([*(ROOT / "styles").glob("*.jpg"), *(ROOT / "paintings").glob("*.jpg")])
     order = np.random.default_rng(16).permutation(len(files))
     start = {"tune": 0, "test": NUM_CHOICES}[split]
