@@ -45,7 +45,7 @@ class Stylizer(nn.Module):
         style_encoder: StyleEncoder,
         branch: StyleBranch,
         renderer: Renderer,
-        fit_colors: FitColors = 8,
+        fit_colors: FitColors = 6,
         keep_harmonics: bool = False,
     ) -> None:
         super().__init__()
