@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from PIL import Image
 
+from anystyle.inference.export import from_axes
 from anystyle.types import Gaussians
 
 SPLAT_TRANSFORM = shutil.which("splat-transform")
@@ -55,11 +56,22 @@ def read_glb(path: Path) -> Gaussians:
     )  # fmt: skip
 
 
+def read_ply(path: Path) -> Gaussians:
+    """With gsply."""
+    from gsply import plyread
+
+    return _of_gsply(plyread(str(path)))
+
+
 def read_spz_file(path: Path) -> Gaussians:
-    """With gsply, whose rows are those of a PLY file in the file's axes."""
+    """With gsply, in the file's axes."""
     from gsply.spz import read_spz
 
-    data = read_spz(path)
+    return _of_gsply(read_spz(path))
+
+
+def _of_gsply(data) -> Gaussians:
+    """Its rows are those of a PLY file: logarithms of scales, logits of opacities."""
     rest = np.zeros((len(data.means), 0, 3)) if data.shN is None else data.shN
     return gaussians_of(
         data.means, data.quats, np.exp(data.scales), 1 / (1 + np.exp(-data.opacities)),
@@ -113,10 +125,10 @@ def read_sog(path: Path) -> Gaussians:
 
 
 def read_with_splat_transform(path: Path, folder: Path) -> Gaussians:
-    """Converted to PLY, which is in the axes that the format has for PlayCanvas's programs."""
+    """Converted to PLY, in OpenCV's axes; it turns other formats to those of 3DGS, but not SPZ (as of 3.7.0)."""
     out = folder / f"{path.name}.ply"
     subprocess.run([str(SPLAT_TRANSFORM), "-q", "-w", str(path), str(out)], check=True, capture_output=True)
-    return Gaussians.load(out)
+    return from_axes("y" if path.suffix == ".spz" else "opencv", Gaussians.load(out))
 
 
-READERS = {"glb": read_glb, "spz": read_spz_file, "splat": read_splat, "sog": read_sog, "ply": Gaussians.load}
+READERS = {"glb": read_glb, "spz": read_spz_file, "splat": read_splat, "sog": read_sog, "ply": read_ply}

@@ -3,8 +3,11 @@
 A row is a way to stylize. With ``--scene single_pass`` nothing is fitted; with ``--scene fit`` Gaussians are fitted to
 the captures, whose cameras are found, and their colours are solved back in several ways. Columns:
 
-- found in colour, and in equalised grey: the share of scenes whose painting is the nearest of 35 by statistics of
-  EfficientNet-Lite0, which nothing is trained with (``anystyle.perception.style_statistics``); chance is 0.03;
+- found in colour, and in equalised grey: the share of scenes whose painting is the nearest of 35, or with ``--paintings
+  unseen`` of the 21 that ``model=tiny_paper`` was not trained on; by chance 0.03, or 0.05. By
+  statistics of EfficientNet-Lite0 (``anystyle.perception.style_statistics``), which trained ``model=tiny_paper`` and
+  not the painter, and by the 100 numbers of Magenta, whose networks are the painter's and trained nothing else;
+- edges: the correlation of the gradients of renders with those of the unstyled scene's;
 - sharpness: mean absolute difference of neighbouring pixels, as a share of the 2D teacher's;
 - PSNR: of renders against the 2D teacher's pictures, in dB;
 - warp: masked RMSE between neighbouring views, moved by the depth of the unstyled scene; and by how much it is above
@@ -21,6 +24,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 
 import av
@@ -37,8 +41,8 @@ from anystyle.geometry.warp import sample_at
 from anystyle.inference.encoding import encode_capture
 from anystyle.inference.options import PoseOptions, ViewOptions
 from anystyle.inference.stages import Stages
-from anystyle.perception import efficientnet
-from anystyle.perception.style_statistics import centered_cosines, equalized_gray, style_statistics
+from anystyle.metrics.style_retrieval import StyleRetrieval
+from anystyle.perception.style_statistics import centered_cosines, equalized_gray
 from anystyle.reconstructions.colors import FitColors
 from anystyle.reconstructions.fit import Fit
 from anystyle.stylizer import Stylizer
@@ -50,6 +54,7 @@ CAPTURES = {
     "test": ("videos/llff_fortress.mp4", "videos/horizongs_hillside_summer.mp4", "scenes/train/images"),
 }
 NUM_VIEWS, NUM_CHOICES = 8, 35
+load = cache(anystyle.load)
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,17 @@ def single_pass(case: Case) -> Tensor:
     return case.stylizer.render(gaussians, case.scene.cameras).color
 
 
+def trained(model: str) -> Callable[[Case], Tensor]:
+    """Another model's style branch on the same scene, which the same backbone encoded."""
+
+    def method(case: Case) -> Tensor:
+        other = load(model)
+        gaussians = other.restyle(case.scene, other.embed(image=case.painting))
+        return other.render(gaussians, case.scene.cameras).color
+
+    return method
+
+
 def solved(how: FitColors) -> Callable[[Case], Tensor]:
     """The fitted scene in colours that are solved back in one way."""
 
@@ -116,6 +132,8 @@ METHODS: dict[str, dict[str, Callable[[Case], Tensor]]] = {
         "palette transfer": palette_transfer,
         "2D teacher, view by view": teacher,
         "single pass": single_pass,
+        "model=tiny": trained("tiny"),
+        "model=tiny_paper": trained("tiny_paper"),
     },
     "fit": {
         "unstyled": unstyled,
@@ -152,16 +170,31 @@ def read_capture(path: Path, short_side: int, multiple: int) -> Views:
     return Views(images=images[None, :, :, :height, :width].contiguous())
 
 
-def paintings(split: str) -> list[Tensor]:
+def paintings(split: str, kind: str = "all") -> list[Tensor]:
+    """Those of a split, or those that nothing was trained on."""
+    if kind == "unseen":
+        return [read_image(file)[None] for file in sorted((ROOT / "styles").glob("*.jpg"))]
     files = sorted([*(ROOT / "styles").glob("*.jpg"), *(ROOT / "paintings").glob("*.jpg")])
     order = np.random.default_rng(16).permutation(len(files))
     start = {"tune": 0, "test": NUM_CHOICES}[split]
     return [read_image(files[index])[None] for index in order[start : start + NUM_CHOICES]]
 
 
-def describe(network: efficientnet.EfficientNetLite0, images: Tensor) -> Tensor:
-    """Statistics in colour and in equalised grey, the means over images: 2 D."""
-    return torch.stack([style_statistics(network, seen).mean(0) for seen in (images, equalized_gray(images))])
+def judges() -> list[Callable[[Tensor], Tensor]]:
+    """What pictures are told apart by."""
+    from anystyle_magenta.retrieval import MagentaRetrieval
+
+    return [StyleRetrieval().describe, MagentaRetrieval().describe]
+
+
+def describe(looks: Sequence[Callable[[Tensor], Tensor]], images: Tensor) -> list[Tensor]:
+    """By every judge in colour and in equalised grey, the means over images."""
+    return [look(seen).mean(0) for look in looks for seen in (images, equalized_gray(images))]
+
+
+def edge_correlation(images: Tensor, unstyled: Tensor) -> float:
+    pairs = [torch.stack([x.diff(dim=axis).flatten() for x in (images, unstyled)]) for axis in (-1, -2)]
+    return float(torch.corrcoef(torch.cat(pairs, dim=1))[0, 1])
 
 
 def sharpness(images: Tensor) -> float:
@@ -198,22 +231,21 @@ class Tally:
     hits: list[Tensor] = field(default_factory=list)
 
     def row(self, name: str) -> str:
-        color, gray = torch.cat(self.hits, dim=1).double().mean(1)
-        sharp, ratio, error, excess, seconds = np.mean(self.figures, 0)
+        shares = " | ".join(f"{share:.2f}" for share in torch.cat(self.hits, dim=1).double().mean(1))
+        sharp, edges, ratio, error, excess, seconds = np.mean(self.figures, 0)
         return (
-            f"| {name} | {color:.2f} | {gray:.2f} | {sharp:.2f} | {ratio:.1f} | {error:.3f} | {excess:+.3f} "
+            f"| {name} | {shares} | {sharp:.2f} | {edges:.2f} | {ratio:.1f} | {error:.3f} | {excess:+.3f} "
             f"| {seconds:.2f} |"
         )
 
 
 @torch.no_grad()
 def measure(
-    stylizer: Stylizer, captures: Sequence[str], split: str, num_styles: int, short_side: int, kind: str
+    stylizer: Stylizer, captures: Sequence[str], choices: Sequence[Tensor], num_styles: int, short_side: int, kind: str
 ) -> dict[str, Tally]:
-    """Every method on every capture of a split in the first styles."""
-    network = efficientnet.load()
-    choices = paintings(split)
-    gallery = torch.stack([describe(network, painting) for painting in choices])  # G 2 D
+    """Every method on every capture in the first styles."""
+    looks = judges()
+    gallery = [torch.stack(vectors) for vectors in zip(*(describe(looks, each) for each in choices), strict=True)]
     tallies = {name: Tally() for name in METHODS[kind]}
     for path in captures:
         if kind == "fit":
@@ -229,17 +261,18 @@ def measure(
         cases = [Case(stylizer, scene, base.color, painting) for painting in choices[:num_styles]]
         targets = [teacher(case) for case in cases]
         for name, method in METHODS[kind].items():
-            described: list[Tensor] = []
+            described: list[list[Tensor]] = []
             for case, target in zip(cases, targets, strict=True):
                 started = time.process_time()
                 images = method(case)
                 seconds = time.process_time() - started
                 error = warping_error(images, depth, scene)
                 sharp = sharpness(images) / sharpness(target)
-                tallies[name].figures.append([sharp, psnr(images, target), error, error - limit, seconds])
-                described.append(describe(network, images[0, 1::3]))
-            vectors = torch.stack(described)  # N 2 D
-            nearest = [centered_cosines(vectors[:, index], gallery[:, index]).argmax(1) for index in range(2)]
+                edges = edge_correlation(images, base.color)
+                tallies[name].figures.append([sharp, edges, psnr(images, target), error, error - limit, seconds])
+                described.append(describe(looks, images[0, 1::3]))
+            sides = zip(zip(*described, strict=True), gallery, strict=True)
+            nearest = [centered_cosines(torch.stack(vectors), known).argmax(1) for vectors, known in sides]
             tallies[name].hits.append(torch.stack(nearest) == torch.arange(num_styles))
     return tallies
 
@@ -251,7 +284,8 @@ def psnr(images: Tensor, target: Tensor) -> float:
 def main() -> None:
     words = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     words.add_argument("--split", choices=CAPTURES, default="tune")
-    words.add_argument("--styles", type=int, default=12, help=f"paintings of the {NUM_CHOICES} to stylize in")
+    words.add_argument("--paintings", choices=("all", "unseen"), default="all", help="what is chosen from")
+    words.add_argument("--styles", type=int, default=12, help="paintings to stylize in, the first so many")
     words.add_argument("--scene", choices=METHODS, default="single_pass")
     words.add_argument("--captures", type=int, default=3, help="of the split, the first so many")
     words.add_argument("--short-side", type=int, default=112, help="of the views, in pixels")
@@ -260,9 +294,11 @@ def main() -> None:
     torch.set_num_threads(1)
     captures = CAPTURES[given.split][: given.captures]
     stylizer = anystyle.load("painter", given.overrides)
-    tallies = measure(stylizer, captures, given.split, given.styles, given.short_side, given.scene)
-    title = f"{given.split}: {len(captures)} captures x {given.styles} paintings of {NUM_CHOICES}"
-    columns = ("found in colour", "in equalised grey", "sharpness", "PSNR", "warp", "above its limit", "CPU s")
+    choices = paintings(given.split, given.paintings)
+    tallies = measure(stylizer, captures, choices, given.styles, given.short_side, given.scene)
+    title = f"{given.split}: {len(captures)} captures x {given.styles} paintings of {len(choices)}"
+    found = [f"{what} ({judge})" for judge in ("EfficientNet", "Magenta") for what in ("found in colour", "in grey")]
+    columns = (*found, "sharpness", "edges", "PSNR", "warp", "above its limit", "CPU s")
     lines = [f"| {' | '.join((title, *columns))} |", "|---" * (1 + len(columns)) + "|"]
     sys.stdout.write("\n".join([*lines, *(tally.row(name) for name, tally in tallies.items())]) + "\n")
 

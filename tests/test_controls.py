@@ -13,12 +13,15 @@ from anystyle.api import Controls, VideoOptions, ViewOptions
 from anystyle.commands._compose import main
 from anystyle.commands._controls import given_controls, with_values
 from anystyle.commands.stylize import parser, stylize
-from anystyle.data.folder import SourceImage
+from anystyle.data.folder import Original, SourceImage
+from anystyle.data.images import to_tensor
 from anystyle.geometry.harmonics import colors
 from anystyle.inference.controls import LUMA, blended, rescaled, with_colors_of
+from anystyle.inference.found_cameras import FoundCameras, find_cameras
 from anystyle.inference.masks import Box, Photographs, Shown, Sphere, inside, parsed
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
+from reconstructions.sfm.cards import World, arc
 
 VIEWS = ViewOptions(short_side=56, take=3)
 VIDEO = VideoOptions(frames=2, scale=0.5)
@@ -138,6 +141,25 @@ def test_masks_of_photographs_reach_the_gaussians_that_show_in_them(tmp_path):
     assert float(Photographs(tmp_path).weights(behind, shown).abs().max()) < 1e-5
     with pytest.raises(ValueError, match="no mask for the photograph two"):
         Photographs(tmp_path).weights(gaussians, replace(shown, sources=[SourceImage.unchanged("two", size)]))
+
+
+def test_a_mask_follows_the_photograph_that_is_made_straight(tmp_path):
+    """Drawn on photographs of a barrel, at another size: it shows what the views show, and the views are straight."""
+    originals = []
+    for number, pose in enumerate(arc(4, 30)):
+        pixels = World(0).picture(pose, 200.0, (168, 192), radial=-0.25)
+        path = tmp_path / f"{number}.png"
+        Image.fromarray(pixels).resize((384, 336)).save(path)
+        originals.append(Original(str(number), path, (336, 384), Image.fromarray(pixels), Image.Exif()))
+    posed = find_cameras(originals, short_side=84, multiple=14, progress=lambda _: None, keep=False)
+    assert isinstance(posed, FoundCameras) and len(posed.sources) == 4
+    for view, source in enumerate(posed.sources):
+        with Image.open(tmp_path / f"{source.name}.png") as mask:
+            straight = to_tensor(source.of_view(mask))
+            crooked = to_tensor(replace(source, straightened=None).of_view(mask))
+        image = posed.views.images[0, view]
+        errors = [float((picture - image).square().mean().sqrt()) for picture in (straight, crooked)]
+        assert errors[0] < 0.04 and errors[1] > 2 * errors[0]
 
 
 @pytest.mark.parametrize("word", ["nowhere", "sphere:1,2,3", "sphere:1,2,3,-1", "box:1,2,3,0,0,0", "sphere:a,b,c,d"])

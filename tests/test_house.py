@@ -18,10 +18,12 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import grimp
+import lightning.pytorch as lightning
 import pytest
 
 import anystyle
 from anystyle import paths
+from anystyle.commands.plugins import arguments
 from anystyle.registry import packages
 from anystyle.registry.builtin import BUILTIN, KINDS
 from anystyle.registry.catalog import Plugin, catalog
@@ -123,6 +125,29 @@ def test_no_duck_is_probed():
     assert [place(path, node) for path, node in calls("hasattr")] == []
 
 
+def test_every_public_method_says_what_it_does():
+    """Its docstring, or that of what it overrides: here, or in ``torch`` and Lightning."""
+    framework = {*dir(lightning.Callback), *dir(lightning.LightningModule), *dir(lightning.LightningDataModule)}
+    classes: dict[str, list[ast.ClassDef]] = defaultdict(list)
+    for _, node in nodes(ast.ClassDef):
+        assert isinstance(node, ast.ClassDef)
+        classes[node.name].append(node)
+
+    def documented(node: ast.ClassDef) -> set[str]:
+        names = {one.name for one in node.body if isinstance(one, ast.FunctionDef) and ast.get_docstring(one)}
+        bases = {getattr(base, "id", getattr(base, "attr", "")) for base in node.bases} - {node.name}
+        return names.union(framework, *(documented(base) for name in bases for base in classes[name]))
+
+    silent = [
+        f"{place(path, one)} {node.name}.{one.name}"
+        for path, node in nodes(ast.ClassDef)
+        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
+        for one in node.body
+        if isinstance(one, ast.FunctionDef) and not one.name.startswith("_") and one.name not in documented(node)
+    ]
+    assert silent == []
+
+
 def test_packages_are_packages():
     folders = {path.parent for path in SOURCES}
     assert [str(folder) for folder in sorted(folders) if not (folder / "__init__.py").is_file()] == []
@@ -217,11 +242,11 @@ def test_options_are_keyword_only_and_described():
     found = []
     for row in shipped():
         signature = inspect.signature(row.load())
-        text = inspect.getdoc(row.load()) or ""
+        described = arguments(row.load())
         for option in options(row):
             if signature.parameters[option.name].kind is not inspect.Parameter.KEYWORD_ONLY:
                 found.append(f"{row}: {option.name} is not keyword-only")
-            if not re.search(rf"^ +{option.name}( \(.*\))?:", text, re.MULTILINE):
+            if not described.get(option.name):
                 found.append(f"{row}: {option.name} is not described")
         found += [] if peek(row).description.endswith(".") else [f"{row}: no first line"]
     assert found == []

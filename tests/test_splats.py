@@ -12,7 +12,10 @@ import anystyle
 from anystyle.commands._compose import main
 from anystyle.commands.stylize import parser, stylize
 from anystyle.inference import memory, splats
+from anystyle.inference.encoding import encode_splat
+from anystyle.inference.export import export
 from anystyle.inference.options import SplatOptions, ViewOptions
+from anystyle.inference.stages import Stages
 from anystyle.io import ply
 from anystyle.reconstructions.colors import fit_colors
 from anystyle.renderers.cpu.renderer import CpuRenderer
@@ -78,6 +81,23 @@ def test_the_command_gives_the_file_back_with_other_colours(file, tmp_path, keep
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["reconstruction"]["kind"] == "given" and report["reconstruction"]["cameras"] == "stored beside it"
     assert report["inputs"] == ["0", "2", "4"] and report["method"] == {"kind": "branch", "networks": []}
+
+
+def test_a_file_in_other_axes_is_seen_upright_and_comes_back_in_ours(tmp_path):
+    """Rings of cameras look at y up and at OpenCV's axes alike once they are said."""
+    stylizer = anystyle.load()
+    encoded = {}
+    for up in ("opencv", "z"):
+        export(glossy(), tmp_path / f"{up}.ply", "ply", up=up)
+        options = SplatOptions(cameras=2, up=up)
+        encoded[up] = encode_splat(
+            tmp_path / f"{up}.ply", stylizer, ViewOptions(short_side=28), options, stages=Stages()
+        )
+    torch.testing.assert_close(encoded["z"].views.images, encoded["opencv"].views.images, rtol=0, atol=2e-3)
+    torch.testing.assert_close(encoded["z"].unstyled().means, glossy().means, rtol=0, atol=1e-5)
+    assert encoded["opencv"].splat is not None and encoded["z"].splat is None
+    with pytest.raises(ValueError, match="choose one of opencv, y, z"):
+        SplatOptions(up="x")
 
 
 def test_cameras_that_are_stored_see_what_they_saw(tmp_path):

@@ -9,9 +9,11 @@ from torch import Tensor
 
 from anystyle.inference.assemble import assemble_frozen, default_device, method_named
 from anystyle.inference.controls import Controls
-from anystyle.inference.encoding import EncodedCapture, Inputs, encode_capture, encode_splat
+from anystyle.inference.encoding import EncodedCapture as EncodedCapture
+from anystyle.inference.encoding import Inputs, encode_capture, encode_splat
 from anystyle.inference.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
-from anystyle.inference.results import Result, Results
+from anystyle.inference.results import Result as Result
+from anystyle.inference.results import Results
 from anystyle.inference.splats import is_splat
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import Mixture, StyleInput, embed_styles
@@ -63,8 +65,8 @@ def stylize(
     """Stylize a scene: read its views, encode them once, and restyle it in each style when its result is asked for.
 
     Args:
-        inputs: A folder of photographs, files, a pattern or a video; views that were read already; or one PLY file of
-            Gaussians, which keep their geometry.
+        inputs: A folder of photographs, files, a pattern or a video; views that were read already; or one scene
+            that was saved, a PLY file or a folder of results, which keeps its geometry.
         styles: Texts as ``str``, image files as ``Path``, images as tensors or :class:`~anystyle.types.Style`, points
             between two of these as :class:`Mixture`.
         model: A preset of the group ``model`` (``None`` for the default), which is loaded onto
@@ -126,21 +128,3 @@ def stylize(
         if folder is not None:
             results.write(folder)
     return results
-
-
-__all__ = [
-    "Controls",
-    "EncodedCapture",
-    "ExportOptions",
-    "Mixture",
-    "PoseOptions",
-    "Result",
-    "Results",
-    "SplatOptions",
-    "Stages",
-    "Style",
-    "VideoOptions",
-    "ViewOptions",
-    "load",
-    "stylize",
-]

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 import torch
 
+import format_quality
 from anystyle.commands import export as command
+from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.geometry.similarity import y_up_from_opencv
 from anystyle.inference.export import FORMATS, UP, export, in_axes
@@ -74,7 +76,7 @@ def test_a_file_shows_the_same_picture_to_other_readers(name, tmp_path):
 
 @pytest.mark.parametrize("name", ["spz", "sog", "splat", "ply"])
 def test_splat_transform_sees_the_same_picture(name, tmp_path):
-    """Its PLY of a file is in the axes of 3DGS, whatever the file's are: neither mirrored nor upside down."""
+    """Its PLY of a file is neither mirrored nor upside down."""
     if SPLAT_TRANSFORM is None:
         pytest.skip("splat-transform is not installed (npm install -g @playcanvas/splat-transform)")
     gaussians = scene(1 if name == "splat" else 16)
@@ -96,6 +98,19 @@ def test_an_asymmetric_scene_stands_upright_and_unmirrored_in_any_axes(up, tmp_p
     for along, sign in ((right, 1), (top, 1), (away, -1)):
         assert sign * float(along[red].mean() - along[~red].mean()) > 0.3
     assert psnr(picture(back(read, up)), picture(scene())) > 80
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_a_file_of_others_stands_upright_once_its_axes_are_said(up, tmp_path, capsys):
+    """Degree 1: the directions of colours turn with the scene."""
+    export(scene(4), tmp_path / "theirs.ply", "ply", up=up)
+    words = [str(tmp_path / "theirs.ply"), "--out", str(tmp_path / "ours.glb"), "--from-up", up]
+    command.export(command.parser().parse_args(words))
+    read = back(READERS["glb"](tmp_path / "ours.glb"), "y")
+    assert psnr(picture(read), picture(scene(4))) > 80
+    assert psnr(picture(Gaussians.load(tmp_path / "theirs.ply")), picture(scene(4))) < 30
+    with pytest.raises(UserError, match="a folder of results is in OpenCV's axes"):
+        command.export(command.parser().parse_args([str(tmp_path), *words[1:]]))
 
 
 @pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
@@ -169,3 +184,17 @@ def test_the_command_converts_a_file_and_refuses_what_makes_no_sense(tmp_path, c
     with pytest.raises(ValueError, match="no Gaussians that are visible"):
         export(nothing, tmp_path / "nothing.glb", "glb")
     assert not (tmp_path / "nothing.glb").exists()
+
+
+@pytest.mark.slow
+def test_the_table_of_formats_has_a_row_for_each(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["format_quality.py", "--size", "56", "--views", "2"])
+    format_quality.main()
+    rows = {
+        cells[1].strip(" `"): cells
+        for line in capsys.readouterr().out.splitlines()
+        if len(cells := line.split("|")) > 5
+    }
+    assert {*FORMATS, "html`, 4 styles"} <= set(rows)
+    assert rows["ply"][4].strip() == rows["glb"][4].strip() == "identical"
+    assert all(float(rows[name][4]) > 45 for name in ("spz", "sog", "splat"))

@@ -1,61 +1,43 @@
-"""The live viewer as people use it, its door, and what it remembers."""
+"""What the viewer remembers, its door, and the command line that it says."""
 
+import http.client
+import shlex
 import threading
-import time
-import urllib.error
-import urllib.request
 from dataclasses import replace
-from functools import partial
 
-import numpy as np
 import pytest
 import torch
 from PIL import Image
 
-import anystyle
-from anystyle.commands.view import rendered
-from anystyle.geometry.harmonics import constant_from_rgb
-from anystyle.inference.controls import with_colors_of
-from anystyle.inference.saved import SavedScene
-from anystyle.renderers.torch import TorchRenderer
-from anystyle.types import Cameras, Gaussians
+from anystyle.commands._compose import main
+from anystyle.commands.stylize import parser, stylize
+from anystyle.inference.controlled import Controlled
+from anystyle.inference.controls import blended, with_colors_of
+from anystyle.inference.saved import read_gaussians
+from anystyle.methods.contract import Method, Progress
 from anystyle.viewer.door import Door, judged, new_token
-from anystyle.viewer.scenes import of_saved
+from anystyle.viewer.page import name_of, row
+from anystyle.viewer.pictures import LARGEST, LONGEST, keep_picture
 from anystyle.viewer.session import Session, Wish
-from chromium import SOFTWARE_GL, browser, find_chromium, until
-
-SIZE = (336, 448)
-
-
-def scene(count=2500):
-    generator = torch.Generator().manual_seed(0)
-    right = (torch.arange(count) % 2 == 0)[:, None]
-    means = torch.randn(count, 3, generator=generator) * torch.tensor([0.35, 0.35, 0.15])
-    means += torch.where(right, torch.tensor([0.5, -0.4, 3.0]), torch.tensor([-0.5, 0.3, 3.2]))
-    rgb = torch.where(right, torch.tensor([0.85, 0.2, 0.1]), torch.tensor([0.1, 0.6, 0.25]))
-    return Gaussians(
-        means=means[None],
-        rotations=torch.randn(1, count, 4, generator=generator),
-        scales=0.02 + 0.05 * torch.rand(1, count, 3, generator=generator),
-        opacities=0.5 + 0.49 * torch.rand(1, count, generator=generator),
-        harmonics=constant_from_rgb(rgb)[None, :, None],
-    )
-
-
-def cameras():
-    intrinsics = torch.tensor([[370.0, 0, 224], [0, 370.0, 168], [0, 0, 1]])
-    return Cameras(torch.eye(4)[None, None], intrinsics[None, None], SIZE)
+from chromium import until
+from viewer.worlds import WORDS, world_in
 
 
 @pytest.fixture(scope="module")
-def stylizer():
-    return anystyle.load()
+def world(tmp_path_factory):
+    return world_in(tmp_path_factory.mktemp("scene"))
 
 
 @pytest.fixture(scope="module")
-def opened(stylizer):
-    saved = SavedScene((("unstyled", scene()),), cameras(), ("front",), ())
-    return of_saved(saved, stylizer)
+def opened(world):
+    return world.opened
+
+
+@pytest.fixture
+def session(opened):
+    session = Session(opened.controlled)
+    yield session
+    session.close()
 
 
 def settled(session, wish):
@@ -63,13 +45,11 @@ def settled(session, wish):
     return until(lambda: session.shown == wish and session.gaussians)
 
 
-def test_a_saved_scene_takes_new_styles_and_going_back_costs_nothing(opened):
-    session = Session(opened.unstyled, controlled=opened.controlled)
+def test_a_saved_scene_takes_new_styles_and_going_back_costs_nothing(opened, session):
     red, swirls = Wish("red dots"), Wish("thick blue swirls")
     first = settled(session, red)
-    assert torch.equal(first.means, opened.unstyled.means) and not torch.equal(
-        first.harmonics, opened.unstyled.harmonics
-    )
+    assert torch.equal(first.means, opened.unstyled.means)
+    assert not torch.equal(first.harmonics, opened.unstyled.harmonics)
     second = settled(session, swirls)
     assert not torch.equal(first.harmonics, second.harmonics)
     assert settled(session, red) is first
@@ -80,62 +60,129 @@ def test_a_saved_scene_takes_new_styles_and_going_back_costs_nothing(opened):
     assert settled(session, Wish()) is opened.unstyled
     between = settled(session, Wish("red dots", "thick blue swirls", 0.0))
     torch.testing.assert_close(between.harmonics, first.harmonics)
+
+
+class Slow(Method):
+    """Takes as long as it is let; says where it is as often as it is asked."""
+
+    def __init__(self):
+        self.begun, self.go = [], threading.Event()
+
+    def __call__(self, stylizer, scene, style, embedding, *, on_progress=lambda _: None):
+        self.begun.append(style.text[0])
+        while not self.go.wait(0.01):
+            on_progress(Progress("step 1 of 4", None, 0.25))
+        return stylizer.restyle(scene, embedding)
+
+
+def test_controls_of_a_style_that_was_painted_paint_nothing(opened):
+    method = Slow()
+    method.go.set()
+    session = Session(Controlled(opened.controlled.encoded, method, keep=4))
+    for wish in (Wish("red dots"), Wish("blue"), Wish("red dots", strength=0.5), Wish("blue", preserve_color=1.0)):
+        settled(session, wish)
     session.close()
+    assert method.begun == ["red dots", "blue"]
 
 
-def test_the_newest_wish_wins_and_those_between_are_never_begun(opened):
-    session = Session(opened.unstyled)
-    begun, go = [], threading.Event()
-
-    def slow(wish):
-        begun.append(wish.style)
-        go.wait(60)
-        return opened.unstyled
-
-    session.scene = slow
+def test_the_newest_wish_ends_what_is_being_painted_and_those_between_are_never_begun(opened):
+    method, said = Slow(), []
+    session = Session(Controlled(opened.controlled.encoded, method))
+    session.on_status = lambda: said.append((session.painting and session.painting.style, session.status, session.done))
     session.ask(Wish("first"))
-    until(lambda: begun)
-    for style in ("second", "third", "fourth"):
+    until(lambda: ("first", "step 1 of 4", 0.25) in said)
+    for style in ("second", "third"):
         session.ask(Wish(style))
-    go.set()
+    until(lambda: "third" in method.begun or "second" in method.begun)
+    session.ask(Wish("fourth"))
+    until(lambda: "fourth" in method.begun)
+    method.go.set()
     until(lambda: session.shown.style == "fourth")
-    assert begun == ["first", "fourth"]
+    session.close()
+    assert "second" not in method.begun or "third" not in method.begun
+    assert session.recent == ["fourth"]
+
+
+def test_saved_styles_are_scenes_that_controls_and_mixtures_hold_for(opened):
+    one, other = (replace(opened.unstyled, harmonics=opened.unstyled.harmonics * factor) for factor in (0.5, -1.0))
+    session = Session(opened.controlled, saved={"starry_night": one, "other": other})
+    assert settled(session, Wish("starry_night")) is one
+    assert session.command("out/") == "# made of results in out/"
+    half = settled(session, Wish("starry_night", strength=0.5))
+    torch.testing.assert_close(half.harmonics, blended(opened.unstyled, one, 0.5).harmonics)
+    mixed = settled(session, Wish("starry_night", "other", 0.25))
+    torch.testing.assert_close(mixed.harmonics, torch.lerp(one.harmonics, other.harmonics, 0.25))
     session.close()
 
 
-def test_what_cannot_be_painted_is_said_and_changes_nothing(opened):
-    session = Session(opened.unstyled)
-    session.ask(Wish("anything"))
-    until(lambda: "no model" in session.status)
-    assert session.shown == Wish() and session.gaussians is opened.unstyled
-    session.close()
+def test_what_cannot_be_painted_is_said_and_changes_nothing(opened, session):
+    session.ask(Wish("word " * 1000))
+    until(lambda: "characters" in session.status)
+    assert session.shown == Wish() and session.gaussians is opened.unstyled and session.painting is None
 
 
 def test_closing_loses_nothing_and_a_damaged_memory_is_no_obstacle(opened, tmp_path):
-    file = tmp_path / "session.json"
-    session = Session(opened.unstyled, controlled=opened.controlled, file=file)
+    session = Session(opened.controlled, folder=tmp_path)
     settled(session, Wish("red dots"))
     settled(session, Wish("thick blue swirls", strength=0.5))
     session.close()
-    again = Session(opened.unstyled, controlled=opened.controlled, file=file)
+    again = Session(opened.controlled, folder=tmp_path)
     until(lambda: again.shown == Wish("thick blue swirls", strength=0.5))
     assert again.recent == ["thick blue swirls", "red dots"]
     again.close()
     for damage in ("[", '{"recent": 3}', "null"):
-        file.write_text(damage)
-        blank = Session(opened.unstyled, file=file)
+        (tmp_path / "session.json").write_text(damage)
+        blank = Session(opened.controlled, folder=tmp_path)
         assert blank.recent == [] and blank.shown == Wish()
         blank.close()
 
 
-def test_the_command_line_says_what_is_shown(tmp_path):
-    Image.new("RGB", (8, 8)).save(tmp_path / "my picture.png")
-    wish = Wish("it's", str(tmp_path / "my picture.png"), 0.25, 0.5, 1.0)
-    assert wish.command("photos/") == (
-        "anystyle stylize photos/ --text 'it'\"'\"'s' --image "
-        f"'{tmp_path}/my picture.png' --mix 0.25 --strength 0.5 --preserve-color 1"
-    )
-    assert "--strength 0" in Wish().command("x") and Wish("a").command("x") == "anystyle stylize x --text a"
+@pytest.mark.parametrize(
+    "controls",
+    [
+        {},
+        {"strength": 0.35, "preserve_color": 1.0},
+        {"second": "charcoal drawing", "amount": 0.25},
+        {"style": "", "strength": 1.0},
+    ],
+)
+def test_the_command_line_makes_what_is_shown(controls, world, session, tmp_path, monkeypatch):
+    wish = replace(Wish("it's red dots"), **controls)
+    shown = settled(session, wish)
+    command = shlex.split(session.command(str(world.path), WORDS))
+    assert command[:2] == ["anystyle", "stylize"]
+    monkeypatch.chdir(tmp_path)
+    main("stylize", stylize, parser(), [*command[2:], "video.frames=2"])
+    result = read_gaussians(tmp_path / command[command.index("--out") + 1] / "scene.safetensors")
+    assert torch.equal(result.means, shown.means)
+    torch.testing.assert_close(result.harmonics, shown.harmonics, rtol=0, atol=1e-6)
+
+
+def test_a_picture_is_kept_once_and_another_of_its_name_beside_it(tmp_path, opened):
+    for color in ("red", "blue"):
+        Image.new("RGB", (9000, 8), color).save(tmp_path / f"{color}.jpg")
+    kept = [keep_picture(tmp_path / "kept", "My *sky*.jpg", (tmp_path / f"{color}.jpg").read_bytes())
+            for color in ("red", "blue", "red")]  # fmt: skip
+    assert kept[0] == kept[2] != kept[1] and [name_of(str(path)) for path in kept[:2]] == ["My--sky-"] * 2
+    with Image.open(kept[0]) as picture:
+        assert max(picture.size) < 2 * LONGEST
+    for content in (b"no picture", bytes(LARGEST + 1), b""):
+        with pytest.raises(ValueError) as error:
+            keep_picture(tmp_path / "kept", "x.png", content)
+        assert ".given" not in str(error.value)
+    assert sorted((tmp_path / "kept").iterdir()) == sorted(set(kept))
+    session = Session(opened.controlled, folder=tmp_path / "kept")
+    settled(session, Wish(str(kept[0])))
+    assert f"--image {kept[0]}" in session.command("x")
+    # Another file of this machine is a text like any other.
+    assert session.picture(str(tmp_path / "red.jpg")) is None and session.picture("../red.jpg") is None
+    session.close()
+
+
+def test_a_row_says_what_is_shown_and_nothing_that_is_typed_is_html():
+    html = row(["", '<b a="1">'], '<b a="1">', {"": "data:x"})
+    assert "<b" not in html.replace("<button", "") and html.count("<button") == 2
+    assert html.index('aria-pressed="false"') < html.index('aria-pressed="true"')
 
 
 def head(path="/", **headers):
@@ -151,7 +198,11 @@ def head(path="/", **headers):
         (head(Host="evil.example:8080"), None, "421"),  # a name that leads here
         (head(Host="127.0.0.1:8080", Origin="http://evil.example"), None, "403"),  # a page elsewhere
         (head(Host="127.0.0.1:8080", Origin="http://127.0.0.1:9999"), None, "403"),
-        (b"POST / HTTP/1.1\r\nHost: localhost\r\n\r\n", None, "405"),
+        (b"PUT / HTTP/1.1\r\nHost: localhost\r\n\r\n", None, "405"),
+        (b"POST /style HTTP/1.1\r\nHost: localhost\r\n\r\n", None, "403"),  # browsers say where from
+        (b"POST /style HTTP/1.1\r\nHost: localhost\r\nOrigin: http://localhost\r\n\r\n", None, ""),
+        (b"POST /style HTTP/1.1\r\nHost: localhost\r\nOrigin: http://evil.example\r\n\r\n", None, "403"),
+        (b"POST /style HTTP/1.1\r\nHost: a\r\nOrigin: http://a\r\n\r\n", "secret", "403"),
         (b"\xff\xfe\r\n\r\n", None, "405"),
         (head(Host="my.machine"), "secret", "403"),
         (head("/?token=wrong", Host="my.machine"), "secret", "403"),
@@ -170,68 +221,25 @@ def test_a_door_to_a_network_has_a_token():
     assert len({new_token() for _ in range(10)}) == 10 and len(new_token()) >= 20
 
 
-CHROMIUM = find_chromium()
+def test_what_is_posted_is_bounded_and_answered_in_a_line():
+    def answer(query, body):
+        if body == b"bad":
+            raise ValueError("no, for a reason")
+        taken.append((query, body))
 
+    taken = []
+    door = Door(target=1, answers={"/picture": answer}, largest=10)
+    origin = f"http://127.0.0.1:{door.port}"
 
-@pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt install chromium)")
-def test_a_browser_types_a_style_and_sees_it_the_right_way_round(opened, stylizer, tmp_path):
-    viser = pytest.importorskip("viser", reason="the extra `viewer` is not installed")
-    from anystyle.viewer.flight import Flight
-    from anystyle.viewer.panel import Panel
+    def post(path, body, length=None):
+        connection = http.client.HTTPConnection("127.0.0.1", door.port, timeout=20)
+        connection.request("POST", path, body, {"Origin": origin, **({"Content-Length": length} if length else {})})
+        response = connection.getresponse()
+        return response.status, response.read().decode().strip()
 
-    session = Session(opened.unstyled, controlled=opened.controlled, file=tmp_path / "session.json")
-    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
-    flight = Flight(opened.cameras, opened.unstyled, partial(rendered, stylizer))
-    panel = Panel(server, opened, session, inputs="photos", uploads=tmp_path / "uploads", flight=flight)
-    token = new_token()
-    door = Door(target=server.get_port(), token=token)
-    with pytest.raises(urllib.error.HTTPError, match="403"):
-        urllib.request.urlopen(door.url.partition("?")[0])
-    try:
-        with browser(CHROMIUM, tmp_path / "browser", SOFTWARE_GL) as page:
-            page.size(SIZE[1], SIZE[0])
-            page.call("Page.navigate", url=door.url)
-            page.wait("document.body && document.body.innerText.includes('Preserve colour')")
-            client = until(lambda: next(iter(server.get_clients().values()), None))
-            panel._show_cameras(False)
-            client.camera.position, client.camera.look_at = (0.0, 0.0, 0.0), (0.0, 0.0, 3.0)
-            client.camera.fov = flight.field_of_view
-            compared(page, opened.unstyled, client, tmp_path / "unstyled.png")
-            page.value(
-                "[...document.querySelectorAll('label')].find(e => e.textContent === 'Text')"
-                ".closest('div').parentElement.parentElement.querySelector('input').focus()"
-            )
-            page.type("red dots")
-            page.key("Enter", "\r")
-            page.wait("document.body.innerText.includes('Shown: red dots')")
-            assert session.shown.style == "red dots" and not torch.equal(
-                session.gaussians.harmonics, opened.unstyled.harmonics
-            )
-            compared(page, session.gaussians, client, tmp_path / "styled.png")
-            assert not [error for error in page.errors if "favicon" not in error]
-            written = tmp_path / "video.mp4"
-            flight.add(client.camera)
-            flight.write(session.gaussians, written, 1)
-            assert written.stat().st_size > 1000
-    finally:
-        door.close()
-        session.close()
-        server.stop()
-
-
-def compared(page, gaussians, client, path):
-    """The page's own picture of the scene, without its panel, against the renderer's from the same camera."""
-    expected = TorchRenderer()(gaussians, cameras()).color[0, 0].permute(1, 2, 0).numpy()
-    end = time.monotonic() + 60
-    while True:
-        rgba = client.get_render(*SIZE, transport_format="png") / 255.0
-        shown = rgba[..., :3] * rgba[..., 3:] + 1 - rgba[..., 3:]  # over white
-        Image.fromarray((shown * 255).astype(np.uint8)).save(path)
-        error = np.square(shown - expected).mean()
-        if -10 * np.log10(error) > 22:
-            break
-        assert time.monotonic() < end, f"{-10 * np.log10(error):.1f} dB"
-        time.sleep(0.5)
-    for wrong in (shown[:, ::-1], shown[::-1]):
-        assert np.square(wrong - expected).mean() > 3 * error
+    assert post("/picture?name=a%20b.png", b"0123456789") == (200, "")
+    assert taken == [({"name": "a b.png"}, b"0123456789")]
+    assert post("/picture", b"bad") == (400, "no, for a reason")
+    assert post("/picture", b"", "11")[0] == 413 and post("/picture", b"", "-1")[0] == 413
+    assert post("/elsewhere", b"1")[0] == 404 and len(taken) == 1
+    door.close()

@@ -76,7 +76,6 @@ class AnySplat(contracts.Backbone):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """A few thin layers for small images."""
         return {
             "resolution": 56,
             "native_resolution": 56,

@@ -96,7 +96,6 @@ class Checkpoints(Published):
         return any(name.startswith(GAUSSIANS) for name in self.without_prefix(state))
 
     def options(self, state: Mapping[str, Tensor]) -> dict[str, object]:
-        """See :func:`anystyle_anysplat.shapes.options`."""
         return shapes.options(self.without_prefix(state))
 
     def placement(self, state: Mapping[str, Tensor]) -> Literal["head", "full"] | None:

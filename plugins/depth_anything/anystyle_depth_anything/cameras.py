@@ -11,11 +11,7 @@ from anystyle_depth_anything.pose import encode_pose
 
 
 class CameraDecoder(nn.Module):
-    """Reads pose encodings off camera tokens, in one pass.
-
-    Args:
-        dim: Channels of the tokens.
-    """
+    """Reads pose encodings off camera tokens, in one pass."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()
@@ -31,14 +27,7 @@ class CameraDecoder(nn.Module):
 
 
 class CameraEncoder(nn.Module):
-    """Camera tokens of known cameras, which take the place of the learnt ones.
-
-    Args:
-        dim: Channels of the tokens.
-        depth: Blocks; they attend across views.
-        heads: Attention heads.
-        mlp_ratio: Width of the blocks' MLPs.
-    """
+    """Camera tokens of known cameras, which take the place of the learnt ones."""
 
     def __init__(self, *, dim: int, depth: int, heads: int, mlp_ratio: float) -> None:
         super().__init__()

@@ -76,7 +76,6 @@ class Checkpoints(Published):
         return any(name.startswith(GAUSSIANS) for name in self.without_prefix(state))
 
     def options(self, state: Mapping[str, Tensor]) -> dict[str, object]:
-        """See :func:`anystyle_depth_anything.shapes.options`."""
         return shapes.options(self.without_prefix(state))
 
     def load_backbone(self, backbone: nn.Module, state: Mapping[str, Tensor]) -> None:

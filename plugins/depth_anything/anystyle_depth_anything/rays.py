@@ -13,11 +13,7 @@ HIDDEN = 32
 
 
 class RayChain(nn.Module):
-    """Tells the ray of every place on a grid eight times as fine as the patches.
-
-    Args:
-        features: Channels of the decoder.
-    """
+    """Tells the ray of every place on a grid eight times as fine as the patches."""
 
     def __init__(self, features: int) -> None:
         super().__init__()

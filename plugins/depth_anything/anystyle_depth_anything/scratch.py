@@ -34,13 +34,7 @@ def start_from_scratch(embedder: Embedder, geometry_head: GeometryHead) -> None:
 
 @torch.no_grad()
 def start_gaussians(head: GaussianHead, *, scale_min: float, scale_max: float) -> None:
-    """Gaussians of their pixel's own colour, about its footprint's size, of opacity 0.9, on the depth head's surface.
-
-    Args:
-        head: What starts.
-        scale_min: Of the adapter.
-        scale_max: Of the adapter.
-    """
+    """Gaussians of their pixel's colour, about its footprint's size, of opacity 0.9, on the depth head's surface."""
     bias = start_small(head.dpt.output[2])
     # The adapter's unit is a tenth of two pixels.
     fraction = (PIXELS / 0.2 - scale_min) / (scale_max - scale_min)

@@ -17,9 +17,6 @@ def options(state: Mapping[str, Tensor]) -> dict[str, object]:
 
     Without a Gaussian head in it, they are of a network whose head is like the depth head and not yet trained.
 
-    Args:
-        state: Names without prefixes.
-
     Raises:
         ValueError: Tensors are missing that sizes are read off.
     """

@@ -19,8 +19,8 @@ from anystyle_tiny.procedural.patterns import PATTERNS
 from anystyle_tiny.procedural.phrases import PHOTO_TEXTS, draw_phrase
 from anystyle_tiny.procedural.styles import SPLITS, ProceduralStyles, StyleTraits, draw_palette, paint_style
 
-PROCEDURAL, PHRASES = 0.55, 0.8
-"""Of every style's number: below the first a procedural style, below the second a phrase, else a retouched picture."""
+PHRASES = 0.3125
+"""Of the styles that are no pictures of a folder, how many are phrases; the others are procedural."""
 
 
 class CaptionedPictures(StyleSource):
@@ -37,6 +37,9 @@ class CaptionedPictures(StyleSource):
         split: Which combinations of procedural styles; of paintings with captions, ``train`` has two thirds.
         photographs: A folder.
         paintings: A folder, with a ``captions.jsonl`` if some are described.
+        pictures: How many of the styles are pictures of the folders, from 0 to 1.
+        retouch: Whether these are recoloured and covered, or left as they are, but for what is cut out of them; then
+            they have a caption only if it is in the folder, and all that have one are in every split.
 
     Raises:
         ValueError: A number is out of range, or a folder has no images.
@@ -51,33 +54,36 @@ class CaptionedPictures(StyleSource):
         split: Literal["train", "validation", "heldout"] = "train",
         photographs: str | None = None,
         paintings: str | None = None,
+        pictures: float = 0.2,
+        retouch: bool = True,
     ) -> None:
+        if not 0 <= pictures <= 1:
+            raise ValueError(f"styles.pictures={pictures}: give a number from 0 to 1")
         self.procedural = ProceduralStyles(size=size, num_styles=num_styles, seed=seed, split=split)
         self.photographs = None if photographs is None else FolderStyles(root=photographs, size=size)
         self.paintings = None if paintings is None else FolderStyles(root=paintings, size=size)
         self.size, self.seed, self.split = size, seed, split
+        self.pictures, self.retouch = pictures, retouch
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Small ones, with two pictures."""
         return {"size": 32, "num_styles": 8, "paintings": FolderStyles.example(folder)["root"]}
 
     def __len__(self) -> int:
-        """How many styles there are."""
         return len(self.procedural)
 
     def read(self, style: int) -> Style:
-        """Make one picture and its caption."""
         draw = Draw((self.seed, SPLITS.index(self.split), style, 11))
-        kind = draw.between(0.0, 1.0)
-        if kind < PROCEDURAL or not 0 <= style < len(self):
+        kind, invented = draw.between(0.0, 1.0), 1 - self.pictures
+        if kind < invented * (1 - PHRASES) or not 0 <= style < len(self):
             return self.procedural.read(style)
         folders = [folder for folder in (self.photographs, self.paintings) if folder is not None]
-        if kind < PHRASES or not folders:
+        if kind < invented or not folders:
             text, traits = draw_phrase(draw)
             image = paint_style(draw, traits, self.size)
         else:
-            text, image = self._retouched(draw, folders[draw.below(len(folders))])
+            picture = self._retouched if self.retouch else _untouched
+            text, image = picture(draw, folders[draw.below(len(folders))])
         return Style(image=image, text=(text,), names=(f"captioned-{self.split}-{self.seed}-{style:05d}",))
 
     def _retouched(self, draw: Draw, folder: FolderStyles) -> tuple[str, Float[Tensor, "1 3 H W"]]:
@@ -100,6 +106,12 @@ class CaptionedPictures(StyleSource):
         sheet = StyleTraits(pattern, colors, draw.below(3), draw.below(len(BRUSHWORK)), -1, draw_palette(draw, colors))
         covered = 0.4 * recolored + 0.6 * paint_style(draw, sheet, self.size)
         return f"a {noun} in {named} with {nouns[draw.below(len(nouns))]}", covered
+
+
+def _untouched(draw: Draw, folder: FolderStyles) -> tuple[str, Float[Tensor, "1 3 H W"]]:
+    picture = folder.read(draw.below(len(folder)))
+    assert picture.image is not None and picture.text is not None
+    return picture.text[0], _crop(draw, picture.image)
 
 
 def gradient_map(image: Float[Tensor, "1 3 H W"], palette: Float[Tensor, "K 3"]) -> Float[Tensor, "1 3 H W"]:

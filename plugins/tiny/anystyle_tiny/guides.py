@@ -29,10 +29,7 @@ class Guides(Protocol):
     ``depth_change``: the mean absolute difference of the logarithms of the depth of styled and unstyled renders.
 
     Args:
-        stylizer: What is judged; the framework passes it.
-        metrics: By name; likewise.
-        scenes: What is stylized; likewise.
-        styles: In which styles; likewise. Every style has an image and a text.
+        styles: Every style has an image and a text.
         num_scenes: Of the scenes, the first so many.
         num_styles: Of the styles, the first so many.
         num_views: Of each scene, the first so many are seen and judged.
@@ -43,7 +40,6 @@ class Guides(Protocol):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Two scenes in two styles."""
         return {"num_scenes": 2, "num_styles": 2, "num_views": 2}
 
     def __init__(
@@ -67,7 +63,6 @@ class Guides(Protocol):
         self.num_views = num_views
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
-        """See :meth:`anystyle.evaluation.contract.Protocol.run`."""
         options = {name: getattr(self, name) for name in ("num_scenes", "num_styles", "num_views")}
         figures: dict[str, dict[str, dict[str, SceneFigures]]] = {guide: {} for guide in GUIDES}
         done, total = 0, len(GUIDES) * self.num_scenes

@@ -38,7 +38,6 @@ class Luminance(Loss):
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         render, photograph = result.renders.color.flatten(0, 1), result.views.images.flatten(0, 1)
         terms = [
             scale_weight * F.mse_loss(coarse_luma(render, scale), coarse_luma(photograph, scale))

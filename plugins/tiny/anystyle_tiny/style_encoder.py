@@ -47,13 +47,7 @@ class Tiny(StyleEncoder):
     whitening: Tensor
 
     def __init__(
-        self,
-        *,
-        dim: int = 128,
-        text_width: int = 96,
-        text_layers: int = 2,
-        buckets: int = 2048,
-        max_words: int = 64,
+        self, *, dim: int = 128, text_width: int = 96, text_layers: int = 2, buckets: int = 2048, max_words: int = 64
     ) -> None:
         super().__init__()
         self.dim = dim
@@ -75,7 +69,6 @@ class Tiny(StyleEncoder):
         return self._whiten(raw, self.image_mean)
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        """See :meth:`StyleEncoder.embed_texts`."""
         return self._whiten(self.text_tower(texts), self.text_mean)
 
     def palette(self, vectors: Float[Tensor, "M D"]) -> Float[Tensor, "M colors 3"]:
@@ -109,11 +102,7 @@ class Tiny(StyleEncoder):
 
 
 class ImageTower(nn.Module):
-    """From images to raw vectors of about unit norm.
-
-    Args:
-        dim: Of the vectors.
-    """
+    """From images to raw vectors of about unit norm."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()
@@ -123,7 +112,6 @@ class ImageTower(nn.Module):
         self.head = nn.Sequential(nn.Linear(pooled + 3 * COLORS, 512), nn.GELU(), nn.Linear(512, dim))
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """Embed images of any size."""
         return self.join(self.textures(shorter_side(images, SIDE)), colors(images))
 
     def textures(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M C"]:
@@ -177,12 +165,7 @@ class TextTower(nn.Module):
 
 
 class Block(nn.Module):
-    """A pre-norm transformer layer.
-
-    Args:
-        width: Channels.
-        heads: Of the attention.
-    """
+    """A pre-norm transformer layer."""
 
     def __init__(self, width: int, heads: int = 4) -> None:
         super().__init__()
@@ -192,7 +175,6 @@ class Block(nn.Module):
         self.mlp = nn.Sequential(nn.Linear(width, 3 * width), nn.GELU(), nn.Linear(3 * width, width))
 
     def forward(self, tokens: Float[Tensor, "M L C"], present: Bool[Tensor, "M L"]) -> Float[Tensor, "M L C"]:
-        """Mix the words that are there."""
         parts = self.qkv(self.norm1(tokens)).chunk(3, dim=-1)
         q, k, v = (part.unflatten(-1, (self.heads, -1)).transpose(1, 2) for part in parts)
         mixed = F.scaled_dot_product_attention(q, k, v, attn_mask=present[:, None, None, :])

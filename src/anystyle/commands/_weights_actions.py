@@ -12,11 +12,7 @@ ROW = "a file, or a row of `anystyle weights`"
 
 
 def verify(words: Sequence[str]) -> None:
-    """Say what a file of weights holds, and whether it is whole.
-
-    Raises:
-        ValueError: The file is not whole, not what it is called, or of no known kind.
-    """
+    """Say what a file of weights holds, and whether it is whole."""
     arguments = _arguments(
         words,
         "verify",
@@ -37,11 +33,7 @@ def verify(words: Sequence[str]) -> None:
 
 
 def convert(words: Sequence[str]) -> None:
-    """Keep a checkpoint's tensors alone, in a safetensors file that says where they come from.
-
-    Raises:
-        ValueError: The file is not whole or of no known kind, or the result's name does not end in ``.safetensors``.
-    """
+    """Keep a checkpoint's tensors alone, in a safetensors file that says where they come from."""
     arguments = _arguments(
         words,
         "convert",
@@ -75,12 +67,7 @@ def convert(words: Sequence[str]) -> None:
 
 
 def download(words: Sequence[str]) -> None:
-    """Fetch a file of weights from the Hugging Face hub.
-
-    Raises:
-        ValueError: The hub does not have it, or cannot be reached.
-        ImportError: ``huggingface_hub`` is missing; the message names the extra.
-    """
+    """Fetch a file of weights from the Hugging Face hub."""
     name = _arguments(
         words,
         "download",

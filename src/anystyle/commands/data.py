@@ -57,11 +57,7 @@ def check_parser() -> argparse.ArgumentParser:
 
 
 def check_command(arguments: argparse.Namespace) -> None:
-    """Run it.
-
-    Raises:
-        ValueError: The folder holds nothing that can be used.
-    """
+    """Run it."""
     if arguments.layout == "tables" or (arguments.layout is None and is_layout(arguments.path)):
         _check_tables(arguments.path)
         return
@@ -100,11 +96,7 @@ def tell(report: Report) -> None:
 
 
 def _check_tables(root: Path) -> None:
-    """Say what a folder of ``protocol=table2`` holds.
-
-    Raises:
-        UserError: It lacks something.
-    """
+    """Say what a folder of ``protocol=table2`` holds."""
     layout = Layout(root)
     print("layout    tables")
     for scene in layout.scene_names:
@@ -152,11 +144,7 @@ def caption_parser() -> argparse.ArgumentParser:
 
 
 def caption_command(arguments: argparse.Namespace) -> None:
-    """Run it.
-
-    Raises:
-        ValueError: There is no such folder.
-    """
+    """Run it."""
     if not arguments.path.is_dir():
         raise UserError(f"there is no folder {arguments.path}")
     out = arguments.out or arguments.path / "captions.jsonl"

@@ -25,15 +25,17 @@ def parser() -> argparse.ArgumentParser:
     words.add_argument(
         "--up", choices=("opencv", "y", "z"), help="axes of the file (default: what readers of the format expect)"
     )
+    words.add_argument(
+        "--from-up",
+        choices=("opencv", "y", "z"),
+        default="opencv",
+        help="axes that a PLY file of others is in (default: those of 3DGS)",
+    )
     return words
 
 
 def export(arguments: argparse.Namespace) -> None:
-    """Run the command.
-
-    Raises:
-        UserError: No format is named, or the file is the scene itself.
-    """
+    """Run the command."""
     from anystyle.inference import export as files
     from anystyle.inference.page import write_page
     from anystyle.inference.saved import read_saved
@@ -43,7 +45,9 @@ def export(arguments: argparse.Namespace) -> None:
         raise UserError(f"no format is named; give --to with one of {', '.join(FORMATS)}")
     if arguments.out.exists() and arguments.scene.exists() and arguments.out.samefile(arguments.scene):
         raise UserError(f"{arguments.out} is the scene itself; name another file with --out")
-    saved = read_saved(arguments.scene)
+    if arguments.scene.is_dir() and arguments.from_up != "opencv":
+        raise UserError("a folder of results is in OpenCV's axes; --from-up is for PLY files of others")
+    saved = read_saved(arguments.scene, arguments.from_up)
     title, gaussians = saved.styles[-1]
     notes = "\n".join(saved.notes)
     if name == "html":

@@ -36,14 +36,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run ``anystyle plugins check``.
-
-    Returns:
-        The exit status: 0 where every promise is kept, 1 where one is broken or cannot be checked here.
-
-    Raises:
-        PluginError: There is no such kind or plugin.
-    """
+    """Run ``anystyle plugins check``; the exit status is 0 where every promise is kept, else 1."""
     arguments = parse(parser(), words_of(argv))
     kind, name = arguments.kind, arguments.name
     if not catalog().declarations(kind, name):

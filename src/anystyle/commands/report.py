@@ -39,14 +39,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run ``anystyle report``.
-
-    Returns:
-        The exit status.
-
-    Raises:
-        ValueError: There is nothing to report.
-    """
+    """Run ``anystyle report``."""
     arguments = parse(parser(), words_of(argv))
     with_published = arguments.with_published or bool(arguments.published)
     if not arguments.folders and not with_published and not arguments.paper:

@@ -65,11 +65,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def command(arguments: argparse.Namespace) -> None:
-    """Run it.
-
-    Raises:
-        ValueError: The answers or the options make no analysis.
-    """
+    """Run it."""
     if not arguments.no_report:
         figures.require()
     settings = _settings(arguments)

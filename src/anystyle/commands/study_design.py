@@ -31,11 +31,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def command(arguments: argparse.Namespace) -> None:
-    """Run it.
-
-    Raises:
-        ValueError: What is given makes no study.
-    """
+    """Run it."""
     for word in arguments.options:
         if "=" not in word:
             raise UserError(f"{word!r} is no OPTION=VALUE; folders are given with --method NAME=FOLDER")

@@ -29,11 +29,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def command(arguments: argparse.Namespace) -> None:
-    """Run it.
-
-    Raises:
-        ValueError: There is no study, or the database belongs to another one.
-    """
+    """Run it."""
     study = read_study(arguments.study)
     folder = arguments.study if arguments.study.is_dir() else arguments.study.parent
     database = arguments.database or folder / "answers.sqlite"

@@ -66,11 +66,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def command(arguments: argparse.Namespace) -> None:
-    """Run it.
-
-    Raises:
-        ValueError: The scenario or the options make no simulation.
-    """
+    """Run it."""
     if arguments.out is not None:
         figures.require()
     common = {"alternative": arguments.alternative, "seed": arguments.seed}

@@ -37,7 +37,9 @@ def parser() -> argparse.ArgumentParser:
         allow_abbrev=False,
     )
     flags.add_argument(
-        "inputs", nargs="*", help="a folder, files, a glob or a video; a PLY file; or none with scenes=NAME"
+        "inputs",
+        nargs="*",
+        help="a folder, files, a glob or a video; a PLY file or a folder of results; or none with scenes=NAME",
     )
     flags.add_argument("--text", action="append", default=[], help="a style in words; may be given several times")
     flags.add_argument("--image", action="append", default=[], help="a style as an image file; likewise")

@@ -1,12 +1,11 @@
 """A scene in the browser, restyled while one looks; or as one HTML file that needs no network."""
 
 import argparse
-import contextlib
-import io
 import sys
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
 import torch
@@ -14,22 +13,22 @@ from jaxtyping import Float
 from omegaconf import DictConfig
 from torch import Tensor
 
-from anystyle.commands._compose import compose
 from anystyle.commands._flags import split
 from anystyle.commands._options import Stylize, checked
 from anystyle.commands._run import run, words_of
 from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
-from anystyle.inference.encoding import encode_capture
+from anystyle.inference.encoding import encode_capture, encode_splat
+from anystyle.inference.licenses import licenses, lines
 from anystyle.inference.options import PoseOptions
 from anystyle.inference.page import write_page
-from anystyle.inference.saved import read_saved
+from anystyle.inference.saved import is_saved, read_saved
 from anystyle.inference.stages import Stages
-from anystyle.io.video import SUFFIXES
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.registry.build import build
+from anystyle.registry.compose import compose
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians
-from anystyle.viewer.scenes import OpenScene, of_capture, of_saved
+from anystyle.viewer.scenes import OpenScene, opened_scene
 
 Render = Callable[[Gaussians, Cameras], Iterator[Float[Tensor, "3 H W"]]]
 
@@ -67,29 +66,26 @@ def opened(path: Path, words: list[str]) -> tuple[OpenScene, Render]:
     """What is to be looked at, and what renders it."""
     config: DictConfig = compose("stylize", words)
     stages = Stages(lambda name, note: print(f"{name} {note} …", file=sys.stderr, flush=True))
-    saved = None if _is_photographs(path) else read_saved(path)
+    saved = read_saved(path) if is_saved(path) else None
     with stages("load", "the model"):
-        stylizer = assemble_frozen(config)[0].to(default_device())
-    method = make_method(config, stylizer.style_encoder)
+        stylizer, weights = assemble_frozen(config)
+        stylizer = stylizer.to(default_device())
+    method, options = make_method(config, stylizer.style_encoder), checked(config, Stylize)
+    notes, render = tuple(lines(licenses(weights))), partial(rendered, stylizer)
     if saved is not None:
-        return of_saved(saved, stylizer, method), partial(rendered, stylizer)
+        encoded = encode_splat(path, stylizer, options.views, options.splat, stages=stages)
+        return opened_scene(encoded, method, saved if path.is_dir() else None, notes=notes), render
     reconstruction = config.get("reconstruction")
     encoded = encode_capture(
         path,
         stylizer,
-        checked(config, Stylize).views,
+        options.views,
         PoseOptions(config.poses or default_poses(config), config.poses_from),
         refined=config.refine,
         stages=stages,
         reconstruction=None if reconstruction is None else build(Reconstruction, reconstruction),
     )
-    return of_capture(encoded, method), partial(rendered, stylizer)
-
-
-def _is_photographs(path: Path) -> bool:
-    if path.is_dir():
-        return not any(path.glob("scene.safetensors")) and not any(path.glob("*/scene.safetensors"))
-    return path.suffix.lower() in SUFFIXES
+    return opened_scene(encoded, method, notes=notes), render
 
 
 @torch.no_grad()
@@ -101,39 +97,31 @@ def rendered(stylizer: Stylizer, gaussians: Gaussians, cameras: Cameras) -> Iter
 
 def serve(arguments: argparse.Namespace, words: list[str]) -> None:
     """Serve the page until it is interrupted."""
-    from anystyle.viewer.door import LOOPBACK, Door, new_token
+    from anystyle.viewer.door import LOOPBACK, new_token
 
-    try:
-        import viser
-    except ImportError:
-        raise ImportError('anystyle view needs viser; pip install "anystyle[viewer]"') from None
-    from anystyle.viewer.flight import Flight
-    from anystyle.viewer.panel import Panel
-    from anystyle.viewer.session import Session
+    if find_spec("viser") is None:
+        raise ImportError('anystyle view needs viser; pip install "anystyle[viewer]"')
+    from anystyle.viewer.serving import Viewer
 
     scene, render = opened(arguments.input, words)
-    session = Session(
-        scene.unstyled, saved=scene.saved, controlled=scene.controlled, file=arguments.keep / "session.json"
-    )
-    with contextlib.redirect_stdout(io.StringIO()):  # it tells its own address, which is not the door's
-        server = viser.ViserServer("127.0.0.1", 0, label="anystyle", verbose=False)
-    flight = Flight(scene.cameras, scene.unstyled, render)
-    Panel(server, scene, session, inputs=str(arguments.input), uploads=arguments.keep, flight=flight)
     token = None if arguments.host in LOOPBACK else new_token()
-    door = Door(target=server.get_port(), host=arguments.host, port=arguments.port, token=token)
-    if token is not None:
-        print(
-            f"warning: whoever reaches {arguments.host} and knows the token sees the scene and can have it painted",
-            file=sys.stderr,
-        )
-    print(f"{door.url} shows {arguments.input}; Ctrl-C ends it", flush=True)
-    try:
+    with Viewer(
+        scene,
+        render,
+        folder=arguments.keep,
+        command=(str(arguments.input), words),
+        host=arguments.host,
+        port=arguments.port,
+        token=token,
+    ) as viewer:
+        if token is not None:
+            print(
+                f"warning: whoever reaches {arguments.host} and knows the token sees the scene and can have it painted",
+                file=sys.stderr,
+            )
+        print(f"{viewer.door.url} shows {arguments.input}; Ctrl-C ends it", flush=True)
         while True:
             time.sleep(3600)
-    finally:
-        door.close()
-        session.close()
-        server.stop()
 
 
 if __name__ == "__main__":

@@ -36,7 +36,6 @@ class DIS(Correspondence):
         }[preset]
 
     def __call__(self, source: Frames, target: Frames) -> Flow:
-        """See :meth:`anystyle.contracts.Correspondence.__call__`."""
         forward = self.displacement(source, target)
         return Flow(forward, cycle_visible(forward, self.displacement(target, source)))
 

@@ -56,12 +56,10 @@ class Raft(Correspondence):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Stand-ins: quick, and the same everywhere."""
         return {"weights": "stand_in"}
 
     @torch.no_grad()
     def __call__(self, source: Frames, target: Frames) -> Flow:
-        """See :meth:`anystyle.contracts.Correspondence.__call__`."""
         forward = self.displacement(source, target)
         # The features of a frame are computed once for both directions.
         visible = cycle_visible(forward, self.displacement(target, source)) if self.cycle else _inside(forward)

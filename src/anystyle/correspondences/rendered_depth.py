@@ -23,7 +23,6 @@ class RenderedDepth(Correspondence):
 
     @torch.no_grad()
     def __call__(self, source: Frames, target: Frames) -> Flow:
-        """See :meth:`anystyle.contracts.Correspondence.__call__`."""
         known = (source.depth, source.intrinsics, source.world_from_camera)
         there = (target.depth, target.intrinsics, target.world_from_camera)
         (depth, intrinsics, pose), (other_depth, other_intrinsics, other_pose) = known, there

@@ -4,7 +4,7 @@ import glob
 import logging
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -36,6 +36,8 @@ class SourceImage:
         box: Left, top, right and bottom of what the view shows, in source pixels.
         view_size: Height and width of the view in pixels.
         path: The file, where the source is an image file.
+        straightened: Takes the lens's distortion out of an upright picture of the source, at any resolution; ``None``
+            where none was taken out.
     """
 
     name: str
@@ -43,6 +45,15 @@ class SourceImage:
     box: tuple[float, float, float, float]
     view_size: tuple[int, int]
     path: Path | None = None
+    straightened: Callable[[Image.Image], Image.Image] | None = None
+
+    def of_view(self, picture: Image.Image) -> Image.Image:
+        """What the view shows of an upright picture of the source, such as a mask, at any resolution."""
+        straight = picture if self.straightened is None else self.straightened(picture)
+        x, y = straight.width / self.size[1], straight.height / self.size[0]
+        left, top, right, bottom = self.box
+        size = (self.view_size[1], self.view_size[0])
+        return straight.resize(size, box=(left * x, top * y, right * x, bottom * y))
 
     @classmethod
     def unchanged(cls, name: str, size: tuple[int, int]) -> "SourceImage":
@@ -293,11 +304,7 @@ class _Shot(NamedTuple):
 
 
 def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]]:
-    """What can be read of inputs, and what is wrong with the rest.
-
-    Raises:
-        ValueError: Nothing can be read.
-    """
+    """What can be read of inputs, and what is wrong with the rest."""
     paths = _find(inputs)
     thinned = evenly(paths, max_views)
     if len(thinned) < len(paths):

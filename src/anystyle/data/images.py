@@ -19,11 +19,7 @@ _TRANSPOSED = frozenset({5, 6, 7, 8})
 
 
 def image_size(source: Picture, name: str = "") -> tuple[int, int]:
-    """Width and height of the upright image, from its header alone.
-
-    Args:
-        source: A file, or the bytes of one.
-        name: What messages call bytes.
+    """Width and height of the upright image, from its header alone; messages call bytes by ``name``.
 
     Raises:
         ValueError: It is no image, a damaged one, or too large.

@@ -58,7 +58,6 @@ class Re10kScenes(SceneSource):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """One clip of three small frames."""
         buffer = io.BytesIO()
         Image.linear_gradient("L").resize((48, 27)).save(buffer, "PNG")
         frame = torch.tensor(list(buffer.getvalue()), dtype=torch.uint8)
@@ -69,7 +68,6 @@ class Re10kScenes(SceneSource):
         return {"root": str(folder), "short_side": 28}
 
     def __len__(self) -> int:
-        """How many clips there are."""
         return len(self.keys)
 
     def name(self, scene: int) -> str:

@@ -79,7 +79,6 @@ class FolderScenes(SceneSource):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """One scene of three small photographs with cameras."""
         frames = []
         for number in range(3):
             pose = np.eye(4)
@@ -92,7 +91,6 @@ class FolderScenes(SceneSource):
         return {"root": str(folder), "short_side": 32, "multiple": 8}
 
     def __len__(self) -> int:
-        """How many scenes there are."""
         return len(self.folders)
 
     def name(self, scene: int) -> str:

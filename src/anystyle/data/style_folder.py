@@ -49,18 +49,15 @@ class FolderStyles(StyleSource):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Two small images, one of them with a caption."""
         for name in ("a.png", "b.jpg"):
             Image.linear_gradient("L").resize((40, 30)).save(folder / name)
         (folder / "captions.jsonl").write_text('{"image": "a.png", "text": "from black to white"}\n')
         return {"root": str(folder), "size": 16}
 
     def __len__(self) -> int:
-        """How many images there are."""
         return len(self.paths)
 
     def read(self, style: int) -> Style:
-        """One image with its caption."""
         if not 0 <= style < len(self.paths):
             raise ValueError(f"style {style}: there are {len(self.paths)}, counted from 0")
         path = self.paths[style]

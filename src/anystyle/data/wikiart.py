@@ -95,7 +95,6 @@ class WikiArtStyles(StyleSource):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Two small paintings and a text."""
         (folder / "Op_Art").mkdir()
         for name in ("a.png", "b.jpg"):
             Image.linear_gradient("L").resize((40, 30)).save(folder / "Op_Art" / name)
@@ -103,7 +102,6 @@ class WikiArtStyles(StyleSource):
         return {"root": str(folder), "size": 16}
 
     def __len__(self) -> int:
-        """How many styles there are."""
         return len(self.paths) + len(self.texts)
 
     def read(self, style: int) -> Style:

@@ -96,13 +96,7 @@ def pair(content: Path, style: Path, stylized: Path, depth: Path | None = None) 
     Stylized images are ``SCENE/STYLE_FRAME.png`` or ``SCENE/STYLE/FRAME.png``, or ``STYLE_FRAME.png`` for one scene.
     Photographs are ``SCENE/FRAME.png`` (or ``FRAME.png``), styles ``STYLE.png``; either may also lie under the stylized
     image's own name, as published evaluations write them. Numbers are compared as numbers: frame ``3`` is frame
-    ``003``. Depth is ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` beside it where cameras are known.
-
-    Args:
-        content: A folder of photographs.
-        style: A folder of style images.
-        stylized: A folder of results.
-        depth: A folder of depth maps, distance along z; ``None`` for none.
+    ``003``. Depth, along z, is ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` beside it where cameras are known.
 
     Raises:
         ValueError: A folder is missing or empty, or a stylized image has no partner; the message lists them.

@@ -74,14 +74,7 @@ class PublishedTable:
 
 @dataclass(frozen=True)
 class Disagreement:
-    """A printed ArtFID that its own parts do not give.
-
-    Args:
-        method: What it judges.
-        scene: On which scene.
-        printed: As printed.
-        recomputed: ``(1 + LPIPS)(1 + FID)``.
-    """
+    """A printed ArtFID that its own parts do not give."""
 
     method: str
     scene: str
@@ -90,10 +83,7 @@ class Disagreement:
 
 
 def load(more: Sequence[Path] = ()) -> list[PublishedFigure]:
-    """The figures that come with the package, and those of further files of the same form.
-
-    Args:
-        more: JSON files with ``sources`` and ``rows``.
+    """The figures that come with the package, and those of further JSON files of the same form.
 
     Raises:
         ValueError: A file cannot be read, or is of another form.
@@ -122,9 +112,6 @@ def disagreements(figures: Sequence[PublishedFigure]) -> list[Disagreement]:
     """The printed ArtFID that differ from those of their parts by more than rounding to the printed digits explains.
 
     ArtFID is ``(1 + LPIPS)(1 + FID)`` (Wright and Ommer, 2022). Figures of one method, scene and paper belong together.
-
-    Args:
-        figures: Of any tables.
     """
     rows: dict[tuple[str, str, str], dict[str, PublishedFigure]] = {}
     for item in figures:

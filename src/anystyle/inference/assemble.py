@@ -53,11 +53,7 @@ def make_branch(
 ) -> StyleBranch:
     """A style branch at birth: copies of the backbone's parts, and injectors that are identities.
 
-    Args:
-        config: Nodes ``placement, injector, branch``.
-        backbone: What to copy from.
-        style_dim: Dimensions of the style embedding.
-        options: Options of the injector at some sites, instead of the configuration's.
+    ``options`` are of the injectors at some sites, instead of the configuration's.
     """
     placement = build(Placement, config.placement)
 
@@ -185,11 +181,7 @@ def method_named(words: str, style_encoder: StyleEncoder) -> Method:
 
 
 def default_poses(config: DictConfig) -> str:
-    """Where cameras come from where nothing is said: a small bundled network predicts them badly.
-
-    Args:
-        config: Its node ``weights.backbone`` is looked at.
-    """
+    """Where cameras come from where nothing is said: a small bundled network predicts them badly."""
     known = weights.files()
     name = config.weights.backbone
     return "auto" if name in known and known[name].bundled else "predicted"
@@ -206,13 +198,7 @@ def build_and_load(
     published: Mapping[str, State],
     style_encoder: StyleEncoder | None = None,
 ) -> tuple[Stylizer, dict[str, Header]]:
-    """Build the parts and load each; what a published state dict holds is taken as it is, with no copy on the way.
-
-    Args:
-        config: As for :func:`assemble`.
-        ours: Files that anystyle wrote, by part.
-        published: State dicts with their publishers' names, by part.
-        style_encoder: Instead of the configured one.
+    """Build the parts and load each from our file or from a published state dict, which is taken without a copy.
 
     Returns:
         The stylizer, and the headers of our files.

@@ -7,12 +7,13 @@ from functools import cached_property
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.inference.controls import Controls, blended, with_colors_of
+from anystyle.caching import LRUCache
+from anystyle.inference.controls import Controls, applied
 from anystyle.inference.encoding import EncodedCapture
 from anystyle.inference.masks import Mask, Shown
 from anystyle.inference.styles import EmbeddedStyle
 from anystyle.methods.contract import Method, Progress, silent
-from anystyle.types import Gaussians
+from anystyle.types import Gaussians, StyleEmbedding
 
 
 class Controlled:
@@ -22,6 +23,7 @@ class Controlled:
         encoded: The capture.
         method: How it takes styles; ``None`` for the single pass.
         on_progress: Told where the method is.
+        keep: So many styled scenes are kept, for other controls of the same styles.
     """
 
     def __init__(
@@ -29,9 +31,11 @@ class Controlled:
         encoded: EncodedCapture,
         method: Method | None = None,
         on_progress: Callable[[Progress], None] = silent,
+        keep: int = 1,
     ) -> None:
         self.encoded, self.method, self.on_progress = encoded, method, on_progress
-        self._styled: tuple[EmbeddedStyle, Gaussians] | None = None
+        # Beside each scene the embedding, whose identity is the key while it lives.
+        self._styled: LRUCache[int, tuple[StyleEmbedding, Gaussians]] = LRUCache(keep)
         self._weights: dict[Mask, Float[Tensor, "B N"]] = {}
 
     @cached_property
@@ -44,16 +48,13 @@ class Controlled:
         controls = style.controls
         if controls.strength == 0:
             return self.unstyled
+        embedding = style.embedding
+        _, styled = self._styled.get(id(embedding), lambda: (embedding, self._restyled(style)))
         if controls == replace(Controls(), scale=controls.scale):
-            return self._restyled(style)
-        if self._styled is None or self._styled[0].embedding is not style.embedding:
-            self._styled = style, self._restyled(style)
-        styled = self._styled[1]
+            return styled
         if styled.means.shape != self.unstyled.means.shape:
             raise ValueError("this method adds Gaussians, and controls mix those there were; set method.split_every=0")
-        if controls.preserve_color > 0:
-            styled = with_colors_of(self.unstyled, styled, controls.preserve_color)
-        return blended(self.unstyled, styled, controls.strength * self._mask_weights(controls.mask))
+        return applied(controls, self.unstyled, styled, self._mask_weights(controls.mask))
 
     def _restyled(self, style: EmbeddedStyle) -> Gaussians:
         return self.encoded.restyle(style, self.method, self.on_progress)

@@ -62,11 +62,6 @@ def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tenso
 
     Where a share is 0 or 1 the result has the bits of that end.
 
-    Args:
-        unstyled: As many as styled.
-        styled: Of the same scene.
-        weights: In [0, 1], for all or for each.
-
     Raises:
         ValueError: They are not of one scene.
     """
@@ -97,12 +92,8 @@ def with_colors_of(unstyled: Gaussians, styled: Gaussians, amount: float = 1.0) 
     """Styled Gaussians in the hues of unstyled ones: their brightness alone changes.
 
     The luminance transfer of Gatys et al. 2016 (arXiv:1606.05897, section 4) for Gaussians: brightness is linear in
-    the coefficients of harmonics, so it holds from every direction.
-
-    Args:
-        unstyled: As many as styled.
-        styled: Of the same scene.
-        amount: In [0, 1]; 0 keeps the style's own colours.
+    the coefficients of harmonics, so it holds from every direction. An amount of 0 keeps the style's own
+    colours.
     """
     degree = max(unstyled.harmonics.shape[2], styled.harmonics.shape[2])
     content, style = (
@@ -110,6 +101,19 @@ def with_colors_of(unstyled: Gaussians, styled: Gaussians, amount: float = 1.0) 
     )
     brighter = (style - content) @ content.new_tensor(LUMA)  # B N K
     return replace(styled, harmonics=torch.lerp(style, content + brighter[..., None], amount))
+
+
+def applied(
+    controls: Controls, unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tensor, "B N"] = 1.0
+) -> Gaussians:
+    """A styled scene under the controls of strength and of colours, weighted by a mask.
+
+    Raises:
+        ValueError: They are not of one scene.
+    """
+    if controls.preserve_color > 0:
+        styled = with_colors_of(unstyled, styled, controls.preserve_color)
+    return blended(unstyled, styled, controls.strength * weights)
 
 
 def rescaled(image: Float[Tensor, "3 H W"], scale: float) -> Float[Tensor, "3 H W"]:

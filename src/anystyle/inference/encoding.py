@@ -18,6 +18,7 @@ from anystyle.inference.found_cameras import FoundCameras, find_cameras, read_ph
 from anystyle.inference.groups import Capture, Group, encode_groups
 from anystyle.inference.options import PoseOptions, SplatOptions, ViewOptions
 from anystyle.inference.refine import refine
+from anystyle.inference.saved import read_saved
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import EmbeddedStyle, slug
 from anystyle.methods.branch import Branch
@@ -161,14 +162,16 @@ def encode_capture(
 def encode_splat(
     path: Path, stylizer: Stylizer, views: ViewOptions, options: SplatOptions, *, stages: Stages
 ) -> EncodedCapture:
-    """Read a scene of Gaussians, look at it from cameras that are stored beside it or chosen, and encode what is seen.
+    """Read a scene that was saved, look at it from cameras that are stored with it or chosen, and encode what is seen.
+
+    Of a folder of results the unstyled scene is taken.
 
     Raises:
         ValueError: The file is none of Gaussians, or memory does not suffice.
     """
     start, patch = time.perf_counter(), stylizer.backbone.patch_size
     with stages("read", "the Gaussians"):
-        gaussians = Gaussians.load(path).to(stylizer.device)
+        gaussians = read_saved(path, options.up).unstyled.to(stylizer.device)
         cameras, sources, origin = splats.cameras_of(
             path, gaussians, views, options, patch, stylizer.backbone.resolution
         )
@@ -178,7 +181,9 @@ def encode_splat(
     capture = Capture((Group(scene, tuple(range(len(sources))), None, len(sources)),))
     report = reconstruction_report(None, capture, time.perf_counter() - start) | {"kind": "given", "cameras": origin}
     seen = replace(scene.views, names=tuple(source.name for source in sources)).to("cpu")
-    return EncodedCapture(stylizer, seen, sources, capture, report, splat=path)
+    return EncodedCapture(
+        stylizer, seen, sources, capture, report, splat=path if path.is_file() and options.up == "opencv" else None
+    )
 
 
 def _find(

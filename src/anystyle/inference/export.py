@@ -4,6 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
+from torch import Tensor
+
 from anystyle.errors import did_you_mean
 from anystyle.geometry.similarity import Similarity, y_up_from_opencv
 from anystyle.io import ply
@@ -77,10 +79,22 @@ def in_axes(up: str, gaussians: Gaussians) -> Gaussians:
     Raises:
         ValueError: There are no such axes.
     """
-    if up not in UP:
-        raise ValueError(f"up={up}; choose one of {', '.join(UP)}")
-    if up == "opencv":
-        return gaussians
-    means = gaussians.means
-    z_up = Similarity(means.new_ones(()), means.new_tensor(Z_UP_FROM_OPENCV), means.new_zeros(3))
-    return (y_up_from_opencv(means) if up == "y" else z_up).gaussians(gaussians)
+    return gaussians if up == "opencv" else _turn(up, gaussians.means).gaussians(gaussians)
+
+
+def from_axes(up: str, gaussians: Gaussians) -> Gaussians:
+    """Gaussians in other axes turned to OpenCV's; the same ones where nothing changes.
+
+    Raises:
+        ValueError: There are no such axes.
+    """
+    return gaussians if up == "opencv" else _turn(up, gaussians.means).inverse().gaussians(gaussians)
+
+
+def _turn(up: str, like: Tensor) -> Similarity:
+    """From OpenCV's axes."""
+    if up == "y":
+        return y_up_from_opencv(like)
+    if up == "z":
+        return Similarity(like.new_ones(()), like.new_tensor(Z_UP_FROM_OPENCV), like.new_zeros(3))
+    raise ValueError(f"up={up}; choose one of {', '.join(UP)}")

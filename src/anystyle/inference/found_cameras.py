@@ -1,7 +1,8 @@
 """Cameras by structure from motion, and the photographs as views with them."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ from anystyle.data.folder import Original, SourceImage, as_views, common_size, c
 from anystyle.geometry.similarity import Similarity
 from anystyle.inference.options import ViewOptions
 from anystyle.reconstructions.sfm.cameras import PosedPhotographs, cameras_from_photographs
+from anystyle.reconstructions.sfm.model import Lens
 from anystyle.reconstructions.sfm.photographs import photograph_with_exif
+from anystyle.reconstructions.sfm.undistort import is_distorted, undistorted_image
 from anystyle.reconstructions.sfm.verdict import FEWEST_VIEWS, Verdict
 from anystyle.types import Cameras, Views
 
@@ -87,7 +90,7 @@ def find_cameras(
     size = common_size(
         [_width_height(originals[view]) for view in registered], short_side=short_side, multiple=multiple
     )
-    pictures = [_covered(originals[view], posed.images[view], size) for view in registered]
+    pictures = [_covered(originals[view], posed, size) for view in registered]
     capture = _first_frame(posed, registered)
     sources = tuple(source for _, source in pictures)
     intrinsics = [_intrinsics(posed, originals[view], source) for view, source in zip(registered, sources, strict=True)]
@@ -108,9 +111,19 @@ def _width_height(original: Original) -> tuple[int, int]:
     return original.size[1], original.size[0]
 
 
-def _covered(original: Original, pixels: np.ndarray, size: tuple[int, int]) -> tuple[Image.Image, SourceImage]:
-    picture, source = cover(original.name, Image.fromarray(pixels), _width_height(original), size)
-    return picture, SourceImage(source.name, source.size, source.box, source.view_size, original.path)
+def _covered(original: Original, posed: PosedPhotographs, size: tuple[int, int]) -> tuple[Image.Image, SourceImage]:
+    view = posed.names.index(original.name)
+    picture, source = cover(original.name, Image.fromarray(posed.images[view]), _width_height(original), size)
+    lens = posed.lenses[view]
+    straightened = partial(_straightened, lens) if lens is not None and is_distorted(lens) else None
+    return picture, replace(source, path=original.path, straightened=straightened)
+
+
+def _straightened(lens: Lens, picture: Image.Image) -> Image.Image:
+    """A picture drawn on a photograph, without the distortion of its lens."""
+    return Image.fromarray(
+        undistorted_image(np.array(picture.convert("RGB").resize((lens.size[1], lens.size[0]))), lens)
+    )
 
 
 def _intrinsics(posed: PosedPhotographs, original: Original, source: SourceImage) -> Float[Tensor, "3 3"]:

@@ -40,12 +40,7 @@ class Mask(ABC):
 
     @abstractmethod
     def weights(self, gaussians: Gaussians, shown: Shown) -> Float[Tensor, "B N"]:
-        """In [0, 1]: 0 is unstyled, 1 is styled.
-
-        Args:
-            gaussians: Of one scene.
-            shown: The views that it comes from.
-        """
+        """In [0, 1], 0 unstyled and 1 styled, for Gaussians of one scene and the views that it comes from."""
 
 
 @dataclass(frozen=True)
@@ -108,7 +103,7 @@ class Photographs(Mask):
     """Style where masks of the photographs are white: a Gaussian has the mean of the pixels that show it.
 
     Args:
-        folder: An image named as each photograph; dark is unstyled.
+        folder: An image named as each photograph, drawn on it as it came from the camera; dark is unstyled.
         soft: The masks are blurred by so many times their shorter side.
     """
 
@@ -140,11 +135,7 @@ class Photographs(Mask):
         file = next((file for file in files if file.is_file()), None)
         if file is None:
             raise ValueError(f"{self.folder} has no mask for the photograph {stem}; expected an image of its name")
-        picture = open_image(file)
-        x, y = picture.width / source.size[1], picture.height / source.size[0]
-        left, top, right, bottom = source.box
-        height, width = source.view_size
-        return to_tensor(picture.resize((width, height), box=(left * x, top * y, right * x, bottom * y)))
+        return to_tensor(source.of_view(open_image(file)))
 
 
 def inside(distance: Float[Tensor, "*batch"], soft: float) -> Float[Tensor, "*batch"]:

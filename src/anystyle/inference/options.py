@@ -78,12 +78,15 @@ class SplatOptions:
     Args:
         cameras: From how many views at most.
         folder: Where cameras are stored, if not beside the file or one folder above: COLMAP or ``transforms.json``.
+        up: Axes of the file: ``opencv``, which 3DGS has, ``y`` or ``z`` up. Results are in OpenCV's.
     """
 
     cameras: int = 24
     folder: str | None = None
+    up: str = "opencv"
 
     def __post_init__(self) -> None:
+        _expect("splat.up", self.up, ("opencv", "y", "z"))
         if self.cameras < 1:
             raise ValueError(f"splat.cameras={self.cameras}; give at least 1")
 

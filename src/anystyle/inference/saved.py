@@ -9,8 +9,10 @@ import torch
 from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 
+from anystyle.data.poses import StoredCamera
 from anystyle.documents import Count, read_json, regular
 from anystyle.geometry.cameras import look_at
+from anystyle.inference.export import from_axes
 from anystyle.inference.licenses import lines
 from anystyle.types import Cameras, Gaussians
 
@@ -64,15 +66,31 @@ class SavedScene:
     names: tuple[str, ...]
     notes: tuple[str, ...]
 
+    @property
+    def unstyled(self) -> Gaussians:
+        """The scene itself; where it was not saved, the last of the styles."""
+        return dict(self.styles).get(UNSTYLED, self.styles[-1][1])
 
-def read_saved(path: Path) -> SavedScene:
+
+def is_saved(path: Path) -> bool:
+    """Whether this is a PLY file or a folder that ``anystyle stylize`` wrote, and no capture."""
+    if path.is_dir():
+        return (path / "report.json").is_file() and any(path.glob("*.safetensors"))
+    return path.suffix.lower() == ".ply"
+
+
+def read_saved(path: Path, up: str = "opencv") -> SavedScene:
     """Read a folder of results or a PLY file.
+
+    Args:
+        path: The folder or the file.
+        up: The axes of a file, one of :data:`~anystyle.inference.export.UP`.
 
     Raises:
         ValueError: It is neither, or damaged.
     """
     if path.is_file():
-        gaussians = Gaussians.load(path)
+        gaussians = from_axes(up, Gaussians.load(path))
         return SavedScene(((path.stem, gaussians),), looking_at(gaussians), ("all",), (path.name,))
     if not (path / "report.json").is_file():
         raise ValueError(f"{path} has no scene that anystyle stylize wrote, and is no PLY file")
@@ -118,6 +136,18 @@ def read_gaussians(path: Path) -> Gaussians:
             return Gaussians(**{item.name: file.get_tensor(item.name) for item in fields(Gaussians)})
     except (SafetensorError, OSError) as error:
         raise ValueError(f"{path} holds no Gaussians of anystyle ({error})") from None
+
+
+def results_cameras(folder: Path) -> dict[str, StoredCamera]:
+    """The cameras of a folder of results by the name of their view.
+
+    Raises:
+        ValueError: The folder is none, or damaged.
+    """
+    saved = read_saved(folder)
+    poses, intrinsics = saved.cameras.world_from_camera[0].double(), saved.cameras.intrinsics[0].double()
+    stored = zip(saved.names, poses.numpy(), intrinsics.numpy(), strict=True)
+    return {name: StoredCamera(pose, matrix, saved.cameras.size) for name, pose, matrix in stored}
 
 
 def _cameras(path: Path) -> tuple[Cameras, tuple[str, ...]]:

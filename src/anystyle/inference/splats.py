@@ -14,10 +14,10 @@ from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.inference import memory
 from anystyle.inference.options import SplatOptions, ViewOptions
+from anystyle.inference.saved import is_saved, results_cameras
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, Geometry, Scene, Views
 
-SUFFIX = ".ply"
 ELEVATIONS = (10.0, 35.0)
 """Degrees above the scene's middle, of two rings of chosen cameras."""
 FOCAL = 1.2
@@ -29,10 +29,10 @@ BYTES, BYTES_A_VIEW = 800, 60
 
 
 def is_splat(inputs: object) -> Path | None:
-    """The file, where the inputs are one PLY file."""
+    """The file or folder, where the inputs are one scene that was saved."""
     given = list(inputs) if isinstance(inputs, (list, tuple)) else [inputs]
     single = given[0] if len(given) == 1 else None
-    return Path(single) if isinstance(single, (str, Path)) and Path(single).suffix.lower() == SUFFIX else None
+    return Path(single) if isinstance(single, (str, Path)) and is_saved(Path(single)) else None
 
 
 def memory_needed(num_gaussians: int, num_views: int) -> int:
@@ -56,15 +56,9 @@ def check_memory(num_gaussians: int, num_views: int, device: torch.device) -> st
 def cameras_of(
     path: Path, gaussians: Gaussians, views: ViewOptions, options: SplatOptions, multiple: int, resolution: int
 ) -> tuple[Cameras, tuple[SourceImage, ...], str]:
-    """The cameras to see a scene from, evenly spaced of those stored beside its file, or else around it.
+    """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
 
-    Args:
-        path: Of the scene.
-        gaussians: A batch of one.
-        views: Gives the shorter side of renders.
-        options: How many, and where they are stored.
-        multiple: Sides of renders are multiples of it.
-        resolution: The shorter side unless it is given.
+    Sides of renders are multiples of ``multiple``; the shorter is ``resolution`` unless ``views`` give it.
 
     Returns:
         Cameras, what their images are called, and where they come from.
@@ -73,10 +67,9 @@ def cameras_of(
         ValueError: What is stored is damaged.
     """
     side = max(multiple, round((views.short_side or resolution) / multiple) * multiple)
-    stored = {}
+    stored = results_cameras(path) if path.is_dir() and not options.folder else {}
     for folder in [Path(options.folder)] if options.folder else [path.parent, path.parent.parent]:
-        if stored := stored_cameras(folder):
-            break
+        stored = stored or stored_cameras(folder)
     if not stored:
         names = [f"view_{index:02d}" for index in range(options.cameras)]
         sources = tuple(SourceImage.unchanged(name, (side, side)) for name in names)

@@ -26,11 +26,6 @@ MAX_TEXT = 2000
 class Mixture:
     """The point at ``amount`` of the way from one style to another.
 
-    Args:
-        first: The style at 0.
-        second: The style at 1.
-        amount: In [0, 1].
-
     Raises:
         ValueError: The amount is outside.
     """

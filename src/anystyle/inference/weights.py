@@ -101,12 +101,7 @@ class _Missing(StyleEncoder):
         self.dim, self.neutral, self.reason = dim, neutral, reason
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """Refuse."""
         raise FileNotFoundError(self.reason)
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        """Refuse."""
         raise FileNotFoundError(self.reason)
-
-
-__all__ = ["load_reference", "reference_config"]

@@ -34,15 +34,10 @@ class Splats(NamedTuple):
 
 
 def write(splats: Splats, path: Path, notes: str = "") -> None:
-    """Write one scene; whole or not at all.
+    """Write one scene, whole or not at all; notes, such as licences, become comments, a line each.
 
     Every property is float32, in the order positions, normals (0), ``f_dc``, ``f_rest`` (colour-major), opacity
     (logit), scales (logarithm), rotation (unit quaternion wxyz). Gaussians of no opacity are left out.
-
-    Args:
-        splats: The scene.
-        path: A ``.ply`` file.
-        notes: Such as licences, in comments, a line each.
     """
     kept = splats.opacities > 0
     means, rotations, scales, opacities, harmonics = (tensor[kept].detach().float().cpu() for tensor in splats)

@@ -31,10 +31,6 @@ MANY_FRAMES = 3000
 def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
     """Evenly spaced frames: the video is cut into ``count`` equal parts, and the sharpest frame of each is taken.
 
-    Args:
-        path: A video file.
-        count: How many frames at most.
-
     Returns:
         Frame numbers and upright 8-bit RGB images, in order.
 

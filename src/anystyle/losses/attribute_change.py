@@ -24,7 +24,6 @@ class AttributeChange(Loss):
         self.scale_weight, self.opacity_weight, self.weight = scale_weight, opacity_weight, weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         before, after = result.scene.gaussians, result.gaussians
         if before is None:
             return 0.0 * result.renders.color.sum()

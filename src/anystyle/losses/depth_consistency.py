@@ -27,7 +27,6 @@ class DepthConsistency(Loss):
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         if not self.needs_unstyled:
             return F.mse_loss(result.renders.depth, result.scene.geometry.depth)
         if result.unstyled is None:

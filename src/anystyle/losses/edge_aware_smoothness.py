@@ -27,7 +27,6 @@ class EdgeAwareSmoothness(Loss):
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         color, photograph = result.renders.color, result.views.images
         terms = []
         for axis in (-1, -2):

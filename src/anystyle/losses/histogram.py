@@ -28,7 +28,6 @@ class Histogram(Loss):
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         styles = style_images(result)
         color = result.renders.color
         if styles is None:

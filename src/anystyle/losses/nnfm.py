@@ -20,9 +20,7 @@ class NNFM(FeatureLoss):
     style has an image. ARF reads VGG-16; the default layers are the same block of VGG-19.
 
     Args:
-        network: A network of :func:`anystyle.perception.load`.
         layers: Of one resolution.
-        size: Side that renders and style images are squashed to; none keeps each as it is.
         weight: In the objective; 1 in ARF, 5 in StylizedGS, 10 or 100 in G-Style.
     """
 
@@ -38,11 +36,9 @@ class NNFM(FeatureLoss):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """The bundled network, on small pictures."""
         return {"network": "texture", "layers": ("relu3_1", "relu3_2"), "size": 48}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         styles = style_images(result)
         color = result.renders.color
         if styles is None:

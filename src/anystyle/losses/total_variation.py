@@ -21,7 +21,6 @@ class TotalVariation(Loss):
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         color = result.renders.color
         down = color[..., 1:, :] - color[..., :-1, :]
         across = color[..., :, 1:] - color[..., :, :-1]

@@ -22,5 +22,4 @@ class Branch(Method):
         *,
         on_progress: Callable[[Progress], None] = silent,
     ) -> Gaussians:
-        """See :meth:`anystyle.methods.contract.Method.__call__`."""
         return stylizer.restyle(scene, embedding)

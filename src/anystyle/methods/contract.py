@@ -19,10 +19,12 @@ class Progress(NamedTuple):
     Args:
         line: For people.
         thumbnail: A view as it is now, sRGB in [0, 1], where there is one.
+        done: The share of the work that is done, in [0, 1], where it is known.
     """
 
     line: str
     thumbnail: Float[Tensor, "3 _ _"] | None = None
+    done: float | None = None
 
 
 def silent(progress: Progress) -> None:

@@ -25,7 +25,6 @@ class Optimize(Method):
     name theirs. Colours become those of degree 0: a view-dependent colour can be styled in each view by itself.
 
     Args:
-        losses: By name; the framework passes them.
         num_steps: How many.
         colors_lr: Learning rate of constant harmonics. What has a rate of 0 stays as it is, bit for bit.
         opacities_lr: Of logits of opacities.
@@ -90,7 +89,6 @@ class Optimize(Method):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """A few steps."""
         return {"num_steps": 3, "report_every": 1, "split_every": 2}
 
     @property
@@ -108,7 +106,6 @@ class Optimize(Method):
         *,
         on_progress: Callable[[Progress], None] = silent,
     ) -> Gaussians:
-        """See :meth:`anystyle.methods.contract.Method.__call__`."""
         if style.image is None and self.needs_image:
             raise ValueError("this method reads a style's image, and this style has none; give --image, or method=clip")
         loop = SceneLoop(stylizer, scene, self._sized(style, scene), embedding, self.losses, self.schedule)

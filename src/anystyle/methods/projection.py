@@ -44,7 +44,6 @@ class Projection(Method):
         *,
         on_progress: Callable[[Progress], None] = silent,
     ) -> Gaussians:
-        """See :meth:`anystyle.methods.contract.Method.__call__`."""
         if self.images is None:
             targets = stylized_views(stylizer, scene, embedding)
         else:

@@ -151,7 +151,8 @@ class SceneLoop(Loop):
         def tell(pace: float) -> None:
             left = pace * (self.last_step - self.step)
             line = f"step {self.step} of {self.last_step}: loss {self.mean:.4g}, {len(self.splats)} Gaussians"
-            on_progress(Progress(f"{line}, {left:.0f} s left", self.thumbnail()))
+            done = self.step / self.last_step
+            on_progress(Progress(f"{line}, {left:.0f} s left", self.thumbnail(), done))
 
         self.steps(tell, on_checkpoint)
 
@@ -172,7 +173,6 @@ class SceneLoop(Loop):
         return with_mapped_colors(gaussians, mapped)
 
     def state_dict(self) -> dict[str, Any]:
-        """See :meth:`anystyle.reconstructions.loop.Loop.state_dict`."""
         before = {name: getattr(self.before, name) for name in self.before.__dataclass_fields__}
         return super().state_dict() | {
             "splats": self.splats.state_dict(), "gradients": self.gradients, "before": before

@@ -23,7 +23,6 @@ class RowMean(Metric, ABC):
     """
 
     lacking: ClassVar[str] = "nothing that can be judged was taken in"
-    is_differentiable = False
     full_state_update = False
     total: Tensor
     rows: Tensor
@@ -40,7 +39,6 @@ class RowMean(Metric, ABC):
     @final
     @torch.no_grad()
     def update(self, comparison: Comparison) -> None:
-        """See :meth:`anystyle.contracts.Metric.update`."""
         values = self.of_rows(checked(comparison))
         values = values[~values.isnan()].to(self.total)
         self.total += values.sum()
@@ -48,7 +46,6 @@ class RowMean(Metric, ABC):
 
     @final
     def compute(self) -> dict[str, Tensor]:
-        """See :meth:`anystyle.contracts.Metric.compute`."""
         (name,) = self.better
         if int(self.rows) == 0:
             warnings.warn(f"{name}: {self.lacking}; the figure is nan", stacklevel=2)

@@ -14,13 +14,7 @@ from anystyle.types import Comparison
 
 
 class Pairs(NamedTuple):
-    """Views of one row of a comparison.
-
-    Args:
-        row: Its index in the comparison.
-        preds: Stylized images.
-        target: Their photographs.
-    """
+    """Views of one row of a comparison."""
 
     row: int
     preds: Float[Tensor, "M 3 H W"]

@@ -29,7 +29,6 @@ class ArtFID(NetworkMetric):
             5000 and more, so that with fewer images it is FID. ``corrected``: nothing rounded, 299 pixels for the
             Inception network as in its training, and a true extrapolation from the images there are; a warning where
             these are fewer than features.
-        weights: ``auto`` takes stand-ins where the published ones are missing, and says so.
     """
 
     better: ClassVar[Mapping[str, str]] = {
@@ -38,7 +37,6 @@ class ArtFID(NetworkMetric):
         "fid_infinity": "lower",
         "lpips": "lower",
     }
-    higher_is_better = False
     stylized: list[Tensor]
     style: list[Tensor]
     total: Tensor
@@ -69,7 +67,6 @@ class ArtFID(NetworkMetric):
         self.style.append(self._vectors(style).repeat_interleave(comparison.stylized.shape[1], 0))
 
     def compute(self) -> dict[str, Tensor]:
-        """See :meth:`anystyle.contracts.Metric.compute`."""
         if int(self.rows) == 0:
             warnings.warn("art_fid: nothing to average; the figures are nan", stacklevel=2)
         # 0 / 0 is the nan that is meant.

@@ -39,11 +39,9 @@ class CFSD(NetworkMetric, RowMean):
     Args:
         variant: ``reference`` sums over pixels and has images of 8 bits; ``corrected`` averages over pixels and rounds
             nothing, so that sizes can be compared.
-        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
     """
 
     better: ClassVar[Mapping[str, str]] = {"cfsd": "lower"}
-    higher_is_better = False
 
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference", weights: Weights = "auto") -> None:
         super().__init__()
@@ -56,7 +54,6 @@ class CFSD(NetworkMetric, RowMean):
         self.declare(self._source)
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean over each row's views."""
         return mean_per_row(comparison, self._distances)
 
     def _distances(self, batch: Pairs) -> Float[Tensor, " M"]:
@@ -78,10 +75,6 @@ def structural_distance(preds: Float[Tensor, "C h w"], target: Float[Tensor, "C 
     ``softmax(F Fᵀ)``, features ``F`` divided by their number of channels.
 
     Similarities are symmetric, so each block of them is computed once and counts for its rows and for its columns.
-
-    Args:
-        preds: Features of the stylized image.
-        target: Features of the photograph.
     """
     preds, target = (features.flatten(1) / features.shape[0] for features in (preds, target))  # C S
     num_pixels = preds.shape[1]

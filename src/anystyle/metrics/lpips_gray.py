@@ -22,11 +22,9 @@ class LPIPSGray(NetworkMetric, RowMean):
         size: Pixels of the shorter side that images are resized to; none keeps theirs.
         variant: ``reference`` has images of 8 bits before and after they are resized, as the published script has
             them from files; ``corrected`` rounds nothing.
-        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
     """
 
     better: ClassVar[Mapping[str, str]] = {"lpips_gray": "lower"}
-    higher_is_better = False
 
     def __init__(
         self,
@@ -43,7 +41,6 @@ class LPIPSGray(NetworkMetric, RowMean):
         self.declare(self.network.source)
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean over each row's views."""
         return mean_per_row(
             comparison,
             lambda batch: lpips_of_pairs(self.network, batch, size=self.size, rounded=self.rounded, gray=True),

@@ -20,7 +20,6 @@ class PSNR(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"psnr": "higher"}
-    higher_is_better = True
 
     def __init__(self, *, most: float = 100.0) -> None:
         super().__init__()
@@ -29,7 +28,6 @@ class PSNR(RowMean):
         self.most = most
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean over each row's views."""
         return mean_per_row(comparison, self._decibels)
 
     def _decibels(self, batch: Pairs) -> Float[Tensor, " M"]:

@@ -1,7 +1,8 @@
-"""Style retrieval: whether a stylized scene leads back to its style image, by a network that trained nothing."""
+"""Style retrieval: whether a stylized scene leads back to its style image."""
 
 import warnings
 import zlib
+from abc import abstractmethod
 from collections.abc import Mapping
 from typing import ClassVar
 
@@ -17,21 +18,17 @@ from anystyle.perception.style_statistics import centered_cosines, equalized_gra
 from anystyle.perception.weights import find
 from anystyle.types import Comparison
 
-COLOR, GRAY = "style_retrieval", "style_retrieval_gray"
-"""As it is, and in equalised grey, so that a palette alone does not count."""
 
+class Retrieval(Metric):
+    """The share of stylized scenes whose style image is the nearest of all, in colour and in equalised grey.
 
-class StyleRetrieval(Metric):
-    """The share of stylized scenes whose style image is the nearest of all, by statistics of EfficientNet-Lite0.
+    Grey, so that a palette alone does not count. A row is described by the mean of its views' vectors. Rows are centred
+    over all styles of their scene, style images over all of theirs, so that what a scene shows does not count. Chance
+    is one over the number of style images, and figures of other numbers cannot be compared.
 
-    A row is described by means and deviations of features over its views. Rows are centred over all styles of their
-    scene, style images over all of theirs, so that what a scene shows does not count. Chance is one over the number of
-    style images, and figures of other numbers cannot be compared.
+    A subclass says what pictures are described by, and names the two figures in :attr:`better`, colour first.
     """
 
-    better: ClassVar[Mapping[str, str]] = {COLOR: "higher", GRAY: "higher"}
-    higher_is_better = True
-    is_differentiable = False
     full_state_update = False
     rows: list[Tensor]
     styles: list[Tensor]
@@ -39,10 +36,12 @@ class StyleRetrieval(Metric):
 
     def __init__(self) -> None:
         super().__init__()
-        self.network = efficientnet.load()
-        self.weights = checksums(published("efficientnet_lite0", find("efficientnet_lite0")))
         for state in ("rows", "styles", "scenes"):
             self.add_state(state, [], dist_reduce_fx="cat")
+
+    @abstractmethod
+    def describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
+        """Vectors of sRGB images in [0, 1]."""
 
     @torch.no_grad()
     def update(self, comparison: Comparison) -> None:
@@ -50,30 +49,47 @@ class StyleRetrieval(Metric):
         comparison, image = with_style_images(comparison)
         for row, stylized in enumerate(comparison.stylized):
             scene = comparison.scenes[row] if comparison.scenes else ""
-            self.rows.append(self._describe(stylized))
-            self.styles.append(self._describe(image[row : row + 1]))
+            self.rows.append(self._in_color_and_gray(stylized))
+            self.styles.append(self._in_color_and_gray(image[row : row + 1]))
             self.scenes.append(torch.tensor([zlib.crc32(scene.encode())], device=image.device))
 
     def compute(self) -> dict[str, Tensor]:
         """See :meth:`anystyle.contracts.Metric.compute`; ``nan`` with fewer than two style images."""
+        color, gray = self.better
         rows, styles, scenes = _joined(self.rows), _joined(self.styles), _joined(self.scenes)
         gallery, target = styles.unique(dim=0, return_inverse=True)  # G 2 D, N
         if len(gallery) < 2:
             warnings.warn(
-                f"style_retrieval: of {len(gallery)} style images there is nothing to choose, the figures are nan",
-                stacklevel=2,
+                f"{color}: of {len(gallery)} style images there is nothing to choose, the figures are nan", stacklevel=2
             )
-            return {name: torch.full((), float("nan"), device=rows.device) for name in (COLOR, GRAY)}
+            return {name: torch.full((), float("nan"), device=rows.device) for name in (color, gray)}
         hits = [
             torch.stack([hit(rows[of, index], gallery[:, index], target[of]) for index in range(2)])
             for of in (scenes == scene for scene in scenes.unique())
         ]
-        return dict(zip((COLOR, GRAY), torch.cat(hits, dim=1).mean(1), strict=True))
+        return dict(zip((color, gray), torch.cat(hits, dim=1).mean(1), strict=True))
 
-    def _describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "1 2 D"]:
-        """In colour and in grey, the means over images."""
+    def _in_color_and_gray(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "1 2 D"]:
         seen = (images, equalized_gray(images))
-        return torch.stack([style_statistics(self.network, each).mean(0) for each in seen])[None]
+        return torch.stack([self.describe(each).mean(0) for each in seen])[None]
+
+
+class StyleRetrieval(Retrieval):
+    """:class:`Retrieval` by means and deviations of EfficientNet-Lite0's features.
+
+    A judge of what was not trained with that network; ``magenta_retrieval`` is another.
+    """
+
+    better: ClassVar[Mapping[str, str]] = {"style_retrieval": "higher", "style_retrieval_gray": "higher"}
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.network = efficientnet.load()
+        self.weights = checksums(published("efficientnet_lite0", find("efficientnet_lite0")))
+
+    def describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
+        """See :meth:`Retrieval.describe`."""
+        return style_statistics(self.network, images)
 
 
 def hit(rows: Float[Tensor, "N D"], gallery: Float[Tensor, "G D"], target: Int[Tensor, " N"]) -> Float[Tensor, " N"]:

@@ -45,12 +45,7 @@ class Aligner(nn.Module):
         return cosines * self.log_sharpness.exp()
 
     def aligned(self, geometry: Geometry, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
-        """The geometry with the poses that matches between the images give; focal lengths and depth are kept.
-
-        Args:
-            geometry: As a network predicts it.
-            images: sRGB in [0, 1].
-        """
+        """The geometry with the poses that matches between the images give; focal lengths and depth are kept."""
         correlation = self.correlation(images)
         with torch.autocast(images.device.type, enabled=False):
             pose = self(correlation, geometry.cameras, geometry.depth)
@@ -63,12 +58,7 @@ class Aligner(nn.Module):
         """Poses, the first view's at the origin and the others where they fit.
 
         They carry no gradient: what they are computed from, matches and depth, is taught directly, and a pose from bad
-        matches would teach nothing but noise.
-
-        Args:
-            correlation: See :meth:`correlation`.
-            cameras: Whose intrinsics count.
-            depth: Along z.
+        matches would teach nothing but noise. Of the cameras only the intrinsics count.
         """
         batch, views = depth.shape[:2]
         (height, width), (rows, columns) = cameras.size, correlation.shape[-2:]

@@ -29,7 +29,6 @@ class Attention(nn.Module):
         self.proj = nn.Linear(dim, dim)
 
     def forward(self, x: Float[Tensor, "M L C"], angles: Rotary | None = None) -> Float[Tensor, "M L C"]:
-        """Attend over L."""
         q, k, v = self.qkv(x).unflatten(-1, (3, self.heads, -1)).permute(2, 0, 3, 1, 4)  # each M heads L E
         q, k = self.q_norm(q), self.k_norm(k)
         if angles is not None:
@@ -48,7 +47,6 @@ class Mlp(nn.Module):
         self.fc2 = nn.Linear(hidden, out_dim)
 
     def forward(self, x: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch D"]:
-        """Map each token."""
         return self.fc2(F.gelu(self.fc1(x)))
 
 
@@ -67,7 +65,6 @@ class SwiGlu(nn.Module):
         self.w3 = nn.Linear(width, dim)
 
     def forward(self, x: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:
-        """Map each token."""
         gate, value = self.w12(x).chunk(2, dim=-1)
         return self.w3(F.silu(gate) * value)
 
@@ -80,7 +77,6 @@ class LayerScale(nn.Module):
         self.gamma = nn.Parameter(torch.full((dim,), initial))
 
     def forward(self, x: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:
-        """Scale each channel."""
         return x * self.gamma
 
 
@@ -118,7 +114,6 @@ class Block(nn.Module):
         self.ls2 = LayerScale(dim, layer_scale)
 
     def forward(self, x: Float[Tensor, "M L C"], angles: Rotary | None = None) -> Float[Tensor, "M L C"]:
-        """Attend, then map each token; both added to the input."""
         x = x + self.ls1(self.attn(self.norm1(x), angles))
         return x + self.ls2(self.mlp(self.norm2(x)))
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 from anystyle.perception import weights
 from anystyle.perception.alexnet import AlexNet
+from anystyle.perception.efficientnet import EfficientNetLite0
 from anystyle.perception.features import FeatureNetwork, load_frozen
 from anystyle.perception.sources import Source, published
 from anystyle.perception.texture import Texture
@@ -16,6 +17,7 @@ NETWORKS: dict[str, type[FeatureNetwork]] = {
     "vgg19": VGG19,
     "vgg16": VGG16,
     "alexnet": AlexNet,
+    "efficientnet_lite0": EfficientNetLite0,
     "texture": Texture,
 }
 """By name, which is also that of their weights in :mod:`anystyle.perception.weights`."""
@@ -25,7 +27,7 @@ def load(name: str, path: str | Path | None = None) -> FeatureNetwork:
     """A trained network, frozen.
 
     Args:
-        name: ``vgg19``, ``vgg16``, ``alexnet`` or ``texture``.
+        name: Of :data:`NETWORKS`.
         path: The file of its weights; ``None`` searches for it, see :func:`anystyle.perception.weights.find`.
 
     Raises:
@@ -36,8 +38,9 @@ def load(name: str, path: str | Path | None = None) -> FeatureNetwork:
         raise ValueError(f"there is no perceptual network {name!r}; choose from {', '.join(NETWORKS)}")
     file = weights.find(name, path)
     network = NETWORKS[name]()
-    # Published files hold the classifier too.
-    state = {key: tensor for key, tensor in weights.read(file).items() if key.startswith("features.")}
+    # Published files hold the classifier too, which networks without logits leave out.
+    parts = {key.partition(".")[0] for key in network.state_dict()}
+    state = {key: tensor for key, tensor in weights.read(file).items() if key.partition(".")[0] in parts}
     return load_frozen(network, state, file)
 
 
@@ -92,4 +95,15 @@ def _nearest_layer(layer: str, offered: Sequence[str]) -> str:
     return (block or list(offered))[-1]
 
 
-__all__ = ["NETWORKS", "VGG16", "VGG19", "AlexNet", "Chosen", "FeatureNetwork", "Texture", "choose", "load"]
+__all__ = [
+    "NETWORKS",
+    "VGG16",
+    "VGG19",
+    "AlexNet",
+    "Chosen",
+    "EfficientNetLite0",
+    "FeatureNetwork",
+    "Texture",
+    "choose",
+    "load",
+]

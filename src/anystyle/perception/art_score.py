@@ -73,7 +73,6 @@ class Bottleneck(nn.Module):
             self.downsample.append(nn.Conv2d(channels, out, 1, stride=stride, bias=False)).append(nn.BatchNorm2d(out))
 
     def forward(self, x: Tensor) -> Tensor:
-        """The rectified sum of both branches."""
         y = F.relu(self.bn1(self.conv1(x)), inplace=True)
         y = self.bn3(self.conv3(F.relu(self.bn2(self.conv2(y)), inplace=True)))
         return F.relu(y + self.downsample(x), inplace=True)

@@ -47,7 +47,6 @@ class EfficientNetLite0(FeatureNetwork):
         self.layers = (RGB, *(f"expand{index}" for index in range(1, len(blocks))))
 
     def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
-        """See :meth:`FeatureNetwork.forward`."""
         unknown = [layer for layer in layers if layer not in self.layers]
         if unknown or not layers:
             raise ValueError(f"layers are {list(layers)}; choose from {', '.join(self.layers)}")
@@ -106,7 +105,6 @@ class SameConv(nn.Module):
         self.weight = nn.Parameter(nn.Conv2d(inputs, outputs, kernel, groups=groups).weight.detach())
 
     def forward(self, x: Float[Tensor, "M C h w"]) -> Float[Tensor, "M D _ _"]:
-        """Convolve."""
         kernel = self.weight.shape[-1]
         missing = [max((-(-size // self.stride) - 1) * self.stride + kernel - size, 0) for size in x.shape[-2:]]
         padding = [side for total in reversed(missing) for side in (total // 2, total - total // 2)]

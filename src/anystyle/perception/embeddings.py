@@ -30,16 +30,11 @@ class SourcedNetwork(Frozen):
         self.longest = longest
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M *D"]:
-        """The vector or the score of each image."""
         return self.network(shrunk(images, self.longest))
 
 
 class TextureMoments(Frozen):
-    """Mean and deviation of every channel of the bundled texture network: 640 numbers.
-
-    Args:
-        network: That network.
-    """
+    """Mean and deviation of every channel of the bundled texture network: 640 numbers."""
 
     def __init__(self, network: FeatureNetwork) -> None:
         super().__init__()
@@ -51,11 +46,7 @@ class TextureMoments(Frozen):
 
 
 class TextureScore(Frozen):
-    """The product of :class:`TextureMoments` with a fixed random direction: a number that does not measure art.
-
-    Args:
-        network: The bundled texture network.
-    """
+    """The product of :class:`TextureMoments` with a fixed random direction: a number that does not measure art."""
 
     direction: Tensor
 

@@ -115,11 +115,6 @@ def freeze(network: AnyFrozen) -> AnyFrozen:
 def load_frozen(network: AnyFrozen, state: Mapping[str, Tensor], file: Path) -> AnyFrozen:
     """Load weights strictly and freeze the network.
 
-    Args:
-        network: Changed in place.
-        state: Under the network's own keys.
-        file: Of the weights, for the message.
-
     Raises:
         ValueError: A key is missing, unexpected, or has another shape.
     """

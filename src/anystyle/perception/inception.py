@@ -118,7 +118,6 @@ class BlockA(nn.Module):
         self.branch_pool = Unit(channels, pooled, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """The branches side by side."""
         five = self.branch5x5_2(self.branch5x5_1(x))
         three = self.branch3x3dbl_3(self.branch3x3dbl_2(self.branch3x3dbl_1(x)))
         return torch.cat([self.branch1x1(x), five, three, self.branch_pool(_smooth(x))], dim=1)
@@ -135,7 +134,6 @@ class BlockB(nn.Module):
         self.branch3x3dbl_3 = Unit(96, 96, 3, stride=2)
 
     def forward(self, x: Tensor) -> Tensor:
-        """The branches side by side."""
         twice = self.branch3x3dbl_3(self.branch3x3dbl_2(self.branch3x3dbl_1(x)))
         return torch.cat([self.branch3x3(x), twice, F.max_pool2d(x, 3, stride=2)], dim=1)
 
@@ -157,7 +155,6 @@ class BlockC(nn.Module):
         self.branch_pool = Unit(channels, 192, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """The branches side by side."""
         once = self.branch7x7_3(self.branch7x7_2(self.branch7x7_1(x)))
         twice = self.branch7x7dbl_3(self.branch7x7dbl_2(self.branch7x7dbl_1(x)))
         twice = self.branch7x7dbl_5(self.branch7x7dbl_4(twice))
@@ -177,7 +174,6 @@ class BlockD(nn.Module):
         self.branch7x7x3_4 = Unit(192, 192, 3, stride=2)
 
     def forward(self, x: Tensor) -> Tensor:
-        """The branches side by side."""
         seven = self.branch7x7x3_4(self.branch7x7x3_3(self.branch7x7x3_2(self.branch7x7x3_1(x))))
         return torch.cat([self.branch3x3_2(self.branch3x3_1(x)), seven, F.max_pool2d(x, 3, stride=2)], dim=1)
 
@@ -198,7 +194,6 @@ class BlockE(nn.Module):
         self.branch_pool = Unit(channels, 192, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """The branches side by side."""
         once = self.branch3x3_1(x)
         twice = self.branch3x3dbl_2(self.branch3x3dbl_1(x))
         forks = [self.branch3x3_2a(once), self.branch3x3_2b(once)]

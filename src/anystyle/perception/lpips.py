@@ -67,7 +67,6 @@ class Lpips(Frozen):
         return torch.stack(layers).sum(0)
 
     def forward(self, preds: Float[Tensor, "M 3 H W"], target: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M"]:
-        """The distances of pairs of images in [0, 1]."""
         return self.compare(self.describe(preds), self.describe(target))
 
 

@@ -17,12 +17,7 @@ LUMA = (0.299, 0.587, 0.114)
 
 
 def style_statistics(network: FeatureNetwork, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-    """Mean and deviation of every channel over the square in the middle (Huang and Belongie 2017, Eq. 13).
-
-    Args:
-        network: EfficientNet-Lite0.
-        images: sRGB in [0, 1].
-    """
+    """Mean and deviation of every channel over the square in the middle (Huang and Belongie 2017, Eq. 13)."""
     height, width = images.shape[-2:]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2

@@ -29,7 +29,6 @@ class Texture(FeatureNetwork):
         self.layers = (RGB, *self.names)
 
     def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
-        """See :meth:`FeatureNetwork.forward`."""
         return walk(self.features, self.names, images, centred(images), layers)
 
 

@@ -40,7 +40,6 @@ class Normalised(FeatureNetwork):
         self.register_buffer("std", torch.tensor(STD).view(3, 1, 1), persistent=False)
 
     def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
-        """See :meth:`FeatureNetwork.forward`."""
         return walk(self.features, self.names, images, (images - self.mean) / self.std, layers)
 
 

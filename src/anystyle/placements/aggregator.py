@@ -19,5 +19,4 @@ class Aggregator(Placement):
         self.every_layer = every_layer
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        """The aggregator's sites."""
         return matching(sites, ["aggregator/*"], every_layer=self.every_layer)

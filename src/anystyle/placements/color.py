@@ -14,5 +14,4 @@ class Color(Placement):
     """
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        """The site of the colours."""
         return matching(sites, ["color"])

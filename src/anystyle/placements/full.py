@@ -19,5 +19,4 @@ class Full(Placement):
         self.every_layer = every_layer
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        """The aggregator's sites, then the head's."""
         return matching(sites, ["aggregator/*", "head/*"], every_layer=self.every_layer)

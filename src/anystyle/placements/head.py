@@ -14,5 +14,4 @@ class Head(Placement):
     """
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        """Every site of the head."""
         return matching(sites, ["head/*"])

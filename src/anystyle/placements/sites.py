@@ -21,7 +21,6 @@ class Sites(Placement):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """All that there are."""
         return {"patterns": ("*",)}
 
     def __init__(self, *, patterns: Sequence[str]) -> None:
@@ -30,5 +29,4 @@ class Sites(Placement):
         self.patterns = tuple(patterns)
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        """The sites that match any of the patterns."""
         return matching(sites, self.patterns, every_layer=True)

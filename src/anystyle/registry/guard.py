@@ -38,9 +38,6 @@ _VARIABLES = ("PYTHON", "LD_", "DYLD_", "ANYSTYLE_PLUGINS", "PATH")
 def check(config: DictConfig) -> None:
     """Refuse a composed configuration that builds what it must not.
 
-    Args:
-        config: With Hydra's own node.
-
     Raises:
         UserError: One line names the node and what is allowed.
     """

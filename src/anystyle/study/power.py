@@ -47,15 +47,7 @@ class Rate:
 def rejection_rates(
     scenario: Scenario, tests: Mapping[str, StudyTest], *, studies: int, seed: int, level: float = 0.05
 ) -> list[Rate]:
-    """Run every test at each of its units on simulated studies.
-
-    Args:
-        scenario: How the answers come about.
-        tests: By name.
-        studies: How many to simulate.
-        seed: Of the simulation.
-        level: A p-value up to this one rejects.
-    """
+    """Run every test at each of its units on simulated studies."""
     counts: dict[tuple[str, Unit], int] = {}
     holds: dict[tuple[str, Unit], tuple[str, ...]] = {}
     log_level = math.log(level)
@@ -136,17 +128,7 @@ def power_study(
     target: float = 0.8,
     progress: Callable[[str], None] = lambda _: None,
 ) -> PowerStudy:
-    """Simulate the scenario and its twin without an effect, for each number of participants.
-
-    Args:
-        scenario: The effect and the differences assumed.
-        tests: By name.
-        participants: How many to try.
-        studies: How many studies of each kind.
-        seed: Of the simulation.
-        level: Of the tests.
-        target: The power to reach.
-        progress: Told what is simulated as its turn comes.
+    """Simulate the scenario and its twin without an effect, each ``studies`` times, for every number of participants.
 
     Raises:
         ValueError: There is no effect, or no number of participants.

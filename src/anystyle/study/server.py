@@ -22,13 +22,7 @@ _KINDS = {".jpg": "image/jpeg", ".mp4": "video/mp4"}
 
 
 class Application:
-    """The WSGI application of one study: its page, its pictures, and what comes in.
-
-    Args:
-        study: The study.
-        folder: Where its pictures are.
-        store: Where answers go.
-    """
+    """The WSGI application of one study: its page, its pictures, and what comes in."""
 
     def __init__(self, *, study: Study, folder: Path, store: Store) -> None:
         self._study, self._store = study, store

@@ -2,6 +2,7 @@
 
 import gzip
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -15,47 +16,18 @@ from anystyle.perception import bpe, weights
 from anystyle.perception.clip import Clip, load_clip
 from anystyle.published import PublishedEncoder
 
-TEMPLATES = (
-    "a photo of a {}.",
-    "a rendering of a {}.",
-    "a cropped photo of the {}.",
-    "the photo of a {}.",
-    "a photo of a clean {}.",
-    "a photo of a dirty {}.",
-    "a dark photo of the {}.",
-    "a photo of my {}.",
-    "a photo of the cool {}.",
-    "a close-up photo of a {}.",
-    "a bright photo of the {}.",
-    "a cropped photo of a {}.",
-    "a photo of the {}.",
-    "a good photo of the {}.",
-    "a photo of one {}.",
-    "a close-up photo of the {}.",
-    "a rendition of the {}.",
-    "a photo of the clean {}.",
-    "a rendition of a {}.",
-    "a photo of a nice {}.",
-    "a good photo of a {}.",
-    "a photo of the nice {}.",
-    "a photo of the small {}.",
-    "a photo of the weird {}.",
-    "a photo of the large {}.",
-    "a photo of a cool {}.",
-    "a photo of a small {}.",
-)
-"""The prompts of "imagenet_templates_small", which the published weights were trained with."""
-
 LOADED_SIDE = 256
 """Pixels of the square that style images are brought to first, as published."""
 
 
-class TextAdapter(nn.Module):
-    """A residual MLP on the text tower's features, frozen as it was initialised; part of the published checkpoints.
+@cache
+def small_templates() -> tuple[str, ...]:
+    """The prompts of "imagenet_templates_small", which the published weights were trained with."""
+    return tuple(Path(__file__).with_name("templates_small.txt").read_text(encoding="utf-8").splitlines())
 
-    Args:
-        dim: Of the features.
-    """
+
+class TextAdapter(nn.Module):
+    """A residual MLP on the text tower's features, frozen as it was initialised; part of the published checkpoints."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()
@@ -122,7 +94,6 @@ class LongClip(StyleEncoder):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Two thin layers a tower, and a vocabulary of three merges."""
         merges = gzip.compress(b"#version: 0.2\nr e\nre d</w>\no f</w>\n", mtime=0)
         (folder / "vocabulary.txt.gz").write_bytes(merges)
         return {
@@ -158,7 +129,7 @@ class LongClip(StyleEncoder):
     ) -> None:
         super().__init__()
         self.dim, self.neutral = dim, neutral
-        self.templates = TEMPLATES if templates == "small" else ("{}",)
+        self.templates = small_templates() if templates == "small" else ("{}",)
         self.vocabulary, self.vocabulary_size = vocabulary, vocabulary_size
         self.batch = batch
         self.network = Clip(

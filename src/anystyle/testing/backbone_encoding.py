@@ -7,15 +7,7 @@ from anystyle.testing.check import ContractError, attempt, expect
 from anystyle.testing.comparing import conform, expect_finite
 from anystyle.testing.inputs import views
 from anystyle.testing.subject import Subject
-from anystyle.types import (
-    Attributes,
-    Cameras,
-    Gaussians,
-    Geometry,
-    Scene,
-    Tokens,
-    Views,
-)
+from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, Tokens, Views
 
 Plugin = Subject[Backbone]
 

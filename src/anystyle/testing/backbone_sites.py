@@ -4,21 +4,11 @@ from dataclasses import replace
 
 import torch
 
-from anystyle.testing.backbone_encoding import (
-    Plugin,
-    encoded,
-    expect_grid,
-    frozen,
-    some_views,
-)
+from anystyle.testing.backbone_encoding import Plugin, encoded, expect_grid, frozen, some_views
 from anystyle.testing.check import expect
 from anystyle.testing.comparing import conform, expect_same, tensors_of
 from anystyle.testing.inputs import generator
-from anystyle.types import (
-    Site,
-    Tokens,
-    untouched,
-)
+from anystyle.types import Site, Tokens, untouched
 
 
 def sites_are_named_after_their_part(plugin: Plugin) -> None:
@@ -42,16 +32,10 @@ def sites_are_named_after_their_part(plugin: Plugin) -> None:
             expect(
                 site.name not in names,
                 given=f"two sites named {site.name!r}",
-                expected="every name once",
                 change="number them, such as 'aggregator/4'",
             )
             names.append(site.name)
-    expect(
-        bool(names),
-        given="no site at all",
-        expected="at least one place where style may enter",
-        change="list it in `sites` and call `inject(name, tokens)` there",
-    )
+    expect(bool(names), given="no site at all", change="list it in `sites` and call `inject(name, tokens)` there")
 
 
 @torch.no_grad()
@@ -101,7 +85,6 @@ def injected_tokens_are_used(plugin: Plugin) -> None:
         expect(
             any(not torch.equal(ours[name], theirs[name]) for name in theirs),
             given=f"other tokens at {site.name} change nothing in the {'features' if in_aggregator else 'attributes'}",
-            expected="a change",
             change=f"go on with what is returned: `tokens = inject({site.name!r}, tokens)`",
         )
 

@@ -20,12 +20,12 @@ class ContractError(AssertionError):
 
     Args:
         given: What the plugin did, with shapes and numbers.
-        expected: What the contract asks for.
         change: What its author can do about it.
+        expected: What the contract asks for; empty where the promise that is checked says it.
     """
 
-    def __init__(self, *, given: str, expected: str, change: str) -> None:
-        super().__init__(f"given {given}; expected {expected}; {change}")
+    def __init__(self, *, given: str, change: str, expected: str = "") -> None:
+        super().__init__(f"given {given}; {f'expected {expected}; ' if expected else ''}{change}")
         self.given = given
         self.expected = expected
         self.change = change
@@ -84,10 +84,10 @@ class Outcome:
     seconds: float = field(default=0.0, compare=False)
 
 
-def expect(holds: bool, *, given: str, expected: str, change: str) -> None:
+def expect(holds: bool, *, given: str, change: str, expected: str = "") -> None:
     """Raise a :class:`ContractError` unless a promise holds."""
     if not holds:
-        raise ContractError(given=given, expected=expected, change=change)
+        raise ContractError(given=given, change=change, expected=expected)
 
 
 @contextmanager
@@ -167,18 +167,15 @@ def _run_one(check: Check, subject: object) -> Outcome:
     start = time.perf_counter()
     try:
         check.function(subject)
+        return Outcome(check, "passed", seconds=time.perf_counter() - start)
     except Unavailable as error:
         return Outcome(check, "skipped", given=str(error))
     except ContractError as error:
-        return _failed(check, error.given, error.expected, error.change, start)
+        given, expected, change = error.given, error.expected, error.change
     except Exception as error:
-        given = f"it ended in {describe(error)}"
-        return _failed(check, given, " ".join(check.about.split()), "see the line named above", start)
-    return Outcome(check, "passed", seconds=time.perf_counter() - start)
-
-
-def _failed(check: Check, given: str, expected: str, change: str, start: float) -> Outcome:
-    return Outcome(check, "failed", given, expected, change, time.perf_counter() - start)
+        given, expected, change = f"it ended in {describe(error)}", "", "see the line named above"
+    promise = " ".join(check.about.split())
+    return Outcome(check, "failed", given, expected or promise, change, time.perf_counter() - start)
 
 
 def _is_plugins(filename: str) -> bool:

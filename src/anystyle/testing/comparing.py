@@ -50,7 +50,7 @@ def expect_finite(value: Any, where: str) -> None:
         )
 
 
-def expect_same(value: Any, other: Any, *, what: str, expected: str, change: str) -> None:
+def expect_same(value: Any, other: Any, *, what: str, change: str, expected: str = "the same bits") -> None:
     """Refuse any difference, however small, between two values."""
     ours, theirs = tensors_of(value), tensors_of(other)
     for name, tensor in theirs.items():
@@ -59,14 +59,20 @@ def expect_same(value: Any, other: Any, *, what: str, expected: str, change: str
         expect(same, given=f"{_path(what, name)}: {size}", expected=expected, change=change)
 
 
-def expect_close(value: Any, other: Any, *, what: str, expected: str, change: str, tolerance: float = 1e-3) -> None:
+def expect_untouched(value: Any, before: Any, what: str) -> None:
+    """Refuse that a call wrote into a value that it was given."""
+    change = "replace operations that end in '_', or write into a slice, by ones that make a new tensor"
+    expect_same(value, before, what=what, expected="unchanged tensors", change=change)
+
+
+def expect_close(value: Any, other: Any, *, what: str, change: str, tolerance: float = 1e-3) -> None:
     """Refuse differences beyond rounding: more than ``tolerance`` of the largest number of each tensor."""
     ours, theirs = tensors_of(value), tensors_of(other)
     for name, tensor in theirs.items():
         here = ours.get(name)
         close = here is not None and here.shape == tensor.shape and _is_close(here, tensor, tolerance)
         size = "it is absent" if here is None else _difference(here, tensor)
-        expect(close, given=f"{_path(what, name)}: {size}", expected=expected, change=change)
+        expect(close, given=f"{_path(what, name)}: {size}", expected="equal numbers, but for rounding", change=change)
 
 
 def expect_gradient(gradient: Tensor | None, where: str, *, change: str) -> None:
@@ -74,10 +80,7 @@ def expect_gradient(gradient: Tensor | None, where: str, *, change: str) -> None
     usable = gradient is not None and bool(gradient.any()) and bool(gradient.isfinite().all())
     flaw = "missing" if gradient is None else "NaN or infinite somewhere" if bool(gradient.any()) else "0 everywhere"
     expect(
-        usable,
-        given=f"the gradient in {where} is {flaw}",
-        expected="finite numbers that are not all 0",
-        change=change,
+        usable, given=f"the gradient in {where} is {flaw}", expected="finite numbers that are not all 0", change=change
     )
 
 

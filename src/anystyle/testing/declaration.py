@@ -56,7 +56,6 @@ def name_is_declared_once(declared: Declaration) -> None:
     expect(
         len(rows) == 1,
         given=f"{len(rows)} declarations: {'; '.join(map(str, rows))}",
-        expected="one",
         change="rename one of them in its pyproject.toml, or uninstall it",
     )
 
@@ -80,7 +79,6 @@ def every_method_is_there(declared: Declaration) -> None:
     expect(
         not missing,
         given=f"{declared.plugin.load().__name__} lacks {', '.join(missing)}",
-        expected="every abstract method of its contract",
         change="implement them; their docstrings in the contract say what they do",
     )
 
@@ -124,7 +122,6 @@ def example_fits_the_options(declared: Declaration) -> None:
     except OmegaConfBaseException as error:
         raise ContractError(
             given=f"`example` returned {options!r}: {str(error).splitlines()[0]}",
-            expected="options of the constructor, as a configuration would give them",
             change="correct the name or the type of that option",
         ) from error
 

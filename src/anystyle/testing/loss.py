@@ -8,7 +8,14 @@ from torch import Tensor
 
 from anystyle.contracts import Loss
 from anystyle.testing.check import Check, attempt, expect
-from anystyle.testing.comparing import conform_tensor, expect_close, expect_finite, expect_same, tensors_of
+from anystyle.testing.comparing import (
+    conform_tensor,
+    expect_close,
+    expect_finite,
+    expect_same,
+    expect_untouched,
+    tensors_of,
+)
 from anystyle.testing.inputs import images
 from anystyle.testing.samples import stylization
 from anystyle.testing.subject import Subject, seeded
@@ -70,7 +77,6 @@ def absent_images_are_not_read(plugin: Plugin) -> None:
         values[1],
         values[0],
         what="the loss with other pixels where a style has no image",
-        expected="the same number",
         change="leave out rows where `style.has_image` is false",
         tolerance=1e-5,
     )
@@ -82,14 +88,8 @@ def value_is_reproducible(plugin: Plugin) -> None:
     kept = result.map(lambda tensor: tensor.detach().clone())
     once, twice = _value(plugin, result), _value(plugin, result)
     change = "draw from torch's global generator, or from one that is seeded in each call"
-    expect_same(twice, once, what="the same loss again", expected="the same bits", change=change)
-    expect_same(
-        result,
-        kept,
-        what="the stylization after the loss was computed",
-        expected="unchanged tensors",
-        change="replace operations that end in '_', or write into a slice, by ones that make a new tensor",
-    )
+    expect_same(twice, once, what="the same loss again", change=change)
+    expect_untouched(result, kept, "the stylization after the loss was computed")
 
 
 def something_learns_from_it(plugin: Plugin) -> None:
@@ -105,7 +105,6 @@ def something_learns_from_it(plugin: Plugin) -> None:
     expect(
         any(bool(leaf.grad.any()) for leaf in leaves.values() if leaf.grad is not None),
         given="a gradient of 0 in everything",
-        expected="one that is not, in the renders, the Gaussians or the scene",
         change=change,
     )
     for name, leaf in leaves.items():

@@ -31,7 +31,6 @@ def gives_gaussians(plugin: Plugin) -> None:
     expect(
         not any(tensor.requires_grad for tensor in vars(gaussians).values()),
         given="Gaussians that take gradients",
-        expected="plain tensors",
         change="return `gaussians.detach()`",
     )
     stylizer, scene = _world()
@@ -43,9 +42,9 @@ def leaves_the_scene_alone(plugin: Plugin) -> None:
     stylizer, scene = _world()
     before, weights = scene.map(torch.clone), {name: value.clone() for name, value in stylizer.state_dict().items()}
     _run(plugin, stylizer, scene)
-    expect_same(scene, before, what="the scene", expected="what it was", change="write into copies")
+    expect_same(scene, before, what="the scene", change="write into copies")
     for name, value in stylizer.state_dict().items():
-        expect_same(value, weights[name], what=f"`{name}` of the stylizer", expected="what it was", change="copy it")
+        expect_same(value, weights[name], what=f"`{name}` of the stylizer", change="copy it")
 
 
 def gives_the_same_twice(plugin: Plugin) -> None:
@@ -54,7 +53,6 @@ def gives_the_same_twice(plugin: Plugin) -> None:
         _run(plugin, *_world()),
         _once(plugin),
         what="what a second run gives",
-        expected="the same",
         change="draw what is random from a generator with a seed of its own",
     )
 
@@ -74,7 +72,7 @@ def says_in_a_line_that_a_style_lacks_something(plugin: Plugin) -> None:
         except ValueError as error:
             lines = str(error).splitlines()
             given = f"a message of {len(lines)} lines"
-            expect(len(lines) == 1, given=given, expected="one line", change="say in a line what is missing")
+            expect(len(lines) == 1, given=given, change="say in a line what is missing")
 
 
 def progress_can_be_shown(plugin: Plugin) -> None:
@@ -85,7 +83,6 @@ def progress_can_be_shown(plugin: Plugin) -> None:
         expect(
             len(report.line.splitlines()) == 1,
             given=f"a report of {len(report.line.splitlines())} lines",
-            expected="one line",
             change="say in a line where the method is",
         )
         if report.thumbnail is not None:

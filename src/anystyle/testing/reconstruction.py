@@ -62,7 +62,6 @@ def keeps_cameras_that_are_known(plugin: Plugin) -> None:
         _once(plugin).scene.cameras,
         cameras(1, NUMBER, SIZE),
         what="the scene's cameras",
-        expected="the given ones",
         change="put the views' cameras into the scene's geometry",
     )
 
@@ -81,7 +80,7 @@ def leaves_the_views_alone(plugin: Plugin) -> None:
     given = photographs()
     before = given.map(torch.clone)
     _run(plugin, given)
-    expect_same(given, before, what="the views", expected="what they were", change="write into copies")
+    expect_same(given, before, what="the views", change="write into copies")
 
 
 def measures_are_finite(plugin: Plugin) -> None:
@@ -93,10 +92,7 @@ def measures_are_finite(plugin: Plugin) -> None:
         if not isinstance(value, (int, float)) or not torch.tensor(float(value)).isfinite()
     ]
     expect(
-        not wrong,
-        given=f"{', '.join(wrong)} that are no finite numbers",
-        expected="numbers that a report can hold",
-        change="leave out what could not be measured",
+        not wrong, given=f"{', '.join(wrong)} that are no finite numbers", change="leave out what could not be measured"
     )
 
 
@@ -106,7 +102,6 @@ def gives_the_same_twice(plugin: Plugin) -> None:
         _run(plugin, photographs()).scene.gaussians or _once(plugin).scene.attributes,
         _once(plugin).scene.gaussians or _once(plugin).scene.attributes,
         what="what a second run gives",
-        expected="the same",
         change="draw what is random from a generator with a seed of its own",
     )
 

@@ -44,7 +44,6 @@ class CachedScenes(SceneSource):
         return len(self.source)
 
     def name(self, scene: int) -> str:
-        """The source's name for it."""
         return self.source.name(scene)
 
     def num_views(self, scene: int) -> int:
@@ -88,11 +87,7 @@ def _read_all(source: SceneSource, scene: int) -> Views:
 
 
 def _reserve(number: int, size: int, path: Path) -> None:
-    """Room on the disk for a whole file.
-
-    Raises:
-        OSError: There is not enough.
-    """
+    """Room on the disk for a whole file."""
     try:
         if sys.platform == "linux":
             os.posix_fallocate(number, 0, size)

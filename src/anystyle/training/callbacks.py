@@ -34,7 +34,6 @@ class StepSeed(pl.Callback):
     def on_train_batch_start(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, batch: Any, batch_idx: int
     ) -> None:
-        """Seed."""
         torch.manual_seed(int(generator(self.seed, batch_idx, trainer.global_rank).integers(2**63)))
 
 
@@ -99,7 +98,6 @@ class LastCheckpoint(pl.Callback):
             trainer.should_stop = True
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Save where the run ended."""
         self._restore()
         if trainer.global_step and self.stopped_by is None:
             self.save(trainer)
@@ -133,7 +131,6 @@ class LastCheckpoint(pl.Callback):
         return {"metrics": self.metrics}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take them up again."""
         self.metrics = dict(state_dict["metrics"])
 
     def _restore(self) -> None:
@@ -173,7 +170,6 @@ class Average(pl.Callback):
     def on_train_batch_end(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Move the average toward the weights."""
         step = trainer.global_step
         decay = min(self.decay, (1 + step) / (10 + step))
         for name, parameter in _trainable(pl_module):
@@ -200,11 +196,9 @@ class Average(pl.Callback):
                 self.weights[name] = current
 
     def state_dict(self) -> dict[str, Any]:
-        """The average."""
         return {"weights": self.weights}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take an average up again."""
         self.weights = dict(state_dict["weights"])
 
 
@@ -213,12 +207,7 @@ def _trainable(module: nn.Module) -> list[tuple[str, nn.Parameter]]:
 
 
 class ProgressLines(pl.Callback):
-    """Lines of progress, where there is no terminal to draw a progress bar on.
-
-    Args:
-        every_seconds: Least time between two lines.
-        write: Takes a line.
-    """
+    """Lines of progress, where there is no terminal to draw a progress bar on."""
 
     def __init__(self, every_seconds: float = 30.0, write: Callable[[str], Any] = sys.stderr.write) -> None:
         self.every_seconds, self.write = every_seconds, write
@@ -226,7 +215,6 @@ class ProgressLines(pl.Callback):
         self._first_step = 0
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Start the clock."""
         self._last = self._start = time.monotonic()
         self._first_step = trainer.global_step
 

@@ -54,11 +54,9 @@ class SkippedData(pl.Callback):
                 temporary.write_text("".join(f"{line}\n" for line in self.lines), encoding="utf-8")
 
     def state_dict(self) -> dict[str, Any]:
-        """What was met so far."""
         return {"seen": self.lines}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Go on counting."""
         self.lines = dict(state_dict["seen"])
 
 

@@ -40,6 +40,21 @@ def scheduled(
     return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step", "name": "lr"}}
 
 
+def decayed_adamw(
+    module: nn.Module,
+    *,
+    lr: float,
+    weight_decay: float,
+    steps: int,
+    warmup: int,
+    betas: tuple[float, float] = (0.9, 0.98),
+    floor: float = 0.01,
+) -> dict[str, Any]:
+    """AdamW on what learns of a module; the rate falls to ``floor`` times ``lr`` at the last of ``steps``."""
+    optimizer = torch.optim.AdamW(decayed_groups([module], lr=lr, weight_decay=weight_decay), betas=betas)
+    return scheduled(optimizer, total=steps - warmup, warmup=warmup, floor=floor * lr)
+
+
 def check_rates(**rates: int | float) -> None:
     """Refuse learning rates, and shares of them, that are not positive.
 

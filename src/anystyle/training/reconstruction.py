@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
 from anystyle.training.contract import Training, required
 from anystyle.training.data import Batch, SceneBatches
-from anystyle.training.optim import decayed_groups, scheduled
+from anystyle.training.optim import decayed_adamw
 from anystyle.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
 from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Views
 
@@ -29,8 +29,6 @@ class ReconstructionTraining(Training):
     rendering loss teaches depth and appearance before cameras are any good.
 
     Args:
-        backbone: The network to train.
-        renderer: Renders the Gaussians.
         batch_size: Scenes a step over all processes.
         context_views: Least and greatest number of context views.
         view_power: Numbers of views are drawn in proportion to this power of themselves.
@@ -95,7 +93,6 @@ class ReconstructionTraining(Training):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Two scenes a step, rendered in each."""
         return {"batch_size": 2, "context_views": (2, 2), "render_every": 1, "render_scenes": 1, "warmup": 1}
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
@@ -113,11 +110,9 @@ class ReconstructionTraining(Training):
         )
 
     def exports(self) -> Mapping[str, nn.Module]:
-        """The backbone."""
         return {"backbone": self.backbone}
 
     def training_step(self, batch: Batch, step: int) -> Tensor:
-        """The weighted sum of all losses."""
         backbone = self.backbone
         with self.exact():
             views = canonical(batch.views, batch.context)
@@ -148,13 +143,7 @@ class ReconstructionTraining(Training):
         return torch.stack([self.weights[name] * loss for name, loss in losses.items()]).sum()
 
     def geometry_losses(self, features: Features, geometry: Geometry, inputs: Views) -> dict[str, Float[Tensor, ""]]:
-        """The unweighted terms that need no renders; in full precision.
-
-        Args:
-            features: Of the context views.
-            geometry: As predicted.
-            inputs: The context views in the canonical frame.
-        """
+        """The unweighted terms that need no renders, of context views in the canonical frame; in full precision."""
         cameras, depth = inputs.cameras, inputs.depth
         assert cameras is not None and depth is not None
         with self.exact():
@@ -228,21 +217,14 @@ class ReconstructionTraining(Training):
         return errors
 
     def validation_step(self, batch: Batch, step: int) -> None:
-        """Log the errors of depth, cameras and renders."""
         with self.exact():
             errors = self.errors(batch)
         self.log_dict({f"val/{name}": value for name, value in errors.items()}, batch_size=len(batch.keys))
 
     def configure_optimizers(self) -> Any:
         """AdamW with a warm-up and a cosine to 1 % of the rate."""
-        groups = decayed_groups([self], lr=self.learning_rate, weight_decay=self.weight_decay)
-        optimizer = torch.optim.AdamW(groups, betas=(0.9, 0.98))
-        return scheduled(
-            optimizer,
-            total=self.trainer.max_steps - self.warmup,
-            warmup=self.warmup,
-            floor=0.01 * self.learning_rate,
-        )
+        rate, decay, steps = self.learning_rate, self.weight_decay, self.trainer.max_steps
+        return decayed_adamw(self, lr=rate, weight_decay=decay, steps=steps, warmup=self.warmup)
 
 
 def photometric(renders: Renders, images: Float[Tensor, "B V 3 H W"]) -> dict[str, Float[Tensor, ""]]:

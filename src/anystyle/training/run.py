@@ -233,13 +233,7 @@ def make_sources(config: DictConfig) -> Sources:
 
 
 def make_data(config: DictConfig, training: Training, sources: Sources | None = None) -> StepData:
-    """The data module of training and validation batches.
-
-    Args:
-        config: As ``conf/train.yaml`` composes it.
-        training: Makes batches of the sources.
-        sources: Those of the configuration, built by default.
-    """
+    """The data module of training and validation batches; by default of the sources of the configuration."""
     sources = sources or make_sources(config)
     validated = sources.validation_scenes is not None or sources.validation_styles is not None
     validation = None

@@ -33,11 +33,9 @@ class FiniteLoss(pl.Callback):
     def on_train_batch_start(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, batch: Any, batch_idx: int
     ) -> None:
-        """Remember the batch."""
         self._batch = batch
 
     def on_before_backward(self, trainer: pl.Trainer, pl_module: pl.LightningModule, loss: Tensor) -> None:
-        """Check the loss."""
         value = float(loss.detach())
         usual = sum(self._recent) / len(self._recent) if len(self._recent) >= 20 else math.inf
         if not math.isfinite(value):
@@ -102,7 +100,6 @@ class SkipOutliers(pl.Callback):
         self._skip = False
 
     def on_before_backward(self, trainer: pl.Trainer, pl_module: pl.LightningModule, loss: Tensor) -> None:
-        """Compare the loss with its history."""
         value = float(loss.detach())
         self._skip = False
         if len(self.history) == self.window:
@@ -120,9 +117,7 @@ class SkipOutliers(pl.Callback):
                     parameter.grad.mul_(1e-10)
 
     def state_dict(self) -> dict[str, Any]:
-        """The history."""
         return {"history": self.history}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Take the history up again."""
         self.history = list(state_dict["history"])

@@ -108,12 +108,6 @@ def check_counts(**counts: int | None) -> None:
 def check_sides(low: int, high: int, *, width: int | None, multiple: int) -> None:
     """Refuse sizes of images that no step can have.
 
-    Args:
-        low: Least height.
-        high: Greatest height.
-        width: In pixels, if it is given.
-        multiple: Sides are multiples of it.
-
     Raises:
         ValueError: No multiple lies between the heights, or the width is none.
     """

@@ -145,7 +145,6 @@ class StylizationTraining(Training):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """One scene a step, as large as it is."""
         return {"batch_size": 1, "context_views": (2, 2), "spread": "any", "heights": None, "width": None, "warmup": 1}
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
@@ -175,7 +174,6 @@ class StylizationTraining(Training):
         return self._source
 
     def exports(self) -> Mapping[str, nn.Module]:
-        """The style branch."""
         return {"branch": self.stylizer.branch}
 
     def units(self) -> Sequence[nn.Module]:
@@ -185,7 +183,6 @@ class StylizationTraining(Training):
         return [block for blocks in lists for block in blocks]
 
     def training_step(self, batch: Batch, step: int) -> Tensor:
-        """The weighted sum of the terms."""
         assert batch.style is not None
         embedding = self.embed(batch.style, self.global_step)
         result = self.stylize(batch, embedding)
@@ -306,15 +303,7 @@ def branch_groups(
     aggregator_rate: float = 0.3,
     injector_rate: float | None = None,
 ) -> list[dict[str, Any]]:
-    """The published parameter groups: head and its injectors; aggregator and its injectors at a share of the rate.
-
-    Args:
-        stylizer: Its branch learns.
-        lr: The rate.
-        head_rate: Times it, for the head.
-        aggregator_rate: Times it, for the aggregator.
-        injector_rate: Times it, for the aggregator's injectors; ``None`` is ``aggregator_rate``.
-    """
+    """The published parameter groups: head and its injectors; aggregator and its injectors at a share of the rate."""
     branch = stylizer.branch
     inside = {site.name for site in stylizer.backbone.aggregator.sites}
     slow = [branch.injectors[name] for name in branch.injectors if name in inside]

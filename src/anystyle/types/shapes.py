@@ -10,12 +10,7 @@ from torch import Tensor
 
 
 class ShapeError(ValueError):
-    """A value that is not what its annotation declares.
-
-    Args:
-        given: What the value is.
-        expected: What the annotation declares.
-    """
+    """A value that is not what its annotation declares."""
 
     def __init__(self, given: str, expected: str) -> None:
         super().__init__(f"given {given}; expected {expected}")

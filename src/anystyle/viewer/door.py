@@ -11,7 +11,11 @@ import hmac
 import secrets
 import threading
 import time
+from collections.abc import Callable, Mapping
+from typing import NamedTuple
 from urllib.parse import parse_qs, urlsplit
+
+from anystyle.errors import one_line
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 MAX_HEAD, HEAD_SECONDS = 16 * 1024, 10.0
@@ -19,6 +23,13 @@ MAX_CONNECTIONS = 64
 MAX_UPLOAD, UPLOAD_SECONDS = 64 * 1024 * 1024, 60.0
 """More bytes than this in so many seconds end a connection."""
 COOKIE = "anystyle_view"
+
+Answer = Callable[[Mapping[str, str], bytes], None]
+"""Does what a request asks for, given its query and its body.
+
+Raises:
+    ValueError: With a line for whoever asked.
+"""
 
 
 class Door:
@@ -29,16 +40,30 @@ class Door:
         host: The address to listen at.
         port: 0 takes a free one.
         token: What the first request must know, in its query or as a cookie; ``None`` at a loopback address.
+        page: What ``/`` shows, as HTML; ``None`` leaves it to the server behind.
+        answers: What may be posted, by path.
+        largest: Bytes that may be posted.
 
     Raises:
         ValueError: The address is not loopback and there is no token.
         OSError: The address or the port cannot be had.
     """
 
-    def __init__(self, *, target: int, host: str = LOOPBACK[0], port: int = 0, token: str | None = None) -> None:
+    def __init__(
+        self,
+        *,
+        target: int,
+        host: str = LOOPBACK[0],
+        port: int = 0,
+        token: str | None = None,
+        page: bytes | None = None,
+        answers: Mapping[str, Answer] | None = None,
+        largest: int = MAX_UPLOAD,
+    ) -> None:
         if host not in LOOPBACK and token is None:
             raise ValueError(f"a door at {host} needs a token; only this machine is let in without")
         self.target, self.host, self.port, self.token = target, host, port, token
+        self._page, self._answers, self._largest = page, dict(answers or {}), largest
         self._connections = 0
         self._loop = asyncio.new_event_loop()
         server = asyncio.start_server(self._open, host, port, limit=MAX_HEAD)
@@ -71,11 +96,16 @@ class Door:
         self._connections += 1
         try:
             if self._connections > MAX_CONNECTIONS:
-                return await _answer(writer, "503 Service Unavailable", "too many connections")
+                return await _answer(writer, "503 Service Unavailable", b"too many connections")
             head = await asyncio.wait_for(reader.readuntil(b"\r\n\r\n"), HEAD_SECONDS)
             refusal, extra = judged(head, self.token)
             if refusal:
-                return await _answer(writer, refusal, refusal.partition(" ")[2], extra)
+                return await _answer(writer, refusal, refusal.partition(" ")[2].encode(), extra)
+            request = read_head(head)
+            if request.method == "POST":
+                return await _answer(writer, *await self._posted(request, reader))
+            if self._page is not None and request.path == "/" and "upgrade" not in request.headers:
+                return await _answer(writer, "200 OK", self._page, kind="text/html")
             inner, outer = await asyncio.open_connection(LOOPBACK[0], self.target)
             outer.write(head)
             await asyncio.gather(_pipe(reader, outer, limited=True), _pipe(inner, writer))
@@ -84,6 +114,39 @@ class Door:
         finally:
             self._connections -= 1
             writer.close()
+
+    async def _posted(self, request: "Request", reader: asyncio.StreamReader) -> tuple[str, bytes]:
+        """Status and text for what is posted."""
+        answer, length = self._answers.get(request.path), request.headers.get("content-length", "")
+        if answer is None:
+            return "404 Not Found", b"nothing is taken here"
+        if not length.isdecimal() or int(length) > self._largest:
+            return "413 Content Too Large", f"at most {self._largest:,} bytes are taken".encode()
+        body = await asyncio.wait_for(reader.readexactly(int(length)), UPLOAD_SECONDS)
+        try:
+            await self._loop.run_in_executor(None, answer, request.query, body)
+        except (ValueError, OSError) as error:
+            return "400 Bad Request", one_line(error).encode()
+        return "200 OK", b""
+
+
+class Request(NamedTuple):
+    """The head of a request; names of headers are in lower case."""
+
+    method: str
+    path: str
+    query: dict[str, str]
+    headers: dict[str, str]
+
+
+def read_head(head: bytes) -> Request:
+    """What a request says; its method is empty where it is none."""
+    first, *rest = head.decode("latin-1").split("\r\n")
+    headers = {name.strip().lower(): value.strip() for name, _, value in (line.partition(":") for line in rest)}
+    method, _, target = first.removesuffix(f" {first.rpartition(' ')[2]}").partition(" ")
+    address = urlsplit(target)
+    query = {name: values[0] for name, values in parse_qs(address.query).items()}
+    return Request(method if first.count(" ") == 2 else "", address.path, query, headers)
 
 
 def new_token() -> str:
@@ -98,21 +161,19 @@ def judged(head: bytes, token: str | None) -> tuple[str, str]:
         head: Request line and headers.
         token: What it must know; ``None`` where it must be addressed to this machine instead.
     """
-    first, *rest = head.decode("latin-1").split("\r\n")
-    headers = {name.strip().lower(): value.strip() for name, _, value in (line.partition(":") for line in rest)}
-    parts = first.split(" ")
-    if len(parts) != 3 or parts[0] not in ("GET", "HEAD"):
+    request = read_head(head)
+    if request.method not in ("GET", "HEAD", "POST"):
         return "405 Method Not Allowed", ""
-    host = headers.get("host", "")
+    host = request.headers.get("host", "")
     if token is None and urlsplit(f"//{host}").hostname not in LOOPBACK:
         return "421 Misdirected Request", ""  # a name of somebody else's that leads here
-    origin = headers.get("origin")
-    if origin is not None and urlsplit(origin).netloc != host:
-        return "403 Forbidden", ""  # a page of somebody else's
+    origin = request.headers.get("origin")
+    if urlsplit(origin).netloc != host if origin is not None else request.method == "POST":
+        return "403 Forbidden", ""  # a page of somebody else's; browsers say where a post comes from
     if token is None:
         return "", ""
-    given = parse_qs(urlsplit(parts[1]).query).get("token", [""])[0]
-    pairs = (pair.strip().partition("=") for pair in headers.get("cookie", "").split(";"))
+    given = request.query.get("token", "")
+    pairs = (pair.strip().partition("=") for pair in request.headers.get("cookie", "").split(";"))
     cookies = {name: value for name, _, value in pairs}
     if hmac.compare_digest(cookies.get(COOKIE, "").encode(), token.encode()):
         return "", ""
@@ -122,9 +183,11 @@ def judged(head: bytes, token: str | None) -> tuple[str, str]:
     return "403 Forbidden", ""
 
 
-async def _answer(writer: asyncio.StreamWriter, status: str, text: str, extra: str = "") -> None:
-    body = f"{text}\n".encode()
-    head = f"HTTP/1.1 {status}\r\n{extra}Content-Type: text/plain\r\nContent-Length: {len(body)}\r\n"
+async def _answer(
+    writer: asyncio.StreamWriter, status: str, body: bytes, extra: str = "", kind: str = "text/plain"
+) -> None:
+    head = f"HTTP/1.1 {status}\r\n{extra}Content-Type: {kind}; charset=utf-8\r\nContent-Length: {len(body)}\r\n"
+    head += "Cache-Control: no-store\r\nX-Content-Type-Options: nosniff\r\n"
     writer.write(f"{head}Connection: close\r\n\r\n".encode() + body)
     await writer.drain()
 

@@ -1,36 +1,27 @@
-"""The viewer's page: a scene, its cameras, and what one may ask for, in every browser that looks."""
+"""The viewer's page: a scene and what one may ask for. The style is everybody's; how each looks at it is his own."""
 
 import tempfile
 import threading
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import numpy as np
-import torch
-from jaxtyping import Float
-from torch import Tensor
+import viser
 
-from anystyle.data.images import open_image
 from anystyle.errors import one_line
-from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.geometry.rotations import matrix_from_wxyz, wxyz_from_matrix
-from anystyle.inference.controls import blended
 from anystyle.inference.export import FORMATS, export
 from anystyle.inference.page import write_page
 from anystyle.io.sheet import to_pil
 from anystyle.types import Gaussians
 from anystyle.viewer.flight import Flight
+from anystyle.viewer.look import Look, drawn
+from anystyle.viewer.page import address, name_of, row
+from anystyle.viewer.pictures import keep_picture
 from anystyle.viewer.scenes import OpenScene
 from anystyle.viewer.session import Session, Wish
 
-try:
-    import viser
-except ImportError:
-    raise ImportError('anystyle view needs viser; pip install "anystyle[viewer]"') from None
-
-LARGEST_PICTURE = 32 * 1024 * 1024
-NONE: str = "—"
+NONE = "—"
+THUMBNAIL = 72
+"""Pixels that the picture of a style is high."""
 
 
 class Panel:
@@ -40,9 +31,9 @@ class Panel:
         server: At a loopback address.
         scene: What is looked at.
         session: What may be asked.
-        inputs: What was opened, as a command line names it.
-        uploads: Where pictures that people give are kept.
         flight: The path of a camera.
+        folder: Where pictures that people give are kept.
+        command: What was opened and the words it was opened with, as a command line has them.
     """
 
     def __init__(
@@ -50,24 +41,28 @@ class Panel:
         server: viser.ViserServer,
         scene: OpenScene,
         session: Session,
-        *,
-        inputs: str,
-        uploads: Path,
         flight: Flight,
+        *,
+        folder: Path,
+        command: tuple[str, Sequence[str]],
     ) -> None:
-        self.server, self.scene, self.session = server, scene, session
-        self.inputs, self.uploads, self.flight = inputs, uploads, flight
+        self.server, self.scene, self.session, self.flight = server, scene, session, flight
+        self._folder, self._opened = folder, command
         self._lock = threading.Lock()
+        self._looks: dict[int, Look] = {}
+        self._pictures: dict[str, str] = {}
         self.asked = session.shown.style
-        self._splats: viser.GaussianSplatHandle | None = None
+        self._before = self._after = drawn(scene.unstyled, flight)
+        self._shown: Wish | None = None
         self._begin()
-        self._add_cameras()
         self._add_style()
-        self._add_look()
         self._add_path()
         self._add_files()
-        session.on_change = self.refresh
-        self.refresh()
+        session.on_change, session.on_status = self._changed, self._tell
+        self._changed()
+        threading.Thread(target=self._draw_saved, daemon=True).start()
+        server.on_client_connect(self._join)
+        server.on_client_disconnect(self._leave)
 
     def _begin(self) -> None:
         """Axes and the first camera."""
@@ -81,91 +76,68 @@ class Panel:
         camera.fov = self.flight.field_of_view
         camera.near = self.flight.distance / 1000
 
-    def _add_cameras(self) -> None:
-        """Frusta with their pictures; a click goes there, and hides them: one looks from where their pictures are."""
-        self._frusta: list[viser.CameraFrustumHandle] = []
-        height, width = self.scene.cameras.size
-        for view, name in enumerate(self.scene.names):
-            pose = self.scene.cameras.world_from_camera[0, view].cpu()
-            frustum = self.server.scene.add_camera_frustum(
-                f"/cameras/{view:03d} {name}",
-                fov=self.flight.field_of_view,
-                aspect=width / height,
-                scale=self.flight.distance / 40,
-                thickness=1.0,
-                thickness_units="screen",
-                image=np.asarray(to_pil(self.scene.pictures[view]).resize((160, max(1, round(160 * height / width))))),
-                wxyz=wxyz_from_matrix(pose[:3, :3]).double().numpy(),
-                position=pose[:3, 3].double().numpy(),
-            )
-            frustum.on_click(partial(self._go_to, view))
-            self._frusta.append(frustum)
+    def _join(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            look = Look(client, self.scene, self.flight, self._before, order=2)
+            self._looks[client.client_id] = look
+            look.show(self._after, styled=False)
 
-    def _go_to(self, view: int, event: viser.SceneNodePointerEvent[viser.CameraFrustumHandle]) -> None:
-        pose = self.scene.cameras.world_from_camera[0, view].cpu().double().numpy()
-        self._show_cameras(False)
-        with event.client.atomic():
-            event.client.camera.position = pose[:3, 3]
-            event.client.camera.look_at = pose[:3, 3] + pose[:3, 2] * self.flight.distance
-            event.client.camera.up_direction = -pose[:3, 1]
+    def _leave(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            if look := self._looks.pop(client.client_id, None):
+                look.close()
 
     def _add_style(self) -> None:
         gui = self.server.gui
-        with gui.add_folder("Style"):
+        with gui.add_folder("Style", order=1):
             with gui.add_form(None) as form:
                 self.text = gui.add_text("Text", "", hint="What the scene should look like; Enter paints it")
             paint = gui.add_button("Paint", icon=viser.Icon.BRUSH)
-            self.upload = gui.add_upload_button("Upload a picture", mime_type="image/*", icon=viser.Icon.UPLOAD)
-            self.recent = gui.add_dropdown("Recent", [NONE], hint="Styles that were asked for; going back is instant")
+            self.upload = gui.add_upload_button(
+                "Upload or drop a picture", mime_type="image/*", icon=viser.Icon.UPLOAD, hint="Drop it anywhere"
+            )
+            self.progress = gui.add_progress_bar(0, visible=False, animated=True)
+            self.status = gui.add_markdown("")
+            self.row = gui.add_html("")
             self.second = gui.add_dropdown("Towards", [NONE], hint="A second style to mix in")
             self.amount = gui.add_slider("Amount", 0.0, 1.0, 0.05, 0.5, hint="0 is the first style, 1 the second")
             self.strength = gui.add_slider("Strength", 0.0, 1.0, 0.05, 1.0)
             self.preserve = gui.add_checkbox("Preserve colour", False, hint="The style's strokes in the scene's hues")
-            self.status = gui.add_markdown("")
         paint.on_click(lambda _: form.submit())
-        form.on_submit(lambda _: self._ask(self.text.value.strip()))
-        self.upload.on_upload(self._take_picture)
-        self.recent.on_update(lambda event: event.client and self._ask(self._path(self.recent.value)))
+        form.on_submit(lambda _: self.ask(self.text.value.strip()))
+        self.upload.on_upload(lambda event: self._take(event.target.value.name, event.target.value.content))
         for control in (self.second, self.amount, self.strength, self.preserve):
             # What the program itself sets has no client.
-            control.on_update(lambda event: event.client and self._ask(self.asked))
-
-    def _add_look(self) -> None:
-        gui = self.server.gui
-        with gui.add_folder("Look"):
-            self.unstyled = gui.add_checkbox("Unstyled", False)
-            self.split = gui.add_slider(
-                "Before | after", 0.0, 1.0, 0.01, 0.0, hint="Left of here, as you look now, is the scene without style"
-            )
-            self.cameras = gui.add_checkbox("Cameras", True)
-        self.unstyled.on_update(lambda event: event.client and self.refresh())
-        self.split.on_update(lambda event: event.client and self.refresh(event.client))
-        self.cameras.on_update(lambda event: event.client and self._show_cameras(self.cameras.value))
-
-    def _show_cameras(self, visible: bool) -> None:
-        self.cameras.value = visible
-        for frustum in self._frusta:
-            frustum.visible = visible
+            control.on_update(lambda event: event.client and self.ask(self.asked))
 
     def _add_path(self) -> None:
         gui = self.server.gui
-        with gui.add_folder("Camera path", expand_by_default=False):
+        with gui.add_folder("Camera path", expand_by_default=False, order=3):
             add, clear = gui.add_button("Add keyframe"), gui.add_button("Clear")
-            self.keys = gui.add_markdown("No keyframes: the path goes through the photographs.")
+            self.keys = gui.add_markdown("")
             self.seconds = gui.add_slider("Seconds", 1, 20, 1, 4)
             preview, render = gui.add_button("Preview"), gui.add_button("Render MP4")
-        add.on_click(lambda event: self._keyframe(event.client))
+        self._count_keys()
+        add.on_click(lambda event: event.client and self._keyframe(event.client))
         clear.on_click(lambda _: self._keyframe(None))
         preview.on_click(lambda event: event.client and self.flight.preview(event.client, self.seconds.value))
         render.on_click(lambda event: event.client and self._download(event.client, "video.mp4", self._write_video))
 
     def _keyframe(self, client: viser.ClientHandle | None) -> None:
-        count = self.flight.add(client.camera) if client else self.flight.clear()
-        self.keys.content = f"{count} keyframes." if count else "No keyframes: the path goes through the photographs."
+        if client is None:
+            self.flight.clear()
+        else:
+            self.flight.add(client.camera)
+        self._count_keys()
+
+    def _count_keys(self) -> None:
+        count = len(self.flight)
+        number = f"{count} keyframe{'s' * (count > 1)}." if count else ""
+        self.keys.content = number or "No keyframes: the path goes through the photographs."
 
     def _add_files(self) -> None:
         gui = self.server.gui
-        with gui.add_folder("Save", expand_by_default=False):
+        with gui.add_folder("Save", expand_by_default=False, order=4):
             self.format = gui.add_dropdown("Format", (*FORMATS, "html"))
             save = gui.add_button("Download", icon=viser.Icon.DOWNLOAD)
             gui.add_markdown("The command line of what is shown:")
@@ -174,117 +146,106 @@ class Panel:
         @save.on_click
         def _(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
             if event.client is not None:
-                self._download(event.client, f"scene.{self.format.value}", self._write_scene)
+                name = self.format.value
+                self._download(event.client, f"scene.{name}", lambda path, _: self._write_scene(path, name))
 
-    def _path(self, name: str) -> str:
-        """A recent style by the name in its list."""
-        return next((style for style in self._styles() if _name(style) == name), "")
-
-    def _styles(self) -> list[str]:
-        return [*self.session.recent, *(style for style in self.session.saved if style not in self.session.recent)]
-
-    def _ask(self, style: str) -> None:
+    def ask(self, style: str) -> None:
+        """Ask for a style as the controls stand."""
         self.asked = style
-        second = "" if self.second.value == NONE else self._path(self.second.value)
-        self.unstyled.value = False
+        second = next((one for one in self.session.styles() if name_of(one) == self.second.value), "")
+        mixed = bool(style and second and second != style)
         self.session.ask(
             Wish(
                 style=style,
-                second=second if style and second != style else "",
-                amount=self.amount.value if second and second != style else 0.5,
+                second=second if mixed else "",
+                amount=self.amount.value if mixed else 0.5,
                 strength=self.strength.value,
                 preserve_color=float(self.preserve.value),
             )
         )
 
-    def _take_picture(self, event: viser.GuiEvent[viser.GuiUploadButtonHandle]) -> None:
-        """A picture from a browser: kept as PNG once it has been decoded safely."""
-        given = self.upload.value
+    def ask_picture(self, name: str, content: bytes) -> None:
+        """Ask for the style of a picture.
+
+        Raises:
+            ValueError: It is none.
+        """
+        self.ask(str(keep_picture(self._folder, name, content)))
+
+    def _take(self, name: str, content: bytes) -> None:
         try:
-            if len(given.content) > LARGEST_PICTURE:
-                raise ValueError(f"a picture of {len(given.content):,} bytes; at most {LARGEST_PICTURE:,} are taken")
-            stem = "".join(letter if letter.isalnum() else "-" for letter in Path(given.name).stem)[:40] or "picture"
-            self.uploads.mkdir(parents=True, exist_ok=True)
-            with tempfile.NamedTemporaryFile(dir=self.uploads, prefix=".given-") as file:
-                file.write(given.content)
-                file.flush()
-                picture = open_image(Path(file.name), longest=2048)
+            self.ask_picture(name, content)
         except (ValueError, OSError) as error:
-            self._say(one_line(error).replace(".given-", "the picture "))
-            return
-        target = self.uploads / f"{stem}.png"
-        picture.save(target)
-        self._ask(str(target))
+            self.status.content = one_line(error)
 
-    def _say(self, text: str) -> None:
-        self.status.content = text
-
-    def refresh(self, client: viser.ClientHandle | None = None) -> None:
-        """Show what the session holds now, in every browser."""
-        with self._lock:
-            shown = self.session.shown
-            gaussians = self.scene.unstyled if self.unstyled.value else self.session.gaussians
-            client = client or next(iter(self.server.get_clients().values()), None)
-            if self.split.value > 0 and client is not None and not self.unstyled.value:
-                left = self.flight.left_of(gaussians.means, client.camera, self.split.value)
-                gaussians = blended(self.scene.unstyled, gaussians, (~left).float())
-            self._show(gaussians)
-            names = [_name(style) for style in self._styles()]
-            for dropdown, value in ((self.recent, _name(shown.style)), (self.second, self.second.value)):
-                if dropdown.options != (NONE, *names):
-                    dropdown.options = (NONE, *names)
-                if dropdown.value != (value if value in names else NONE):
-                    dropdown.value = value if value in names else NONE
-            self._say(self.session.status or f"Shown: {_name(shown.style) or 'the scene itself'}")
-            self.command.content = f"```\n{shown.command(self.inputs)}\n```"
-
-    def _show(self, gaussians: Gaussians) -> None:
-        # The page keeps covariances in half precision, which small scenes fall below: they are enlarged on the way.
-        enlarged = 10 / self.flight.distance
-        blur = self.flight.pixel_variances(gaussians.means[0])[:, None, None] * torch.eye(
-            3, device=gaussians.means.device
-        )
-        values = {
-            "centers": gaussians.means[0].cpu().numpy() * enlarged,
-            "covariances": (covariances(gaussians) + blur).cpu().numpy() * enlarged**2,
-            "rgbs": rgb_from_constant(gaussians.harmonics[0, :, 0]).clamp(0, 1).cpu().numpy(),
-            "opacities": gaussians.opacities[0, :, None].cpu().numpy(),
-        }
-        if self._splats is None:
-            self._splats = self.server.scene.add_gaussian_splats("/scene", **values, scale=1 / enlarged)
+    def _tell(self) -> None:
+        """Show in every browser what is being done."""
+        painting, done = self.session.painting, self.session.done
+        self.progress.visible = painting is not None
+        self.progress.animated = done is None
+        self.progress.value = 100.0 if done is None else 100 * done
+        if painting is not None:
+            self.status.content = f"{name_of(painting.style)}: {self.session.status} …"
         else:
-            self._splats.set_gaussians(**values)
+            self.status.content = self.session.status or f"Shown: {name_of(self.session.shown.style) or 'unstyled'}"
 
-    def _download(self, client: viser.ClientHandle, name: str, write: Callable[[Path], None]) -> None:
+    def _changed(self) -> None:
+        """Show in every browser what the session holds now."""
+        with self._lock:
+            wish, gaussians = self.session.shown, self.session.gaussians
+            styled = self._shown is not None and wish != self._shown
+            self._shown = wish
+            self._after = drawn(gaussians, self.flight)
+            for look in self._looks.values():
+                look.show(self._after, styled=styled)
+        self._tell()
+        self.command.content = f"```\n{self.session.command(*self._opened)}\n```"
+        if wish == Wish(wish.style) or wish.style not in self._pictures:
+            self._draw(wish.style, gaussians)
+        self._show_row()
+        names = (NONE, *(name_of(style) for style in self.session.styles()))
+        if self.second.options != names:
+            self.second.options = names
+
+    def _draw_saved(self) -> None:
+        """Pictures of the styles that were there before."""
+        for style, gaussians in self.session.saved.items():
+            self._draw(style, gaussians)
+
+    def _draw(self, style: str, gaussians: Gaussians) -> None:
+        self._pictures[style] = address(to_pil(self.flight.small_picture(gaussians, THUMBNAIL)))
+        self._show_row()
+
+    def _show_row(self) -> None:
+        self.row.content = row(["", *self.session.styles()], self.session.shown.style, dict(self._pictures))
+
+    def _download(
+        self, client: viser.ClientHandle, name: str, write: Callable[[Path, Callable[[int, int], None]], None]
+    ) -> None:
+        """Write a file, and give it to one browser."""
         note = client.add_notification(f"Writing {name}", "", loading=True)
+
+        def tell(done: int, total: int) -> None:
+            note.body = f"{done} of {total} frames"
+
         try:
             with tempfile.TemporaryDirectory() as folder:
-                write(Path(folder) / name)
-                client.send_file_download(name, (Path(folder) / name).read_bytes())
+                write(Path(folder) / name, tell)
+                client.send_file_download(name, (Path(folder) / name).read_bytes(), save_immediately=True)
         except (ValueError, OSError) as error:
-            self._say(one_line(error))
+            client.add_notification(f"{name} is not written", one_line(error), color="red")
         finally:
             note.remove()
 
-    def _write_scene(self, path: Path) -> None:
-        name = path.suffix[1:]
-        if name != "html":
-            return export(self.session.gaussians, path, name)
-        title = _name(self.session.shown.style) or "the scene"
-        styles = [("unstyled", self.scene.unstyled), (title, self.session.gaussians)]
-        return write_page(path, styles if self.session.shown.style else styles[:1], self.scene.cameras, title=title)
+    def _write_scene(self, path: Path, name: str) -> None:
+        session, title = self.session, name_of(self.session.shown.style) or "unstyled"
+        notes = "\n".join(self.scene.notes)
+        if name == "html":
+            styles = {"unstyled": self.scene.unstyled, **session.kept(), title: session.gaussians}
+            styles[title] = styles.pop(title)  # the last one is shown at first
+            write_page(path, list(styles.items()), self.scene.cameras, title=title, notes=notes)
+        else:
+            export(session.gaussians, path, name, notes="\n".join(filter(None, (title, notes))))
 
-    def _write_video(self, path: Path) -> None:
-        self.flight.write(self.session.gaussians, path, self.seconds.value)
-
-
-def _name(style: str) -> str:
-    return Path(style).stem if style and Path(style).suffix == ".png" else style[:60]
-
-
-def covariances(gaussians: Gaussians) -> Float[Tensor, "N 3 3"]:
-    """Of the first scene of a batch, in its units squared."""
-    turned = (
-        matrix_from_wxyz(torch.nn.functional.normalize(gaussians.rotations[0], dim=-1)) * gaussians.scales[0, :, None]
-    )
-    return turned @ turned.mT
+    def _write_video(self, path: Path, on_frame: Callable[[int, int], None]) -> None:
+        self.flight.write(self.session.gaussians, path, self.seconds.value, on_frame)

@@ -92,11 +92,9 @@ class ProceduralScenes(SceneSource):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Small pictures."""
         return {"size": 32, "num_scenes": 4, "views": 3}
 
     def __len__(self) -> int:
-        """How many scenes there are."""
         return self.num_scenes
 
     def name(self, scene: int) -> str:
@@ -110,7 +108,6 @@ class ProceduralScenes(SceneSource):
         return self.views
 
     def read(self, scene: int, views: Sequence[int]) -> Views:
-        """Render some views of one scene, with cameras and depth."""
         self._check(scene)
         views = list(views)
         wrong = [view for view in views if not 0 <= view < self.views]

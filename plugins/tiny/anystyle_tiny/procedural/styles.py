@@ -91,29 +91,24 @@ class ProceduralStyles(StyleSource):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Small pictures."""
         return {"size": 32, "num_styles": 8}
 
     def __len__(self) -> int:
-        """How many styles there are."""
         return self.num_styles
 
     def read(self, style: int) -> Style:
-        """Paint one style and describe it."""
         draw, traits = self._draw(style)
         directed = PATTERNS[traits.pattern] in DIRECTED
         text = describe(
+            draw,
             pattern=PATTERNS[traits.pattern],
             colors=traits.colors,
             scale=traits.scale,
             brushwork=BRUSHWORK[traits.brushwork],
             direction=DIRECTIONS[traits.direction] if directed and draw.chance(0.5) else None,
-            below=draw.below,
         )
         return Style(
-            image=paint_style(draw, traits, self.size),
-            text=(text,),
-            names=(f"{self.split}-{self.seed}-{style:05d}",),
+            image=paint_style(draw, traits, self.size), text=(text,), names=(f"{self.split}-{self.seed}-{style:05d}",)
         )
 
     def traits(self, style: int) -> StyleTraits:

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import perception
-from anystyle.training.optim import decayed_groups, scheduled
+from anystyle.training.optim import decayed_adamw
 from anystyle_tiny.style_encoder import KNOTS, SIDE, Tiny, colors, shorter_side
 from anystyle_tiny.training.styles import StyleBatch, StyleTraining, TraitHeads, retrieval
 
@@ -24,9 +24,8 @@ class EmbeddingTraining(StyleTraining):
 
     Args:
         style_encoder: What learns.
-        texture: Start the convolutions from this network of :func:`anystyle.perception.load`; none for random ones.
-        tune_texture: Whether the convolutions go on learning. If not, their features are computed once a picture, and
-            a step takes a tenth of the time.
+        texture: The convolutions, which do not learn, are this network's of :func:`anystyle.perception.load`; none for
+            random ones. Their features are computed once a picture.
         batch_size: Styles a step.
         photos: Photographs a step, which stand for no style.
         pool: Styles to draw from, kept in memory; none means all there are.
@@ -37,10 +36,8 @@ class EmbeddingTraining(StyleTraining):
         whiten_at: Where whitening is fixed, as a fraction of the training.
         whiten_on: How many styles it is computed from.
         learning_rate: Peak, of AdamW.
-        texture_rate: Of the convolutions, times ``learning_rate``.
         warmup: Steps of the warm-up.
         weight_decay: Of matrices.
-        bf16: Whether the image tower computes in bfloat16.
     """
 
     def __init__(
@@ -48,7 +45,6 @@ class EmbeddingTraining(StyleTraining):
         *,
         style_encoder: Tiny,
         texture: str | None = "texture",
-        tune_texture: bool = False,
         batch_size: int = 192,
         photos: int = 16,
         pool: int | None = 12000,
@@ -59,10 +55,8 @@ class EmbeddingTraining(StyleTraining):
         whiten_at: float = 0.6,
         whiten_on: int = 2048,
         learning_rate: float = 2e-3,
-        texture_rate: float = 0.2,
         warmup: int = 50,
         weight_decay: float = 0.05,
-        bf16: bool = True,
     ) -> None:
         super().__init__()
         self.style_encoder = style_encoder
@@ -71,29 +65,25 @@ class EmbeddingTraining(StyleTraining):
             with torch.no_grad():
                 for name, parameter in style_encoder.image_tower.texture.named_parameters():
                     parameter.copy_(start[name])
-        style_encoder.image_tower.texture.requires_grad_(tune_texture)
-        self.tune_texture, self.feature_noise = tune_texture, feature_noise
+        style_encoder.image_tower.texture.requires_grad_(False)
+        self.feature_noise = feature_noise
         self._known: dict[int, tuple[Tensor, Tensor]] = {}
         self.batch_size, self.photos, self.pool = batch_size, photos, pool
         self.names_weight, self.noise_words = names_weight, noise_words
         self.palette_weight = palette_weight
         self.whiten_at, self.whiten_on = whiten_at, whiten_on
-        self.learning_rate, self.texture_rate = learning_rate, texture_rate
-        self.warmup, self.weight_decay, self.bf16 = warmup, weight_decay, bf16
+        self.learning_rate, self.warmup, self.weight_decay = learning_rate, warmup, weight_decay
         self.traits = TraitHeads(style_encoder.dim)
         self.log_temperature = nn.Parameter(torch.tensor(0.07).log())
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """A few small pictures."""
-        return {"texture": None, "batch_size": 4, "photos": 2, "pool": 8, "whiten_on": 8, "warmup": 1, "bf16": False}
+        return {"texture": None, "batch_size": 4, "photos": 2, "pool": 8, "whiten_on": 8, "warmup": 1}
 
     def exports(self) -> Mapping[str, nn.Module]:
-        """The encoder."""
         return {"style_encoder": self.style_encoder}
 
     def on_train_batch_start(self, batch: StyleBatch, batch_idx: int) -> None:
-        """Fix the whitening when it is time."""
         if self.global_step == int(self.whiten_at * self.trainer.max_steps):
             self.whiten()
 
@@ -106,13 +96,9 @@ class EmbeddingTraining(StyleTraining):
         self.style_encoder.train()
 
     def training_step(self, batch: StyleBatch, step: int) -> Tensor:
-        """Contrast between modalities, and what each must say of the style by itself."""
         styles = len(batch.texts)
         images = torch.cat([batch.images, batch.photos])
-        if self.tune_texture:
-            raw, ramps = self.varied_pictures(images)
-        else:
-            raw, ramps = self.known_pictures(images, batch.keys)
+        raw, ramps = self.known_pictures(images, batch.keys)
         pictures = self.style_encoder.from_image_tower(raw)
         captions = self.style_encoder.embed_texts(
             [_noisy(text, self.noise_words) for text in batch.texts + batch.photo_texts]
@@ -132,18 +118,6 @@ class EmbeddingTraining(StyleTraining):
         """Squared error of the ramps that embeddings give back, over the variance of uniform colours."""
         target = F.adaptive_avg_pool1d(ramps.mT, KNOTS).mT
         return 12 * (self.style_encoder.palette(vectors) - target).square().mean()
-
-    def varied_pictures(
-        self, images: Float[Tensor, "M 3 H W"]
-    ) -> tuple[Float[Tensor, "M D"], Float[Tensor, "M knots 3"]]:
-        """What the image tower says of varied pictures, and their ramps; all of it learns."""
-        tower = self.style_encoder.image_tower
-        images = varied(images)
-        small = shorter_side(images, SIDE).contiguous(memory_format=torch.channels_last)
-        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.bf16):
-            textures = tower.textures(small)
-        ramps = colors(images)
-        return tower.join(textures.float(), ramps), ramps
 
     def known_pictures(
         self, images: Float[Tensor, "M 3 H W"], keys: tuple[int, ...]
@@ -193,20 +167,9 @@ class EmbeddingTraining(StyleTraining):
         return vectors * self.style_encoder.dim**0.5
 
     def configure_optimizers(self) -> Any:
-        """AdamW with a warm-up and a cosine to 1 % of the rate."""
-        texture = self.style_encoder.image_tower.texture
-        slow = {id(parameter) for parameter in texture.parameters()}
-        groups = decayed_groups([self], lr=self.learning_rate, weight_decay=self.weight_decay)
-        for group in groups:
-            group["params"] = [parameter for parameter in group["params"] if id(parameter) not in slow]
-        groups += decayed_groups([texture], lr=self.texture_rate * self.learning_rate, weight_decay=self.weight_decay)
-        groups = [group for group in groups if group["params"]]
-        return scheduled(
-            torch.optim.AdamW(groups, betas=(0.9, 0.98)),
-            total=self.trainer.max_steps - self.warmup,
-            warmup=self.warmup,
-            floor=0.01 * self.texture_rate * self.learning_rate,
-        )
+        """AdamW with a warm-up and a cosine to 0.2 % of the rate."""
+        rate, decay, steps = self.learning_rate, self.weight_decay, self.trainer.max_steps
+        return decayed_adamw(self, lr=rate, weight_decay=decay, steps=steps, warmup=self.warmup, floor=2e-3)
 
 
 def _noisy(text: str, chance: float) -> str:
@@ -217,15 +180,3 @@ def _noisy(text: str, chance: float) -> str:
     words = text.split()
     words.insert(int(torch.randint(len(words) + 1, ())), "".join(chr(97 + letter) for letter in letters))
     return " ".join(words)
-
-
-def varied(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 h w"]:
-    """Pictures mirrored, cut to nine tenths and more, a little noisy."""
-    _, _, height, width = images.shape
-    keep = 0.9 + 0.1 * float(torch.rand(()))
-    tall, wide = round(keep * height), round(keep * width)
-    top, left = int(torch.randint(height - tall + 1, ())), int(torch.randint(width - wide + 1, ()))
-    cut = images[..., top : top + tall, left : left + wide]
-    flips = [axis for axis in (-2, -1) if torch.rand(()) < 0.5]
-    cut = cut.flip(flips) if flips else cut
-    return (cut + 0.02 * torch.randn_like(cut)).clamp(0, 1)

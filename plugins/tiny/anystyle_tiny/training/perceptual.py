@@ -14,7 +14,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from anystyle.perception.features import walk
 from anystyle.perception.statistics import pooled_moments
 from anystyle.perception.texture import Texture, centred
-from anystyle.training.optim import decayed_groups, scheduled
+from anystyle.training.optim import decayed_adamw
 from anystyle_tiny.training.palette import COLORS, palette_loss
 from anystyle_tiny.training.styles import TRAITS, UNKNOWN, StyleBatch, StyleTraining, TraitHeads
 
@@ -76,7 +76,6 @@ class PerceptualTraining(StyleTraining):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """A few small pictures."""
         return {"batch_size": 4, "photos": 2, "pool": 8, "crop": 24, "warmup": 1, "bf16": False}
 
     def exports(self) -> Mapping[str, nn.Module]:
@@ -84,7 +83,6 @@ class PerceptualTraining(StyleTraining):
         return {"texture": self.network.folded()}
 
     def training_step(self, batch: StyleBatch, step: int) -> Tensor:
-        """Cross-entropies of the traits, and the palette's distance."""
         shrunk = torch.rand(len(batch.images), device=batch.images.device) < self.shrink
         images = self.varied(batch, shrunk)
         pooled = self.pooled(images)
@@ -134,21 +132,12 @@ class PerceptualTraining(StyleTraining):
 
     def configure_optimizers(self) -> Any:
         """AdamW with a warm-up and a cosine to 1 % of the rate."""
-        groups = decayed_groups([self], lr=self.learning_rate, weight_decay=self.weight_decay)
-        return scheduled(
-            torch.optim.AdamW(groups),
-            total=self.trainer.max_steps - self.warmup,
-            warmup=self.warmup,
-            floor=0.01 * self.learning_rate,
-        )
+        rate, decay, steps = self.learning_rate, self.weight_decay, self.trainer.max_steps
+        return decayed_adamw(self, lr=rate, weight_decay=decay, steps=steps, warmup=self.warmup, betas=(0.9, 0.999))
 
 
 class Normed(nn.Module):
-    """A convolution and a batch normalisation.
-
-    Args:
-        convolution: Taken over as it is.
-    """
+    """A convolution and a batch normalisation."""
 
     def __init__(self, convolution: nn.Conv2d) -> None:
         super().__init__()
@@ -156,7 +145,6 @@ class Normed(nn.Module):
         self.norm = nn.BatchNorm2d(convolution.out_channels)
 
     def forward(self, maps: Float[Tensor, "M C h w"]) -> Float[Tensor, "M c h w"]:
-        """Filter, then normalise."""
         return self.norm(self.convolution(maps))
 
 

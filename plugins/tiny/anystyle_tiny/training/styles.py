@@ -188,11 +188,7 @@ def retrieval(images: Float[Tensor, "M D"], texts: Float[Tensor, "M D"]) -> dict
 
 
 class TraitHeads(nn.ModuleDict):
-    """A linear answer to each of :data:`TRAITS`.
-
-    Args:
-        channels: Of what it reads.
-    """
+    """A linear answer to each of :data:`TRAITS`."""
 
     def __init__(self, channels: int) -> None:
         super().__init__({name: nn.Linear(channels, answers) for name, answers in TRAITS.items()})

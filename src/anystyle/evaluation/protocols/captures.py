@@ -96,7 +96,6 @@ class Captures(Protocol):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """A wall from six cameras that are known."""
         write_wall(folder / "wall")
         small = {"num_gaussians": 100, "num_steps": 4, "short_side": 48, "holdout": 4}
         return {"captures": [str(folder / "wall")], "poses": "known", "weights": "stand_in", **small}
@@ -200,11 +199,7 @@ class Captures(Protocol):
         return (
             posed.views,
             posed.points,
-            {
-                "trust": verdict.trust,
-                "reasons": list(verdict.reasons),
-                "registered": registered,
-            },
+            {"trust": verdict.trust, "reasons": list(verdict.reasons), "registered": registered},
         )
 
     @torch.no_grad()

@@ -18,7 +18,6 @@ class Folders(Protocol):
     ``SCENE/FRAME.png``, styles ``STYLE.png``; or all three have the same names.
 
     Args:
-        metrics: By name; the framework passes them.
         content: A folder of photographs.
         style: A folder of style images.
         stylized: A folder of results.
@@ -36,7 +35,6 @@ class Folders(Protocol):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Two scenes in two styles."""
         grey = Image.linear_gradient("L").convert("RGB").resize((24, 16))
         for scene, turn in (("one", 0), ("two", 180)):
             for frame in range(2):
@@ -51,6 +49,5 @@ class Folders(Protocol):
         return {kind: str(folder / kind) for kind in ("content", "style", "stylized")}
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
-        """See :meth:`anystyle.evaluation.contract.Protocol.run`."""
         evaluation = judge_pairing(self.metrics, self.pairing, out, progress)
         return evaluation.with_facts(unused=list(self.pairing.unused))

@@ -34,9 +34,6 @@ class Tables(Protocol):
     method's renders. Each row's figures lie in ``methods/NAME`` of the results, where ``anystyle report`` reads them.
 
     Args:
-        stylizer: The model; the framework passes it.
-        method: How the model's scenes take styles; likewise.
-        metrics: By name; likewise.
         root: The folder.
         table: The paper's table whose figures are computed, such as ``table_2``; ``None`` takes every metric.
         guides: How styles enter the model: ``image``, ``text``, or both; none leaves the model out.
@@ -89,7 +86,6 @@ class Tables(Protocol):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """One scene, one style, and a method that turned the photographs upside down."""
         grey = Image.linear_gradient("L").convert("RGB").resize((16, 16))
         render = folder / "methods" / "flip" / "garden" / "00"
         for path in (folder / "content" / "Garden", folder / "styles", render):
@@ -104,7 +100,6 @@ class Tables(Protocol):
         }  # fmt: skip
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
-        """See :meth:`anystyle.evaluation.contract.Protocol.run`."""
         rows: dict[str, Evaluation] = {}
         for guide in self.guides:
             name = f"model_{guide}"

@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
 from anystyle.reconstructions.kept import kept, key_of
-from anystyle.reconstructions.sfm.model import SparseModel, Tracks
+from anystyle.reconstructions.sfm.model import Lens, SparseModel, Tracks
 from anystyle.reconstructions.sfm.pairs import pairs_to_match
 from anystyle.reconstructions.sfm.photographs import Enlargement, Photograph
 from anystyle.reconstructions.sfm.undistort import undistorted_image, undistorted_model
@@ -33,6 +33,7 @@ class PosedPhotographs:
         points: Sparse points of the scene.
         tracks: Which photograph sees which point where, in pixels of ``images``.
         verdict: How far this can be trusted, and what was left out.
+        lenses: That the photographs were taken with, distortion included; ``None`` where nothing is known.
         kept: Whether an earlier run found them.
     """
 
@@ -43,6 +44,7 @@ class PosedPhotographs:
     points: Float64[Array, "P 3"]
     tracks: Tracks
     verdict: Verdict
+    lenses: tuple[Lens | None, ...]
     kept: bool = False
 
     @property
@@ -183,4 +185,5 @@ def _posed(photographs: Sequence[Photograph], model: SparseModel | None, verdict
         points=straight.points,
         tracks=straight.tracks,
         verdict=verdict,
+        lenses=model.lenses,
     )

@@ -28,7 +28,6 @@ class CrossedT(StudyTest):
         self.confidence = confidence
 
     def __call__(self, responses: Responses) -> TestResult:
-        """Test whether the mean deviation is 0."""
         factors = responses.factors
         levels = {factor: int(codes.max()) + 1 for factor, codes in factors.items()}
         people = levels.get("participants", 1)

@@ -22,7 +22,6 @@ class OneSampleT(StudyTest):
         self.confidence = confidence
 
     def __call__(self, responses: Responses) -> TestResult:
-        """Test whether the mean deviation is 0."""
         values, n = responses.deviations, responses.count
         method = "one-sample t test of the mean deviation"
         if n < 2:
@@ -43,7 +42,6 @@ class OneSampleT(StudyTest):
             interval=t_interval(mean, error, float(n - 1), self.confidence, self.alternative),
             effect=mean / sd,
             effect_name="cohens_d",
-            effect_interval=(math.nan, math.nan),
             n=n,
             confidence=self.confidence,
             method=f"{method}, {n - 1} degrees of freedom",

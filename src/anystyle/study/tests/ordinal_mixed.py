@@ -30,7 +30,6 @@ class OrdinalMixed(StudyTest):
         self.confidence = confidence
 
     def __call__(self, responses: Responses) -> TestResult:
-        """Test whether the latent preference is 0."""
         people = len(np.unique(responses.participants))
         method = "cumulative-logit mixed model, crossed random intercepts, Laplace approximation"
         nothing = TestResult.untestable(responses, reason="", alternative=self.alternative, method=method)

@@ -1,0 +1,78 @@
+"""Distillation: views as the style transfer network paints them in 2D."""
+
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import Loss
+from anystyle.perception.features import Frozen, freeze
+from anystyle.types import Stylization
+from anystyle_magenta.prediction import StylePrediction
+from anystyle_magenta.pretrained import load_prediction, load_transfer
+from anystyle_magenta.style_encoder import centre_square
+from anystyle_magenta.stylize import stylize_images
+from anystyle_magenta.transfer import StyleTransfer
+
+
+class Painter(Frozen):
+    """Magenta's two networks with their published weights."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.prediction, self.transfer = StylePrediction(), StyleTransfer()
+        load_prediction(self.prediction)
+        load_transfer(self.transfer)
+
+
+class Teacher(Loss):
+    """Come near the photographs as Magenta's networks stylize them: ``mean |I - T| + edges * mean |dI - dT|``.
+
+    ``T`` are the photographs of a scene, stylized together by the style image, ``d`` differences of neighbouring
+    pixels, down and across. What the style enters as does not matter; a text alone adds nothing.
+
+    Args:
+        working_size: The shorter side in pixels at which the teacher sees the photographs.
+        edges: The factor above.
+        weight: In the objective.
+
+    Raises:
+        FileNotFoundError: The package with the weights is not installed.
+    """
+
+    def __init__(self, *, working_size: int = 224, edges: float = 1.0, weight: float = 10.0) -> None:
+        super().__init__()
+        self.painter = freeze(Painter().eval())
+        self.working_size, self.edges, self.weight = working_size, edges, weight
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        """On small pictures."""
+        return {"working_size": 32}
+
+    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+        """See :meth:`anystyle.contracts.Loss.forward`."""
+        renders, image, given = result.renders.color, result.style.image, result.style.has_image
+        if image is None:
+            return renders.new_zeros(())
+        distance = self._distance(renders, self.stylized(result.views.images, image))
+        if given is None:
+            return distance.mean()
+        return torch.where(given, distance, 0).sum() / given.sum().clamp_min(1)
+
+    @torch.no_grad()
+    def stylized(
+        self, photographs: Float[Tensor, "B V 3 H W"], style: Float[Tensor, "B 3 h w"]
+    ) -> Float[Tensor, "B V 3 H W"]:
+        """What is to be learnt; all in sRGB in [0, 1]."""
+        vectors = self.painter.prediction(centre_square(style))
+        return stylize_images(self.painter.transfer, photographs, vectors, working_size=self.working_size, joint=True)
+
+    def _distance(self, renders: Float[Tensor, "B V 3 H W"], target: Tensor) -> Float[Tensor, " B"]:
+        terms = [F.l1_loss(renders, target, reduction="none").flatten(1).mean(1)]
+        for axis in (-1, -2):
+            edges = F.l1_loss(renders.diff(dim=axis), target.diff(dim=axis), reduction="none")
+            terms.append(self.edges * edges.flatten(1).mean(1))
+        return torch.stack(terms).sum(0)
