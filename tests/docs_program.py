@@ -4,24 +4,12 @@ Run as a script it reads lines of JSON with the words of a command, its folder a
 its own what ``python -m anystyle`` does with them, and answers with a line: exit status, both streams, CPU seconds.
 """
 
-import importlib
 import json
 import os
 import subprocess
 import sys
 from pathlib import Path
 from typing import NamedTuple
-
-LIBRARIES = (
-    *("torch", "lightning", "hydra", "torchmetrics", "kornia", "scipy.optimize", "scipy.stats", "matplotlib.pyplot"),
-    *(
-        "anystyle.inference.assemble",
-        "anystyle.training.run",
-        "anystyle.evaluation.runner",
-        "anystyle.evaluation.plots",
-    ),
-    *("anystyle.testing.run", "anystyle.renderers.cpu", "anystyle.io.video", "anystyle.study.analysis"),
-)
 
 
 class Done(NamedTuple):
@@ -83,8 +71,8 @@ def _child(asked: dict) -> None:
 
 
 def _serve() -> None:
-    for name in LIBRARIES:
-        importlib.import_module(name)
+    import warm  # noqa: F401
+
     for line in sys.stdin:
         asked = json.loads(line)
         child = os.fork()

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-PRELOADED = ("anystyle.training.run", "anystyle.training.stylization", "anystyle.renderers.cpu", "training_cases")
+PRELOADED = ("warm", "training_cases")
 
 
 def start(

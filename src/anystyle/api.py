@@ -9,9 +9,11 @@ from torch import Tensor
 
 from anystyle.inference.assemble import assemble_frozen, default_device, method_named
 from anystyle.inference.controls import Controls
-from anystyle.inference.encoding import EncodedCapture, Inputs, encode_capture, encode_splat
+from anystyle.inference.encoding import EncodedCapture as EncodedCapture
+from anystyle.inference.encoding import Inputs, encode_capture, encode_splat
 from anystyle.inference.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
-from anystyle.inference.results import Result, Results
+from anystyle.inference.results import Result as Result
+from anystyle.inference.results import Results
 from anystyle.inference.splats import is_splat
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import Mixture, StyleInput, embed_styles
@@ -126,21 +128,3 @@ def stylize(
         if folder is not None:
             results.write(folder)
     return results
-
-
-__all__ = [
-    "Controls",
-    "EncodedCapture",
-    "ExportOptions",
-    "Mixture",
-    "PoseOptions",
-    "Result",
-    "Results",
-    "SplatOptions",
-    "Stages",
-    "Style",
-    "VideoOptions",
-    "ViewOptions",
-    "load",
-    "stylize",
-]

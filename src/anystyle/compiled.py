@@ -1,5 +1,6 @@
 """How numeric kernels are compiled."""
 
+import inspect
 import logging
 from collections.abc import Callable, Collection
 from typing import Any
@@ -21,6 +22,7 @@ def compiled(function: Callable[..., Any], *, fastmath: Collection[str] = ()) ->
         function: What numba can compile.
         fastmath: LLVM's flags for what floating-point arithmetic may be rewritten.
     """
+    function = inspect.unwrap(function)  # tests check annotations by wrappers, which numba cannot compile
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": set(fastmath)}
     try:
         return njit(cache=True, **options)(function)

@@ -238,6 +238,12 @@ class Metric(Socket, torchmetrics.Metric, ABC):
     weights: Mapping[str, str] = MappingProxyType({})
     """Set by an instance: the SHA-256 of every file of weights that figures rest on, by the file's name."""
 
+    is_differentiable = False
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        cls.higher_is_better = "lower" not in getattr(cls, "better", {}).values()
+
     @abstractmethod
     def update(self, comparison: Comparison) -> None:
         """Take in stylized scenes."""
@@ -318,23 +324,3 @@ class StyleSource(Socket, ABC):
 def neutral_embedding(encoder: StyleEncoder) -> Float[Tensor, "1 D"]:
     """The embedding of the encoder's neutral prompt, which style directions start from."""
     return encoder.embed_texts([encoder.neutral])
-
-
-__all__ = [
-    "Adapter",
-    "Aggregator",
-    "Backbone",
-    "Correspondence",
-    "Embedder",
-    "GaussianHead",
-    "GeometryHead",
-    "Injector",
-    "Loss",
-    "Metric",
-    "Placement",
-    "Renderer",
-    "SceneSource",
-    "StyleEncoder",
-    "StyleSource",
-    "neutral_embedding",
-]

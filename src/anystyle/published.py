@@ -62,6 +62,3 @@ class PublishedEncoder(ABC):
                 f"the style branch was trained with a text adapter, which a {type(encoder).__name__} has not; choose "
                 "the style encoder it was trained with"
             )
-
-
-__all__ = ["Published", "PublishedEncoder"]

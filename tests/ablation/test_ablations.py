@@ -16,9 +16,10 @@ from anystyle.training.run import objective
 from training_cases import BACKBONE
 
 ROWS = ("base", "all_geometry", "no_clip_loss", "no_style_loss", "no_text")
+PAPER = {"content", "style", "clip_directional", "clip_patch", "depth_consistency"}
 TERMS = {
     "paper_head": {
-        "base": {"content", "style", "clip_directional", "clip_patch", "depth_consistency"},
+        "base": PAPER,
         "no_clip_loss": {"content", "style", "depth_consistency"},
         "no_style_loss": {"content", "clip_directional", "clip_patch", "depth_consistency"},
     },
@@ -28,9 +29,9 @@ TERMS = {
         "no_style_loss": {"luminance", "clip_directional"},
     },
     "tiny_ablation": {
-        "base": {"sliced_wasserstein", "luminance", "clip_directional", "edge_aware_smoothness"},
-        "no_clip_loss": {"sliced_wasserstein", "luminance", "edge_aware_smoothness"},
-        "no_style_loss": {"luminance", "clip_directional", "edge_aware_smoothness"},
+        "base": {*PAPER, "sliced_wasserstein", "edge_aware_smoothness"},
+        "no_clip_loss": {"content", "style", "depth_consistency", "sliced_wasserstein", "edge_aware_smoothness"},
+        "no_style_loss": PAPER - {"style"} | {"edge_aware_smoothness"},
     },
 }
 TABLE = f"ablation={','.join(ROWS)}"
@@ -70,6 +71,11 @@ def test_objective_of_each_row(experiment, ablation):
     assert (config.training.text_ratio == 0) is (ablation == "no_text")
     styled = ["opacity", "scale", "rotation", "color"] if ablation == "all_geometry" else ["rotation", "color"]
     assert list(config.branch.styled) == styled
+
+
+def test_distillation_replaces_the_terms_of_the_tiny_recipe():
+    config = compose("train", ["experiment=tiny_ablation", "ablation=distillation", "cache=null", "name=x", "out=x"])
+    assert set(objective(config)) == {"teacher", "depth_consistency"}
 
 
 def test_what_is_left_out_must_be_a_loss():

@@ -3,6 +3,7 @@
 import ast
 import builtins
 import os
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -156,13 +157,14 @@ def test_a_folder_is_never_overwritten(tmp_path):
 
 
 def test_a_failure_on_the_way_leaves_nothing(tmp_path, monkeypatch):
-    def full(*_, **__):
-        raise OSError(28, "No space left on device", "README.md")
-
-    monkeypatch.setattr(plugins_new, "README", type("Template", (), {"format": full})())
-    with pytest.raises(OSError, match="No space left"):
-        plugins_new.main(["loss", "mine", "--into", str(tmp_path)])
-    assert list(tmp_path.iterdir()) == []
+    for name in ("pyproject.toml.in", "test.py.in"):
+        shutil.copy(plugins_new.TEMPLATES / name, tmp_path)
+    monkeypatch.setattr(plugins_new, "TEMPLATES", tmp_path)
+    into = tmp_path / "plugins"
+    into.mkdir()
+    with pytest.raises(OSError, match=r"README\.md\.in"):
+        plugins_new.main(["loss", "mine", "--into", str(into)])
+    assert list(into.iterdir()) == []
 
 
 def test_torch_is_not_imported(tmp_path):

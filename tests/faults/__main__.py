@@ -22,8 +22,8 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-for folder in (Path(__file__).parents[1], Path(__file__).parents[1] / "study"):
-    sys.path.insert(0, str(folder))
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[1] / "study"))
 
 import forked
 from faults.jobs import JOBS, QUICK, Job, result, whole
@@ -53,7 +53,7 @@ class Reference:
         began = time.monotonic()  # of the second time, when files are cached
         assert not (problem := self.finishes(self.fresh())), f"{name} comes to another end by itself: {problem}"
         self.seconds = time.monotonic() - began
-        self.size = sum(path.stat().st_size for path in (self.folder / job.out).rglob("*") if path.is_file())
+        self.size = pages(self.folder) - pages(self.before)
 
     def fresh(self, finished: bool = False) -> Path:
         """A folder with the inputs; with the results, too, where the work was finished before."""
@@ -83,6 +83,12 @@ class Reference:
         return ""
 
 
+def pages(folder: Path) -> int:
+    """The room that a folder takes on a disk in memory."""
+    sizes = [path.stat().st_size for path in folder.rglob("*") if path.is_file()]
+    return sum(-(-size // 4096) * 4096 for size in sizes)
+
+
 def temporary(folder: Path) -> list[str]:
     """Files and folders of works that are under way."""
     return [
@@ -98,7 +104,8 @@ def torn(folder: Path) -> str:
     for path in sorted(folder.rglob("*")):
         parts = path.relative_to(folder).parts
         if path.is_file() and not path.name.startswith(".") and not any(part.startswith(hidden) for part in parts):
-            if "log" not in parts and (problem := whole(path)):
+            problem = "" if "log" in parts else whole(path)
+            if problem:
                 return f"half-written: {problem}"
     return ""
 
@@ -147,8 +154,8 @@ def told_to_stop(number: signal.Signals, reference: Reference, draw: random.Rand
 def no_room(reference: Reference, draw: random.Random) -> tuple[str, str]:
     """A disk of random size that is full before the work is done; afterwards there is room."""
     folder = reference.fresh()
-    room = int(reference.size * draw.uniform(0.02, 0.95)) // 4096 * 4096
-    with mounted(folder, f"size={room + sum(path.stat().st_size for path in folder.rglob('*')) + (16 << 10)}"):
+    room = int(reference.size * draw.uniform(0, 0.9))
+    with mounted(folder, f"size={room + pages(folder) + 4096}"):
         code, said = reference.run(folder)
         problem = refused(code, said) or torn(folder)
         subprocess.run(["mount", "-o", "remount,size=1g", folder], check=True)

@@ -12,6 +12,7 @@ from anystyle.losses.gram import Gram
 from anystyle.losses.nnfm import NNFM
 from anystyle.losses.sliced_wasserstein import SlicedWasserstein
 from anystyle.losses.style import StyleLoss
+from anystyle.perception import efficientnet
 from oracle import assert_matches, golden, smooth_image
 from style_cases import filled_vgg_file, stylization
 
@@ -39,6 +40,28 @@ def test_style_and_content_match_the_reference() -> None:
     assert weighted[1].item() == pytest.approx(expected["mask_1_0"]["content"], rel=1e-4)
     sum(weighted).backward()
     assert_matches(rendered.grad, expected["mask_1_0"]["grad_pred"], rtol=2e-3, atol=2e-8)
+
+
+def test_efficientnet_stands_under_the_same_equations() -> None:
+    """Eq. 7 and 8 on the features of the published network, as another loader gives them."""
+    names, size = ["expand1", "expand5"], (64, 64)
+    network = efficientnet.load()
+    rendered, photographs, styles = RENDERED[..., :64, :64], PHOTOGRAPHS[..., :64, :64], STYLES[..., :64, :64]
+    result = stylization(rendered, photographs, styles)
+    assert rendered.shape[-2:] == size
+    of = [network(images, names) for images in (rendered.flatten(0, 1), photographs.flatten(0, 1), styles)]
+    style = sum(
+        sum((a - b.repeat_interleave(2, 0)).square().mean() for a, b in zip(*map(_moments, pair), strict=True))
+        for pair in zip(of[0], of[2], strict=True)
+    )
+    content = sum((a - b).square().mean() for a, b in zip(of[0], of[1], strict=True))
+    options = {"network": "efficientnet_lite0", "layers": names, "size": None}
+    torch.testing.assert_close(StyleLoss(**options)(result), style)
+    torch.testing.assert_close(Content(**options)(result), content)
+
+
+def _moments(features: Tensor) -> tuple[Tensor, Tensor]:
+    return features.mean((2, 3)), features.std((2, 3))
 
 
 @pytest.mark.parametrize("build", [StyleLoss, Gram, SlicedWasserstein])

@@ -65,3 +65,17 @@ def test_bad_options_are_one_line(options):
     with pytest.raises(ValueError, match=r"nowhere|num_styles|size") as caught:
         CaptionedPictures(**options)
     assert "\n" not in str(caught.value)
+
+
+def test_pictures_are_left_as_they_are_where_nothing_is_to_be_retouched(tmp_path):
+    Image.new("RGB", (24, 24), (200, 40, 10)).save(tmp_path / "red.png")
+    options = {"size": 8, "num_styles": 60, "paintings": str(tmp_path), "retouch": False}
+    for pictures, expected in ((1.0, 60), (0.5, 30), (0.0, 0)):
+        source = CaptionedPictures(**options, pictures=pictures)
+        styles = [source.read(index) for index in range(60)]
+        flat = torch.tensor([200, 40, 10]).view(3, 1, 1) / 255
+        shown = [style for style in styles if (style.image[0] - flat).abs().max() < 1e-3]
+        assert abs(len(shown) - expected) <= 10 * (0 < pictures < 1)
+        assert all(style.text == ("",) for style in shown)
+    with pytest.raises(ValueError, match=r"styles\.pictures=2\.0: give a number from 0 to 1"):
+        CaptionedPictures(size=8, pictures=2.0)

@@ -17,7 +17,7 @@ TOY = (*(word for word in STYLIZATION if not word.startswith("trainer.max_steps=
 
 def finish(*processes) -> None:
     for process in processes:
-        process.join(120)
+        process.join()
         assert process.exitcode == 0
 
 
@@ -99,7 +99,7 @@ def test_a_full_disk_keeps_the_last_good_checkpoint_and_says_so_in_one_line(tmp_
     good = (tmp_path / "last.ckpt").read_bytes()
     more = (*words, "training.decay_steps=4", "resume=changed")
     full = start(more, tmp_path, largest=len(good) // 2)
-    full.join(120)
+    full.join()
     assert full.exitcode == 2
     assert (tmp_path / "last.ckpt").read_bytes() == good and not list(tmp_path.glob(".last-*"))
     told = [line for line in said(tmp_path).splitlines() if line.startswith("anystyle: error:")]

@@ -18,15 +18,7 @@ class Aggregator(contracts.Aggregator):
     Style may enter ahead of every pair, on the residual stream; the published method uses the first layer and those
     that heads read. A tapped feature is the outputs of both blocks of the layer, side by side in the channels.
 
-    Args:
-        dim: Channels.
-        depth: Pairs of blocks.
-        heads: Attention heads; ``dim / heads`` is a multiple of 4.
-        mlp_ratio: Width of the blocks' MLPs.
-        layer_scale: Initial LayerScale.
-        rope_base: Of the frequencies of the rotary position embedding.
-        taps: The layers that heads read, in rising order.
-        checkpointing: Whether training recomputes blocks in the backward pass to save memory.
+    Options are explained at :class:`~anystyle_anysplat.AnySplat`.
     """
 
     def __init__(

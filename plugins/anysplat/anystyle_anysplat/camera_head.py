@@ -11,13 +11,7 @@ from anystyle.nn.attention import Block, Mlp
 class CameraHead(nn.Module):
     """Predicts each view's pose encoding from its camera token.
 
-    Args:
-        dim: Channels of the camera tokens.
-        depth: Blocks; they attend across views.
-        heads: Attention heads.
-        mlp_ratio: Width of the blocks' MLPs.
-        layer_scale: Initial LayerScale.
-        iterations: Passes; each adds to the encoding of the one before.
+    Options are explained at :class:`~anystyle_anysplat.AnySplat`.
     """
 
     def __init__(

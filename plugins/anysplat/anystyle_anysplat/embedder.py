@@ -16,14 +16,7 @@ from anystyle.types import Tokens
 class Dino(nn.Module):
     """DINOv2's vision transformer with registers.
 
-    Args:
-        dim: Channels.
-        depth: Blocks.
-        heads: Attention heads.
-        patch_size: Pixels a patch.
-        grid: Side, in patches, of the square grid that position embeddings are stored for.
-        mlp_ratio: Width of the blocks' MLPs.
-        registers: Tokens of its own, dropped at the end.
+    ``grid`` is the side, in patches, that position embeddings are stored for; ``registers`` are dropped at the end.
     """
 
     def __init__(
@@ -81,15 +74,7 @@ class Embedder(contracts.Embedder):
 
     The first view has camera and register tokens of its own; all others share theirs.
 
-    Args:
-        embed: ``dino``, or ``conv`` for a linear embedding.
-        dim: Channels.
-        depth: Blocks of ``dino``.
-        heads: Its attention heads.
-        mlp_ratio: Width of its MLPs.
-        registers: Register tokens a view.
-        patch_size: Pixels a patch.
-        grid: Side, in patches, of the grid that ``dino`` stores position embeddings for.
+    Options are explained at :class:`~anystyle_anysplat.AnySplat`. ``grid`` is in patches.
     """
 
     def __init__(

@@ -19,14 +19,7 @@ class GaussianHead(contracts.GaussianHead):
     The channels of the result: opacity (1), scale (3), quaternion xyzw (4), harmonics (3 K, colour-major), and the
     confidence (1) that weighs pixels where they are fused.
 
-    Args:
-        dim: Channels of the tokens.
-        features: Channels of the decoder.
-        channels: Channels of the levels.
-        hidden: Channels of the last hidden layer.
-        sh_degree: Of the harmonics.
-        taps: The layers it reads, four, in rising order.
-        chunk: Views decoded at a time, and so passed to ``inject`` at a time; a matter of memory alone.
+    Options are explained at :class:`~anystyle_anysplat.AnySplat`.
     """
 
     def __init__(

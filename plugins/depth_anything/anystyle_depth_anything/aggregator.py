@@ -22,17 +22,7 @@ class Aggregator(contracts.Aggregator):
     halves. A tapped feature is the last local block's output and the normalised stream, side by side in the channels;
     its leading token, which cameras are read off, is not normalised.
 
-    Args:
-        dim: Channels.
-        start: The first block's place in the trunk.
-        depth: Of the trunk.
-        heads: Attention heads; ``dim / heads`` is a multiple of 4.
-        ffn: Kind of feed-forward layer.
-        mlp_ratio: Its width, in ``dim``.
-        layer_scale: Initial LayerScale.
-        rope_base: Of the frequencies of the rotary position embedding.
-        taps: The layers that heads read, in rising order.
-        checkpointing: Whether training recomputes blocks in the backward pass to save memory.
+    Options are explained at :class:`~anystyle_depth_anything.DepthAnything`; ``start`` is ``alternate_from``.
     """
 
     def __init__(

@@ -27,14 +27,7 @@ class CameraDecoder(nn.Module):
 
 
 class CameraEncoder(nn.Module):
-    """Camera tokens of known cameras, which take the place of the learnt ones.
-
-    Args:
-        dim: Channels of the tokens.
-        depth: Blocks; they attend across views.
-        heads: Attention heads.
-        mlp_ratio: Width of the blocks' MLPs.
-    """
+    """Camera tokens of known cameras, which take the place of the learnt ones."""
 
     def __init__(self, *, dim: int, depth: int, heads: int, mlp_ratio: float) -> None:
         super().__init__()

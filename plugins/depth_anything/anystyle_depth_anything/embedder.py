@@ -25,17 +25,7 @@ class Embedder(contracts.Embedder):
     Ahead of its last block the reference view is chosen, and the views reordered so that it comes first. In the stem a
     camera token has taken the place of the class token.
 
-    Args:
-        dim: Channels.
-        depth: Blocks, at least 1.
-        heads: Attention heads.
-        ffn: Kind of feed-forward layer.
-        mlp_ratio: Its width, in ``dim``.
-        layer_scale: Initial LayerScale.
-        patch_size: Pixels a patch.
-        grid: Side, in patches, of the square grid that position embeddings are stored for.
-        reference: How the reference view is chosen.
-        camera_encoder: Makes camera tokens of known cameras.
+    Options are explained at :class:`~anystyle_depth_anything.DepthAnything`. ``grid`` is in patches.
     """
 
     def __init__(

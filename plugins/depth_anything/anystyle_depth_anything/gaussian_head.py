@@ -21,24 +21,11 @@ class GaussianHead(contracts.GaussianHead):
     The channels of the result: offset of the pixel (2), scale (3), quaternion (4), harmonics (3 K, colour-major),
     offset of the depth (1), opacity (1).
 
-    Args:
-        dim: Channels of the tokens.
-        features: Channels of the decoder.
-        channels: Channels of the levels.
-        sh_degree: Of the harmonics.
-        taps: The layers it reads, four, in rising order.
-        chunk: Views decoded at a time, and so passed to ``inject`` at a time; a matter of memory alone.
+    Options are explained at :class:`~anystyle_depth_anything.DepthAnything`.
     """
 
     def __init__(
-        self,
-        *,
-        dim: int,
-        features: int,
-        channels: Sequence[int],
-        sh_degree: int,
-        taps: Sequence[int],
-        chunk: int,
+        self, *, dim: int, features: int, channels: Sequence[int], sh_degree: int, taps: Sequence[int], chunk: int
     ) -> None:
         super().__init__()
         self.dim, self.direct_dim = dim, features // 2

@@ -5,7 +5,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.injectors.base import TokenInjector
+from anystyle.injectors.base import TokenInjector, zeroed
 
 
 class HyperNetwork(TokenInjector):
@@ -20,12 +20,8 @@ class HyperNetwork(TokenInjector):
     over views and tokens, for what is dark in one scene is light in another.
 
     Args:
-        dim: Channels at the site.
-        style_dim: Dimensions of the style embedding.
         width: Hidden channels of the network that is made.
         hidden: Width of the layers that make it.
-        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
-        special_tokens: Whether camera and register tokens are styled too.
 
     Raises:
         ValueError: ``width`` or ``hidden`` is below 1.
@@ -47,11 +43,9 @@ class HyperNetwork(TokenInjector):
         self.dim, self.width = dim, width
         self.fc = nn.Sequential(nn.Linear(style_dim, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU())
         self.down = nn.Linear(hidden, (2 * dim + 1) * width)
-        self.up = nn.Linear(hidden, (width + 2) * dim)
+        self.up = zeroed(nn.Linear(hidden, (width + 2) * dim))
         # What is made starts as an ordinary random layer, the same for every style but for a variation.
         nn.init.normal_(self.down.bias, std=(2 * dim) ** -0.5)
-        nn.init.zeros_(self.up.weight)
-        nn.init.zeros_(self.up.bias)
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         coded = self.fc(style)

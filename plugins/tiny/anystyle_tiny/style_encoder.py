@@ -47,13 +47,7 @@ class Tiny(StyleEncoder):
     whitening: Tensor
 
     def __init__(
-        self,
-        *,
-        dim: int = 128,
-        text_width: int = 96,
-        text_layers: int = 2,
-        buckets: int = 2048,
-        max_words: int = 64,
+        self, *, dim: int = 128, text_width: int = 96, text_layers: int = 2, buckets: int = 2048, max_words: int = 64
     ) -> None:
         super().__init__()
         self.dim = dim

@@ -19,7 +19,7 @@ from anystyle import paths
 from anystyle.commands._flags import EPILOG, split
 from anystyle.commands._run import run, wants_traceback, words_of
 from anystyle.errors import UserError
-from anystyle.registry.compose import VERSION_BASE, check_words, choices, compose, explain, override
+from anystyle.registry.compose import VERSION_BASE, check_words, choices, override
 from anystyle.registry.packages import groups
 from anystyle.registry.source import register
 
@@ -126,6 +126,3 @@ def _raising() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-__all__ = ["compose", "explain", "job_folder", "launch", "main", "override", "run", "split", "with_sweep"]

@@ -80,11 +80,7 @@ def recognise(path: Path) -> Known:
 
 
 def _check_ours(path: Path, header: Header, state: State) -> None:
-    """Load a file that anystyle wrote into the network that its header describes, without memory for it.
-
-    Raises:
-        ValueError: It holds a part that nothing is made of, or its tensors are not the part's, or no numbers.
-    """
+    """Load a file that anystyle wrote into the network that its header describes, without memory for it."""
     _check_finite(path, state)
     if header.part in (*NETWORKS, "backbone", "style_encoder", "branch"):
         config = OmegaConf.create(header.config)

@@ -21,62 +21,8 @@ from anystyle.registry.catalog import VARIABLE, catalog, kind_named
 from anystyle.registry.packages import presets
 
 TOYS = paths.PACKAGE / "testing" / "toy"
+TEMPLATES = paths.PACKAGE / "commands" / "templates"
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
-
-PYPROJECT = """\
-[build-system]
-requires = ["hatchling>=1.27"]
-build-backend = "hatchling.build"
-
-[project]
-name = "{project}"
-version = "0.1.0"
-description = "{cls}: {article} {words} for anystyle"
-requires-python = ">=3.11"
-dependencies = ["anystyle"]
-
-[project.entry-points."anystyle.{kind}"]
-{name} = "{module}:{cls}"
-"""
-
-TEST = '''\
-"""Whether {cls} keeps what {article} {words} promises."""
-
-from {module} import {cls}
-
-from anystyle.testing import assert_contract
-
-
-def test_contract() -> None:
-    """Nothing that {article} {words} promises is broken."""
-    assert_contract("{kind}", {cls})
-'''
-
-README = """\
-# {cls}
-
-{Article} {words} for anystyle. The class is in `{module}.py`; the last lines of `pyproject.toml` declare it. It works
-as it is, on trivial maths: replace that by yours, one method at a time.
-
-## Check it
-
-```console
-$ anystyle plugins {kind} {name}
-$ anystyle plugins check {kind} {name}
-$ pytest
-```
-
-The first shows its options, read from the constructor. The second holds it against everything {article} {words}
-promises, in seconds; `--fix-hints` adds to each failure the promise in full and code that keeps it. The third does the
-same as a test.
-
-## Use it
-
-Pick it with `{choice}`, and set an option with `{prefix}.OPTION=VALUE`.
-
-anystyle finds this folder where it lies under the project's `plugins/`, or where `{variable}` lists it or the folder
-around it. To share it, publish it as the package it already is: once installed, it is found without either.
-"""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -106,15 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def write(kind: str, name: str, into: Path) -> Path:
-    """Write the folder of a new plugin.
-
-    Args:
-        kind: A kind of plugin.
-        name: How configurations call it.
-        into: Where the folder is made; it is named after the plugin.
-
-    Returns:
-        The folder.
+    """Write the folder of a new plugin, named after it, below ``into``, and return it.
 
     Raises:
         UserError: The kind is unknown, the name is taken or cannot be used, or the folder exists.
@@ -144,10 +82,10 @@ def write(kind: str, name: str, into: Path) -> Path:
         "variable": VARIABLE,
     }
     with atomic_directory(folder) as temporary:
-        (temporary / "pyproject.toml").write_text(PYPROJECT.format(**facts), encoding="utf-8")
         (temporary / f"{module}.py").write_text(_renamed(source, kind, cls), encoding="utf-8")
-        (temporary / f"test_{module}.py").write_text(TEST.format(**facts), encoding="utf-8")
-        (temporary / "README.md").write_text(README.format(**facts), encoding="utf-8")
+        for name in ("pyproject.toml", "test.py", "README.md"):
+            text = (TEMPLATES / f"{name}.in").read_text(encoding="utf-8").format(**facts)
+            (temporary / name.replace("test.py", f"test_{module}.py")).write_text(text, encoding="utf-8")
     return folder
 
 

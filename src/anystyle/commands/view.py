@@ -13,7 +13,6 @@ from jaxtyping import Float
 from omegaconf import DictConfig
 from torch import Tensor
 
-from anystyle.commands._compose import compose
 from anystyle.commands._flags import split
 from anystyle.commands._options import Stylize, checked
 from anystyle.commands._run import run, words_of
@@ -26,6 +25,7 @@ from anystyle.inference.saved import is_saved, read_saved
 from anystyle.inference.stages import Stages
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.registry.build import build
+from anystyle.registry.compose import compose
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians
 from anystyle.viewer.scenes import OpenScene, opened_scene

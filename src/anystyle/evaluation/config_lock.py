@@ -13,6 +13,7 @@ from anystyle.documents import read_json
 from anystyle.evaluation.resume import forget
 from anystyle.io.atomic import write_json
 from anystyle.io.lock import folder_lock
+from anystyle.registry.changes import changes, flat
 
 FILE = "bound.json"
 _STYLIZER = ("backbone", "style_encoder", "placement", "injector", "renderer", "branch", "seed")
@@ -66,13 +67,11 @@ def bind(
     refusal = f"another evaluation is at work in {out}; wait for its end, or give another --out"
     with folder_lock(out, refusal):
         earlier: _Bound = read_json(path, _Bound, what=_WHAT) if path.is_file() else _Bound(**current)
-        before, now = dict(_flat(earlier.images)), dict(_flat(current["images"]))
-        changed = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
+        changed = changes(flat(earlier.images), flat(current["images"]))
         if changed:
-            shown = ", ".join(f"{key} {before.get(key)} -> {now.get(key)}" for key in changed[:4])
             raise ValueError(
-                f"{out} holds an evaluation of another configuration ({shown}{', …' if len(changed) > 4 else ''}); "
-                "choose another --out, or delete that folder"
+                f"{out} holds an evaluation of another configuration ({changed}); choose another --out, or delete that "
+                "folder"
             )
         forget(out, [name for name, row in current["metrics"].items() if earlier.metrics.get(name) != row])
         current["metrics"] = {**earlier.metrics, **current["metrics"]}
@@ -84,9 +83,3 @@ def bind(
             if new and {entry.name for entry in out.iterdir()} <= {FILE, ".lock"}:
                 path.unlink()  # nothing is here yet that rests on it
             raise
-
-
-def _flat(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
-    if isinstance(node, dict):
-        return [row for key, value in node.items() for row in _flat(value, f"{prefix}.{key}" if prefix else str(key))]
-    return [(prefix, node)]

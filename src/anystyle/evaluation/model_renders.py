@@ -37,19 +37,7 @@ class _Plan(NamedTuple):
 class ModelRenders:
     """Stylizes scenes in styles, keeps the first frames as images, and judges these.
 
-    Args:
-        stylizer: What is judged.
-        scenes: What is stylized.
-        styles: In which styles. Every style has an image, which the figures compare with.
-        guide: Whether a style enters as its image or as its text.
-        variant: ``reference`` writes JPEG and shows the model all views of a scene; ``corrected`` writes PNG and shows
-            it the frames that are judged.
-        scene_names: Which scenes, in this order; all if empty.
-        num_scenes: At most so many; ``None`` takes all.
-        num_styles: At most so many; ``None`` takes all.
-        frames: Of each scene, the first so many are judged.
-        square: Whether the middle square of each view is taken.
-        method: How scenes take styles.
+    Options are explained at :class:`anystyle.evaluation.protocols.paper.Paper`.
 
     Raises:
         ValueError: A number is below 1, or a source lacks a scene that is named.

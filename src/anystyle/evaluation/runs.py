@@ -61,7 +61,8 @@ def find(folder: Path) -> list[Run]:
 
 
 def _inside(folder: Path) -> Iterator[Run]:
-    places = sorted((path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")), key=_order)
+    places = (path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    places = sorted(places, key=job_order)
     known = [path for path in places if _is_run(path)]
     words = _expected(folder / SWEEP)
     for number, overrides in enumerate(words):
@@ -155,8 +156,9 @@ def _expected(path: Path) -> list[tuple[str, ...]]:
 
 
 def _place(run: Run) -> tuple[str, tuple[int, str]]:
-    return run.folder.parent.as_posix(), _order(run.folder)
+    return run.folder.parent.as_posix(), job_order(run.folder)
 
 
-def _order(path: Path) -> tuple[int, str]:
+def job_order(path: Path) -> tuple[int, str]:
+    """A key that sorts the jobs of a multirun by number, and other folders behind them by name."""
     return (int(path.name), "") if path.name.isdigit() else (1 << 30, path.name)

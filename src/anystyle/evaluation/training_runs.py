@@ -7,6 +7,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf, open_dict
 
 from anystyle.documents import read_json
+from anystyle.evaluation.runs import job_order
 from anystyle.io.checkpoint import Header, read_header
 
 BRANCH = "branch.safetensors"
@@ -46,15 +47,11 @@ def trained_runs(folder: Path) -> list[TrainedRun]:
     """
     if not folder.is_dir():
         raise ValueError(f"there is no run {folder}")
-    jobs = sorted((path.parent for path in folder.glob(f"*/{BRANCH}")), key=_order)
+    jobs = sorted((path.parent for path in folder.glob(f"*/{BRANCH}")), key=job_order)
     folders = [folder] if (folder / BRANCH).is_file() else jobs
     if not folders:
         raise ValueError(f"{folder} holds no finished training of a style branch ({BRANCH}, in it or in its jobs)")
     return [_run(folder) for folder in folders]
-
-
-def _order(folder: Path) -> tuple[int, str]:
-    return (int(folder.name), "") if folder.name.isdigit() else (1 << 30, folder.name)
 
 
 def _run(folder: Path) -> TrainedRun:

@@ -105,6 +105,3 @@ class _Missing(StyleEncoder):
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
         raise FileNotFoundError(self.reason)
-
-
-__all__ = ["load_reference", "reference_config"]

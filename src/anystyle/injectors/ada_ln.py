@@ -3,7 +3,7 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.injectors.base import TokenInjector
+from anystyle.injectors.base import TokenInjector, zeroed
 
 
 class AdaLN(TokenInjector):
@@ -15,11 +15,7 @@ class AdaLN(TokenInjector):
     Unlike FiLM, what it adds does not depend on how large a token is.
 
     Args:
-        dim: Channels at the site.
-        style_dim: Dimensions of the style embedding.
         hidden: Width of the projection, at most twice ``dim``.
-        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
-        special_tokens: Whether camera and register tokens are styled too.
     """
 
     def __init__(
@@ -29,9 +25,7 @@ class AdaLN(TokenInjector):
         width = min(hidden, 2 * dim)
         self.norm = nn.LayerNorm(dim, eps=1e-6, elementwise_affine=False)
         self.fc = nn.Sequential(nn.Linear(style_dim, width), nn.SiLU())
-        self.modulation = nn.Linear(width, 3 * dim)
-        nn.init.zeros_(self.modulation.weight)
-        nn.init.zeros_(self.modulation.bias)
+        self.modulation = zeroed(nn.Linear(width, 3 * dim))
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         shift, scale, gate = self.modulation(self.fc(style))[:, None, None].chunk(3, dim=-1)

@@ -3,7 +3,7 @@
 from abc import abstractmethod
 
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from anystyle.contracts import Injector
 from anystyle.types import Tokens
@@ -13,6 +13,8 @@ class TokenInjector(Injector):
     """Changes patch tokens, and camera and register tokens if asked to; subclasses implement :meth:`styled`.
 
     Args:
+        dim: Channels at the site.
+        style_dim: Dimensions of the style embedding.
         gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
             at first; the root of ``style_dim`` makes up for it where training is short.
         special_tokens: Whether camera and register tokens are styled too.
@@ -32,3 +34,10 @@ class TokenInjector(Injector):
     @abstractmethod
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         """The tokens in each style; ``data`` is left as it is."""
+
+
+def zeroed(layer: nn.Linear) -> nn.Linear:
+    """A layer whose weight and bias are 0, so that what it predicts changes nothing before it has learned."""
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)
+    return layer

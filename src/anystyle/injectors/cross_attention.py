@@ -4,7 +4,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from anystyle.injectors.base import TokenInjector
+from anystyle.injectors.base import TokenInjector, zeroed
 
 
 class CrossAttention(TokenInjector):
@@ -17,13 +17,9 @@ class CrossAttention(TokenInjector):
     cannot. The output projection is 0 at birth.
 
     Args:
-        dim: Channels at the site.
-        style_dim: Dimensions of the style embedding.
         num_tokens: Style tokens that the vector becomes; at least 2, for with one there is nothing to choose from.
         heads: Of the attention.
         head_dim: Channels of each head.
-        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
-        special_tokens: Whether camera and register tokens are styled too.
 
     Raises:
         ValueError: ``num_tokens`` is below 2, or there is no head or channel.
@@ -55,9 +51,7 @@ class CrossAttention(TokenInjector):
         # No bias: what all keys share changes no softmax, and would never learn.
         self.key = nn.Linear(width, width, bias=False)
         self.value = nn.Linear(width, width)
-        self.zero_proj = nn.Linear(width, dim)
-        nn.init.zeros_(self.zero_proj.weight)
-        nn.init.zeros_(self.zero_proj.bias)
+        self.zero_proj = zeroed(nn.Linear(width, dim))
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         coded = self.style_norm(self.style_tokens(style).unflatten(-1, (self.num_tokens, -1)))  # B K W

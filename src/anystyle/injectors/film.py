@@ -3,7 +3,7 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.injectors.base import TokenInjector
+from anystyle.injectors.base import TokenInjector, zeroed
 
 
 class FiLM(TokenInjector):
@@ -13,12 +13,8 @@ class FiLM(TokenInjector):
     scale predicted as its difference from 1, as its section 7.2 does. The published style injector is the shift alone.
 
     Args:
-        dim: Channels at the site.
-        style_dim: Dimensions of the style embedding.
         hidden: Width of the projection's hidden layer, at most ``expansion`` times ``dim``.
         expansion: See ``hidden``.
-        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
-        special_tokens: Whether camera and register tokens are styled too.
     """
 
     def __init__(
@@ -34,9 +30,7 @@ class FiLM(TokenInjector):
         super().__init__(gain, special_tokens)
         width = min(hidden, expansion * dim)
         self.fc = nn.Sequential(nn.Linear(style_dim, width), nn.ReLU(), nn.Linear(width, dim), nn.ReLU())
-        self.modulation = nn.Linear(dim, 2 * dim)
-        nn.init.zeros_(self.modulation.weight)
-        nn.init.zeros_(self.modulation.bias)
+        self.modulation = zeroed(nn.Linear(dim, 2 * dim))
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         scale, shift = self.modulation(self.fc(style))[:, None, None].chunk(2, dim=-1)

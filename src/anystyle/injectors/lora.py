@@ -3,7 +3,7 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.injectors.base import TokenInjector
+from anystyle.injectors.base import TokenInjector, zeroed
 
 
 class LoRA(TokenInjector):
@@ -19,12 +19,8 @@ class LoRA(TokenInjector):
     is what LoRA is for; otherwise they learn beside it.
 
     Args:
-        dim: Channels at the site.
-        style_dim: Dimensions of the style embedding.
         rank: Of the update, at most ``dim``.
         alpha: The update is scaled by ``alpha / rank``, so that another rank needs no other learning rate.
-        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
-        special_tokens: Whether camera and register tokens are styled too.
 
     Raises:
         ValueError: ``rank`` is below 1.
@@ -47,8 +43,7 @@ class LoRA(TokenInjector):
         self.factor = alpha / rank
         self.strength = nn.Linear(style_dim, rank)
         self.down = nn.Linear(dim, rank, bias=False)
-        self.up = nn.Linear(rank, dim, bias=False)
-        nn.init.zeros_(self.up.weight)
+        self.up = zeroed(nn.Linear(rank, dim, bias=False))
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         strength = self.factor * self.strength(style)[:, None, None]

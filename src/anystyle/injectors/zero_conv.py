@@ -3,7 +3,7 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.injectors.base import TokenInjector
+from anystyle.injectors.base import TokenInjector, zeroed
 
 
 class ZeroConv(TokenInjector):
@@ -13,8 +13,6 @@ class ZeroConv(TokenInjector):
     vector and broadcast: the same function at a cost that does not grow with the image.
 
     Args:
-        dim: Channels at the site.
-        style_dim: Dimensions of the style embedding.
         hidden: Width of the projection's hidden layer, at most twice ``dim`` (published: 1024 at token sites, 256 at
             the direct site's 128 channels).
         gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector` (published: 1).
@@ -28,9 +26,7 @@ class ZeroConv(TokenInjector):
         super().__init__(gain, special_tokens)
         width = min(hidden, 2 * dim)
         self.fc = nn.Sequential(nn.Linear(style_dim, width), nn.ReLU(), nn.Linear(width, dim))
-        self.zero_proj = nn.Linear(dim, dim)
-        nn.init.zeros_(self.zero_proj.weight)
-        nn.init.zeros_(self.zero_proj.bias)
+        self.zero_proj = zeroed(nn.Linear(dim, dim))
 
     def styled(self, data: Float[Tensor, "B V P C"], style: Float[Tensor, "B D"]) -> Float[Tensor, "B V P C"]:
         return data + self.zero_proj(self.fc(style))[:, None, None]

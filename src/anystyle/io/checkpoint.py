@@ -71,7 +71,10 @@ def save_part(path: str | Path, module: nn.Module, header: Header, *, half: bool
 def save_tensors(path: str | Path, state: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
     """Write a ``.safetensors`` file, whole or not at all; the same content gives the same bytes."""
     with atomic_path(path, sync=True) as temporary:
-        save_file(dict(state), temporary, metadata=dict(metadata))
+        try:
+            save_file(dict(state), temporary, metadata=dict(metadata))
+        except SafetensorError as error:  # its only way to say that the disk is full
+            raise OSError(f"{path} cannot be written ({one_line(error)})") from None
         _sort_metadata(Path(temporary))
 
 

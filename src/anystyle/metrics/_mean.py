@@ -23,7 +23,6 @@ class RowMean(Metric, ABC):
     """
 
     lacking: ClassVar[str] = "nothing that can be judged was taken in"
-    is_differentiable = False
     full_state_update = False
     total: Tensor
     rows: Tensor

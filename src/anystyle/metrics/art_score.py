@@ -23,11 +23,9 @@ class ArtScore(NetworkMetric, RowMean):
     Args:
         variant: ``reference`` resizes the shorter side to 224, in 8 bits; ``corrected`` resizes to a square of 224, as
             the network's authors do.
-        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
     """
 
     better: ClassVar[Mapping[str, str]] = {"art_score": "higher"}
-    higher_is_better = True
 
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference", weights: Weights = "auto") -> None:
         super().__init__()

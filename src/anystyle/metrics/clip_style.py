@@ -19,12 +19,10 @@ class ClipStyle(RowMean):
     A style's text counts if it has one, else its image.
 
     Args:
-        style_encoder: The space; the framework passes the one that is configured.
         size: Side that images are squashed to before, bicubic; none leaves that to the encoder.
     """
 
     better: ClassVar[Mapping[str, str]] = {"clip_style": "higher"}
-    higher_is_better = True
 
     def __init__(self, *, style_encoder: StyleEncoder, size: int | None = 224) -> None:
         super().__init__()

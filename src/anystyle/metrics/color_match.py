@@ -28,7 +28,6 @@ class ColorMatch(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"color_match": "lower"}
-    higher_is_better = False
 
     def __init__(self, *, variant: Literal["reference", "corrected"] = "reference") -> None:
         super().__init__()

@@ -24,7 +24,6 @@ class DepthAgreement(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"depth_agreement": "higher"}
-    higher_is_better = True
     lacking: ClassVar[str] = "no two views with depth and cameras (folders give both by --depth)"
 
     def __init__(self, *, tolerance: float = 0.05) -> None:

@@ -20,7 +20,6 @@ class PSNR(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"psnr": "higher"}
-    higher_is_better = True
 
     def __init__(self, *, most: float = 100.0) -> None:
         super().__init__()

@@ -22,7 +22,6 @@ class SSIM(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"ssim": "higher"}
-    higher_is_better = True
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         """The mean over each row's views.

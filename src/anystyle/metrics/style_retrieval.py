@@ -29,8 +29,6 @@ class Retrieval(Metric):
     A subclass says what pictures are described by, and names the two figures in :attr:`better`, colour first.
     """
 
-    higher_is_better = True
-    is_differentiable = False
     full_state_update = False
     rows: list[Tensor]
     styles: list[Tensor]
@@ -62,8 +60,7 @@ class Retrieval(Metric):
         gallery, target = styles.unique(dim=0, return_inverse=True)  # G 2 D, N
         if len(gallery) < 2:
             warnings.warn(
-                f"{color}: of {len(gallery)} style images there is nothing to choose, the figures are nan",
-                stacklevel=2,
+                f"{color}: of {len(gallery)} style images there is nothing to choose, the figures are nan", stacklevel=2
             )
             return {name: torch.full((), float("nan"), device=rows.device) for name in (color, gray)}
         hits = [

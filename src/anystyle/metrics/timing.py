@@ -21,7 +21,6 @@ class Timing(RowMean):
     """
 
     better: ClassVar[Mapping[str, str]] = {"seconds": "lower"}
-    higher_is_better = False
 
     def __init__(self, *, per_view: bool = False) -> None:
         super().__init__()

@@ -99,17 +99,7 @@ class Vision(nn.Module):
 class Clip(nn.Module):
     """Both towers; the defaults are ViT-B/32's.
 
-    Args:
-        context: Tokens of the longest text.
-        vocabulary: Number of different tokens; the last one ends a text.
-        text_width: Channels of the text tower, a multiple of 64.
-        text_layers: Its blocks.
-        image_width: Channels of the image tower, a multiple of 64.
-        image_layers: Its blocks.
-        patch_size: Pixels a patch.
-        resolution: Side of the images, in pixels.
-        dim: Of the embedding.
-        activation: ``quick_gelu``, as OpenAI's and Long-CLIP's weights need, or ``gelu``, as most of OpenCLIP's do.
+    Options are explained at :class:`anystyle.style_encoders.long_clip.LongClip`.
     """
 
     def __init__(

@@ -16,7 +16,7 @@ from anystyle import paths
 from anystyle.documents import read_toml
 from anystyle.errors import did_you_mean
 from anystyle.io.checkpoint import sha256
-from anystyle.perception.tensor_files import read
+from anystyle.perception.tensor_files import read as read
 from anystyle.registry.packages import packages
 
 FOLDERS = "ANYSTYLE_WEIGHTS"
@@ -111,11 +111,7 @@ def candidates(name: str) -> Iterator[Path]:
 
 
 def find(name: str, path: str | Path | None = None) -> Path:
-    """The file that holds the weights called ``name``.
-
-    Args:
-        name: A key of :func:`files`.
-        path: Its path; ``None`` searches :func:`candidates`.
+    """The file of the weights called ``name``, a key of :func:`files`: the given one, or one of :func:`candidates`.
 
     Raises:
         FileNotFoundError: There is no such file; the message says where to get it and where to put it.
@@ -186,19 +182,3 @@ def verified(name: str, path: str | Path) -> bool | None:
     """Whether a file has the checksum that its publisher states; ``None`` if none is stated."""
     stated = row(name).sha256
     return None if stated is None else sha256(path).startswith(stated)
-
-
-__all__ = [
-    "FOLDERS",
-    "TABLE",
-    "WeightsFile",
-    "candidates",
-    "download",
-    "files",
-    "find",
-    "folders",
-    "missing",
-    "read",
-    "row",
-    "verified",
-]

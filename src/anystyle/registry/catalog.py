@@ -325,6 +325,3 @@ def plugin(kind: str, name: str) -> Callable[[_Class], _Class]:
         return declared
 
     return add
-
-
-__all__ = ["Catalog", "Plugin", "PluginError", "base_of", "catalog", "kind_named", "location_in", "plugin"]

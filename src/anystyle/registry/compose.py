@@ -135,6 +135,3 @@ def _nearest(*errors: BaseException | None) -> str:
                 near = did_you_mean(str(error.key), keys)
                 return f".{near}" if near else f". There are: {', '.join(keys) or 'none'}"
     return ""
-
-
-__all__ = ["ERRORS", "VERSION_BASE", "check_words", "choices", "compose", "explain", "override"]

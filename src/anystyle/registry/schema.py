@@ -206,6 +206,3 @@ def _fitted_sequence(value: list[Any], origin: Any, arguments: tuple[Any, ...]) 
         return tuple(fitted(item, hint) for item, hint in zip(value, arguments, strict=True))
     items = [fitted(item, arguments[0] if arguments else Any) for item in value]
     return items if origin is list else tuple(items)
-
-
-__all__ = ["REQUIRED", "Option", "fitted", "literal", "node", "option", "options", "plain", "runtime_arguments"]

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -172,12 +172,6 @@ def analyze(
 ) -> Analysis:
     """Check the answers and test every question.
 
-    Args:
-        records: As read from files.
-        tests: By the names they get in the results.
-        settings: Scale, rules, intervals.
-        progress: Told of each question as its turn comes.
-
     Raises:
         ValueError: The answers cannot be analysed.
     """
@@ -296,7 +290,4 @@ def _adjusted(questions: Sequence[QuestionAnalysis]) -> list[QuestionAnalysis]:
         values = holm([tests[index].result.log_pvalue for tests in adjusted])
         for tests, value in zip(adjusted, values, strict=True):
             tests[index] = NamedResult(tests[index].name, tests[index].result, value)
-    return [
-        QuestionAnalysis(**{**vars(question), "tests": tuple(tests)})
-        for question, tests in zip(questions, adjusted, strict=True)
-    ]
+    return [replace(question, tests=tuple(tests)) for question, tests in zip(questions, adjusted, strict=True)]

@@ -167,10 +167,10 @@ class TestResult:
         alternative: The claim tested against no preference.
         estimate: The preference, in ``estimate_unit``; negative means ours is preferred.
         interval: Of the estimate, at ``confidence`` and of the sides of ``alternative``; ``nan`` where there is none.
+        n: Observations, as the test counts them.
         effect: A standardised effect, signed like the estimate unless it is a probability.
         effect_name: Such as ``cohens_d``.
         effect_interval: Of the effect, at ``confidence``.
-        n: Observations, as the test counts them.
         confidence: Of both intervals.
         method: One line that says exactly what was computed.
         note: What a reader must know besides; empty if nothing.
@@ -186,10 +186,10 @@ class TestResult:
     alternative: str
     estimate: float
     interval: tuple[float, float]
-    effect: float
-    effect_name: str
-    effect_interval: tuple[float, float]
     n: int
+    effect: float = math.nan
+    effect_name: str = ""
+    effect_interval: tuple[float, float] = (math.nan, math.nan)
     confidence: float = 0.95
     method: str = ""
     note: str = ""
@@ -209,7 +209,6 @@ class TestResult:
     @classmethod
     def untestable(cls, responses: Responses, *, reason: str, alternative: str, method: str = "") -> "TestResult":
         """The result where the answers allow no such test, with the reason in its note."""
-        nowhere = (math.nan, math.nan)
         estimate = float(np.mean(responses.deviations)) if responses.count else math.nan
         return cls(
             unit=responses.unit,
@@ -217,10 +216,7 @@ class TestResult:
             log_pvalue=math.nan,
             alternative=alternative,
             estimate=estimate,
-            interval=nowhere,
-            effect=math.nan,
-            effect_name="",
-            effect_interval=nowhere,
+            interval=(math.nan, math.nan),
             n=responses.count,
             method=method,
             note=reason,

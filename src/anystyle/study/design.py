@@ -188,10 +188,7 @@ def _words(file: Path) -> str:
 
 
 def _participants(
-    plan: Plan,
-    items: Sequence[Item],
-    checks: Sequence[Check],
-    generator: np.random.Generator,
+    plan: Plan, items: Sequence[Item], checks: Sequence[Check], generator: np.random.Generator
 ) -> tuple[tuple[Participant, ...], tuple[Check, ...]]:
     """What each one sees, and the repeats that this takes."""
     columns = ([item.scene for item in items], [item.style for item in items])

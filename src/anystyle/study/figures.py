@@ -19,28 +19,7 @@ if TYPE_CHECKING:
 OURS, NEUTRAL, THEIRS = "#1f6f8b", "#dcdcd8", "#c8642b"
 INK, SOFT = "#24292e", "#6b7280"
 _NAMED_ROWS = 45  # above, names would overlap
-_STYLE: dict[Any, Any] = {
-    "font.size": 8,
-    "axes.titlesize": 9,
-    "axes.labelsize": 8,
-    "axes.edgecolor": SOFT,
-    "axes.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.titlelocation": "left",
-    "text.color": INK,
-    "axes.labelcolor": INK,
-    "xtick.color": INK,
-    "ytick.color": INK,
-    "xtick.labelsize": 7,
-    "ytick.labelsize": 7,
-    "xtick.major.width": 0.6,
-    "ytick.major.width": 0.6,
-    "text.parse_math": False,  # names of participants are no formulas
-    "pdf.fonttype": 42,
-    "svg.fonttype": "path",
-    "savefig.facecolor": "white",
-}
+_STYLE = Path(__file__).parent / "pages" / "figures.mplstyle"
 
 
 def require() -> None:
@@ -60,7 +39,7 @@ def drawing(salt: str) -> Iterator[None]:
     """Draw in the study's style; ``salt`` names the figure's parts."""
     import matplotlib
 
-    with matplotlib.rc_context({**_STYLE, "svg.hashsalt": salt}), warnings.catch_warnings():
+    with matplotlib.rc_context({"svg.hashsalt": salt}, fname=_STYLE), warnings.catch_warnings():
         # A name may hold letters that the font lacks; the box in their place says so.
         warnings.filterwarnings("ignore", message=r"Glyph \d+")
         yield
@@ -69,8 +48,10 @@ def drawing(salt: str) -> Iterator[None]:
 def save(figure: "Figure", path: Path) -> None:
     """Write a figure in the format of the suffix; the same figure is the same bytes."""
     stamp = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix)
+    drawn = io.BytesIO()  # of a disk that is full, matplotlib says nearly anything
     with drawing(path.stem):
-        figure.savefig(path, metadata=stamp, dpi=200)
+        figure.savefig(drawn, format=path.suffix[1:], metadata=stamp, dpi=200)
+    path.write_bytes(drawn.getvalue())
 
 
 def as_svg(figure: "Figure", name: str) -> str:

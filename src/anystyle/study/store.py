@@ -15,28 +15,6 @@ from msgspec import Meta, Struct
 
 from anystyle.study.protocol import Participant, Study
 
-_TABLES = """
-CREATE TABLE IF NOT EXISTS study (id TEXT NOT NULL);
-CREATE TABLE IF NOT EXISTS sessions (
-    participant TEXT PRIMARY KEY, slot TEXT NOT NULL, person TEXT NOT NULL UNIQUE, token TEXT, started TEXT NOT NULL,
-    finished TEXT
-);
-CREATE TABLE IF NOT EXISTS answers (
-    id INTEGER PRIMARY KEY, received TEXT NOT NULL, participant TEXT NOT NULL, item TEXT NOT NULL,
-    question TEXT NOT NULL, side TEXT NOT NULL, score INTEGER NOT NULL, seconds REAL NOT NULL, time TEXT NOT NULL,
-    revision INTEGER NOT NULL, UNIQUE (participant, item, question, side, revision)
-);
-CREATE TABLE IF NOT EXISTS facts (
-    participant TEXT NOT NULL, name TEXT NOT NULL, value TEXT NOT NULL, PRIMARY KEY (participant, name)
-);
-CREATE VIEW IF NOT EXISTS responses AS
-    WITH last AS (SELECT *, max(revision) FROM answers GROUP BY participant, item, question, side)
-    SELECT (SELECT id FROM study) AS study, participant, item, question, side, score, seconds, time, revision,
-        CASE WHEN id = min(id) OVER (PARTITION BY participant) THEN
-            (SELECT value FROM facts WHERE facts.participant = last.participant AND name = 'comment') END AS comment
-    FROM last ORDER BY id;
-CREATE VIEW IF NOT EXISTS people AS SELECT participant, name, value FROM facts WHERE name != 'comment';
-"""
 _LONGEST_TEXT = 10_000
 _ABANDONED = timedelta(hours=1)
 """Without an answer, after which what a participant was to see is given to another one too."""
@@ -115,7 +93,7 @@ class Store:
             self._database = sqlite3.connect(path, check_same_thread=False, isolation_level=None)
             self._database.execute("PRAGMA journal_mode=WAL")
             self._database.execute("PRAGMA synchronous=FULL")
-            self._database.executescript(_TABLES)
+            self._database.executescript(Path(__file__).with_name("tables.sql").read_text(encoding="utf-8"))
             held = self._database.execute("SELECT id FROM study").fetchone()
         except sqlite3.DatabaseError as error:
             raise ValueError(f"{path} cannot be used for answers: {error}; name another file") from None
@@ -135,12 +113,7 @@ class Store:
 
     @contextmanager
     def _change(self) -> Iterator[sqlite3.Connection]:
-        """A transaction that is on the disk, in the files that are there, when the block has ended.
-
-        Raises:
-            OSError: The files were removed or replaced.
-            sqlite3.Error: The disk is full, or the like.
-        """
+        """A transaction that is on the disk, in the files that are there, when the block has ended."""
         with self._lock:
             self._database.execute("BEGIN IMMEDIATE")
             try:

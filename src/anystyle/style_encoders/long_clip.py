@@ -2,6 +2,7 @@
 
 import gzip
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -15,39 +16,14 @@ from anystyle.perception import bpe, weights
 from anystyle.perception.clip import Clip, load_clip
 from anystyle.published import PublishedEncoder
 
-TEMPLATES = (
-    "a photo of a {}.",
-    "a rendering of a {}.",
-    "a cropped photo of the {}.",
-    "the photo of a {}.",
-    "a photo of a clean {}.",
-    "a photo of a dirty {}.",
-    "a dark photo of the {}.",
-    "a photo of my {}.",
-    "a photo of the cool {}.",
-    "a close-up photo of a {}.",
-    "a bright photo of the {}.",
-    "a cropped photo of a {}.",
-    "a photo of the {}.",
-    "a good photo of the {}.",
-    "a photo of one {}.",
-    "a close-up photo of the {}.",
-    "a rendition of the {}.",
-    "a photo of the clean {}.",
-    "a rendition of a {}.",
-    "a photo of a nice {}.",
-    "a good photo of a {}.",
-    "a photo of the nice {}.",
-    "a photo of the small {}.",
-    "a photo of the weird {}.",
-    "a photo of the large {}.",
-    "a photo of a cool {}.",
-    "a photo of a small {}.",
-)
-"""The prompts of "imagenet_templates_small", which the published weights were trained with."""
-
 LOADED_SIDE = 256
 """Pixels of the square that style images are brought to first, as published."""
+
+
+@cache
+def small_templates() -> tuple[str, ...]:
+    """The prompts of "imagenet_templates_small", which the published weights were trained with."""
+    return tuple(Path(__file__).with_name("templates_small.txt").read_text(encoding="utf-8").splitlines())
 
 
 class TextAdapter(nn.Module):
@@ -153,7 +129,7 @@ class LongClip(StyleEncoder):
     ) -> None:
         super().__init__()
         self.dim, self.neutral = dim, neutral
-        self.templates = TEMPLATES if templates == "small" else ("{}",)
+        self.templates = small_templates() if templates == "small" else ("{}",)
         self.vocabulary, self.vocabulary_size = vocabulary, vocabulary_size
         self.batch = batch
         self.network = Clip(

@@ -87,11 +87,7 @@ def _read_all(source: SceneSource, scene: int) -> Views:
 
 
 def _reserve(number: int, size: int, path: Path) -> None:
-    """Room on the disk for a whole file.
-
-    Raises:
-        OSError: There is not enough.
-    """
+    """Room on the disk for a whole file."""
     try:
         if sys.platform == "linux":
             os.posix_fallocate(number, 0, size)

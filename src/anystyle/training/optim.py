@@ -50,7 +50,7 @@ def decayed_adamw(
     betas: tuple[float, float] = (0.9, 0.98),
     floor: float = 0.01,
 ) -> dict[str, Any]:
-    """AdamW on what learns of a module; :func:`learning_rate` falls to ``floor`` times ``lr`` at the last of ``steps``."""
+    """AdamW on what learns of a module; the rate falls to ``floor`` times ``lr`` at the last of ``steps``."""
     optimizer = torch.optim.AdamW(decayed_groups([module], lr=lr, weight_decay=weight_decay), betas=betas)
     return scheduled(optimizer, total=steps - warmup, warmup=warmup, floor=floor * lr)
 

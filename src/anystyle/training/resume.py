@@ -18,6 +18,7 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.io.lock import folder_lock
 from anystyle.io.tensors import read_tensors
+from anystyle.registry.changes import changes, flat
 
 UNBOUND = (
     "resume", "checkpoint", "loggers", "workers", "export", "out", "fast_dev_run", "name", "features", "explosion",
@@ -66,14 +67,7 @@ def bound(config: DictConfig) -> dict[str, Any]:
     """The part of a configuration that a continued run must share, as plain values by their full keys."""
     plain = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
     assert isinstance(plain, dict)
-    flat = dict(_flat({key: value for key, value in plain.items() if key not in UNBOUND}))
-    return json.loads(json.dumps(as_json(flat)))
-
-
-def _flat(node: Any, prefix: str = "") -> list[tuple[str, Any]]:
-    if isinstance(node, dict):
-        return [row for key, value in node.items() for row in _flat(value, f"{prefix}.{key}" if prefix else str(key))]
-    return [(prefix, node)]
+    return json.loads(json.dumps(as_json(flat({key: value for key, value in plain.items() if key not in UNBOUND}))))
 
 
 def resumable(config: DictConfig, last: Path) -> Path | None:
@@ -92,12 +86,11 @@ def resumable(config: DictConfig, last: Path) -> Path | None:
             f"pass resume=changed to continue it all the same, resume=never to start again, or another name=..."
         )
     previous: dict[str, Any] = read_json(record, dict[str, Any], what=_WHAT) if record.is_file() else current
-    changed = sorted(key for key in {*previous, *current} if previous.get(key) != current.get(key))
+    changed = changes(previous, current)
     if changed and config.resume != "changed":
-        examples = ", ".join(f"{key} {previous.get(key)} -> {current.get(key)}" for key in changed[:5])
         raise ValueError(
-            f"{last.parent} holds a run of another configuration ({examples}{', …' if len(changed) > 5 else ''}); "
-            f"pass resume=changed to continue it so, resume=never to start again, or another name=..."
+            f"{last.parent} holds a run of another configuration ({changed}); pass resume=changed to continue it so, "
+            f"resume=never to start again, or another name=..."
         )
     return _whole(last)
 
@@ -108,11 +101,7 @@ def before(last: Path) -> Path:
 
 
 def _whole(last: Path) -> Path:
-    """The latest state that is no torn one.
-
-    Raises:
-        ValueError: There is none.
-    """
+    """The latest state that is no torn one."""
     problems: list[str] = []
     for path in (last, before(last)):
         if not path.is_file():

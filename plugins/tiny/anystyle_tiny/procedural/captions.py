@@ -1,15 +1,18 @@
 """What people would say of a procedural painting."""
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from pathlib import Path
 
+import msgspec
+
+from anystyle_tiny.procedural.layout import Draw
 from anystyle_tiny.procedural.palettes import COLORS
 
 SCALES = ("fine", "medium", "coarse")
 DIRECTIONS = ("horizontal", "vertical", "diagonal")
 
 
-class Words(NamedTuple):
+class Words(msgspec.Struct, frozen=True):
     """Words for a pattern.
 
     Args:
@@ -27,41 +30,13 @@ class Words(NamedTuple):
     directed: bool = False
 
 
-THIN, BROAD = ("thin", "narrow", "fine"), ("broad", "wide", "thick", "bold")
-WORDS: dict[str, Words] = {
-    "plain": Words(("colour fields", "plain colour", "flat areas"), ("narrow",), ("broad", "large")),
-    "stripes": Words(("stripes", "bands", "striped lines"), THIN, BROAD, directed=True),
-    "dots": Words(("dots", "polka dots", "spots"), things=True),
-    "mosaic": Words(("mosaic tiles", "mosaic", "mosaic stones", "broken tiles")),
-    "checker": Words(("checkerboard squares", "checks", "chequered squares", "checkerboard")),
-    "bricks": Words(("bricks", "brickwork", "brick wall pattern"), things=True),
-    "hatching": Words(("hatching", "cross-hatching", "hatched lines", "pen hatching"), ("fine", "thin", "dense"), BROAD,
-                      things=True),
-    "strokes": Words(("brush strokes", "dabs of paint", "brushstrokes", "short strokes"), ("small", "fine", "short"),
-                     ("thick", "bold", "broad", "large")),
-    "swirls": Words(("swirls", "swirling strokes", "spirals", "whirls"), ("small", "fine", "tight"),
-                    ("large", "thick", "bold", "sweeping")),
-    "waves": Words(("waves", "wavy lines", "ripples", "wavy stripes"), THIN, BROAD, directed=True),
-    "zigzag": Words(("zigzags", "chevrons", "zigzag lines", "zigzag stripes"), THIN, BROAD, directed=True),
-    "splatter": Words(("paint splatter", "splashes", "splatters of paint", "blots"), things=True),
-    "wash": Words(("gradient", "soft wash", "blurred colours", "smooth gradients"), ("gentle",), ("broad",)),
-    "geometric": Words(("geometric shapes", "angular shapes", "cubist shapes", "overlapping shapes")),
-    "scales": Words(("fish scales", "scallops", "scales", "overlapping scales")),
-    "marble": Words(("marbling", "marbled veins", "marbled paper", "marble pattern"), ("fine", "delicate"),
-                    ("large", "bold")),
-    "rings": Words(("concentric rings", "rings", "concentric circles", "target circles"), THIN, BROAD),
-    "plaid": Words(("plaid", "tartan", "plaid cloth", "tartan weave")),
-    "points": Words(("points of paint", "pointillist dots", "stippling", "specks of paint"), ("tiny", "fine"),
-                    ("large", "coarse", "bold")),
-    "flowers": Words(("flowers", "floral pattern", "blossoms", "petals"), things=True),
-}  # fmt: skip
+class _Vocabulary(msgspec.Struct):
+    patterns: dict[str, Words]
+    media: dict[str, tuple[str, ...]]
 
-MEDIA: dict[str, tuple[str, ...]] = {
-    "print": ("as a crisp print", "in flat paint", "cleanly printed"),
-    "oil": ("in oil paint", "in thick impasto", "as an oil painting", "in thick oil paint"),
-    "watercolour": ("in watercolour", "as a watercolour", "in soft watercolor", "in wet washes"),
-    "chalk": ("in chalk", "in pastel", "in grainy crayon", "as a chalk drawing"),
-}
+
+_VOCABULARY = msgspec.toml.decode(Path(__file__).with_name("words.toml").read_bytes(), type=_Vocabulary)
+WORDS, MEDIA = _VOCABULARY.patterns, _VOCABULARY.media
 
 
 def join_names(names: Sequence[str], below: Callable[[int], int]) -> str:
@@ -74,25 +49,19 @@ def join_names(names: Sequence[str], below: Callable[[int], int]) -> str:
 
 
 def describe(
-    *,
-    pattern: str,
-    colors: Sequence[int],
-    scale: int,
-    brushwork: str,
-    direction: str | None,
-    below: Callable[[int], int],
+    draw: Draw, *, pattern: str, colors: Sequence[int], scale: int, brushwork: str, direction: str | None
 ) -> str:
     """One of many natural phrasings.
 
     Args:
+        draw: Chooses among them.
         pattern: A key of WORDS.
         colors: Indices in COLORS, the ground first where there is one.
         scale: Index in SCALES.
         brushwork: A key of MEDIA.
         direction: One of DIRECTIONS, or ``None`` where it shall not be told.
-        below: Draws an integer below its argument.
     """
-    words = WORDS[pattern]
+    words, below = WORDS[pattern], draw.below
     names = [COLORS[color].names[below(1 + below(len(COLORS[color].names)))] for color in colors]
     noun = words.nouns[below(len(words.nouns))]
     sizes = (words.fine, (), words.coarse)[scale]
@@ -105,11 +74,7 @@ def describe(
         text = " ".join([*lead, figures, noun, setting])
         return _finish(text, medium, below)
     # Where there is no ground to tell, the order of colours is anybody's.
-    order = list(names)
-    for last in range(len(order) - 1, 0, -1):
-        other = below(last + 1)
-        order[last], order[other] = order[other], order[last]
-    palette = join_names(order, below)
+    palette = join_names(draw.shuffled(names), below)
     shape = " ".join([*lead, noun])
     form = below(6)
     if form <= 1:

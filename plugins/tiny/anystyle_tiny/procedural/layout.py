@@ -1,7 +1,8 @@
 """What stands where in a procedural scene: rooms and gardens, furniture and toys, materials and light."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,29 +13,14 @@ from anystyle_tiny.procedural import textures as tx
 from anystyle_tiny.procedural.volumes import sine
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
 
 # sRGB colours of things people live among; a room mixes some of these with vivid ones.
 NATURAL = (
-    (232, 226, 212),
-    (201, 186, 160),
-    (168, 140, 106),
-    (120, 84, 54),
-    (84, 60, 44),
-    (156, 148, 138),
-    (110, 112, 112),
-    (188, 176, 168),
-    (150, 84, 62),
-    (176, 108, 78),
-    (104, 122, 84),
-    (74, 92, 66),
-    (124, 140, 148),
-    (86, 102, 120),
-    (214, 200, 176),
-    (60, 58, 62),
-    (198, 156, 100),
-    (222, 214, 222),
-)
-
+    (232, 226, 212), (201, 186, 160), (168, 140, 106), (120, 84, 54), (84, 60, 44), (156, 148, 138),
+    (110, 112, 112), (188, 176, 168), (150, 84, 62), (176, 108, 78), (104, 122, 84), (74, 92, 66),
+    (124, 140, 148), (86, 102, 120), (214, 200, 176), (60, 58, 62), (198, 156, 100), (222, 214, 222),
+)  # fmt: skip
 
 CLEARANCE = 0.6
 """How near a camera a group of solids may stand, in sizes of a group."""
@@ -66,6 +52,14 @@ class Draw:
     def chance(self, probability: float) -> bool:
         """True with a probability."""
         return float(self._generator.random()) < probability
+
+    def shuffled(self, items: Sequence[T]) -> list[T]:
+        """The same items in a random order."""
+        order = list(items)
+        for last in range(len(order) - 1, 0, -1):
+            other = self.below(last + 1)
+            order[last], order[other] = order[other], order[last]
+        return order
 
     def turn(self) -> tuple[float, float]:
         """Cosine and sine of a uniform angle."""
@@ -135,10 +129,9 @@ class Builder:
         row[sd.INVERSE : sd.INVERSE + 3] = [1.0 / side for side in half]
         row[sd.COS], row[sd.SIN] = turn
         x, y, z = half
-        row[sd.BOUND] = {
-            sd.SPHERE: max(half),
-            sd.BOX: np.sqrt(x * x + y * y + z * z),
-        }.get(shape, np.sqrt(max(x, z) ** 2 + y * y)) * 1.0001
+        row[sd.BOUND] = {sd.SPHERE: max(half), sd.BOX: np.sqrt(x * x + y * y + z * z)}.get(
+            shape, np.sqrt(max(x, z) ** 2 + y * y)
+        ) * 1.0001
         row[sd.BULK] = 0.75 * min(sorted(half)[1], 1.5 * min(half))
         row[sd.PAINT] = material
         self.solids.append(row)
@@ -278,25 +271,12 @@ def _pillar(build: Builder, x: float, z: float, size: float) -> None:
         build.solid(sd.BOX, (x, y, z), (1.4 * r, 0.1 * size, 1.4 * r), stone)
 
 
-INDOORS: tuple[Callable[[Builder, float, float, float], None], ...] = (_stack, _stack, _table, _chair, _lamp, _plant)
-OUTDOORS: tuple[Callable[[Builder, float, float, float], None], ...] = (
-    _stack,
-    _tree,
-    _house,
-    _boulder,
-    _pillar,
-    _table,
-)
+Makers = tuple[Callable[[Builder, float, float, float], None], ...]
+INDOORS: Makers = (_stack, _stack, _table, _chair, _lamp, _plant)
+OUTDOORS: Makers = (_stack, _tree, _house, _boulder, _pillar, _table)
 
 
-def _spread(
-    build: Builder,
-    makers: tuple[Callable[[Builder, float, float, float], None], ...],
-    reach: float,
-    eyes: Array,
-    *,
-    room: bool,
-) -> None:
+def _spread(build: Builder, makers: Makers, reach: float, eyes: Array, *, room: bool) -> None:
     """Stand groups of solids on the floor within ``reach`` of the middle, none inside another or before a camera."""
     draw = build.draw
     taken: list[tuple[float, float, float]] = [(float(x), float(z), CLEARANCE) for x, _, z in eyes]

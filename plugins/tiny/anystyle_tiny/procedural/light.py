@@ -1,7 +1,5 @@
 """How a procedural scene is lit: its surroundings, sky, lamp and sun, and the light that leaves a point of it."""
 
-from typing import no_type_check
-
 import numpy as np
 
 from anystyle.compiled import compiled
@@ -12,26 +10,12 @@ from anystyle_tiny.procedural.volumes import rough
 # Columns of the settings: whether it is a room, half extents of the room in x and z and its height (or the dome's
 # radius), the light (direction or place, whether it is a place, radius of its disk), its colour, colours of the
 # ambient from above and below, sky colours at the horizon and the zenith, cloudiness, colour and height of hills.
-ROOM, EXTENT, LIGHT, NEARBY, SPREAD, SUN, ABOVE, BELOW, HORIZON, ZENITH, CLOUDS, HILLS, HILL_HEIGHT = (
-    0,
-    1,
-    4,
-    7,
-    8,
-    9,
-    12,
-    15,
-    18,
-    21,
-    24,
-    25,
-    28,
-)
+ROOM, EXTENT, LIGHT, NEARBY, SPREAD, SUN, ABOVE = 0, 1, 4, 7, 8, 9, 12
+BELOW, HORIZON, ZENITH, CLOUDS, HILLS, HILL_HEIGHT = 15, 18, 21, 24, 25, 28
 SETTING_COLUMNS = 29
 
 
 @compiled
-@no_type_check
 def hit_surroundings(
     g: np.ndarray, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
 ) -> tuple[float, int]:
@@ -61,7 +45,6 @@ def hit_surroundings(
 
 
 @compiled
-@no_type_check
 def _sky(g: np.ndarray, x: float, y: float, z: float, bytes_: np.ndarray) -> tuple[float, float, float]:
     """Light of the dome at a point of it."""
     r = g[EXTENT]
@@ -87,7 +70,6 @@ def _sky(g: np.ndarray, x: float, y: float, z: float, bytes_: np.ndarray) -> tup
 
 
 @compiled
-@no_type_check
 def _corners(g: np.ndarray, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
     """Share of the ambient light that the floor and the corners of the room leave."""
     left = 1.0 - 0.45 * (0.5 - 0.5 * ny) / (1.0 + y * y * 4.0)
@@ -99,7 +81,6 @@ def _corners(g: np.ndarray, x: float, y: float, z: float, nx: float, ny: float, 
 
 
 @compiled
-@no_type_check
 def _direct(
     g: np.ndarray,
     solids: np.ndarray,
@@ -139,7 +120,6 @@ def _direct(
 
 
 @compiled
-@no_type_check
 def shade(
     g: np.ndarray,
     solids: np.ndarray,

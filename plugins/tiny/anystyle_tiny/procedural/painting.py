@@ -1,7 +1,5 @@
 """Painting a pattern on a sheet: brushwork, paper and anti-aliasing."""
 
-from typing import no_type_check
-
 import numpy as np
 
 from anystyle.compiled import compiled
@@ -13,7 +11,6 @@ PRINT, OIL, WATERCOLOUR, CHALK = range(len(BRUSHWORK))
 
 
 @compiled
-@no_type_check
 def _brushed(brush: int, u: float, v: float, bytes_: np.ndarray) -> tuple[float, float]:
     """How a way of painting changes a place of the sheet: a factor, and how much of the paper shows."""
     if brush == OIL:
@@ -31,7 +28,6 @@ def _brushed(brush: int, u: float, v: float, bytes_: np.ndarray) -> tuple[float,
 
 
 @compiled
-@no_type_check
 def paint(
     kind: int,
     brush: int,

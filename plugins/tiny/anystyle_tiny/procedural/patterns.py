@@ -4,76 +4,33 @@ A pattern is a function of the place in periods. It names two colours of the pal
 the other the point is, and a shade; edges are as soft as a pixel is wide.
 """
 
-from typing import no_type_check
-
 import numpy as np
 
 from anystyle.compiled import compiled
 from anystyle_tiny.procedural.volumes import chance, noise_at, rough, sine
 
 PATTERNS = (
-    "plain",
-    "stripes",
-    "dots",
-    "mosaic",
-    "checker",
-    "bricks",
-    "hatching",
-    "strokes",
-    "swirls",
-    "waves",
-    "zigzag",
-    "splatter",
-    "wash",
-    "geometric",
-    "scales",
-    "marble",
-    "rings",
-    "plaid",
-    "points",
-    "flowers",
-)
-(
-    PLAIN,
-    STRIPES,
-    DOTS,
-    MOSAIC,
-    CHECKER,
-    BRICKS,
-    HATCHING,
-    STROKES,
-    SWIRLS,
-    WAVES,
-    ZIGZAG,
-    SPLATTER,
-    WASH,
-    GEOMETRIC,
-    SCALES,
-    MARBLE,
-    RINGS,
-    PLAID,
-    POINTS,
-    FLOWERS,
-) = range(len(PATTERNS))
+    "plain", "stripes", "dots", "mosaic", "checker", "bricks", "hatching", "strokes", "swirls", "waves", "zigzag",
+    "splatter", "wash", "geometric", "scales", "marble", "rings", "plaid", "points", "flowers",
+)  # fmt: skip
+PLAIN, STRIPES, DOTS, MOSAIC, CHECKER, BRICKS, HATCHING, STROKES, SWIRLS, WAVES = range(10)
+ZIGZAG, SPLATTER, WASH, GEOMETRIC, SCALES, MARBLE, RINGS, PLAID, POINTS, FLOWERS = range(10, len(PATTERNS))
 
 # Periods on an image's side at the middle scale; finer and coarser ones are 1.7 times as many and as few.
 FREQUENCY = (1.6, 7.0, 6.0, 6.0, 6.5, 5.5, 11.0, 6.0, 3.0, 5.5, 5.0, 3.4, 1.3, 3.0, 5.5, 3.2, 3.0, 3.6, 14.0, 4.0)
 
 
 @compiled
-@no_type_check
 def _cover(distance: float, foot: float) -> float:
     return min(max(0.5 + distance / max(foot, 1e-6), 0.0), 1.0)
 
 
 @compiled
-@no_type_check
 def _pick(i: int, j: int, salt: int, count: int) -> int:
     return int(chance(i, j, salt) * count) % count
 
 
 @compiled
-@no_type_check
 def _angle(y: float, x: float) -> float:
     """The angle of (x, y) in turns, in (-0.5, 0.5]."""
     ax, ay = abs(x), abs(y)
@@ -88,7 +45,6 @@ def _angle(y: float, x: float) -> float:
 
 
 @compiled
-@no_type_check
 def _bands(phase: float, foot: float, count: int) -> tuple[int, int, float, float]:
     """Bands of equal width in the order of the palette; at least two."""
     band = np.floor(phase)
@@ -99,7 +55,6 @@ def _bands(phase: float, foot: float, count: int) -> tuple[int, int, float, floa
 
 
 @compiled
-@no_type_check
 def _grid_dots(x: float, y: float, foot: float, count: int, salt: int, radius: float) -> tuple[int, int, float, float]:
     row = np.floor(y)
     u = x + 0.5 * (int(row) & 1)
@@ -110,7 +65,6 @@ def _grid_dots(x: float, y: float, foot: float, count: int, salt: int, radius: f
 
 
 @compiled
-@no_type_check
 def _mosaic(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int, int, float, float]:
     ix, iy = int(np.floor(x)), int(np.floor(y))
     best, second, ci, cj = 1e9, 1e9, 0, 0
@@ -129,7 +83,6 @@ def _mosaic(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int
 
 
 @compiled
-@no_type_check
 def _bricks(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int, int, float, float]:
     row = np.floor(y)
     u = x * 0.5 + 0.5 * (int(row) & 1)
@@ -142,7 +95,6 @@ def _bricks(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int
 
 
 @compiled
-@no_type_check
 def _hatching(
     x: float, y: float, foot: float, count: int, salt: int, bytes_: np.ndarray
 ) -> tuple[int, int, float, float]:
@@ -160,7 +112,6 @@ def _hatching(
 
 
 @compiled
-@no_type_check
 def _strokes(
     x: float, y: float, foot: float, count: int, salt: int, bytes_: np.ndarray
 ) -> tuple[int, int, float, float]:
@@ -191,7 +142,6 @@ def _strokes(
 
 
 @compiled
-@no_type_check
 def _swirls(
     x: float, y: float, foot: float, count: int, salt: int, bytes_: np.ndarray
 ) -> tuple[int, int, float, float]:
@@ -217,7 +167,6 @@ def _swirls(
 
 
 @compiled
-@no_type_check
 def _splatter(
     x: float, y: float, foot: float, count: int, salt: int, bytes_: np.ndarray
 ) -> tuple[int, int, float, float]:
@@ -247,7 +196,6 @@ def _splatter(
 
 
 @compiled
-@no_type_check
 def _geometric(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int, int, float, float]:
     """Triangles, bars and disks over each other, each of one flat colour."""
     ix, iy = int(np.floor(x)), int(np.floor(y))
@@ -277,7 +225,6 @@ def _geometric(x: float, y: float, foot: float, count: int, salt: int) -> tuple[
 
 
 @compiled
-@no_type_check
 def _scales(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int, int, float, float]:
     """Overlapping half disks in rows."""
     for step in range(2, -1, -1):
@@ -294,7 +241,6 @@ def _scales(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int
 
 
 @compiled
-@no_type_check
 def _flowers(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int, int, float, float]:
     row = np.floor(y)
     u = x + 0.5 * (int(row) & 1)
@@ -312,7 +258,6 @@ def _flowers(x: float, y: float, foot: float, count: int, salt: int) -> tuple[in
 
 
 @compiled
-@no_type_check
 def _wash(x: float, y: float, count: int, salt: int, bytes_: np.ndarray) -> tuple[int, int, float, float]:
     """Colours that run into each other."""
     t = 0.55 * y + 0.9 * rough(bytes_, x * 0.35 + 0.1 * salt, y * 0.35, 0.2, 1.0) + 0.5
@@ -323,7 +268,6 @@ def _wash(x: float, y: float, count: int, salt: int, bytes_: np.ndarray) -> tupl
 
 
 @compiled
-@no_type_check
 def pattern_at(
     kind: int, x: float, y: float, foot: float, count: int, salt: int, bytes_: np.ndarray
 ) -> tuple[int, int, float, float]:

@@ -115,12 +115,12 @@ def descriptions(num_captions: int = 500) -> tuple[str, ...]:
         direction = _pick(draw, DIRECTIONS) if pattern in DIRECTED else None
         names.append(
             describe(
+                draw,
                 pattern=pattern,
                 colors=colors,
                 scale=draw.below(len(SCALES)),
                 brushwork=_pick(draw, BRUSHWORK),
                 direction=direction,
-                below=draw.below,
             )
         )
     names += [draw_phrase(draw)[0] for _ in range(num_captions)]
@@ -143,10 +143,7 @@ def _traits(draw: Draw, look: Look, colors: tuple[int, ...]) -> StyleTraits:
 
 def _shuffled(draw: Draw, colors: Sequence[int], *, lead: bool = False) -> tuple[int, ...]:
     """Colours in another order; with ``lead`` the first one stays the ground more often than not."""
-    order = list(colors)
-    for last in range(len(order) - 1, 0, -1):
-        other = draw.below(last + 1)
-        order[last], order[other] = order[other], order[last]
+    order = draw.shuffled(colors)
     if lead and draw.chance(0.6):
         order.remove(colors[0])
         order.insert(0, colors[0])

@@ -1,7 +1,5 @@
 """A ray caster for scenes of a few solids: colour by supersampling, depth exact at pixel centres."""
 
-from typing import no_type_check
-
 import numpy as np
 
 from anystyle.compiled import compiled
@@ -13,7 +11,6 @@ CALM = 0.05
 
 
 @compiled
-@no_type_check
 def _ray(
     pose: np.ndarray, focal: float, height: int, width: int, row: float, column: float
 ) -> tuple[float, float, float]:
@@ -27,7 +24,6 @@ def _ray(
 
 
 @compiled
-@no_type_check
 def _nearest(
     g: np.ndarray,
     solids: np.ndarray,
@@ -50,7 +46,6 @@ def _nearest(
 
 
 @compiled
-@no_type_check
 def _bounds(solids: np.ndarray, pose: np.ndarray, focal: float, height: int, width: int) -> np.ndarray:
     """Rectangles of the image that hold the solids' bounding spheres: left, right, top, bottom."""
     bounds = np.empty((len(solids), 4), np.float64)
@@ -76,7 +71,6 @@ def _bounds(solids: np.ndarray, pose: np.ndarray, focal: float, height: int, wid
 
 
 @compiled
-@no_type_check
 def cast(
     g: np.ndarray,
     solids: np.ndarray,

@@ -3,8 +3,6 @@
 The world's y axis points up and lengths are metres. A scene's solids are a table of numbers, a row a solid.
 """
 
-from typing import no_type_check
-
 import numpy as np
 
 from anystyle.compiled import compiled
@@ -21,7 +19,6 @@ FLOOR, WALL, CEILING, SOLIDS = range(4)
 
 
 @compiled
-@no_type_check
 def _hit_sphere(px: float, py: float, pz: float, dx: float, dy: float, dz: float, near: float) -> float:
     a = dx * dx + dy * dy + dz * dz
     b = px * dx + py * dy + pz * dz
@@ -34,7 +31,6 @@ def _hit_sphere(px: float, py: float, pz: float, dx: float, dy: float, dz: float
 
 
 @compiled
-@no_type_check
 def _hit_box(px: float, py: float, pz: float, dx: float, dy: float, dz: float, near: float) -> float:
     # A direction along a face divides by zero, which gives the infinities that the comparisons need.
     ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
@@ -47,7 +43,6 @@ def _hit_box(px: float, py: float, pz: float, dx: float, dy: float, dz: float, n
 
 
 @compiled
-@no_type_check
 def _hit_round(px: float, py: float, pz: float, dx: float, dy: float, dz: float, near: float, slope: float) -> float:
     """A cylinder of radius 1 (slope 0) or a cone of radius 1 at y = -1 and 0 at y = 1 (slope 0.5)."""
     best = np.inf
@@ -76,7 +71,6 @@ def _hit_round(px: float, py: float, pz: float, dx: float, dy: float, dz: float,
 
 
 @compiled
-@no_type_check
 def hit_solid(
     solids: np.ndarray, i: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, near: float
 ) -> float:
@@ -95,7 +89,6 @@ def hit_solid(
 
 
 @compiled
-@no_type_check
 def _angle(y: float, x: float) -> float:
     """The angle of (x, y) in (-pi, pi], continuous to 1e-3: enough to wrap a pattern around."""
     ax, ay = abs(x), abs(y)
@@ -110,7 +103,6 @@ def _angle(y: float, x: float) -> float:
 
 
 @compiled
-@no_type_check
 def surface(
     solids: np.ndarray, i: int, x: float, y: float, z: float
 ) -> tuple[float, float, float, float, float, float, float, float]:
@@ -150,7 +142,6 @@ def surface(
 
 
 @compiled
-@no_type_check
 def shadowed(solids: np.ndarray, x: float, y: float, z: float, lx: float, ly: float, lz: float, reach: float) -> bool:
     """Whether a solid stands between a point and the light at distance ``reach`` along the unit (lx, ly, lz)."""
     for i in range(len(solids)):
@@ -166,7 +157,6 @@ def shadowed(solids: np.ndarray, x: float, y: float, z: float, lx: float, ly: fl
 
 
 @compiled
-@no_type_check
 def openness(solids: np.ndarray, label: int, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
     """Share of the ambient light that reaches a point past the solids; ``label`` is the one it lies on."""
     hidden = 0.0

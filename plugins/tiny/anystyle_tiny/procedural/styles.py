@@ -100,17 +100,15 @@ class ProceduralStyles(StyleSource):
         draw, traits = self._draw(style)
         directed = PATTERNS[traits.pattern] in DIRECTED
         text = describe(
+            draw,
             pattern=PATTERNS[traits.pattern],
             colors=traits.colors,
             scale=traits.scale,
             brushwork=BRUSHWORK[traits.brushwork],
             direction=DIRECTIONS[traits.direction] if directed and draw.chance(0.5) else None,
-            below=draw.below,
         )
         return Style(
-            image=paint_style(draw, traits, self.size),
-            text=(text,),
-            names=(f"{self.split}-{self.seed}-{style:05d}",),
+            image=paint_style(draw, traits, self.size), text=(text,), names=(f"{self.split}-{self.seed}-{style:05d}",)
         )
 
     def traits(self, style: int) -> StyleTraits:

@@ -4,8 +4,6 @@ Each pattern filters itself: where it is finer than a pixel it fades to its mean
 shimmer between views. Coordinates are in metres of the scene before it is normalised.
 """
 
-from typing import no_type_check
-
 import numpy as np
 
 from anystyle.compiled import compiled
@@ -22,19 +20,8 @@ from anystyle_tiny.procedural.volumes import (
 )
 
 TEXTURES = (
-    "plain",
-    "stripes",
-    "checker",
-    "dots",
-    "bricks",
-    "tiles",
-    "wood",
-    "marble",
-    "noise",
-    "leaves",
-    "cells",
-    "planks",
-)
+    "plain", "stripes", "checker", "dots", "bricks", "tiles", "wood", "marble", "noise", "leaves", "cells", "planks",
+)  # fmt: skip
 PLAIN, STRIPES, CHECKER, DOTS, BRICKS, TILES, WOOD, MARBLE, NOISE, LEAVES, CELLS, PLANKS = range(len(TEXTURES))
 
 # Columns of a material: kind, period in metres, three colours, offset, cosine and sine of the pattern's turn,
@@ -44,14 +31,12 @@ MATERIAL_COLUMNS = 18
 
 
 @compiled
-@no_type_check
 def _cover(distance: float, footprint: float) -> float:
     """How much of a pixel lies on the positive side of an edge."""
     return min(max(0.5 + distance / footprint, 0.0), 1.0)
 
 
 @compiled
-@no_type_check
 def _wave(x: float, footprint: float) -> float:
     """A square wave of period 1 in [-1, 1], filtered."""
     r = x - np.floor(x)
@@ -59,7 +44,6 @@ def _wave(x: float, footprint: float) -> float:
 
 
 @compiled
-@no_type_check
 def _mix3(materials: np.ndarray, m: int, t: float, shade: float) -> tuple[float, float, float]:
     """A ramp through the three colours, ``t`` in [0, 1], times ``shade``."""
     t = min(max(t, 0.0), 1.0) * 2.0
@@ -73,7 +57,6 @@ def _mix3(materials: np.ndarray, m: int, t: float, shade: float) -> tuple[float,
 
 
 @compiled
-@no_type_check
 def _laid(
     materials: np.ndarray, m: int, u: float, v: float, foot: float, ratio: float, bond: float, salt: int
 ) -> tuple[float, float]:
@@ -87,17 +70,8 @@ def _laid(
 
 
 @compiled
-@no_type_check
 def _pattern(
-    materials: np.ndarray,
-    m: int,
-    x: float,
-    y: float,
-    z: float,
-    u: float,
-    v: float,
-    foot: float,
-    bytes_: np.ndarray,
+    materials: np.ndarray, m: int, x: float, y: float, z: float, u: float, v: float, foot: float, bytes_: np.ndarray
 ) -> tuple[float, float, float]:
     """Colour at solid coordinates (x, y, z) and surface coordinates (u, v), all in periods."""
     kind = int(materials[m, KIND])
@@ -152,7 +126,6 @@ def _pattern(
 
 
 @compiled
-@no_type_check
 def albedo(
     materials: np.ndarray,
     m: int,

@@ -1,7 +1,6 @@
 """Periodic volumes of noise, blobs and cells, and the arithmetic that makes them the same on every machine."""
 
 from functools import cache
-from typing import no_type_check
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +21,6 @@ NOISE_UNITS = 4.0
 
 
 @compiled
-@no_type_check
 def sine(x: float) -> float:
     """The sine to 1e-7, from operations that every machine rounds alike."""
     turns = x * 0.15915494309189535
@@ -37,7 +35,6 @@ def sine(x: float) -> float:
 
 
 @compiled
-@no_type_check
 def scramble(value: int) -> int:
     """Hash a small integer to 32 bits."""
     h = (value * 2654435761 + 97) & 0xFFFFFFFF
@@ -49,14 +46,12 @@ def scramble(value: int) -> int:
 
 
 @compiled
-@no_type_check
 def chance(x: int, y: int, z: int) -> float:
     """Hash three integers to a number in [0, 1)."""
     return scramble((x * 73856093) ^ (y * 19349663) ^ (z * 83492791)) / 4294967296.0
 
 
 @compiled
-@no_type_check
 def _make_noise(side: int) -> np.ndarray:
     tile = np.zeros((side, side, side), np.float32)
     total = 0.0
@@ -85,7 +80,6 @@ def _make_noise(side: int) -> np.ndarray:
 
 
 @compiled
-@no_type_check
 def _make_leaves(side: int, count: int) -> np.ndarray:
     """Dead leaves: balls and blocks dropped over each other, radii with the density of r**-3 in each slice."""
     tile = np.zeros((side, side, side), np.uint8)
@@ -110,7 +104,6 @@ def _make_leaves(side: int, count: int) -> np.ndarray:
 
 
 @compiled
-@no_type_check
 def _make_cells(side: int, per_side: int) -> tuple[np.ndarray, np.ndarray]:
     labels = np.zeros((side, side, side), np.uint8)
     edges = np.zeros((side, side, side), np.float32)
@@ -149,7 +142,6 @@ def volumes() -> NDArray[np.uint8]:
 
 
 @compiled
-@no_type_check
 def noise_at(bytes_: np.ndarray, x: float, y: float, z: float) -> float:
     """Trilinear noise in about [-1, 1]; a lattice unit is a quarter of the tile."""
     k = NOISE_SIDE / NOISE_UNITS
@@ -169,7 +161,6 @@ def noise_at(bytes_: np.ndarray, x: float, y: float, z: float) -> float:
 
 
 @compiled
-@no_type_check
 def rough(bytes_: np.ndarray, x: float, y: float, z: float, footprint: float) -> float:
     """1/f noise over seven octaves in about [-1.2, 1.2]; what is finer than ``footprint`` lattice units is left out."""
     value = noise_at(bytes_, x, y, z)

@@ -42,7 +42,6 @@ class OneSampleT(StudyTest):
             interval=t_interval(mean, error, float(n - 1), self.confidence, self.alternative),
             effect=mean / sd,
             effect_name="cohens_d",
-            effect_interval=(math.nan, math.nan),
             n=n,
             confidence=self.confidence,
             method=f"{method}, {n - 1} degrees of freedom",

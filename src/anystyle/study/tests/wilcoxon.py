@@ -69,7 +69,6 @@ class Wilcoxon(StudyTest):
             interval=interval,
             effect=(2 * float(normal.statistic) - total) / total,
             effect_name="rank_biserial",
-            effect_interval=(math.nan, math.nan),
             n=responses.count,
             confidence=self.confidence,
             method=f"{name}, {how}, {ranked} ranked; estimate: Hodges-Lehmann pseudo-median",
