@@ -141,7 +141,7 @@ METHODS: dict[str, dict[str, Callable[[Case], Tensor]]] = {
         "fit_colors=off": solved("off"),
         "fit_colors=mean": solved("mean"),
         "fit_colors=2": solved(2),
-        "fit_colors=8": solved(8),
+        "fit_colors=6": solved(6),
     },
 }
 

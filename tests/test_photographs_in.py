@@ -198,7 +198,8 @@ def test_a_capture_that_cannot_work_ends_in_a_plain_sentence(hard, stylizer, cap
     with caplog.at_level(logging.WARNING):
         results = anystyle.stylize(hard / capture, style, model=stylizer, poses=PoseOptions("auto"), views=VIEWS)
     assert HARD[capture] in caplog.text and "what the backbone predicts in a single pass" in caplog.text
-    assert results[0].report["reconstruction"]["kind"] == "feedforward"
+    report = results[0].report["reconstruction"]
+    assert report["kind"] == "feedforward" and report["trust"] == "failed" and HARD[capture] in report["reasons"][0]
 
 
 def test_cameras_that_must_be_found_and_are_not(hard, stylizer):

@@ -21,6 +21,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "study"))
 
 import forked
+from fuzz.kept import KEPT
 from fuzz.mutators import mutate
 from fuzz.seeds import Case, write
 
@@ -92,6 +93,22 @@ def fuzz(inputs: int, seed: int, seconds: float, keep: Path, only: str = "") -> 
     return verdicts
 
 
+def again(seconds: float) -> int:
+    """Run what once ended badly; returns how many end badly now."""
+    badly = 0
+    with tempfile.TemporaryDirectory() as root:
+        cases = write(Path(root) / "seeds")
+        forked.warm()
+        for name, file, content in KEPT:
+            folder = _copied(Path(root), name)
+            (folder / file).unlink()
+            (folder / file).write_bytes(content)
+            verdict, said = run(cases[name], folder, seconds)
+            badly += bool(verdict)
+            print(f"{name}: {file} {content[:40]!r}: {verdict or 'fine'} {said[-800:] if verdict else ''}")
+    return badly
+
+
 def _keep(folder: Path, file: str, kept: Path) -> None:
     kept.mkdir(parents=True)
     path = folder / file
@@ -113,9 +130,12 @@ def main() -> int:
     words.add_argument("--seed", type=int, default=0)
     words.add_argument("--seconds", type=float, default=30, help="after which a command hangs")
     words.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="where inputs go that end badly")
+    words.add_argument("--kept", action="store_true", help="instead, what once ended badly")
     words.add_argument("--only", default="", help="cases with this in their name")
     arguments = words.parse_args()
     faulthandler.enable()
+    if arguments.kept:
+        return int(again(arguments.seconds) > 0)
     verdicts = fuzz(arguments.inputs, arguments.seed, arguments.seconds, arguments.keep, arguments.only)
     return int(set(verdicts) != {"fine"})
 

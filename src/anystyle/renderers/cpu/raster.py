@@ -47,6 +47,7 @@ def falloff(sigma: float) -> float:
 WIDE = np.uint64(WIDTH)
 """Unsigned, as are the indices in the loops: others could count from the end, and would not compile to vectors."""
 
+
 @compiled
 @no_type_check
 def blend(splats: Array, lists: Array, offsets: Array, top: int, cap: float, image: Array, last: Array) -> None:
