@@ -59,5 +59,7 @@ def test_texts_and_pictures_turn_a_scene_to_their_colours(stylizer, scene):
     for sign, text, image in zip((1, -1), TEXTS, tinted, strict=True):
         for embedding in (stylizer.embed(text=text), stylizer.embed(image=image)):
             styled = stylizer.restyle(scene, embedding)
-            assert all(getattr(styled, name).equal(getattr(unstyled, name)) for name in ("means", "scales", "opacities"))
+            assert all(
+                getattr(styled, name).equal(getattr(unstyled, name)) for name in ("means", "scales", "opacities")
+            )
             assert sign * (redness(styled) - before) > 0.05
