@@ -91,6 +91,8 @@ def _room_for(path: Path, frames: int) -> None:
     """Refuse frames that memory does not hold, before they are decoded."""
     with _opened(path) as container:
         size = container.streams.video[0].codec_context
+        if size is None:
+            return  # no decoder is known; reading says so
         what = f"{frames} frames of {size.width}x{size.height} of {path}"
         require(3 * frames * size.width * size.height, what, "take fewer (views.take)")
 

@@ -175,7 +175,7 @@ class _System:
     gaussians: Gaussians
     cameras: Cameras
     renderer: Renderer
-    confidence: tuple[Float[Tensor, "3 H W"], ...] | None = None
+    confidence: tuple[Float[Tensor, "1 H W"], ...] | None = None
 
     @cached_property
     def confident(self) -> "_System":
@@ -184,10 +184,10 @@ class _System:
         views = range(len(self.gray_renders))
         largest = torch.stack([self.transposed(view, ones)[:, 0] for view in views]).argmax(0)
 
-        def largest_in(view: int) -> Float[Tensor, "3 H W"]:
+        def largest_in(view: int) -> Float[Tensor, "1 H W"]:
             shown = 0.5 + 0.45 * (largest == view).to(self.gray)[:, None].expand_as(self.gray)
             with torch.no_grad():
-                return (self.render(view, shown) - self.gray_renders[view]) / 0.45
+                return (self.render(view, shown) - self.gray_renders[view])[:1] / 0.45
 
         confidence = tuple((largest_in(view).clamp(0, 1) + MIN_CONFIDENCE).square() for view in views)
         system = replace(self, confidence=confidence)
