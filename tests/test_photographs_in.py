@@ -137,6 +137,27 @@ def test_found_cameras_serve_the_backbone_too(stylizer):
     assert report["kind"] == "feedforward" and report["registered"] == 4 and report["trust"] == "good"
 
 
+def walked_through(images):
+    """Photographs with a grey figure that stands elsewhere in each."""
+    images = images.clone()
+    height, width = images.shape[-2:]
+    for view, image in enumerate(images):
+        left = 4 + view * (width - 16) // len(images)
+        image[:, height // 4 : -height // 8, left : left + 10] = 0.1 if view % 2 else 0.9
+    return images
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_what_moves_is_told(stylizer, caplog, moves):
+    images, cameras, _ = photographed_wall(num_views=5)
+    images = torch.nn.functional.interpolate(images, size=(84, 112), mode="bilinear")
+    views = Views(walked_through(images)[None] if moves else images[None], cameras.resized((84, 112)))
+    fit = Fit(quality="draft", num_gaussians=1500, num_steps=80, holdout=0, keep=False)
+    with caplog.at_level(logging.WARNING):
+        fit(views, stylizer.encode_colors, stylizer.renderer)
+    assert ("something moved while they were taken" in caplog.text) is moves
+
+
 HARD = {
     "two rooms": "2 photographs are too few",
     "a blank wall": "too little to see",
@@ -177,7 +198,8 @@ def test_a_capture_that_cannot_work_ends_in_a_plain_sentence(hard, stylizer, cap
     with caplog.at_level(logging.WARNING):
         results = anystyle.stylize(hard / capture, style, model=stylizer, poses=PoseOptions("auto"), views=VIEWS)
     assert HARD[capture] in caplog.text and "what the backbone predicts in a single pass" in caplog.text
-    assert results[0].report["reconstruction"]["kind"] == "feedforward"
+    report = results[0].report["reconstruction"]
+    assert report["kind"] == "feedforward" and report["trust"] == "failed" and HARD[capture] in report["reasons"][0]
 
 
 def test_cameras_that_must_be_found_and_are_not(hard, stylizer):

@@ -99,9 +99,6 @@ class Stylizer(nn.Module):
     def encode_colors(self, views: Views) -> Scene:
         """What a branch needs that styles colours alone: the photographs' own colours, without any network.
 
-        Args:
-            views: With cameras.
-
         Raises:
             ValueError: Cameras are missing, or the branch reads more than colours.
         """

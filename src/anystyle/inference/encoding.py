@@ -26,7 +26,7 @@ from anystyle.methods.contract import Method, Progress, silent
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.reconstructions.feedforward import Feedforward
 from anystyle.reconstructions.fit import Fit
-from anystyle.reconstructions.sfm.verdict import FEWEST_VIEWS
+from anystyle.reconstructions.sfm.verdict import FEWEST_VIEWS, Verdict
 from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
 from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, Views
@@ -136,11 +136,12 @@ def encode_capture(
         ValueError: Nothing can be read, memory does not suffice, cameras are not found or do not match, or the
             backbone's outputs are not of the shapes that it promises.
     """
+    doubts: dict[str, object] = {}
     if poses.use in ("sfm", "auto") and not isinstance(inputs, Views):
         posed = _find(inputs, stylizer, views, reconstruction, stages, required=poses.use == "sfm")
-        if posed is not None:
+        if isinstance(posed, FoundCameras):
             return _with_found_cameras(posed, reconstruction, stylizer, stages)
-        poses = replace(poses, use="predicted")
+        poses, doubts = replace(poses, use="predicted"), posed.report()
     given, sources = _given(inputs, stylizer, views, reconstruction, stages)
     if reconstruction is not None and reconstruction.needs_cameras:
         return _with_cameras(given, sources, reconstruction, stylizer, poses, refined, stages)
@@ -154,7 +155,7 @@ def encode_capture(
             size=views.max_views,
             overlap=views.overlap,
         )
-        report = reconstruction_report(reconstruction, capture, time.perf_counter() - start)
+        report = reconstruction_report(reconstruction, capture, time.perf_counter() - start) | doubts
         encoded = EncodedCapture(stylizer, given, sources, capture, report)
         return encoded if poses.use in ("predicted", "auto") else _with_known_cameras(encoded, poses)
 
@@ -164,12 +165,7 @@ def encode_splat(
 ) -> EncodedCapture:
     """Read a scene that was saved, look at it from cameras that are stored with it or chosen, and encode what is seen.
 
-    Args:
-        path: A PLY file, or a folder of results, whose unstyled scene is taken.
-        stylizer: In ``eval`` mode, on the device to compute on.
-        views: Their size.
-        options: From where it is seen.
-        stages: Times the work.
+    Of a folder of results the unstyled scene is taken.
 
     Raises:
         ValueError: The file is none of Gaussians, or memory does not suffice.
@@ -199,18 +195,13 @@ def _find(
     stages: Stages,
     *,
     required: bool,
-) -> FoundCameras | None:
-    """Photographs with cameras by structure from motion; ``None``, with a warning, where they can be done without."""
+) -> FoundCameras | Verdict:
+    """Photographs with cameras by structure from motion; why there are none, with a warning, where it goes on so."""
     with stages("read", "the photographs"):
         originals = read_photographs(_paths(inputs), options)
     if len(originals) < FEWEST_VIEWS and not required:
-        _log.warning(
-            "%d photographs are too few for their cameras to be found, which takes %d that overlap: the scene is what "
-            "the backbone predicts in a single pass",
-            len(originals),
-            FEWEST_VIEWS,
-        )
-        return None
+        few = f"{len(originals)} photographs are too few for their cameras to be found, which takes {FEWEST_VIEWS} that"
+        return _single_pass(Verdict("failed", (f"{few} overlap",), {}))
     with stages("cameras", f"of {len(originals)} photographs by structure from motion"):
         posed = find_cameras(
             originals,
@@ -227,15 +218,22 @@ def _find(
     reason = "; ".join(posed.reasons)
     if required or (reconstruction is not None and reconstruction.needs_cameras):
         raise ValueError(f"no cameras are found: {reason}; reconstruction=feedforward poses=predicted does without")
-    _log.warning("no cameras are found: %s. The scene is what the backbone predicts in a single pass", reason)
-    return None
+    return _single_pass(posed)
+
+
+def _single_pass(verdict: Verdict) -> Verdict:
+    _log.warning(
+        "no cameras are found: %s. The scene is what the backbone predicts in a single pass, and nothing confirms it",
+        "; ".join(verdict.reasons),
+    )
+    return verdict
 
 
 def _with_found_cameras(
     posed: FoundCameras, reconstruction: Reconstruction | None, stylizer: Stylizer, stages: Stages
 ) -> EncodedCapture:
     start = time.perf_counter()
-    trust = {"trust": posed.verdict.trust, "reasons": list(posed.verdict.reasons)}
+    trust = posed.verdict.report()
     chosen = reconstruction or Fit()
     if chosen.needs_cameras:
         encoded = _reconstruct(posed.views, posed.sources, chosen, stylizer, stages, posed.points)

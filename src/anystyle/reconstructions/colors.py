@@ -184,12 +184,12 @@ class _System:
         views = range(len(self.gray_renders))
         largest = torch.stack([self.transposed(view, ones)[:, 0] for view in views]).argmax(0)
 
-        def share(view: int) -> Float[Tensor, "1 H W"]:
+        def largest_in(view: int) -> Float[Tensor, "1 H W"]:
             shown = 0.5 + 0.45 * (largest == view).to(self.gray)[:, None].expand_as(self.gray)
             with torch.no_grad():
                 return (self.render(view, shown) - self.gray_renders[view])[:1] / 0.45
 
-        confidence = tuple((share(view).clamp(0, 1) + MIN_CONFIDENCE).square() for view in views)
+        confidence = tuple((largest_in(view).clamp(0, 1) + MIN_CONFIDENCE).square() for view in views)
         system = replace(self, confidence=confidence)
         vars(system).update(gray=self.gray, gray_renders=self.gray_renders)
         return system

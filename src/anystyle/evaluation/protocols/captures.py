@@ -194,13 +194,8 @@ class Captures(Protocol):
         )
         if not isinstance(posed, FoundCameras):
             raise ValueError(f"no cameras are found of {path}: {'; '.join(posed.reasons)}")
-        verdict = posed.verdict
         registered = f"{len(posed.sources)} of {len(originals)}"
-        return (
-            posed.views,
-            posed.points,
-            {"trust": verdict.trust, "reasons": list(verdict.reasons), "registered": registered},
-        )
+        return posed.views, posed.points, posed.verdict.report() | {"registered": registered}
 
     @torch.no_grad()
     def _feedforward(self, views: Views, points: Sequence[Tensor] | None, chosen: tuple[int, ...]) -> _Shown:

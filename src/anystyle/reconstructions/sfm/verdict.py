@@ -43,6 +43,10 @@ class Verdict:
     reasons: tuple[str, ...]
     measures: Mapping[str, float]
 
+    def report(self) -> dict[str, object]:
+        """What a report says of the cameras."""
+        return {"trust": self.trust, "reasons": list(self.reasons)}
+
 
 class Capture(NamedTuple):
     """What is known of photographs before they are mapped.

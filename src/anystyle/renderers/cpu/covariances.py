@@ -84,9 +84,12 @@ def covariances_backward(
     """
     r, d_r = np.empty((3, 3)), np.empty((3, 3))
     for g in range(start, stop):
+        d = d_packed[g]
+        if d[0] == 0.0 and d[1] == 0.0 and d[2] == 0.0 and d[3] == 0.0 and d[4] == 0.0 and d[5] == 0.0:
+            d_rotations[g], d_scales[g] = 0.0, 0.0
+            continue
         w, x, y, z, norm = unit(rotations[g])
         matrix(w, x, y, z, r)
-        d = d_packed[g]
         # The sum of the symmetric gradient and its transpose: an entry off the diagonal is packed once for two.
         xx, xy, xz, yy, yz, zz = 2.0 * d[0], float(d[1]), float(d[2]), 2.0 * d[3], float(d[4]), 2.0 * d[5]
         for k in range(3):

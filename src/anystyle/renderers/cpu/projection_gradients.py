@@ -32,7 +32,6 @@ def shape_backward(
     g: int,
     d_image: tuple,
     lens: tuple,
-    buffers: Array,
     d_covariances: Array,
     posed: bool,
     d_camera: Array,
@@ -45,7 +44,6 @@ def shape_backward(
         g: Which of them.
         d_image: Gradients of the covariance in the image: xx, half of xy, yy.
         lens: Focal lengths over depth and slopes of the ray: ``fx / z, fy / z, u, v``.
-        buffers: ``[4, 3]``, overwritten.
         d_covariances: ``[N, 6]``, added to.
         posed: Whether the camera's gradient is wanted.
         d_camera: ``[CAMERA]``, added to.
@@ -56,15 +54,12 @@ def shape_backward(
     hxx, hxy, hyy = d_image
     sx, sy, bu, bv = lens
     # A has the rows a and b; p and q are their products with the covariance.
-    a, b, p, q = buffers[0], buffers[1], buffers[2], buffers[3]
     c0, c1, c2 = covariances[g, 0], covariances[g, 1], covariances[g, 2]
     c3, c4, c5 = covariances[g, 3], covariances[g, 4], covariances[g, 5]
-    for j in range(3):
-        a[j] = sx * (r[j] - bu * r[6 + j])
-        b[j] = sy * (r[3 + j] - bv * r[6 + j])
-    p[0], q[0] = c0 * a[0] + c1 * a[1] + c2 * a[2], c0 * b[0] + c1 * b[1] + c2 * b[2]
-    p[1], q[1] = c1 * a[0] + c3 * a[1] + c4 * a[2], c1 * b[0] + c3 * b[1] + c4 * b[2]
-    p[2], q[2] = c2 * a[0] + c4 * a[1] + c5 * a[2], c2 * b[0] + c4 * b[1] + c5 * b[2]
+    a = sx * (r[0] - bu * r[6]), sx * (r[1] - bu * r[7]), sx * (r[2] - bu * r[8])
+    b = sy * (r[3] - bv * r[6]), sy * (r[4] - bv * r[7]), sy * (r[5] - bv * r[8])
+    p = c0 * a[0] + c1 * a[1] + c2 * a[2], c1 * a[0] + c3 * a[1] + c4 * a[2], c2 * a[0] + c4 * a[1] + c5 * a[2]
+    q = c0 * b[0] + c1 * b[1] + c2 * b[2], c1 * b[0] + c3 * b[1] + c4 * b[2], c2 * b[0] + c4 * b[1] + c5 * b[2]
     entry = 0
     for j in range(3):
         for k in range(j, 3):
@@ -214,7 +209,7 @@ def project_backward(
     low_v, high_v = -(cy + MARGIN * height) / fy, (height - cy + MARGIN * height) / fy
     count = harmonics.shape[1]
     basis, slopes = np.full(count, tables[0, 0, 0]), np.zeros((count, 3))
-    buffers, ray = np.empty((4, 3)), np.empty(3)
+    ray = np.empty(3)
     for i in range(start, stop):
         g, at = owners[i], places[i]
         mx, my, mz = float(means[g, 0]), float(means[g, 1]), float(means[g, 2])
@@ -232,7 +227,7 @@ def project_backward(
         d_opacities[g] -= moments[at, 4] / splats[at, 5]
 
         lens = sx, sy, bu, bv
-        dsx, dsy, dbu, dbv = shape_backward(r, covariances, g, h, lens, buffers, d_covariances, posed, d_camera)
+        dsx, dsy, dbu, dbv = shape_backward(r, covariances, g, h, lens, d_covariances, posed, d_camera)
 
         du, dv = gx * fx, gy * fy
         dfx, dfy, dcx, dcy = gx * u + dsx / z, gy * v + dsy / z, gx, gy

@@ -22,58 +22,30 @@ ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
 MIN_ALPHA = np.float32(1 / 255)
 MIN_TRANSMITTANCE = np.float32(1e-4)
 LOG2_E = np.float32(1.4426950408889634)
+ROUNDING = np.float32(1.5 * 2**23)
 
 
 @compiled
 @no_type_check
 def falloff(sigma: float) -> float:
-    """``exp(-sigma)`` in single precision, exact to about two units in the last place; 0 behind 80."""
-    power = -LOG2_E * min(max(sigma, ZERO), np.float32(80))
-    whole = np.int32(power - HALF)
-    part = power - np.float32(whole)
-    # The Taylor series of 2 ** part, for part within half of 0.
-    value = np.float32(1.5403530393381610e-4)
-    value = value * part + np.float32(1.3333558146428443e-3)
-    value = value * part + np.float32(9.6181291076284772e-3)
-    value = value * part + np.float32(5.5504108664821580e-2)
-    value = value * part + np.float32(2.4022650695910072e-1)
-    value = value * part + np.float32(6.9314718055994531e-1)
-    value = value * part + ONE
-    return value * np.int32((whole + np.int32(127)) << np.int32(23)).view(np.float32)
+    """``exp(-sigma)`` in single precision, exact to about two units in the last place; tiny behind 80."""
+    power = -LOG2_E * min(sigma, np.float32(80))
+    # Added to this number, a power is rounded to a whole one, which the last bits of the sum then hold.
+    rounded = power + ROUNDING
+    part = power - (rounded - ROUNDING)
+    # The Taylor series of 2 ** part, for part within half of 0, in pairs of terms that do not wait for each other.
+    square = part * part
+    low = ONE + np.float32(6.9314718055994531e-1) * part
+    middle = np.float32(2.4022650695910072e-1) + np.float32(5.5504108664821580e-2) * part
+    high = np.float32(9.6181291076284772e-3) + np.float32(1.3333558146428443e-3) * part
+    high += np.float32(1.5403530393381610e-4) * square
+    value = low + square * (middle + square * high)
+    exponent = np.float32(rounded).view(np.int32) << np.int32(23)
+    return np.int32(np.float32(value).view(np.int32) + exponent).view(np.float32)
 
 
 WIDE = np.uint64(WIDTH)
 """Unsigned, as are the indices in the loops: others could count from the end, and would not compile to vectors."""
-ALMOST = np.float32(0.9999)
-"""Added before a cut to a whole number, it rounds up."""
-MARGIN = np.float32(0.01)
-"""Pixels that a splat is taken to reach farther, so that none is lost by rounding."""
-
-
-@compiled
-@no_type_check
-def reach(splats: Array, g: int, x: float, y: float, border: float, bottom: float) -> tuple[int, int]:
-    """The rows of a tile in which a splat covers enough of a pixel to be seen.
-
-    Args:
-        splats: ``[n, SPLAT]``.
-        g: Which of them.
-        x: Its column in the tile, where the centre of the first column is 0.
-        y: Its row, likewise.
-        border: The last column of the tile that the image has.
-        bottom: The last row.
-
-    Returns:
-        The first row, and one behind the last, which is the first where there is none.
-    """
-    wide, peak, lean, bend = splats[g, 10], splats[g, 12], splats[g, 13], splats[g, 14]
-    # The lowest and the highest point of the ellipse, moved along it into the columns of the tile.
-    near, far = -x - MARGIN, border - x + MARGIN
-    right, left = min(max(peak, near), far), min(max(-peak, near), far)
-    high = lean * right + bend * np.sqrt(max(wide * wide - right * right, ZERO))
-    low = lean * left - bend * np.sqrt(max(wide * wide - left * left, ZERO))
-    first = np.uint64(max(y + low - MARGIN + ALMOST, ZERO))
-    return first, max(np.uint64(max(min(y + high + MARGIN, bottom) + ONE, ZERO)), first)
 
 
 @compiled
@@ -83,7 +55,7 @@ def blend(splats: Array, lists: Array, offsets: Array, top: int, cap: float, ima
 
     Args:
         splats: ``[n, SPLAT]``.
-        lists: Which of them each tile may show, nearest first, one list behind the other.
+        lists: What each tile may show; see :func:`~anystyle.renderers.cpu.sorting.tiles_of`.
         offsets: ``[columns + 1]``: where the list of each tile begins and ends.
         top: The first row of pixels.
         cap: The most that one covers of a pixel.
@@ -97,28 +69,43 @@ def blend(splats: Array, lists: Array, offsets: Array, top: int, cap: float, ima
 
 @compiled
 @no_type_check
+def gather(splats: Array, entries: Array, count: int, top: int, left: int) -> Array:
+    """What the first entries of a tile need, side by side: to fetch them one by one would be to wait for each.
+
+    Returns:
+        ``[count, 10]``: column and row from the centre of the tile's first pixel, conic with its diagonal halved,
+        opacity, what it shows.
+    """
+    near = np.empty((count, 10), np.float32)
+    for e in range(count):
+        g = np.uint64(entries[e, 0])
+        near[e, 0], near[e, 1] = splats[g, 0] - left - 0.5, splats[g, 1] - top - 0.5
+        near[e, 2], near[e, 3], near[e, 4] = HALF * splats[g, 2], splats[g, 3], HALF * splats[g, 4]
+        for k in range(5, 10):
+            near[e, k] = splats[g, k]
+    return near
+
+
+@compiled
+@no_type_check
 def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, image: Array, last: Array) -> None:
     """Blend the splats ``entries`` of one tile; see :func:`blend`."""
     tall, wide = min(HEIGHT, last.shape[0] - top), min(WIDTH, last.shape[1] - left)
-    border, bottom = np.float32(wide - 1), np.float32(tall - 1)
-    # Of each pixel: red, green, blue, depth, what passes while it is open, what passes once it is full, last entry,
-    # column and row.
-    tile = np.empty((9, HEIGHT * WIDTH), np.float32)
+    # Of each pixel: red, green, blue, depth, what passes (negative once it is full), last entry, column and row.
+    tile = np.empty((8, HEIGHT * WIDTH), np.float32)
     for i in range(HEIGHT * WIDTH):
-        for k in range(6):
+        for k in range(4):
             tile[k, i] = ZERO
         tile[4, i] = ONE if (i // WIDTH < tall) & (i % WIDTH < wide) else ZERO
-        tile[6, i] = -ONE
-        tile[7, i], tile[8, i] = np.float32(i % WIDTH), np.float32(i // WIDTH)
+        tile[5, i] = -ONE
+        tile[6, i], tile[7, i] = np.float32(i % WIDTH), np.float32(i // WIDTH)
+    near = gather(splats, entries, entries.shape[0], top, left)
     for entry in range(entries.shape[0]):
-        g = np.uint64(entries[entry])
-        index = np.float32(entry)
-        x, y = np.float32(splats[g, 0] - left - 0.5), np.float32(splats[g, 1] - top - 0.5)
-        first, stop = reach(splats, g, x, y, border, bottom)
-        xx, xy, yy, opacity = HALF * splats[g, 2], splats[g, 3], HALF * splats[g, 4], splats[g, 5]
-        red, green, blue, depth = splats[g, 6], splats[g, 7], splats[g, 8], splats[g, 9]
-        for i in range(first * WIDE, stop * WIDE):
-            dx, dy = tile[7, i] - x, tile[8, i] - y
+        index, e = np.float32(entry), np.uint64(entry)
+        x, y, xx, xy, yy, opacity = near[e, 0], near[e, 1], near[e, 2], near[e, 3], near[e, 4], near[e, 5]
+        red, green, blue, depth = near[e, 6], near[e, 7], near[e, 8], near[e, 9]
+        for i in range(np.uint64(entries[entry, 2]) * WIDE, np.uint64(entries[entry, 3]) * WIDE):
+            dx, dy = tile[6, i] - x, tile[7, i] - y
             sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
             alpha = min(cap, opacity * falloff(sigma))
             alpha = alpha if (sigma >= ZERO) & (alpha >= MIN_ALPHA) else ZERO
@@ -130,9 +117,8 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
             tile[1, i] += weight * green
             tile[2, i] += weight * blue
             tile[3, i] += weight * depth
-            tile[5, i] += before if full else ZERO
-            tile[4, i] = ZERO if full else after
-            tile[6, i] = max(tile[6, i], -ONE if full else index)
+            tile[4, i] = -abs(before) if full else after
+            tile[5, i] = tile[5, i] if full else index
         if entry % 16 == 15 and passing(tile) == ZERO:
             break
     for j in range(tall):
@@ -140,8 +126,8 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
             at = j * WIDTH + i
             for k in range(4):
                 image[k, top + j, left + i] = tile[k, at]
-            image[4, top + j, left + i] = tile[4, at] + tile[5, at]
-            last[top + j, left + i] = int(tile[6, at])
+            image[4, top + j, left + i] = abs(tile[4, at])
+            last[top + j, left + i] = int(tile[5, at])
 
 
 @summed
@@ -150,7 +136,7 @@ def passing(tile: Array) -> float:
     """The sum over a tile of what passes its open pixels."""
     value = ZERO
     for i in range(HEIGHT * WIDTH):
-        value += tile[4, i]
+        value += max(tile[4, i], ZERO)
     return value
 
 
@@ -160,8 +146,6 @@ def blend_backward(
     splats: Array,
     lists: Array,
     offsets: Array,
-    numbers: Array,
-    starts: Array,
     top: int,
     cap: float,
     image: Array,
@@ -173,26 +157,18 @@ def blend_backward(
 
     Args:
         splats: ``[n, SPLAT]``.
-        lists: Which of them each tile may show, nearest first, one list behind the other.
+        lists: What each tile may show; see :func:`~anystyle.renderers.cpu.sorting.tiles_of`.
         offsets: ``[columns + 1]``: where the list of each tile begins and ends.
-        numbers: The number of each entry of the lists when entries are counted splat by splat.
-        starts: ``[m + 1]``: where the entries of each of the row's ``m`` splats begin and end in that count.
         top: The first row of pixels.
         cap: The most that one covers of a pixel.
         image: ``[5, H, W]``, as blended.
         last: ``[H, W]``, as blended.
         d_image: ``[5, H, W]``: the gradient of ``image``.
-        moments: ``[m, MOMENTS]``, of zeros; written.
+        moments: ``[m, MOMENTS]`` of the row's splats, added to.
     """
-    # One row an entry, summed splat by splat in the end, so that no sum depends on the order of tiles.
-    parts = np.zeros((lists.shape[0], MOMENTS), np.float32)
     for column in range(offsets.shape[0] - 1):
-        here = slice(offsets[column], offsets[column + 1])
-        blend_tile_backward(splats, lists[here], numbers[here], top, column * WIDTH, cap, image, last, d_image, parts)
-    for i in range(moments.shape[0]):
-        for number in range(starts[i], starts[i + 1]):
-            for k in range(MOMENTS):
-                moments[i, k] += parts[number, k]
+        entries = lists[offsets[column] : offsets[column + 1]]
+        blend_tile_backward(splats, entries, top, column * WIDTH, cap, image, last, d_image, moments)
 
 
 @compiled
@@ -209,18 +185,16 @@ def scatter(members: Array, row_moments: Array, moments: Array) -> None:
 def blend_tile_backward(
     splats: Array,
     entries: Array,
-    numbers: Array,
     top: int,
     left: int,
     cap: float,
     image: Array,
     last: Array,
     d_image: Array,
-    parts: Array,
+    moments: Array,
 ) -> None:
-    """Write the gradients of the splats ``entries`` of one tile to the rows ``numbers``; see :func:`blend_backward`."""
+    """Add the gradients of the splats ``entries`` of one tile; see :func:`blend_backward`."""
     tall, wide = min(HEIGHT, last.shape[0] - top), min(WIDTH, last.shape[1] - left)
-    border, bottom = np.float32(wide - 1), np.float32(tall - 1)
     # Of each pixel: the gradients of red, green, blue and depth, what passes, the worth of what is behind, last entry,
     # column and row.
     tile = np.empty((9, HEIGHT * WIDTH), np.float32)
@@ -239,15 +213,13 @@ def blend_tile_backward(
             tile[5, at] = d_image[4, top + j, left + i] * image[4, top + j, left + i]
             tile[6, at] = last[top + j, left + i]
             deepest = max(deepest, last[top + j, left + i])
+    near = gather(splats, entries, deepest + 1, top, left)
     for entry in range(deepest, -1, -1):
-        g = np.uint64(entries[entry])
-        index = np.float32(entry)
-        x, y = np.float32(splats[g, 0] - left - 0.5), np.float32(splats[g, 1] - top - 0.5)
-        first, stop = reach(splats, g, x, y, border, bottom)
-        xx, xy, yy, opacity = HALF * splats[g, 2], splats[g, 3], HALF * splats[g, 4], splats[g, 5]
-        red, green, blue, depth = splats[g, 6], splats[g, 7], splats[g, 8], splats[g, 9]
+        index, e = np.float32(entry), np.uint64(entry)
+        x, y, xx, xy, yy, opacity = near[e, 0], near[e, 1], near[e, 2], near[e, 3], near[e, 4], near[e, 5]
+        red, green, blue, depth = near[e, 6], near[e, 7], near[e, 8], near[e, 9]
         d_red = d_green = d_blue = d_depth = m0 = mx = my = mxx = mxy = myy = ZERO
-        for i in range(first * WIDE, stop * WIDE):
+        for i in range(np.uint64(entries[entry, 2]) * WIDE, np.uint64(entries[entry, 3]) * WIDE):
             dx, dy = tile[7, i] - x, tile[8, i] - y
             sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
             covered = opacity * falloff(sigma)
@@ -272,7 +244,14 @@ def blend_tile_backward(
             mxx += slope * dx * dx
             mxy += slope * dx * dy
             myy += slope * dy * dy
-        part = np.uint64(numbers[entry])
-        parts[part, 0], parts[part, 1], parts[part, 2], parts[part, 3] = d_red, d_green, d_blue, d_depth
-        parts[part, 4], parts[part, 5], parts[part, 6] = m0, mx, my
-        parts[part, 7], parts[part, 8], parts[part, 9] = mxx, mxy, myy
+        part = np.uint64(entries[entry, 1])
+        moments[part, 0] += d_red
+        moments[part, 1] += d_green
+        moments[part, 2] += d_blue
+        moments[part, 3] += d_depth
+        moments[part, 4] += m0
+        moments[part, 5] += mx
+        moments[part, 6] += my
+        moments[part, 7] += mxx
+        moments[part, 8] += mxy
+        moments[part, 9] += myy

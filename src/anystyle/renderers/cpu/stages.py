@@ -46,12 +46,11 @@ class Splats(NamedTuple):
         """Indices of the splats in a row of tiles, nearest first."""
         return self.lists[self.offsets[row] : self.offsets[row + 1]]
 
-    def tiles(self, row: int, width: int) -> "Tiles":
-        """The splats of each tile in a row of tiles of an image."""
-        members = self.members(row)
-        offsets, starts = np.empty(-(-width // sorting.WIDTH) + 1, np.int64), np.empty(len(members) + 1, np.int64)
-        lists, numbers = sorting.tiles_of(self.data, members, offsets, starts)
-        return Tiles(lists, offsets, numbers, starts)
+    def tiles(self, row: int, size: tuple[int, ...]) -> "Tiles":
+        """The splats of each tile in a row of tiles of an image of a height and width."""
+        offsets, top = np.empty(-(-size[1] // sorting.WIDTH) + 1, np.int64), row * sorting.HEIGHT
+        bottom = min(sorting.HEIGHT, size[0] - top) - 1
+        return Tiles(sorting.tiles_of(self.data, self.members(row), top, bottom, size[1], offsets), offsets)
 
 
 class Tiles(NamedTuple):
@@ -59,8 +58,6 @@ class Tiles(NamedTuple):
 
     lists: np.ndarray
     offsets: np.ndarray
-    numbers: np.ndarray
-    starts: np.ndarray
 
 
 Run = Callable[[Callable[[int], Any], Iterable[int]], Iterator[Any]]
@@ -155,8 +152,8 @@ def blend(
     """
 
     def job(row: int) -> Tiles | None:
-        tiles = splats.tiles(row, last.shape[1])
-        raster.blend(splats.data, tiles.lists, tiles.offsets, row * sorting.HEIGHT, cap, image, last)
+        tiles = splats.tiles(row, last.shape)
+        raster.blend(splats.data, *tiles, row * sorting.HEIGHT, cap, image, last)
         return tiles if keep else None
 
     return [tiles for tiles in run(job, range(len(splats.offsets) - 1)) if tiles is not None]
@@ -174,8 +171,8 @@ def blend_backward(
     """The moments ``[n, MOMENTS]`` of splats from the gradient of their image; tiles that were not kept are listed."""
 
     def job(row: int) -> np.ndarray:
-        tiles = kept[row] if kept else splats.tiles(row, last.shape[1])
-        moments = np.zeros((len(tiles.starts) - 1, raster.MOMENTS), np.float32)
+        tiles = kept[row] if kept else splats.tiles(row, last.shape)
+        moments = np.zeros((len(splats.members(row)), raster.MOMENTS), np.float32)
         raster.blend_backward(splats.data, *tiles, row * sorting.HEIGHT, cap, image, last, d_image, moments)
         return moments
 
