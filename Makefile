@@ -4,7 +4,7 @@ BIN := .venv/bin
 EXTRAS := report,stats,flow,sweeps,tracking,hub,viewer
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo docs test test-slow fuzz lint format
+.PHONY: setup demo docs test test-slow fuzz faults lint format
 
 setup: .venv/.ready
 
@@ -41,6 +41,11 @@ test-slow: setup
 FUZZ ?= --inputs 2000
 fuzz: setup
 	cd tests && ../$(BIN)/python -W ignore -m fuzz $(FUZZ) --keep ../out/fuzz
+
+# A quarter of an hour on an idle machine, as root the full disks too; a run that is stopped goes on.
+FAULTS ?= --kills 100 --others 3
+faults: setup
+	cd tests && ../$(BIN)/python -W ignore -m faults $(FAULTS) --keep ../out/faults
 
 lint: setup
 	$(BIN)/ruff check .

@@ -8,10 +8,11 @@ import pytest
 import torch
 
 import anystyle
-from anystyle.contracts import Loss
+from anystyle.contracts import Loss, Metric
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.testing import inputs, samples
+from elsewhere import There, elsewhere, sent
 
 ASKS_FOR_VALUES = (
     "is on the meta device",
@@ -61,3 +62,35 @@ def test_losses(name):
     except FileNotFoundError as error:
         pytest.skip(str(error)[:80])
     assert followed(lambda: loss.to("meta")(given.to("meta"))).is_meta
+
+
+@pytest.mark.parametrize("name", catalog().names("metric"))
+def test_metrics(name):
+    """They look at values, which tensors of the meta device lack; those of ``elsewhere`` have some."""
+    given, runtime = samples.comparison(), samples.runtime()
+    metric = build(Metric, name, style_encoder=runtime["style_encoder"], correspondence=runtime["correspondence"])
+    with torch.no_grad(), elsewhere() as device:
+        sent(metric)
+        for key, value in metric.metric_state.items():
+            if isinstance(value, torch.Tensor):
+                setattr(metric, key, There(value))
+        try:
+            metric.update(given.to(device))
+        except RuntimeError as error:
+            if "unsupported scalarType" in str(error):
+                pytest.skip("a compiled function in it takes tensors apart by itself")
+            raise
+        held = [
+            value for state in metric.metric_state.values() for value in (state if isinstance(state, list) else [state])
+        ]
+        assert held and all(isinstance(value, There) for value in held)
+
+
+def test_that_device_has_values_and_mixes_with_no_other():
+    ramp = torch.arange(6.0).reshape(2, 3)
+    with elsewhere() as device:
+        there = ramp.to(device)
+        assert (2 * there + torch.tensor(1.0)).mean(0).tolist() == (2 * ramp + 1).mean(0).tolist()
+        assert isinstance(torch.zeros(3, device=there.device), There) and not isinstance(there.cpu(), There)
+        with pytest.raises(RuntimeError, match="tensors of two devices"):
+            there + torch.ones(3)

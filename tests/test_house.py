@@ -23,6 +23,7 @@ import pytest
 
 import anystyle
 from anystyle import paths
+from anystyle.commands.plugins import arguments
 from anystyle.registry import packages
 from anystyle.registry.builtin import BUILTIN, KINDS
 from anystyle.registry.catalog import Plugin, catalog
@@ -241,11 +242,11 @@ def test_options_are_keyword_only_and_described():
     found = []
     for row in shipped():
         signature = inspect.signature(row.load())
-        text = inspect.getdoc(row.load()) or ""
+        described = arguments(row.load())
         for option in options(row):
             if signature.parameters[option.name].kind is not inspect.Parameter.KEYWORD_ONLY:
                 found.append(f"{row}: {option.name} is not keyword-only")
-            if not re.search(rf"^ +{option.name}( \(.*\))?:", text, re.MULTILINE):
+            if not described.get(option.name):
                 found.append(f"{row}: {option.name} is not described")
         found += [] if peek(row).description.endswith(".") else [f"{row}: no first line"]
     assert found == []

@@ -1,16 +1,34 @@
 """What a pass takes, said before it is run."""
 
+import io
 import subprocess
 import sys
 import time
+from functools import partial
 
+import numpy as np
+import psutil
 import pytest
 import torch
+from PIL import Image
 from safetensors.torch import load_file, save_file
 
+from anystyle import capacity
+from anystyle.data.images import open_image, to_tensor
+from anystyle.data.re10k import Re10kScenes
+from anystyle.evaluation.folders import Reader, pair
 from anystyle.inference import memory
+from anystyle.inference.assemble import assemble
+from anystyle.io import ply
+from anystyle.io.video import read_frames, write_video
+from anystyle.reconstructions.fit import Fit
+from anystyle.registry.compose import compose
+from anystyle.renderers.torch import TorchRenderer
 from anystyle.testing.toy.backbone import ToyAggregator, ToyBackbone
+from anystyle.training.run import train
 from anystyle.types import untouched
+from anystyle_tiny.procedural.scenes import ProceduralScenes
+from training_cases import RECONSTRUCTION, configuration
 
 
 def test_the_peak_counts_what_lives_at_one_time():
@@ -85,7 +103,115 @@ def test_what_is_broken_is_not_taken_for_unknown(error):
 
 def test_free_memory_is_known_here():
     free = memory.available(torch.device("cpu"))
-    assert free is None or free > 0
+    assert free is not None and 0 < free < 1 << 50
+    assert memory.available(torch.device("meta")) is None
+
+
+def test_what_a_limit_leaves_is_what_is_free():
+    script = "import resource; from anystyle import capacity; resource.setrlimit(resource.RLIMIT_AS, (1 << 30,) * 2); "
+    done = subprocess.run([sys.executable, "-c", script + "print(capacity.free())"], capture_output=True, text=True)
+    assert 0 < int(done.stdout) < 1 << 30, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("lines", "group", "files"),
+    [
+        ("0::/a/b\n", "a", {"memory.max": "5000", "memory.current": "4000", "memory.stat": "anon 9\nfile 700\n"}),
+        ("0::/../elsewhere\n", "", {"memory.max": "5000", "memory.current": "4000", "memory.stat": "file 700\n"}),
+        (
+            "3:cpu,memory:/a/b\n",
+            "memory/a/b",
+            {"memory.limit_in_bytes": "5000", "memory.usage_in_bytes": "4000", "memory.stat": "total_cache 700\n"},
+        ),
+    ],
+)
+def test_control_groups_of_both_versions_limit_what_is_free(tmp_path, lines, group, files):
+    (tmp_path / group).mkdir(parents=True, exist_ok=True)
+    for name, content in files.items():
+        (tmp_path / group / name).write_text(content)
+    (tmp_path / "cgroup").write_text(lines)
+    assert capacity._left_in_groups(tmp_path, tmp_path / "cgroup") == [1700]
+    (tmp_path / group / "memory.max").write_text("max")
+    assert capacity._left_in_groups(tmp_path, tmp_path / "cgroup") == ([1700] if "memory" in group else [])
+
+
+def huge_clip(folder, short_side=None):
+    """RealEstate10K with frames of 36 million pixels."""
+    options = Re10kScenes.example(folder)
+    chunk = torch.load(folder / "train" / "0.torch")
+    buffer = io.BytesIO()
+    Image.new("L", (6000, 6000)).save(buffer, "PNG")
+    chunk[0]["images"] = [torch.frombuffer(bytearray(buffer.getvalue()), dtype=torch.uint8)] * 3
+    torch.save(chunk, folder / "train" / "0.torch")
+    return Re10kScenes(**options | ({} if short_side is None else {"short_side": short_side}))
+
+
+def read_video(folder):
+    write_video([torch.zeros(3, 3072, 4096)] * 3, folder / "a.mp4", fps=1)
+    return read_frames(folder / "a.mp4", 300_000)
+
+
+def load_scene(folder):
+    with (folder / "a.ply").open("wb") as file:
+        file.truncate(1 << 30)
+    return ply.read(folder / "a.ply")
+
+
+def judge(folder):
+    for kind, name in (("content", "1"), ("stylized", "ink_1"), ("style", "ink")):
+        (folder / kind).mkdir()
+        Image.new("L", (4000, 4000)).save(folder / kind / f"{name}.png")
+    paired = pair(folder / "content", folder / "style", folder / "stylized")
+    return Reader()(paired.cells[0])
+
+
+def fit(folder):
+    views = ProceduralScenes(size=28).read(0, range(2))
+    return Fit(num_gaussians=2_000_000)(views, lambda views: pytest.fail("encoded"), TorchRenderer())
+
+
+SPENT = {
+    "picture": (lambda folder: huge_clip(folder).read(0, [0]), "6000 x 6000 pixels: this takes", "smaller"),
+    "views": (lambda folder: huge_clip(folder, 2800).read(0, [0, 1]), "2 views of 2800x2800: this takes 0.4", "take"),
+    "video": (lambda folder: read_video(folder), "3 frames of 4096x3072 of .*a.mp4: this takes 0.1", "take fewer"),
+    "splat": (load_scene, "a.ply: this takes 3.0 GiB", "fewer Gaussians"),
+    "evaluation": (judge, "2 images of .* in ink, of up to 4000x4000: this takes 0.8", "fewer frames"),
+    "fit": (fit, "2,000,000 Gaussians: this takes 0.4 GiB", "reconstruction.num_gaussians"),
+    "model": (
+        lambda folder: assemble(compose("stylize", ["~model"])),
+        "the weights of the backbone: this takes 4.4 GiB",
+        "model=tiny",
+    ),
+    "learning": (
+        lambda folder: train(configuration([*RECONSTRUCTION, "backbone.dim=512"], folder), folder),
+        "the weights of the backbone, with what learning adds: this takes",
+        "model=tiny",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", SPENT)
+def test_what_memory_does_not_hold_is_refused_before_it_is_spent(tmp_path, monkeypatch, what):
+    work, needed, advice = SPENT[what]
+    monkeypatch.setattr(capacity, "free", lambda: 100_000_000)
+    with pytest.raises(ValueError, match=rf"{needed}.*and 0\.1 GiB are free; .*{advice}") as caught:
+        work(tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_huge_pictures_are_reduced_while_they_are_read(tmp_path):
+    """Of 16 bits and of palettes, too, and to what they are: their means."""
+    ramp = np.linspace(0, 255, 4000).round()
+    Image.fromarray((np.broadcast_to(ramp, (4000, 4000)) * 257).astype(np.uint16)).save(tmp_path / "levels.png")
+    Image.fromarray(np.broadcast_to(ramp, (4000, 4000)).astype(np.uint8)).convert("P").save(tmp_path / "palette.png")
+    expected = torch.from_numpy(ramp / 255).float().unflatten(0, (100, 40)).mean(1)
+    for name in ("levels.png", "palette.png"):
+        before = psutil.Process().memory_info().rss
+        peak = memory.sampled_peak(partial(open_image, tmp_path / name, longest=100))
+        assert peak - before < 9 * 4000 * 4000
+        picture = to_tensor(open_image(tmp_path / name, longest=100))
+        assert picture.shape == (3, 100, 100)
+        torch.testing.assert_close(picture, expected.expand(3, 100, 100), atol=2 / 255, rtol=0)
 
 
 def test_the_sampled_peak_is_of_the_processs_own_memory():

@@ -45,7 +45,7 @@ class Stylizer(nn.Module):
         style_encoder: StyleEncoder,
         branch: StyleBranch,
         renderer: Renderer,
-        fit_colors: FitColors = 2,
+        fit_colors: FitColors = 6,
         keep_harmonics: bool = False,
     ) -> None:
         super().__init__()
@@ -98,9 +98,6 @@ class Stylizer(nn.Module):
 
     def encode_colors(self, views: Views) -> Scene:
         """What a branch needs that styles colours alone: the photographs' own colours, without any network.
-
-        Args:
-            views: With cameras.
 
         Raises:
             ValueError: Cameras are missing, or the branch reads more than colours.

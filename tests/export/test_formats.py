@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+import format_quality
 from anystyle.commands import export as command
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb
@@ -183,3 +184,17 @@ def test_the_command_converts_a_file_and_refuses_what_makes_no_sense(tmp_path, c
     with pytest.raises(ValueError, match="no Gaussians that are visible"):
         export(nothing, tmp_path / "nothing.glb", "glb")
     assert not (tmp_path / "nothing.glb").exists()
+
+
+@pytest.mark.slow
+def test_the_table_of_formats_has_a_row_for_each(monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["format_quality.py", "--size", "56", "--views", "2"])
+    format_quality.main()
+    rows = {
+        cells[1].strip(" `"): cells
+        for line in capsys.readouterr().out.splitlines()
+        if len(cells := line.split("|")) > 5
+    }
+    assert {*FORMATS, "html`, 4 styles"} <= set(rows)
+    assert rows["ply"][4].strip() == rows["glb"][4].strip() == "identical"
+    assert all(float(rows[name][4]) > 45 for name in ("spz", "sog", "splat"))

@@ -22,8 +22,8 @@ from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 
-for folder in (Path(__file__).parents[1], Path(__file__).parents[1] / "study"):
-    sys.path.insert(0, str(folder))
+sys.path.insert(0, str(Path(__file__).parents[1]))
+sys.path.insert(0, str(Path(__file__).parents[1] / "study"))
 
 import forked
 from faults.jobs import JOBS, QUICK, Job, result, whole
@@ -104,7 +104,8 @@ def torn(folder: Path) -> str:
     for path in sorted(folder.rglob("*")):
         parts = path.relative_to(folder).parts
         if path.is_file() and not path.name.startswith(".") and not any(part.startswith(hidden) for part in parts):
-            if "log" not in parts and (problem := whole(path)):
+            problem = "" if "log" in parts else whole(path)
+            if problem:
                 return f"half-written: {problem}"
     return ""
 

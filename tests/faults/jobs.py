@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from fuzz.seeds import picture
 from safetensors.torch import load_file
 
 from anystyle.data.images import open_image
@@ -15,6 +14,7 @@ from anystyle.io.sheet import to_pil
 from anystyle.io.tensors import read_tensors
 from anystyle.types import Gaussians
 from anystyle_tiny.procedural.scenes import ProceduralScenes
+from fuzz.seeds import picture
 from training_cases import RECONSTRUCTION, STYLIZATION
 
 SMALL = (
@@ -155,7 +155,9 @@ def result(out: Path) -> dict[str, str]:
         elif path.suffix == ".safetensors":
             tensors = load_file(path)
             contents[name] = _hash(b"".join(key.encode() + _bytes(tensors[key]) for key in sorted(tensors)))
-        elif path.suffix in (".ply", ".glb", ".png", ".csv", ".md") and "log" not in path.parts and path.name != "spread.png":
+        elif "log" in path.parts or path.name == "spread.png":
+            continue
+        elif path.suffix in (".ply", ".glb", ".png", ".csv") or path.name == "results.md":
             contents[name] = _hash(path.read_bytes())
     return contents
 

@@ -8,11 +8,12 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 
-import forked
 from study_cases import small_study
 
+import forked
 from anystyle.study.protocol import read_study
 from anystyle.study.server import serve
 from study_serving import answer, claim, post, token_of
@@ -21,7 +22,7 @@ PERSONS = ("P01", "P02", "P03")
 
 
 def kill_server(root: Path, numbers: Sequence[int], seed: int) -> Iterator[tuple[int, tuple[str, str]]]:
-    """One database through all kills; for each the trial's number, with what is wrong and how many were acknowledged."""
+    """One database through all kills; of each its number, what is wrong, and how many answers were acknowledged."""
     shutil.rmtree(root, ignore_errors=True)
     study, folder = small_study(root)
     database, last = root / "answers.sqlite", dict.fromkeys(PERSONS, 0)
@@ -48,10 +49,8 @@ def kill_server(root: Path, numbers: Sequence[int], seed: int) -> Iterator[tuple
             address.with_suffix(".new").write_text(url)
             address.with_suffix(".new").rename(address)
 
-        child = forked.start(
-            (), root, root / "said.txt",
-            instead=lambda ready=ready: serve(read_study(folder), folder, database, host="127.0.0.1", port=0, ready=ready),
-        )  # fmt: skip
+        serving = partial(serve, read_study(folder), folder, database, host="127.0.0.1", port=0, ready=ready)
+        child = forked.start((), root, root / "said.txt", instead=serving)
         while not address.is_file():
             time.sleep(0.01)
         before = sum(last.values())

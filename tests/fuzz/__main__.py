@@ -7,12 +7,10 @@ A warm process forks for each input. What must not happen: a traceback, a crash,
 import argparse
 import faulthandler
 import hashlib
-import importlib
 import os
 import random
 import resource
 import shutil
-import signal
 import sys
 import tempfile
 import time
@@ -22,11 +20,12 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "study"))
 
+import forked
+from fuzz.kept import KEPT
 from fuzz.mutators import mutate
 from fuzz.seeds import Case, write
 
 MEMORY = 8 << 30
-WARM = ("stylize", "data", "report", "evaluate", "study", "study_analyze", "study_power", "weights", "plugins", "train")
 
 
 def run(case: Case, folder: Path, seconds: float) -> tuple[str, str]:
@@ -36,65 +35,22 @@ def run(case: Case, folder: Path, seconds: float) -> tuple[str, str]:
     """
     said = folder.with_suffix(".txt")
     before = _state(folder)
-    child = os.fork()
-    if child == 0:
-        _child(case, folder, said)
-    status = _wait(child, seconds)
+    child = forked.start(case.words, folder, said, dict(case.environment), {resource.RLIMIT_AS: MEMORY})
+    code = forked.ended(child, seconds)
     text = said.read_text(errors="replace") if said.is_file() else ""
-    if status is None:
+    if code is None:
         return "hang", text
     if "Traceback (most recent call last)" in text:
         return "traceback", text
-    if os.WIFSIGNALED(status) or os.waitstatus_to_exitcode(status) not in (0, 1, 2):
-        return f"end {os.waitstatus_to_exitcode(status)}", text
-    failed = os.waitstatus_to_exitcode(status) == 2
+    if code not in (0, 1, 2):
+        return f"end {code}", text
+    failed = code == 2
     if failed and not any(line.startswith("anystyle: error: ") for line in text.splitlines()):
         return "silent", text
     if failed and _state(folder) != before:
         changed = {name for name, _ in _state(folder) ^ before}
         return f"left {sorted(changed)[:3]}", text
     return "", text
-
-
-def _child(case: Case, folder: Path, said: Path) -> None:
-    """Become the command; never returns."""
-    try:
-        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-        os.setsid()
-        with said.open("wb") as file:
-            for number in (1, 2):
-                os.dup2(file.fileno(), number)
-        os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
-        os.chdir(folder)
-        os.environ.update(case.environment)
-        sys.argv = ["anystyle", *case.words]
-        sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False) for number in (1, 2))
-        from anystyle.__main__ import main
-
-        main()
-        code = 0
-    except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(bool(end.code))
-    except BaseException:
-        import traceback
-
-        traceback.print_exc()
-        code = 1
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(code)
-
-
-def _wait(child: int, seconds: float) -> int | None:
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return status
-        time.sleep(0.002)
-    os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return None
 
 
 def _state(folder: Path) -> set[tuple[str, str]]:
@@ -112,9 +68,7 @@ def fuzz(inputs: int, seed: int, seconds: float, keep: Path, only: str = "") -> 
     verdicts: Counter[str] = Counter()
     with tempfile.TemporaryDirectory() as root:
         cases = {name: case for name, case in write(Path(root) / "seeds").items() if case.files and only in name}
-        for name in WARM:
-            importlib.import_module(f"anystyle.commands.{name}")
-            del sys.modules[f"anystyle.commands.{name}"]  # what it imports stays; the program itself runs it
+        forked.warm()
         for name, case in cases.items():
             verdict, said = run(case, _copied(Path(root), name), 120)
             if verdict or "anystyle: error" in said:
@@ -139,6 +93,22 @@ def fuzz(inputs: int, seed: int, seconds: float, keep: Path, only: str = "") -> 
     return verdicts
 
 
+def again(seconds: float) -> int:
+    """Run what once ended badly; returns how many end badly now."""
+    badly = 0
+    with tempfile.TemporaryDirectory() as root:
+        cases = write(Path(root) / "seeds")
+        forked.warm()
+        for name, file, content in KEPT:
+            folder = _copied(Path(root), name)
+            (folder / file).unlink()
+            (folder / file).write_bytes(content)
+            verdict, said = run(cases[name], folder, seconds)
+            badly += bool(verdict)
+            print(f"{name}: {file} {content[:40]!r}: {verdict or 'fine'} {said[-800:] if verdict else ''}")
+    return badly
+
+
 def _keep(folder: Path, file: str, kept: Path) -> None:
     kept.mkdir(parents=True)
     path = folder / file
@@ -160,9 +130,12 @@ def main() -> int:
     words.add_argument("--seed", type=int, default=0)
     words.add_argument("--seconds", type=float, default=30, help="after which a command hangs")
     words.add_argument("--keep", type=Path, default=Path("out/fuzz"), help="where inputs go that end badly")
+    words.add_argument("--kept", action="store_true", help="instead, what once ended badly")
     words.add_argument("--only", default="", help="cases with this in their name")
     arguments = words.parse_args()
     faulthandler.enable()
+    if arguments.kept:
+        return int(again(arguments.seconds) > 0)
     verdicts = fuzz(arguments.inputs, arguments.seed, arguments.seconds, arguments.keep, arguments.only)
     return int(set(verdicts) != {"fine"})
 

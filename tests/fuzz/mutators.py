@@ -101,6 +101,10 @@ def _replaced(draw: random.Random, document: Any) -> Any:
 
 def word(draw: random.Random, data: bytes, suffix: str) -> bytes | None:
     """A word or a number of a text is another."""
+    if suffix == ".ply":
+        head, end, rest = data.partition(b"end_header\n")
+        changed = word(draw, head, ".txt")
+        return None if changed is None else changed + end + rest
     if suffix not in (".txt", ".csv", ".toml", ".yaml", ".json", ".jsonl"):
         return None
     text = data.decode("utf-8", "replace")

@@ -3,16 +3,22 @@
 import csv
 import io
 import json
+import logging
 import shutil
 import sqlite3
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import torch
+from omegaconf import OmegaConf
 from PIL import Image
+from plyfile import PlyData, PlyElement
 from study_cases import small_plan, write_results
 
+from anystyle.commands._study_options import read_plan
 from anystyle.data.re10k import Re10kScenes
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.wikiart import WikiArtStyles
@@ -21,7 +27,9 @@ from anystyle.io import colmap
 from anystyle.io.video import write_video
 from anystyle.paths import SHARED
 from anystyle.study.design import design
-from anystyle.types import Cameras
+from anystyle.training.run import train
+from anystyle.types import Cameras, Gaussians
+from training_cases import RECONSTRUCTION, configuration
 
 SMALL = ("views.short_side=28", "views.take=2", "video.frames=1", "video.scale=0.2", "reconstruction=feedforward")
 _ANALYZE = ("--out", "out", "--resamples", "99", "--no-report", "--test", "wilcoxon")
@@ -55,7 +63,19 @@ def picture(path: Path, seed: int = 0, size: tuple[int, int] = (48, 36), **optio
 def write(root: Path) -> dict[str, Case]:
     """Write every case into a folder of its name."""
     cases: dict[str, Case] = {}
-    for make in (_captures, _styles, _judged, _runs, _studies, _weights, _plugins, _configurations):
+    for make in (
+        _captures,
+        _styles,
+        _judged,
+        _runs,
+        _studies,
+        _weights,
+        _plugins,
+        _configurations,
+        _plans,
+        _splats,
+        _states,
+    ):
         cases |= make(root)
     return cases
 
@@ -234,6 +254,55 @@ def _configurations(root: Path) -> dict[str, Case]:
     )
     words = ("stylize", "nothing", "--text", "a", "--out", "out", "-cd", "conf", "model=mine", "--cfg", "job")
     return {"configuration": Case(("conf/model/mine.yaml",), words, 4)}
+
+
+def _plans(root: Path) -> dict[str, Case]:
+    folder = _new(root / "plan")
+    plan = read_plan(["study=paper", "participants=4"])
+    (folder / "mine.yaml").write_text(OmegaConf.to_yaml(OmegaConf.create(msgspec.to_builtins(plan))))
+    return {"plan": Case(("mine.yaml",), ("study", "design", "--show", "study=mine.yaml"), 3)}
+
+
+def _splats(root: Path) -> dict[str, Case]:
+    """Binary, in text, and compressed."""
+    generator = torch.Generator().manual_seed(0)
+    draw = partial(torch.rand, generator=generator)
+    scene = Gaussians(draw(1, 20, 3), draw(1, 20, 4), draw(1, 20, 3), draw(1, 20), draw(1, 20, 4, 3))
+    folder = _new(root / "splats")
+    scene.save(folder / "binary.ply")
+    data = PlyData.read(folder / "binary.ply")
+    PlyData(data.elements, text=True).write(folder / "text.ply")
+    names = [f"{bound}_{part}" for part in ("x", "y", "z", "scale_x", "scale_y", "scale_z") for bound in ("min", "max")]
+    chunk = np.array([(0.0, 1.0) * 6], [(name, "f4") for name in names])
+    packed = [f"packed_{part}" for part in ("position", "rotation", "scale", "color")]
+    words = np.random.default_rng(0).integers(0, 1 << 32, (20, 4), np.uint32)
+    vertex = words.view([(name, "u4") for name in packed])[:, 0]
+    elements = [PlyElement.describe(chunk, "chunk"), PlyElement.describe(vertex, "vertex")]
+    PlyData(elements).write(folder / "compressed.ply")
+    cases = {}
+    for kind in ("binary", "text", "compressed"):
+        _copy(folder, root / f"splat_{kind}")
+        cases[f"splat_{kind}"] = Case((f"{kind}.ply",), ("export", f"{kind}.ply", "--out", "out.glb"), 3)
+    return cases
+
+
+def _states(root: Path) -> dict[str, Case]:
+    """A training that came to its end but for its figures, and goes on from its last state."""
+    words = [word for word in RECONSTRUCTION if "max_steps" not in word]
+    words += ["trainer.max_steps=4", "checkpoint.every_steps=2", "scenes.num_scenes=1", "trainer.precision=32-true"]
+    out = root / "state" / "runs" / "test"
+    logging.getLogger("lightning.pytorch").setLevel(logging.ERROR)
+    train(configuration(words, out), out)
+    (out / "metrics.json").unlink()
+    for path in (*out.glob("log*"), *out.glob(".hydra")):
+        shutil.rmtree(path, ignore_errors=True)
+    files = tuple(f"runs/test/{name}" for name in ("last.ckpt", "bound.json"))
+    _copy(root / "state", root / "states")
+    (root / "states" / "runs" / "test" / "last.ckpt").write_bytes(b"torn")
+    return {
+        "state": Case(files, ("train", *words), 2),
+        "states": Case(("runs/test/previous.ckpt",), ("train", *words), 1),
+    }
 
 
 def _photographs(folder: Path) -> list[str]:

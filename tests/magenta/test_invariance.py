@@ -7,6 +7,7 @@ import torch
 
 import anystyle
 from anystyle.testing.inputs import images
+from methods import worlds
 
 ORDER = [2, 0, 3, 1]
 TEXTS = ("blue and yellow swirls", "black and white ink drawing")
@@ -44,3 +45,19 @@ def test_exchanging_photographs_changes_a_style_by_no_more_than_the_scene(styliz
         before = render(first, color)[ORDER]
         assert change(result, fixed) < 0.7 * unstyled
         assert change(result, before) < 1.05 * change(fixed, before)
+
+
+@torch.no_grad()
+def test_exchanging_photographs_of_a_fitted_scene_changes_nothing(stylizer):
+    """Its Gaussians stay where they are, and which view paints a place does not depend on the order of views."""
+    scene = worlds.scene()
+    exchanged = scene.map(lambda tensor: tensor[:, ORDER] if tensor.shape[:2] == (1, 4) else tensor)
+    assert not torch.equal(scene.views.images, exchanged.views.images)
+    embedding = stylizer.embed(image=images(1, (128, 128), seed=5))
+    for how in ("mean", 6):
+        stylizer.fit_colors = how
+        first, other = (
+            stylizer.render(stylizer.restyle(one, embedding), scene.cameras).color for one in (scene, exchanged)
+        )
+        torch.testing.assert_close(other, first, rtol=0, atol=2e-3)
+        assert (first - stylizer.render(scene.gaussians, scene.cameras).color).abs().mean() > 0.05

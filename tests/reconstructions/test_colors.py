@@ -31,21 +31,32 @@ def matrix(scene, views):
     return (torch.stack(rows, 1) - black[:, None]).double(), black.double()
 
 
-def test_agrees_with_the_dense_solution():
+def dense_confidence(a, views):
+    """The squared share of each pixel that Gaussians make up which no other view shows larger."""
+    by_view = a.view(views, -1, a.shape[1])
+    largest = by_view.sum(1).argmax(0)
+    shares = [by_view[view] @ (largest == view).to(a) for view in range(views)]
+    return (torch.cat(shares) + 1e-3).square()
+
+
+@pytest.mark.parametrize("largest", [False, True])
+def test_agrees_with_the_dense_solution(largest):
     scene, views = small_scene()
     generator = torch.Generator().manual_seed(0)
     renders = RENDERER(colored(scene, 0.3 + 0.4 * torch.rand(12, 3, generator=generator)), views).color[0]
     targets = renders + 0.05 * torch.randn(renders.shape, generator=generator)
     a, _ = matrix(scene, views)
-    result = fit_colors(scene, views, targets, RENDERER, steps=40, damping=0.02)
+    result = fit_colors(scene, views, targets, RENDERER, steps=40, damping=0.02, largest=largest)
+    confidence = dense_confidence(a, 4) if largest else torch.ones(len(a)).double()
+    transposed = a.T * confidence
     actual = rgb_from_constant(result.harmonics[0, :, 0].double())
     for channel in range(3):
         behind = RENDERER(colored(scene, torch.zeros(12, 3)), views).color[0, :, channel].flatten().double()
         target = targets[:, channel].flatten().double()
-        weight = a.sum(0)
-        means = (a.T @ target) / weight
-        damped = a.T @ a + 0.02 * torch.diag(weight)
-        expected = torch.linalg.solve(damped, a.T @ (target - behind) + 0.02 * weight * means)
+        weight = transposed.sum(1)
+        means = (transposed @ target) / weight
+        damped = transposed @ a + 0.02 * torch.diag(weight)
+        expected = torch.linalg.solve(damped, transposed @ (target - behind) + 0.02 * weight * means)
         assert expected.min() > 0 and expected.max() < 1, "a cut colour would say nothing"
         torch.testing.assert_close(actual[:, channel], expected, rtol=0, atol=2e-3)
 

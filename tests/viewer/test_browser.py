@@ -77,11 +77,15 @@ def begun(viewer, page):
 
 
 def press(page, text, kind="button"):
-    """Click the element that says so, scrolled into view."""
+    """Click the element that says so, once it stands still and nothing covers it."""
     mark = f"mark-{time.monotonic_ns()}"
     page.wait(
         f"(() => {{ const e = [...document.querySelectorAll('{kind}')].findLast(e => e.innerText.trim() === '{text}');"
-        f" if (e) e.id = '{mark}'; return !!e; }})()"
+        " if (!e) return false; e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"
+        " const before = e.dataset.at; e.dataset.at = [r.x, r.y, r.height];"
+        " const top = document.elementFromPoint(r.x + r.width / 2, r.y + r.height / 2);"
+        f" if (before !== e.dataset.at || !e.contains(top)) return false; e.id = '{mark}'; return true; }})()",
+        60,
     )
     page.click(f"#{mark}")
 
@@ -90,7 +94,7 @@ def expand(page, folder, inside):
     """Open a folder of the panel."""
     if not page.value(f"document.body.innerText.includes('{inside}')"):
         press(page, folder, "div")
-        page.wait(f"document.body.innerText.includes('{inside}')", 30)
+        page.wait(f"document.body.innerText.includes('{inside}')", 60)
 
 
 def shown(page, text):
@@ -181,9 +185,9 @@ def test_an_uploaded_picture_is_a_style(viewer, page, tmp_path):
 
 def drop(page, *files):
     data = {"items": [], "files": [str(file) for file in files], "dragOperationsMask": 1}
-    for kind in ("dragEnter", "dragOver"):
-        page.call("Input.dispatchDragEvent", type=kind, x=300, y=300, data=data)
-    page.wait("!document.getElementById('anystyle-drop').hidden")
+    page.call("Input.dispatchDragEvent", type="dragEnter", x=300, y=300, data=data)
+    while page.value("document.getElementById('anystyle-drop').hidden"):
+        page.call("Input.dispatchDragEvent", type="dragOver", x=300, y=300, data=data)
     page.call("Input.dispatchDragEvent", type="drop", x=300, y=300, data=data)
     page.wait("document.getElementById('anystyle-drop').hidden")
 
@@ -303,5 +307,6 @@ def test_a_phone_in_the_dark(viewer, tmp_path):
         phone.call("Page.navigate", url=viewer.door.url)
         phone.wait("document.querySelector('canvas') && document.body.innerText.includes('anystyle')")
         phone.wait("document.documentElement.dataset.mantineColorScheme === 'dark'")
+        phone.wait("[...document.querySelectorAll('[data-style] img')].some(e => e.complete)")
         phone.picture(tmp_path / "phone.png")
         assert phone.value("document.documentElement.scrollWidth <= innerWidth")

@@ -18,12 +18,7 @@ from anystyle_anysplat.geometry_head import GeometryHead
 
 @torch.no_grad()
 def start_from_scratch(backbone: Backbone, *, scale: float) -> None:
-    """Let the untrained network show its photographs on a plane.
-
-    Args:
-        backbone: What starts.
-        scale: Of its Gaussians, in the adapter's units.
-    """
+    """Let the untrained network show its photographs on a plane, by Gaussians of a scale in the adapter's units."""
     embedder, geometry_head, gaussian_head = backbone.embedder, backbone.geometry_head, backbone.gaussian_head
     assert isinstance(embedder, Embedder) and isinstance(geometry_head, GeometryHead)
     assert isinstance(gaussian_head, GaussianHead)

@@ -16,13 +16,9 @@ def damping(degree: int) -> list[float]:
 
 
 def turning(rotations: Float[Tensor, "*batch 3 3"], degree: int) -> Float[Tensor, "*batch K K"]:
-    """Matrices that turn coefficients with the world: those of one degree turn among themselves.
+    """Matrices that turn coefficients from camera to world: those of one degree turn among themselves.
 
     They follow from the values of the harmonics at more directions than there are harmonics.
-
-    Args:
-        rotations: World from camera.
-        degree: Of the harmonics.
     """
     directions, inverse = (part.to(rotations.device) for part in _probe(degree))
     seen = basis(directions @ rotations.double(), degree)  # ... M K, in the axes of the camera

@@ -11,12 +11,7 @@ LEAST_TANGENT = 1e-6
 
 
 def decode_pose(encoding: Float[Tensor, "B V 9"], size: tuple[int, int]) -> Cameras:
-    """Cameras of images of ``size`` with the principal point in the middle.
-
-    Args:
-        encoding: In OpenCV axes; fields of view in radians.
-        size: Height and width in pixels.
-    """
+    """Cameras, in OpenCV axes, of images with the principal point in the middle; fields of view are in radians."""
     tangent = (encoding[..., 7:] / 2).tan().clamp_min(LEAST_TANGENT)
     return centred_cameras(rotation_of(encoding), encoding[..., :3], tangent, size)
 

@@ -23,11 +23,7 @@ PREDICTION, TRANSFER, TEXT = "magenta_predict", "magenta_transform", "magenta_te
 
 
 def load_prediction(network: StylePrediction, path: str | Path | None = None) -> Source:
-    """Fill the style prediction network.
-
-    Args:
-        network: To be filled.
-        path: The file, if not where :func:`anystyle.perception.weights.find` looks.
+    """Fill the style prediction network from a file, or from where :func:`anystyle.perception.weights.find` looks.
 
     Returns:
         Where the weights come from.

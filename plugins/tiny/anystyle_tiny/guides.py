@@ -29,10 +29,7 @@ class Guides(Protocol):
     ``depth_change``: the mean absolute difference of the logarithms of the depth of styled and unstyled renders.
 
     Args:
-        stylizer: What is judged; the framework passes it.
-        metrics: By name; likewise.
-        scenes: What is stylized; likewise.
-        styles: In which styles; likewise. Every style has an image and a text.
+        styles: Every style has an image and a text.
         num_scenes: Of the scenes, the first so many.
         num_styles: Of the styles, the first so many.
         num_views: Of each scene, the first so many are seen and judged.

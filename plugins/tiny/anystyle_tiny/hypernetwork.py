@@ -20,12 +20,8 @@ class HyperNetwork(TokenInjector):
     over views and tokens, for what is dark in one scene is light in another.
 
     Args:
-        dim: Channels at the site.
-        style_dim: Dimensions of the style embedding.
         width: Hidden channels of the network that is made.
         hidden: Width of the layers that make it.
-        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
-        special_tokens: Whether camera and register tokens are styled too.
 
     Raises:
         ValueError: ``width`` or ``hidden`` is below 1.

@@ -47,12 +47,9 @@ def read_plan(overrides: Sequence[str]) -> Plan:
 def build_tests(
     names: Sequence[str], overrides: Sequence[str], common: Mapping[str, Any] | None = None
 ) -> dict[str, StudyTest]:
-    """The named tests of the catalog, all if none is named.
+    """The named tests of the catalog, all if none is named, with options given as ``TEST.OPTION=VALUE``.
 
-    Args:
-        names: Of the tests.
-        overrides: ``TEST.OPTION=VALUE`` words.
-        common: Options of every test that has them.
+    Options in ``common`` are for every test that has them.
 
     Raises:
         UserError: An override names a test that is not run.

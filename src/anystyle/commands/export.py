@@ -51,7 +51,7 @@ def export(arguments: argparse.Namespace) -> None:
     title, gaussians = saved.styles[-1]
     notes = "\n".join(saved.notes)
     if name == "html":
-        write_page(arguments.out, saved.styles, saved.cameras, title=title, notes=notes)
+        write_page(arguments.out, saved.styles, saved.cameras, title=arguments.scene.resolve().stem, notes=notes)
     else:
         files.export(gaussians, arguments.out, name, up=arguments.up, notes=notes)
     print(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB, {title}")

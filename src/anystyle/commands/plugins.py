@@ -2,6 +2,7 @@
 
 import argparse
 import importlib
+import inspect
 import re
 import shutil
 import sys
@@ -102,21 +103,19 @@ def _presets(kind: str, names: Sequence[str]) -> Iterator[str]:
 
 def in_full(plugin: Plugin) -> Iterator[str]:
     """One plugin, imported: its documentation, and every option with type and default."""
-    import inspect
-
     from anystyle.registry.schema import options
 
     known = options(plugin)
-    documentation = inspect.getdoc(plugin.load()) or ""
+    loaded = plugin.load()
     yield f"{plugin.kind}={plugin.name}  ({plugin.target}, declared by {plugin.origin})"
     yield ""
-    yield documentation.partition("\n\nArgs:")[0]
+    yield re.split(r"\n\n(?:Args|Raises):", inspect.getdoc(loaded) or "")[0]
     yield ""
     if not known:
         yield "It takes no options."
         return
     yield "Options:"
-    described = _arguments(documentation)
+    described = arguments(loaded)
     prefix = f"{plugin.kind}.{plugin.name}" if KINDS[plugin.kind].many else plugin.kind
     for option in known:
         default = "  (must be given)" if option.required else f" = {option.default!r}"
@@ -130,15 +129,14 @@ def _hint(hint: object) -> str:
     return re.sub(r"\b(typing|collections\.abc)\.", "", text)
 
 
-def _arguments(documentation: str) -> dict[str, str]:
-    """The ``Args`` section of a docstring, by argument."""
-    section = re.search(r"^Args:\n((?:[ \t]+.*\n?|\n)*)", documentation, re.MULTILINE)
+def arguments(function: object) -> dict[str, str]:
+    """What the ``Args`` of a docstring say, by argument; those of base classes speak where a class does not."""
     described: dict[str, str] = {}
-    for entry in re.split(
-        r"\n(?=    \w)", "\n" + textwrap.dedent(section[1] if section else "").replace("\n", "\n    ")
-    ):
-        name, _, text = entry.strip().partition(":")
-        described[name.partition(" ")[0]] = " ".join(text.split())
+    for owner in reversed(getattr(function, "__mro__", (function,))):
+        section = re.search(r"^Args:\n((?:[ \t]+.*\n?|\n)*)", inspect.cleandoc(owner.__doc__ or ""), re.MULTILINE)
+        for entry in re.split(r"\n(?=\w)", textwrap.dedent(section[1]) if section else ""):
+            name, _, text = entry.partition(":")
+            described[name.partition(" ")[0]] = " ".join(text.split())
     return described
 
 

@@ -52,15 +52,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def write(kind: str, name: str, into: Path) -> Path:
-    """Write the folder of a new plugin.
-
-    Args:
-        kind: A kind of plugin.
-        name: How configurations call it.
-        into: Where the folder is made; it is named after the plugin.
-
-    Returns:
-        The folder.
+    """Write the folder of a new plugin, named after it, below ``into``, and return it.
 
     Raises:
         UserError: The kind is unknown, the name is taken or cannot be used, or the folder exists.

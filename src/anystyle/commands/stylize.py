@@ -15,14 +15,16 @@ from anystyle.commands._compose import job_folder, main, with_sweep
 from anystyle.commands._controls import add_controls, given_controls, with_values
 from anystyle.commands._options import Stylize, checked
 from anystyle.contracts import SceneSource, StyleSource
+from anystyle.inference import memory
 from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
-from anystyle.inference.options import PoseOptions
+from anystyle.inference.options import PoseOptions, ViewOptions
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import Mixture, StyleInput, check_text
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.sheet import to_pil
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.registry.build import build
+from anystyle.stylizer import Stylizer
 from anystyle.types import Style, Views
 
 
@@ -72,7 +74,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
     if arguments.export:
         export = replace(export, formats=[*export.formats, *arguments.export.split(",")])
     poses = PoseOptions(config.poses or default_poses(config), config.poses_from)
-    reconstruction = config.get("reconstruction")
+    reconstruction = None if config.get("reconstruction") is None else build(Reconstruction, config.reconstruction)
     target = job_folder(arguments.out)
     watched = target.with_name(f"{target.name}.progress.png")
     stages = Stages(
@@ -88,7 +90,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
         inputs = arguments.inputs
         if not inputs:
             with stages("read", "the views"):
-                inputs = scene_views(config, views.take)
+                inputs = scene_views(config, views, stylizer, reconstruction)
         results = api.stylize(
             inputs,
             given_styles(arguments, config, amounts),
@@ -96,7 +98,7 @@ def stylize(config: DictConfig, arguments: argparse.Namespace) -> None:
             views=views,
             poses=poses,
             splat=options.splat,
-            reconstruction=None if reconstruction is None else build(Reconstruction, reconstruction),
+            reconstruction=reconstruction,
             method=make_method(config, stylizer.style_encoder),
             refine=config.refine,
             controls=controls,
@@ -141,16 +143,22 @@ def expected_entries(options: Stylize) -> list[str]:
     return ["renders", *(["sparse"] if options.export.colmap != "none" else [])]
 
 
-def scene_views(config: DictConfig, take: int) -> Views:
+def scene_views(
+    config: DictConfig, options: ViewOptions, stylizer: Stylizer, reconstruction: Reconstruction | None
+) -> Views:
     """The first views of a scene of the configured source.
 
     Raises:
-        ValueError: The source has no such scene.
+        ValueError: The source has no such scene, or memory does not suffice for so many of its views.
     """
     source = build(SceneSource, config.scenes)
     if not 0 <= config.scene < len(source):
         raise ValueError(f"scene={config.scene} does not exist; the source holds {len(source)}")
-    return source.read(config.scene, range(min(source.num_views(config.scene), take)))
+    count = min(source.num_views(config.scene), options.take)
+    if reconstruction is None or not reconstruction.needs_cameras:
+        size = source.read(config.scene, [0]).size  # of one it is known what all of them take
+        memory.check(stylizer.backbone, min(count, options.max_views or count), size, stylizer.device)
+    return source.read(config.scene, range(count))
 
 
 def given_styles(arguments: argparse.Namespace, config: DictConfig, amounts: Sequence[float]) -> list[StyleInput]:

@@ -54,7 +54,7 @@ def view(arguments: argparse.Namespace, words: list[str]) -> None:
     """Run the command."""
     if arguments.html is not None:
         saved = read_saved(arguments.input)
-        title = saved.styles[-1][0]
+        title = arguments.input.resolve().stem
         write_page(arguments.html, saved.styles, saved.cameras, title=title, notes="\n".join(saved.notes))
         size = arguments.html.stat().st_size / 1e6
         print(f"{arguments.html}: {len(saved.styles)} styles, {size:.2f} MB; open it in any browser")

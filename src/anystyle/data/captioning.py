@@ -33,11 +33,7 @@ class Captioner(Protocol):
 
 
 def transformers_captioner(model: str, device: str) -> Captioner:
-    """A model of the transformers library's ``image-text-to-text`` pipeline.
-
-    Args:
-        model: Its name on the hub, or a folder.
-        device: Where it runs.
+    """A model, by its name on the hub or its folder, of transformers' ``image-text-to-text`` pipeline.
 
     Raises:
         ImportError: The library is not installed.
@@ -69,15 +65,8 @@ def caption_folder(
 ) -> Mapping[str, str]:
     """Describe every picture below a folder, and write the file of descriptions.
 
-    The file grows with every batch, and what it holds already is not asked again: a run that was interrupted goes on.
-
-    Args:
-        root: Walked to any depth.
-        captioner: The model.
-        out: ``.jsonl`` for ``styles=folder``, or lines ``path;text`` for ``styles=wikiart``.
-        prompt: What is asked.
-        batch: Pictures at a time.
-        progress: Told how many are done, of how many.
+    The file, ``.jsonl`` for ``styles=folder`` or lines ``path;text`` for ``styles=wikiart``, grows with every batch,
+    and what it holds already is not asked again: a run that was interrupted goes on.
 
     Returns:
         What could not be read, and why.

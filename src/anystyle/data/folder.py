@@ -14,6 +14,7 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
+from anystyle.capacity import require
 from anystyle.data import images
 from anystyle.io import video
 from anystyle.io.images import Picture
@@ -98,6 +99,7 @@ def read_views(
         size = own_size(sizes, multiple=multiple)
     else:
         size = common_size(sizes, short_side=short_side, multiple=multiple)
+    room_for_views(len(shots), size)
     covered: list[tuple[Image.Image, SourceImage]] = []
     for name, shot in zip(distinct([shot.name for shot in shots]), shots, strict=True):
         try:
@@ -111,6 +113,20 @@ def read_views(
     if not covered:
         raise ValueError(f"no photograph can be read: {problems[0]}" + _more(len(problems) - 1))
     return as_views(covered), [source for _, source in covered]
+
+
+def room_for_views(count: int, size: tuple[int, int]) -> None:
+    """Refuse views that memory does not hold, before a pixel of them is decoded.
+
+    Raises:
+        UserError: They are too many or too large.
+    """
+    # Of bytes, of floating-point numbers, and stacked.
+    require(
+        count * size[0] * size[1] * 3 * (1 + 4 + 4),
+        f"{count} views of {size[1]}x{size[0]}",
+        "take fewer (views.take), or smaller ones (views.short_side, or short_side of the scenes)",
+    )
 
 
 def as_views(pictures: Sequence[tuple[Image.Image, SourceImage]], cameras: Cameras | None = None) -> Views:

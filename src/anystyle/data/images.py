@@ -19,11 +19,7 @@ _TRANSPOSED = frozenset({5, 6, 7, 8})
 
 
 def image_size(source: Picture, name: str = "") -> tuple[int, int]:
-    """Width and height of the upright image, from its header alone.
-
-    Args:
-        source: A file, or the bytes of one.
-        name: What messages call bytes.
+    """Width and height of the upright image, from its header alone; messages call bytes by ``name``.
 
     Raises:
         ValueError: It is no image, a damaged one, or too large.
@@ -63,8 +59,7 @@ def open_image(source: Picture, name: str = "", *, longest: int = 4096) -> Image
     with opened(source, name) as image:
         decodable(image, longest)
         factor = max(1, max(image.size) // longest)
-        # Indices of a palette have no mean, and Pillow has none of 16-bit levels.
-        small = image.reduce(factor) if factor > 1 and image.mode in ("L", "LA", "RGB", "RGBA", "CMYK") else image
+        small = image if factor == 1 else _averaging(image).reduce(factor)
         return _to_rgb(ImageOps.exif_transpose(small))
 
 
@@ -82,7 +77,16 @@ def read_image(path: Path, *, longest: int = 1024) -> Float[Tensor, "3 H W"]:
 
 def to_tensor(image: Image.Image) -> Float[Tensor, "3 H W"]:
     """An 8-bit RGB image as a tensor in [0, 1]."""
-    return torch.from_numpy(np.array(image)).permute(2, 0, 1).float() / 255
+    return torch.from_numpy(np.array(image)).permute(2, 0, 1).float().div_(255)
+
+
+def _averaging(image: Image.Image) -> Image.Image:
+    """An image whose values have a mean: indices of a palette have none, and Pillow has none of 16-bit levels."""
+    if image.mode in ("L", "LA", "RGB", "RGBA", "CMYK", "I", "F"):
+        return image
+    if image.mode.startswith("I"):
+        return image.convert("I")
+    return image.convert("RGBA" if "transparency" in image.info or image.mode == "PA" else "RGB")
 
 
 def _to_rgb(image: Image.Image) -> Image.Image:

@@ -39,12 +39,7 @@ def _opens(path: Path) -> bool:
 
 
 def read_square(path: Path, size: int, position: float = 0.5) -> Float[Tensor, "1 3 H W"]:
-    """A square of a picture, its side scaled to ``size`` pixels.
-
-    Args:
-        path: The picture.
-        size: In pixels.
-        position: Where along the longer side, from 0 to 1; 0.5 is the middle.
+    """A square of a picture, scaled to ``size`` pixels, from ``position`` along the longer side: 0.5 is its middle.
 
     Raises:
         ValueError: It is no image or a damaged one.

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from anystyle.caching import LRUCache
 from anystyle.contracts import SceneSource
-from anystyle.data.folder import SourceImage, as_views, common_size, read_picture
+from anystyle.data.folder import SourceImage, as_views, common_size, read_picture, room_for_views
 from anystyle.data.images import image_size
 from anystyle.documents import read_json
 from anystyle.io.tensors import read_tensors
@@ -97,6 +97,7 @@ class Re10kScenes(SceneSource):
             # A clip may be called anything, and views' names become those of files.
             name = f"{re.sub(r'[^A-Za-z0-9_-]', '_', self.name(scene))[:80]}_{view:05d}"
             size = common_size([image_size(frame, name)], short_side=self.short_side, multiple=self.multiple)
+            room_for_views(len(views) - len(pictures), size)
             pictures.append(read_picture(frame, name, size))
         return as_views(pictures, _cameras(clip["cameras"][views].double(), [source for _, source in pictures]))
 

@@ -12,7 +12,7 @@ from PIL import Image
 
 from anystyle.caching import LRUCache
 from anystyle.contracts import SceneSource
-from anystyle.data.folder import SourceImage, as_views, common_size, image_files, natural, read_picture
+from anystyle.data.folder import SourceImage, as_views, common_size, image_files, natural, read_picture, room_for_views
 from anystyle.data.images import image_size
 from anystyle.data.paintings import readable
 from anystyle.data.poses import StoredCamera, read_poses, view_camera
@@ -108,6 +108,7 @@ class FolderScenes(SceneSource):
         views = list(views)
         if not views or not all(0 <= view < len(shots.paths) for view in views):
             raise ValueError(f"views {views} of {self.name(scene)}: give at least one of 0 to {len(shots.paths) - 1}")
+        room_for_views(len(views), shots.size)
         pictures = [read_picture(shots.paths[view], shots.paths[view].stem, shots.size) for view in views]
         stored, sources = [shots.cameras[view] for view in views if shots.cameras], [source for _, source in pictures]
         return as_views(pictures, _cameras(stored, sources) if stored else None)

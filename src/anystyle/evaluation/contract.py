@@ -73,9 +73,9 @@ class Evaluation:
 class Protocol(Socket, ABC):
     """How a model, or any method's images, are judged: ``anystyle evaluate protocol=NAME``.
 
-    The constructor names the parts it needs among ``stylizer`` (in ``eval``, without gradients), ``metrics`` (by
-    name), ``scenes`` and ``styles``, which the framework passes, and further options. Where a source is not
-    configured, ``None`` is passed.
+    The constructor names the parts it needs among ``stylizer`` (in ``eval``, without gradients), ``method`` (how its
+    scenes take styles), ``metrics`` (by name), ``scenes`` and ``styles``, which the framework passes, and further
+    options. Where a source is not configured, ``None`` is passed.
     """
 
     @abstractmethod

@@ -13,8 +13,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.capacity import require
 from anystyle.data.folder import natural
-from anystyle.data.images import SUFFIXES, open_image, to_tensor
+from anystyle.data.images import SUFFIXES, image_size, open_image, to_tensor
 from anystyle.documents import read_json
 from anystyle.io.arrays import read_array, read_arrays
 from anystyle.types import Cameras, Comparison, Style
@@ -95,13 +96,7 @@ def pair(content: Path, style: Path, stylized: Path, depth: Path | None = None) 
     Stylized images are ``SCENE/STYLE_FRAME.png`` or ``SCENE/STYLE/FRAME.png``, or ``STYLE_FRAME.png`` for one scene.
     Photographs are ``SCENE/FRAME.png`` (or ``FRAME.png``), styles ``STYLE.png``; either may also lie under the stylized
     image's own name, as published evaluations write them. Numbers are compared as numbers: frame ``3`` is frame
-    ``003``. Depth is ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` beside it where cameras are known.
-
-    Args:
-        content: A folder of photographs.
-        style: A folder of style images.
-        stylized: A folder of results.
-        depth: A folder of depth maps, distance along z; ``None`` for none.
+    ``003``. Depth, along z, is ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` beside it where cameras are known.
 
     Raises:
         ValueError: A folder is missing or empty, or a stylized image has no partner; the message lists them.
@@ -150,6 +145,12 @@ class Reader:
 
     def __call__(self, cell: Cell) -> Comparison:
         """Everything of one cell, as a batch of one."""
+        sizes = [image_size(path) for path in (*cell.stylized, *cell.content)]
+        require(
+            sum(width * height * 3 * (1 + 4 + 4) for width, height in sizes),
+            f"{len(sizes)} images of {cell.scene} in {cell.style}, of up to {'x'.join(map(str, max(sizes)))}",
+            "give fewer frames a scene, or smaller ones",
+        )
         stylized, content = _read_stack(cell.stylized), self._content(cell.content)
         if stylized.shape[-2:] != content.shape[-2:]:
             raise ValueError(

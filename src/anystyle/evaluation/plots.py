@@ -36,11 +36,6 @@ def plotting() -> Any:
 def spread(evaluation: Evaluation, path: Path, *, caption: str = "") -> bool:
     """Draw a panel for each figure, in it a dot for each scene in each style and a line at each scene's mean.
 
-    Args:
-        evaluation: The result of a protocol.
-        path: A PNG.
-        caption: A line below all panels.
-
     Returns:
         Whether there was anything to draw.
 
@@ -102,15 +97,7 @@ def bars(
     colors: Mapping[tuple[str, str], str],
     notes: Mapping[str, str],
 ) -> None:
-    """Draw a panel for each figure, in it a bar for each row of a table.
-
-    Args:
-        groups: Figures of each row, by its title.
-        names: Which figures.
-        path: A PNG.
-        better: ``higher`` or ``lower`` by figure.
-        colors: Of each bar, by row and figure.
-        notes: Written below a panel, by figure.
+    """Draw a panel for each figure, in it a bar for each row of a table, and a figure's note below it.
 
     Raises:
         ImportError: matplotlib is not installed.
@@ -134,15 +121,7 @@ def bars(
 def _panels(
     num_panels: int, titles: Sequence[str], *, width: float, height: float, margin: tuple[float, float]
 ) -> tuple[Any, list[Any]]:
-    """A figure with panels in rows of four, and their axes; each has a level for every title, from above.
-
-    Args:
-        num_panels: At least 1.
-        titles: Written at the left of each row.
-        width: Of a panel, in inches.
-        height: Of a panel, in inches.
-        margin: Added to the width and the height of all panels.
-    """
+    """A figure with panels in rows of four, and their axes; each has a level for every title, from above."""
     num_columns = min(4, num_panels)
     num_rows = math.ceil(num_panels / num_columns)
     figure = plotting()(figsize=(margin[0] + num_columns * width, margin[1] + num_rows * height), dpi=130)

@@ -83,10 +83,7 @@ class Disagreement:
 
 
 def load(more: Sequence[Path] = ()) -> list[PublishedFigure]:
-    """The figures that come with the package, and those of further files of the same form.
-
-    Args:
-        more: JSON files with ``sources`` and ``rows``.
+    """The figures that come with the package, and those of further JSON files of the same form.
 
     Raises:
         ValueError: A file cannot be read, or is of another form.

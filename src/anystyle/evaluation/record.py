@@ -33,16 +33,7 @@ class _Facts(msgspec.Struct):
 
 
 def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> Table:
-    """Write ``metrics.json``, ``metrics.csv``, ``table.md`` and ``table.tex``.
-
-    Args:
-        evaluation: The result of a protocol.
-        out: The folder.
-        provenance: What the command adds to the evaluation's, such as weights and seconds.
-
-    Returns:
-        The table.
-    """
+    """Write ``metrics.json``, ``metrics.csv``, ``table.md`` and ``table.tex``, and return the table."""
     evaluation = _with_times(evaluation.with_facts(**provenance))
     stored = {
         **evaluation.figures,

@@ -31,13 +31,6 @@ def judge_pairing(
 ) -> Evaluation:
     """The figures of paired images; those of each metric for a scene are written down and not computed again.
 
-    Args:
-        metrics: By name.
-        pairing: The images.
-        out: The folder of the evaluation.
-        progress: Called for every scene in one style.
-        stage: Its name.
-
     Raises:
         ValueError: There is no metric, or images cannot be judged.
     """

@@ -76,11 +76,7 @@ def judge(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]) -> E
 
 
 def judge_scene(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]) -> dict[str, SceneFigures]:
-    """The figures of each metric for one scene, whose comparisons are read one after the other.
-
-    Args:
-        metrics: By name; they are reset.
-        comparisons: One a style, each with one scene.
+    """The figures of each metric, which is reset, for one scene, whose comparisons are read one after the other.
 
     Raises:
         ValueError: A comparison cannot be judged.
@@ -128,12 +124,7 @@ def merge_rows(name: str, metric: Metric, rows: Mapping[str, RowFigures]) -> Sce
 
 
 def aggregate(scenes: Mapping[str, Mapping[str, SceneFigures]], *, n: int) -> Evaluation:
-    """The figures over all scenes, from those of each.
-
-    Args:
-        scenes: For each scene, the figures of each metric.
-        n: The number of stylized images.
-    """
+    """The figures over all scenes, from those of each; ``n`` is the number of stylized images."""
     results = [figures for metrics in scenes.values() for figures in metrics.values()]
     warned = [text for result in results for text in result.warned]
     by_scene = {

@@ -100,15 +100,7 @@ def figures_table(
     caption: str = "",
     notes: Sequence[str] = (),
 ) -> Table:
-    """A row for each figure and a column for each group of figures; figures of stand-ins have a note.
-
-    Args:
-        columns: Figures by name, by title of the column.
-        better: ``higher`` or ``lower`` by figure.
-        stand_ins: Stand-in networks by figure.
-        caption: Of the table.
-        notes: Lines below.
-    """
+    """A row for each figure, a column for each group of figures by its title; figures of stand-ins have a note."""
     names = list(dict.fromkeys(name for figures in columns.values() for name in figures))
     remarks = [f"{STAND_IN} ({stand_ins[name]})" if name in stand_ins else "" for name in names]
     rows = [

@@ -16,14 +16,10 @@ KEY_CAMERAS = 6
 
 
 def smooth_path(cameras: Cameras, frames: int) -> Cameras:
-    """A smooth flight through the cameras of one scene, from the first to the last.
+    """A smooth flight of so many frames through the cameras of one scene, from the first to the last.
 
     Positions are interpolated without overshoot, rotations with a continuous angular velocity. A single camera sways
     on a small circle around its position.
-
-    Args:
-        cameras: A batch of one scene.
-        frames: How many cameras to return, at least 1.
 
     Raises:
         ValueError: There are several scenes, or no frame is asked for.

@@ -10,16 +10,11 @@ from anystyle.types import Clusters
 
 
 def voxel_clusters(points: Float[Tensor, "B M 3"], confidence: Float[Tensor, "B M"], voxel_size: float) -> Clusters:
-    """Cluster points by voxel, each weighted by the softmax of the confidences in its voxel.
+    """Cluster world points by voxel, each weighted by the softmax of the confidences (logits) in its voxel.
 
     Voxels lie around the multiples of ``voxel_size`` (ties to even) and are numbered in lexicographic order. A point's
     weight is ``exp(c - max c) / (sum exp(c - max c) + 1e-6)`` over its voxel, and the voxel's mean the weighted sum.
     Differentiable in the points and confidences; the assignment is constant.
-
-    Args:
-        points: World points.
-        confidence: Logits.
-        voxel_size: Side of a voxel, in world units.
 
     Returns:
         Scenes padded to the same count; padding has mean 0 and no points.

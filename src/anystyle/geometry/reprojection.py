@@ -27,14 +27,7 @@ def reproject(
     target_intrinsics: Float[Tensor, "M 3 3"],
     target_from_source: Float[Tensor, "M 4 4"],
 ) -> Reprojected:
-    """Move every pixel's point into the target's camera.
-
-    Args:
-        depth: Distance along the source's z axis; 0 where there is none.
-        source_intrinsics: In pixels.
-        target_intrinsics: In pixels.
-        target_from_source: Rigid motions.
-    """
+    """Move every pixel's point into the target's camera; depth is along the source's z axis, 0 where unknown."""
     height, width = depth.shape[-2:]
     y = torch.arange(height, dtype=depth.dtype, device=depth.device) + 0.5
     x = torch.arange(width, dtype=depth.dtype, device=depth.device) + 0.5

@@ -9,14 +9,10 @@ from torch import Tensor
 
 
 def backward_warp(image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"]) -> Float[Tensor, "M C H W"]:
-    """Sample ``image`` at each pixel displaced by ``flow``; zero outside.
+    """Sample ``image`` at each pixel displaced by ``flow``, (x, y) in pixels; zero outside.
 
     The published evaluation's sampling, kept to the digit: the flow is scaled by ``2 / (size - 1)`` although the grid
     holds pixel centres, so long displacements are overshot by one part in ``size``.
-
-    Args:
-        image: What to sample.
-        flow: (x, y) in pixels.
     """
     height, width = image.shape[-2:]
     x = torch.linspace(-1 + 1 / width, 1 - 1 / width, width, dtype=flow.dtype, device=flow.device)
@@ -51,15 +47,10 @@ class Splat(NamedTuple):
 def softmax_splat(
     image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"], importance: Float[Tensor, "M 1 H W"]
 ) -> Splat:
-    """Move every pixel along its flow onto its four neighbours, weighted by ``exp(importance)``.
+    """Move pixels along a flow, (x, y) in pixels, onto their four neighbours, weighted by ``exp(importance)``.
 
     Softmax splatting (Niklaus and Liu, CVPR 2020) as the published consistency script uses it: what falls outside is
     dropped, as is a pixel whose flow is not finite, and the sum is divided by the weight plus 1e-7.
-
-    Args:
-        image: What to move.
-        flow: (x, y) in pixels.
-        importance: Logits; where several pixels land on one, larger wins.
     """
     count, channels, height, width = image.shape
     weight = importance.exp()

@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
 from anystyle.branch import StyleBranch, sites_of
+from anystyle.capacity import require
 from anystyle.contracts import Backbone, Injector, Loss, Placement, Renderer, StyleEncoder
 from anystyle.errors import did_you_mean
 from anystyle.io.checkpoint import Header, has_header, load_part, read_header, sha256
@@ -28,6 +29,7 @@ _log = logging.getLogger(__name__)
 
 PARTS = ("backbone", "style_encoder", "branch")
 State = Mapping[str, Tensor]
+_SMALLER = "choose a smaller model"
 
 
 def weights_file(name: str) -> Path:
@@ -51,11 +53,7 @@ def make_branch(
 ) -> StyleBranch:
     """A style branch at birth: copies of the backbone's parts, and injectors that are identities.
 
-    Args:
-        config: Nodes ``placement, injector, branch``.
-        backbone: What to copy from.
-        style_dim: Dimensions of the style embedding.
-        options: Options of the injector at some sites, instead of the configuration's.
+    ``options`` are of the injectors at some sites, instead of the configuration's.
     """
     placement = build(Placement, config.placement)
 
@@ -89,6 +87,25 @@ def published_by(config: DictConfig) -> Published:
     return published
 
 
+def room_for_backbone(config: DictConfig, *, learns: bool = False) -> None:
+    """Refuse a backbone whose weights memory does not hold, before there is one.
+
+    Args:
+        config: Its node ``backbone``.
+        learns: Whether gradients and the optimiser's two moments come to them.
+
+    Raises:
+        UserError: They take more than there is.
+    """
+    try:
+        with torch.random.fork_rng([]), _on_meta(True):
+            tensors = build(Backbone, config.backbone).state_dict().values()
+    except RuntimeError:
+        return  # its constructor asks for values
+    needed = sum(tensor.nbytes for tensor in tensors) * (4 if learns else 1)
+    require(needed, f"the weights of the backbone{', with what learning adds' if learns else ''}", _SMALLER)
+
+
 def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
     """Build a stylizer and load its weights.
 
@@ -107,6 +124,10 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
         FileNotFoundError: A file is missing.
     """
     files = {part: weights_file(name) for part, name in config.weights.items() if name is not None}
+    if "backbone" not in files:
+        room_for_backbone(config)
+    for file in set(files.values()):
+        require(file.stat().st_size, f"the weights in {file}", _SMALLER)
     sums = {file: sha256(file) for file in set(files.values()) if file.is_file()}
     digests = {part: sums[file] for part, file in files.items() if file in sums}
     ours = {part: file for part, file in files.items() if has_header(file)}
@@ -160,11 +181,7 @@ def method_named(words: str, style_encoder: StyleEncoder) -> Method:
 
 
 def default_poses(config: DictConfig) -> str:
-    """Where cameras come from where nothing is said: a small bundled network predicts them badly.
-
-    Args:
-        config: Its node ``weights.backbone`` is looked at.
-    """
+    """Where cameras come from where nothing is said: a small bundled network predicts them badly."""
     known = weights.files()
     name = config.weights.backbone
     return "auto" if name in known and known[name].bundled else "predicted"
@@ -181,13 +198,7 @@ def build_and_load(
     published: Mapping[str, State],
     style_encoder: StyleEncoder | None = None,
 ) -> tuple[Stylizer, dict[str, Header]]:
-    """Build the parts and load each; what a published state dict holds is taken as it is, with no copy on the way.
-
-    Args:
-        config: As for :func:`assemble`.
-        ours: Files that anystyle wrote, by part.
-        published: State dicts with their publishers' names, by part.
-        style_encoder: Instead of the configured one.
+    """Build the parts and load each from our file or from a published state dict, which is taken without a copy.
 
     Returns:
         The stylizer, and the headers of our files.

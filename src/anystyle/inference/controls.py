@@ -92,12 +92,8 @@ def with_colors_of(unstyled: Gaussians, styled: Gaussians, amount: float = 1.0) 
     """Styled Gaussians in the hues of unstyled ones: their brightness alone changes.
 
     The luminance transfer of Gatys et al. 2016 (arXiv:1606.05897, section 4) for Gaussians: brightness is linear in
-    the coefficients of harmonics, so it holds from every direction.
-
-    Args:
-        unstyled: As many as styled.
-        styled: Of the same scene.
-        amount: In [0, 1]; 0 keeps the style's own colours.
+    the coefficients of harmonics, so it holds from every direction. An amount of 0 keeps the style's own
+    colours.
     """
     degree = max(unstyled.harmonics.shape[2], styled.harmonics.shape[2])
     content, style = (
@@ -110,13 +106,7 @@ def with_colors_of(unstyled: Gaussians, styled: Gaussians, amount: float = 1.0) 
 def applied(
     controls: Controls, unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tensor, "B N"] = 1.0
 ) -> Gaussians:
-    """A styled scene under the controls of colours.
-
-    Args:
-        controls: Of which strength and preservation of colour are applied here.
-        unstyled: The scene itself.
-        styled: It in a style.
-        weights: Of a mask, for all or for each Gaussian.
+    """A styled scene under the controls of strength and of colours, weighted by a mask.
 
     Raises:
         ValueError: They are not of one scene.

@@ -165,12 +165,7 @@ def encode_splat(
 ) -> EncodedCapture:
     """Read a scene that was saved, look at it from cameras that are stored with it or chosen, and encode what is seen.
 
-    Args:
-        path: A PLY file, or a folder of results, whose unstyled scene is taken.
-        stylizer: In ``eval`` mode, on the device to compute on.
-        views: Their size.
-        options: From where it is seen.
-        stages: Times the work.
+    Of a folder of results the unstyled scene is taken.
 
     Raises:
         ValueError: The file is none of Gaussians, or memory does not suffice.

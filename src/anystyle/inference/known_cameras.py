@@ -62,11 +62,7 @@ class KnownCameras:
 
 
 def scene_from_known(known: Float[Tensor, "V 4 4"], predicted: Float[Tensor, "V 4 4"]) -> Similarity:
-    """The similarity from the frame of known cameras to that of predicted ones.
-
-    Args:
-        known: World from camera.
-        predicted: World from camera of the same views.
+    """The similarity from the frame of known cameras to that of predicted ones, all of them world from camera.
 
     Raises:
         ValueError: They have nothing in common.
@@ -85,11 +81,6 @@ def with_cameras(capture: Capture, cameras: Cameras, adapter: Adapter) -> tuple[
 
     Depth and Gaussians keep the unit that the network predicts in; the known cameras are brought there by the
     similarity that fits the predicted ones best.
-
-    Args:
-        capture: As encoded.
-        cameras: Of every view, in any frame and unit.
-        adapter: Of the backbone; decides again which pixels are fused.
 
     Raises:
         ValueError: Known and predicted cameras have nothing in common.

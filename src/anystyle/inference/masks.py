@@ -40,12 +40,7 @@ class Mask(ABC):
 
     @abstractmethod
     def weights(self, gaussians: Gaussians, shown: Shown) -> Float[Tensor, "B N"]:
-        """In [0, 1]: 0 is unstyled, 1 is styled.
-
-        Args:
-            gaussians: Of one scene.
-            shown: The views that it comes from.
-        """
+        """In [0, 1], 0 unstyled and 1 styled, for Gaussians of one scene and the views that it comes from."""
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,6 @@ import logging
 import threading
 import weakref
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import NamedTuple
 
 import psutil
@@ -25,15 +24,14 @@ from torch._subclasses.fake_tensor import (
 from torch.utils import _pytree as pytree
 from torch.utils._python_dispatch import TorchDispatchMode
 
+from anystyle import capacity
+from anystyle.capacity import USABLE, gib
 from anystyle.contracts import Backbone
 from anystyle.types import Tokens
 
 _log = logging.getLogger(__name__)
 
 _ASKS_FOR_VALUES = (DataDependentOutputException, DynamicOutputShapeException, UnsupportedOperatorException)
-
-USABLE = 0.9
-"""The fraction of free memory that is counted on: allocators and the system need the rest."""
 
 PLENTY = 16 * 2**10
 """Bytes a pixel that no network is expected to need, seven times what the published one takes. Where even these are
@@ -149,9 +147,7 @@ def available(device: torch.device) -> int | None:
         return int(torch.cuda.mem_get_info(device)[0])
     if device.type != "cpu":
         return None
-    left = _left_in_container()
-    free = psutil.virtual_memory().available
-    return free if left is None else min(free, left)
+    return capacity.free()
 
 
 def check(backbone: Backbone, num_views: int, size: tuple[int, int], device: torch.device) -> None:
@@ -169,8 +165,8 @@ def check(backbone: Backbone, num_views: int, size: tuple[int, int], device: tor
     fits = estimate.fits(int(USABLE * free))
     advice = f"{fits} fit: set views.max_views={fits}" if fits >= 2 else "not even two fit: set a smaller size"
     raise ValueError(
-        f"{num_views} views of {size[1]}x{size[0]} need {_gib(estimate(num_views))} beside the weights, and "
-        f"{_gib(free)} are free; {advice} (groups that overlap), views.short_side or views.take"
+        f"{num_views} views of {size[1]}x{size[0]} need {gib(estimate(num_views))} beside the weights, and "
+        f"{gib(free)} are free; {advice} (groups that overlap), views.short_side or views.take"
     )
 
 
@@ -215,19 +211,3 @@ def _without_memory(backbone: Backbone) -> list[nn.Module]:
         for buffer in part.buffers():
             memo[id(buffer)] = torch.empty(buffer.shape, dtype=buffer.dtype)
     return [copy.deepcopy(part, memo).eval() for part in parts]
-
-
-def _left_in_container() -> int | None:
-    """The bytes that the limit of a container (a control group, version 2) leaves; ``None`` where there is none."""
-    folder = Path("/sys/fs/cgroup")
-    try:
-        limit, used = (folder / "memory.max").read_text().strip(), (folder / "memory.current").read_text()
-        lines = (folder / "memory.stat").read_text().splitlines()
-        cached = next((int(line.split()[1]) for line in lines if line.startswith("file ")), 0)
-        return None if limit == "max" else int(limit) - int(used) + cached
-    except (OSError, ValueError):
-        return None
-
-
-def _gib(count: int | float) -> str:
-    return f"{count / 2**30:.1f} GiB"

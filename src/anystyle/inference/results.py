@@ -249,14 +249,7 @@ def write_cameras(path: Path, encoded: EncodedCapture) -> None:
 
 
 def write_colmap(folder: Path, gaussians: Gaussians, encoded: EncodedCapture, *, binary: bool) -> None:
-    """Write one scene as a COLMAP model: cameras in source pixels, images, and the surest Gaussians as points.
-
-    Args:
-        folder: Such as ``out/sparse/0``.
-        gaussians: Whose centres and constant colours become points.
-        encoded: The views and their cameras.
-        binary: Whether files are binary, as COLMAP's own, or text.
-    """
+    """Write one scene as a COLMAP model: cameras in source pixels, images, and the surest Gaussians as points."""
     opacities = gaussians.opacities[0].cpu()
     surest = opacities.argsort(descending=True, stable=True)[: min(MAX_POINTS, int((opacities > 0).sum()))]
     rgb = rgb_from_constant(gaussians.harmonics[0, :, 0].cpu()[surest])

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.capacity import USABLE
 from anystyle.data.folder import SourceImage, covering
 from anystyle.data.poses import StoredCamera, stored_cameras, view_camera
 from anystyle.geometry.cameras import look_at
@@ -47,7 +48,7 @@ def check_memory(num_gaussians: int, num_views: int, device: torch.device) -> st
     """
     needed, free = memory_needed(num_gaussians, num_views), memory.available(device)
     line = f"{num_gaussians:,} Gaussians from {num_views} views take about {needed / 2**30:.2g} GiB"
-    if free is not None and needed > memory.USABLE * free:
+    if free is not None and needed > USABLE * free:
         raise ValueError(f"{line}, and {free / 2**30:.2g} GiB are free; set fewer views with splat.cameras")
     return line
 
@@ -57,13 +58,7 @@ def cameras_of(
 ) -> tuple[Cameras, tuple[SourceImage, ...], str]:
     """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
 
-    Args:
-        path: Of the scene.
-        gaussians: A batch of one.
-        views: Gives the shorter side of renders.
-        options: How many, and where they are stored.
-        multiple: Sides of renders are multiples of it.
-        resolution: The shorter side unless it is given.
+    Sides of renders are multiples of ``multiple``; the shorter is ``resolution`` unless ``views`` give it.
 
     Returns:
         Cameras, what their images are called, and where they come from.

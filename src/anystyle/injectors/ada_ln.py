@@ -15,11 +15,7 @@ class AdaLN(TokenInjector):
     Unlike FiLM, what it adds does not depend on how large a token is.
 
     Args:
-        dim: Channels at the site.
-        style_dim: Dimensions of the style embedding.
         hidden: Width of the projection, at most twice ``dim``.
-        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
-        special_tokens: Whether camera and register tokens are styled too.
     """
 
     def __init__(

@@ -13,6 +13,8 @@ class TokenInjector(Injector):
     """Changes patch tokens, and camera and register tokens if asked to; subclasses implement :meth:`styled`.
 
     Args:
+        dim: Channels at the site.
+        style_dim: Dimensions of the style embedding.
         gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
             at first; the root of ``style_dim`` makes up for it where training is short.
         special_tokens: Whether camera and register tokens are styled too.

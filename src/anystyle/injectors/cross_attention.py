@@ -17,13 +17,9 @@ class CrossAttention(TokenInjector):
     cannot. The output projection is 0 at birth.
 
     Args:
-        dim: Channels at the site.
-        style_dim: Dimensions of the style embedding.
         num_tokens: Style tokens that the vector becomes; at least 2, for with one there is nothing to choose from.
         heads: Of the attention.
         head_dim: Channels of each head.
-        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
-        special_tokens: Whether camera and register tokens are styled too.
 
     Raises:
         ValueError: ``num_tokens`` is below 2, or there is no head or channel.

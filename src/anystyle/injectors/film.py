@@ -13,12 +13,8 @@ class FiLM(TokenInjector):
     scale predicted as its difference from 1, as its section 7.2 does. The published style injector is the shift alone.
 
     Args:
-        dim: Channels at the site.
-        style_dim: Dimensions of the style embedding.
         hidden: Width of the projection's hidden layer, at most ``expansion`` times ``dim``.
         expansion: See ``hidden``.
-        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
-        special_tokens: Whether camera and register tokens are styled too.
     """
 
     def __init__(

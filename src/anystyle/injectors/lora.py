@@ -19,12 +19,8 @@ class LoRA(TokenInjector):
     is what LoRA is for; otherwise they learn beside it.
 
     Args:
-        dim: Channels at the site.
-        style_dim: Dimensions of the style embedding.
         rank: Of the update, at most ``dim``.
         alpha: The update is scaled by ``alpha / rank``, so that another rank needs no other learning rate.
-        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector`.
-        special_tokens: Whether camera and register tokens are styled too.
 
     Raises:
         ValueError: ``rank`` is below 1.

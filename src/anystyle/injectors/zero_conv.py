@@ -13,8 +13,6 @@ class ZeroConv(TokenInjector):
     vector and broadcast: the same function at a cost that does not grow with the image.
 
     Args:
-        dim: Channels at the site.
-        style_dim: Dimensions of the style embedding.
         hidden: Width of the projection's hidden layer, at most twice ``dim`` (published: 1024 at token sites, 256 at
             the direct site's 128 channels).
         gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector` (published: 1).

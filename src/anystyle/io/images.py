@@ -9,12 +9,15 @@ from pathlib import Path
 
 from PIL import Image, UnidentifiedImageError
 
+from anystyle.capacity import require
 from anystyle.errors import UserError, one_line
 
 MAX_PIXELS = 178_000_000
 """What an image may hold for its header to be believed, as Pillow has it; only JPEG files of this size are decoded."""
 MAX_DECODED = 100_000_000
 """Pixels that are decoded at most: with all copies that a conversion needs, about one gigabyte."""
+_DECODED = 8
+"""Bytes that a pixel takes while it is decoded: of 16 bits, or four channels, and a copy of them in other ones."""
 
 Picture = Path | bytes
 """An image file, or the content of one."""
@@ -70,17 +73,19 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
 
 
 def decodable(image: Image.Image, longest: int) -> None:
-    """Refuse an image that would take too much memory, before a pixel is decoded.
+    """Refuse an image that would take too much memory, or more than there is, before a pixel is decoded.
 
     JPEG files are told to be decoded at a half, a quarter or an eighth, to no less than ``longest``.
 
     Raises:
-        ValueError: It holds more than :data:`MAX_DECODED` pixels then.
+        ValueError: It holds more than :data:`MAX_DECODED` pixels then, or takes more memory than is free.
     """
     before = _too_large(image)
     image.draft("RGB", (longest, longest))
     if image.width * image.height > MAX_DECODED:
         raise UserError(before)
+    pixels = image.width * image.height
+    require(pixels * _DECODED, f"{image.width} x {image.height} pixels", "make the image smaller")
 
 
 def _too_large(image: Image.Image) -> str:

@@ -10,6 +10,8 @@ from jaxtyping import Float
 from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
+from anystyle.capacity import require
+from anystyle.documents import regular
 from anystyle.io import compressed_ply
 from anystyle.io.atomic import atomic_path
 
@@ -32,15 +34,10 @@ class Splats(NamedTuple):
 
 
 def write(splats: Splats, path: Path, notes: str = "") -> None:
-    """Write one scene; whole or not at all.
+    """Write one scene, whole or not at all; notes, such as licences, become comments, a line each.
 
     Every property is float32, in the order positions, normals (0), ``f_dc``, ``f_rest`` (colour-major), opacity
     (logit), scales (logarithm), rotation (unit quaternion wxyz). Gaussians of no opacity are left out.
-
-    Args:
-        splats: The scene.
-        path: A ``.ply`` file.
-        notes: Such as licences, in comments, a line each.
     """
     kept = splats.opacities > 0
     means, rotations, scales, opacities, harmonics = (tensor[kept].detach().float().cpu() for tensor in splats)
@@ -100,6 +97,8 @@ def read(path: Path) -> Splats:
     Raises:
         ValueError: It is no PLY file, a damaged one, or not one of Gaussians.
     """
+    regular(path, most=None, what="PLY file of Gaussians")
+    require(3 * path.stat().st_size, str(path), "a scene of fewer Gaussians, or another machine")
     try:
         data = PlyData.read(path)
         vertices = data["vertex"].data

@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 
+from anystyle.capacity import require
 from anystyle.documents import regular
 from anystyle.errors import UserError, one_line
 
@@ -17,6 +18,7 @@ def read_tensors(path: str | Path, *, what: str = "file of tensors", device: str
         UserError: It is no such file, damaged, or holds objects; the message names it and ``what`` was expected.
     """
     path = regular(path, most=None, what=what)
+    require(path.stat().st_size, str(path), "another machine has more")
     try:
         _check(path)
         return torch.load(path, map_location=device, weights_only=True)

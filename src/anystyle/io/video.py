@@ -13,6 +13,7 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
+from anystyle.capacity import require
 from anystyle.documents import regular
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import to_pil
@@ -30,10 +31,6 @@ MANY_FRAMES = 3000
 def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
     """Evenly spaced frames: the video is cut into ``count`` equal parts, and the sharpest frame of each is taken.
 
-    Args:
-        path: A video file.
-        count: How many frames at most.
-
     Returns:
         Frame numbers and upright 8-bit RGB images, in order.
 
@@ -43,6 +40,7 @@ def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
     regular(path, most=None, what="video")
     try:
         total = _count_frames(path)
+        _room_for(path, min(count, total))
         best = _sharpest(path, count, total, key_frames_only=total > MANY_FRAMES)
         if total > MANY_FRAMES and len(best) < count:
             # Some encoders write hardly any key frames.
@@ -87,6 +85,16 @@ def _count_frames(path: Path) -> int:
         if not container.streams.video:
             raise ValueError(f"{path} has no video in it")
         return sum(1 for packet in container.demux(container.streams.video[0]) if packet.size)
+
+
+def _room_for(path: Path, frames: int) -> None:
+    """Refuse frames that memory does not hold, before they are decoded."""
+    with _opened(path) as container:
+        size = container.streams.video[0].codec_context
+        if size is None:
+            return  # no decoder is known; reading says so
+        what = f"{frames} frames of {size.width}x{size.height} of {path}"
+        require(3 * frames * size.width * size.height, what, "take fewer (views.take)")
 
 
 def _seconds(path: Path) -> tuple[float, float]:

@@ -52,13 +52,10 @@ class StatisticsLoss(FeatureLoss):
     A layer's distance is the sum over the K parts of the mean squared difference of their D numbers; layers are added.
 
     Args:
-        network: As above.
-        layers: As above.
-        size: As above.
+        size: Side that renders and style images are squashed to; ``None`` keeps each as it is.
         relative: Divide each view's distance by that of its photograph and take the square root, then average over
             the layers: 1 means as far from the style as the photograph, 0 means there. Colour, which is quickly
             matched, then no longer drowns the small differences that make a pattern.
-        weight: As above.
     """
 
     def __init__(self, network: str, layers: Sequence[str], size: int | None, relative: bool, weight: float) -> None:

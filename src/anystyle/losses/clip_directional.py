@@ -16,7 +16,6 @@ class ClipDirectional(Loss):
     ``mean (1 - cos(E(render) - E(photograph), d))`` with ``d`` the style's direction from the neutral prompt.
 
     Args:
-        style_encoder: The space; the framework passes the stylizer's own.
         size: Side that images are squashed to before, bicubic as published; none leaves that to the encoder.
         reference: What ``photograph`` stands for above: the photograph, as published, or the unstyled ``render``.
         weight: In the objective.

@@ -19,7 +19,6 @@ class ClipPatch(Loss):
     the global generator, as dropout's are; out of training they are always the same.
 
     Args:
-        style_encoder: The space; the framework passes the stylizer's own.
         crops: How many a view.
         crop_size: Side of a crop in pixels.
         distortion: How far the corners move inwards at most, as a fraction of half a side.
@@ -126,12 +125,7 @@ def random_corners(
 def warp_to_corners(
     images: Float[Tensor, "M 3 side side"], corners: Float[Tensor, "M 4 2"]
 ) -> Float[Tensor, "M 3 side side"]:
-    """Images seen in perspective, black where they end.
-
-    Args:
-        images: Square.
-        corners: Where their corners go, as of :func:`random_corners`.
-    """
+    """Square images seen in perspective, black where they end; ``corners`` as of :func:`random_corners`."""
     count, _, side, _ = images.shape
     # Corners are read as points of a plane in which a pixel's centre lies at +0.5; kornia's pixels are at integers.
     square = _square(side).to(images).expand(count, 4, 2)

@@ -20,7 +20,6 @@ class Content(FeatureLoss):
     ``sum_l mean (phi_l(render) - phi_l(photograph))^2``, or the sum of each view in place of its mean.
 
     Args:
-        network: A network of :func:`anystyle.perception.load`.
         layers: Which features.
         size: Side that renders and photographs are squashed to; none keeps them as they are.
         reduction: ``mean`` over the features of a view, as published, or their ``sum``, as the equation is written.

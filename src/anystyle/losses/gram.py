@@ -14,13 +14,6 @@ class Gram(StatisticsLoss):
     """Match the Gram matrices of features of the style image (Gatys et al. 2016, equations 3 to 5).
 
     ``sum_l mean_ij (G_ij - G_ij^style)^2`` with ``G = F F^T / (h w)``, averaged over views whose style has an image.
-
-    Args:
-        network: A network of :func:`anystyle.perception.load`.
-        layers: Whose matrices; ``rgb`` is the image itself.
-        size: Side that renders and style images are squashed to; none keeps each as it is.
-        relative: Each view's distance as the root of its ratio to the photograph's; see ``StatisticsLoss``.
-        weight: In the objective.
     """
 
     def __init__(

@@ -20,9 +20,7 @@ class NNFM(FeatureLoss):
     style has an image. ARF reads VGG-16; the default layers are the same block of VGG-19.
 
     Args:
-        network: A network of :func:`anystyle.perception.load`.
         layers: Of one resolution.
-        size: Side that renders and style images are squashed to; none keeps each as it is.
         weight: In the objective; 1 in ARF, 5 in StylizedGS, 10 or 100 in G-Style.
     """
 

@@ -24,13 +24,9 @@ class SimultaneousScales(FeatureLoss):
     activations of mean 1.
 
     Args:
-        network: A network of :func:`anystyle.perception.load`, or several to choose from; see ``NNFM``.
-        layers: Whose statistics.
         scales: How many sizes; fewer where the smallest would be under 16 pixels.
         gram_weight: ``g``; 1000 in SGSST, as in Gatys et al. 2017.
         moments_weight: ``m``; 10,000 in SGSST.
-        size: Side that renders and style images are squashed to before; none keeps each as it is.
-        weight: In the objective.
     """
 
     def __init__(

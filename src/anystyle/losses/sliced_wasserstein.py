@@ -17,14 +17,9 @@ class SlicedWasserstein(StatisticsLoss):
     has an image. On ``rgb`` alone it is a palette loss: unlike a mean it keeps two colours two.
 
     Args:
-        network: A network of :func:`anystyle.perception.load`.
-        layers: Whose features; ``rgb`` is the image itself.
-        size: Side that renders and style images are squashed to; none keeps each as it is.
         directions: Along how many the distributions are compared; drawn once, from ``seed``.
         levels: How many quantiles are compared.
-        relative: Each view's distance as the root of its ratio to the photograph's; see ``StatisticsLoss``.
         seed: Of the directions.
-        weight: In the objective.
     """
 
     def __init__(

@@ -22,12 +22,7 @@ class StyleLoss(StatisticsLoss):
     whose style has an image; a text alone adds nothing.
 
     Args:
-        network: A network of :func:`anystyle.perception.load`.
-        layers: Whose statistics.
-        size: Side that renders and style images are squashed to; none keeps each as it is.
-        relative: Each view's distance as the root of its ratio to the photograph's; see ``StatisticsLoss``.
         reduction: ``mean`` over channels, as published, or their ``sum``, as the equation is written.
-        weight: In the objective.
     """
 
     def __init__(

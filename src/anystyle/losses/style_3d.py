@@ -24,12 +24,9 @@ class Style3D(FeatureLoss):
     The points are those of the predicted geometry of the input views, so the renders must be of these views.
 
     Args:
-        network: A network of :func:`anystyle.perception.load`.
-        layers: Whose statistics.
         layer_weights: Weight of each layer.
         voxel_size: At the image's resolution, in the scene's units.
         size: Side that the style image is squashed to; none keeps it as it is.
-        weight: In the objective.
     """
 
     def __init__(
@@ -95,14 +92,7 @@ class Style3D(FeatureLoss):
 def fuse_in_voxels(
     features: Float[Tensor, "C S"], points: Float[Tensor, "S 3"], confidence: Float[Tensor, " S"], side: float
 ) -> Float[Tensor, "C _"]:
-    """Mean feature of every occupied voxel, weighted by the softmax of confidence within it.
-
-    Args:
-        features: Of each point.
-        points: In any frame.
-        confidence: Logits of the weights.
-        side: Of a voxel, in the points' units.
-    """
+    """Mean feature of every occupied voxel of side ``side``, weighted by the softmax of confidence within it."""
     voxels, index = (points / side).round().long().unique(dim=0, return_inverse=True)
     count = voxels.shape[0]
     peak = confidence.new_full((count,), -torch.inf).scatter_reduce(0, index, confidence, "amax")

@@ -25,7 +25,6 @@ class Optimize(Method):
     name theirs. Colours become those of degree 0: a view-dependent colour can be styled in each view by itself.
 
     Args:
-        losses: By name; the framework passes them.
         num_steps: How many.
         colors_lr: Learning rate of constant harmonics. What has a rate of 0 stays as it is, bit for bit.
         opacities_lr: Of logits of opacities.

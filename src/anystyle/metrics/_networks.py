@@ -19,7 +19,11 @@ from anystyle.perception.sources import Source, checksums, stand_ins
 
 
 class NetworkMetric(Metric, ABC):
-    """A metric whose figures rest on published weights or on stand-ins; its option ``weights`` says on which."""
+    """A metric whose figures rest on published weights or on stand-ins.
+
+    Args:
+        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
+    """
 
     full_state_update = False
 

@@ -29,7 +29,6 @@ class ArtFID(NetworkMetric):
             5000 and more, so that with fewer images it is FID. ``corrected``: nothing rounded, 299 pixels for the
             Inception network as in its training, and a true extrapolation from the images there are; a warning where
             these are fewer than features.
-        weights: ``auto`` takes stand-ins where the published ones are missing, and says so.
     """
 
     better: ClassVar[Mapping[str, str]] = {

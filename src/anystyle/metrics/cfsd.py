@@ -39,7 +39,6 @@ class CFSD(NetworkMetric, RowMean):
     Args:
         variant: ``reference`` sums over pixels and has images of 8 bits; ``corrected`` averages over pixels and rounds
             nothing, so that sizes can be compared.
-        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
     """
 
     better: ClassVar[Mapping[str, str]] = {"cfsd": "lower"}

@@ -19,7 +19,6 @@ class ClipDirection(RowMean):
     Averaged over views, in [-1, 1]. A style's text counts if it has one, else its image.
 
     Args:
-        style_encoder: The space; the framework passes the one that is configured.
         size: Side that images are squashed to before, bicubic; none leaves that to the encoder.
     """
 

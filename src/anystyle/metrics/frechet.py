@@ -6,16 +6,12 @@ from torch import Tensor
 
 
 def frechet_distance(first: Float[Tensor, "N D"], second: Float[Tensor, "M D"]) -> Float[Tensor, ""]:
-    """Fréchet distance of the Gaussians fitted to two sets of features (Heusel et al., 2017, Eq. 6).
+    """Fréchet distance of the Gaussians fitted to two sets of features, a row a sample (Heusel et al., 2017, Eq. 6).
 
     With centred and scaled features ``A`` and ``B``, the covariances are ``AᵀA`` and ``BᵀB``, and the trace of
     ``sqrtm(AᵀA BᵀB)`` is the sum of the singular values of ``A Bᵀ``: an N x M matrix, exact also where N < D makes
     both covariances singular, and cheap there. Where both sets are larger than D, the same identity is used on D x D
     square roots from eigenvalues.
-
-    Args:
-        first: One row a sample.
-        second: One row a sample.
 
     Returns:
         In float64; covariances are the unbiased ones.

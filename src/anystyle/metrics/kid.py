@@ -23,7 +23,6 @@ class KID(NetworkMetric):
 
     Args:
         size: Pixels of the shorter side that images are resized to; 299 as in the network's training.
-        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
     """
 
     better: ClassVar[Mapping[str, str]] = {"kid": "lower"}

@@ -52,7 +52,6 @@ class WarpConsistency(NetworkMetric):
     counts as the mean of its pairs; rows are averaged.
 
     Args:
-        correspondence: The flow; the framework passes the one that is configured.
         flow_from: ``stylized`` frames, as published; or the ``content`` frames, whose flow a style cannot disturb and
             which is computed once for all styles. ``None`` takes the variant's: ``stylized`` in ``reference``,
             ``content`` in ``corrected``.

@@ -58,12 +58,7 @@ class Aligner(nn.Module):
         """Poses, the first view's at the origin and the others where they fit.
 
         They carry no gradient: what they are computed from, matches and depth, is taught directly, and a pose from bad
-        matches would teach nothing but noise.
-
-        Args:
-            correlation: See :meth:`correlation`.
-            cameras: Whose intrinsics count.
-            depth: Along z.
+        matches would teach nothing but noise. Of the cameras only the intrinsics count.
         """
         batch, views = depth.shape[:2]
         (height, width), (rows, columns) = cameras.size, correlation.shape[-2:]

@@ -27,12 +27,7 @@ def by_views(
 
 
 def uv_grid(grid: tuple[int, int], aspect: float) -> tuple[Float[Tensor, " w"], Float[Tensor, " h"]]:
-    """Where a map's columns and rows lie in an image whose half diagonal is 1, in float64.
-
-    Args:
-        grid: Rows and columns of the map.
-        aspect: Width over height of the image.
-    """
+    """Where a map's columns and rows lie in an image of half diagonal 1, in float64; aspect is width over height."""
     rows, columns = grid
     half = (aspect**2 + 1) ** 0.5
     x, y = aspect / half * (columns - 1) / columns, 1 / half * (rows - 1) / rows
@@ -40,12 +35,7 @@ def uv_grid(grid: tuple[int, int], aspect: float) -> tuple[Float[Tensor, " w"], 
 
 
 def uv_waves(line: Float[Tensor, " n"], channels: int) -> Float[Tensor, "C n"]:
-    """Sines, then cosines, of a line's coordinates at falling frequencies, in float32.
-
-    Args:
-        line: Of :func:`uv_grid`.
-        channels: Even.
-    """
+    """Sines, then cosines, of a line's coordinates at falling frequencies, in float32; ``channels`` is even."""
     frequencies = 100.0 ** -(torch.arange(channels // 2, dtype=torch.float64) / (channels // 2))
     angles = frequencies[:, None] * line
     return torch.cat([angles.sin(), angles.cos()]).float()

@@ -38,13 +38,7 @@ def dpt_rules(part: str) -> Rules:
 
 
 def checked_parts(state: Mapping[str, Tensor], parts: tuple[str, ...], *, publisher: str, advice: str) -> None:
-    """Refuse a state dict that is empty or has keys of another network.
-
-    Args:
-        state: Names without prefixes.
-        parts: What all names begin with.
-        publisher: Whose keys those are, such as ``AnySplat's``.
-        advice: Which file to give.
+    """Refuse a state dict that is empty or has a name beginning with none of ``parts``; ``advice`` ends the message.
 
     Raises:
         ValueError: There are other keys, or none at all.

@@ -24,28 +24,17 @@ class Rotary(NamedTuple):
 
 
 def grid_positions(grid: tuple[int, int], special: int = 1) -> Float[Tensor, "L 2"]:
-    """Row and column of a view's tokens: special tokens stand at (0, 0), patches from (1, 1) on.
-
-    Args:
-        grid: Rows and columns of patches.
-        special: Tokens ahead of the patches.
-    """
+    """Row and column of a view's tokens: special tokens stand at (0, 0), patches from (1, 1) on."""
     rows, columns = grid
     y, x = torch.meshgrid(torch.arange(rows) + 1.0, torch.arange(columns) + 1.0, indexing="ij")
     return torch.cat([torch.zeros(special, 2), torch.stack([y, x], dim=-1).flatten(0, 1)])
 
 
 def rotary(positions: Float[Tensor, "L 2"], dim: int, *, base: float, like: Float[Tensor, "..."]) -> Rotary:
-    """Angles of tokens at ``positions``.
+    """Angles of tokens at rows and columns ``positions``, with the device and dtype of ``like``.
 
     The first half of a head's channels turns with the row, the second with the column; entry ``i`` of a half of ``m``
     channels pairs with entry ``i + m / 2`` and turns by ``position * base ** (-2 i / m)``.
-
-    Args:
-        positions: Rows and columns.
-        dim: Channels of a head, a multiple of 4.
-        base: Of the geometric series of frequencies.
-        like: A tensor whose device and dtype the result has.
     """
     quarter = dim // 4
     frequencies = base ** (-torch.arange(quarter, device=like.device, dtype=torch.float32) / quarter)

@@ -43,14 +43,9 @@ def clean(text: str) -> list[str]:
 
 
 def hash_words(text: str, *, buckets: int, max_words: int) -> list[tuple[int, ...]]:
-    """For each word of a text the row of the word itself, then those of its letter triples.
+    """For each word the row, of ``buckets``, of the word itself, then those of its letter triples.
 
     Triples make words that share a stem alike, and give a word never seen in training the meaning of its parts.
-
-    Args:
-        text: Any.
-        buckets: Rows of the table.
-        max_words: The most that the encoder reads.
 
     Raises:
         ValueError: There is no word, or there are too many.

@@ -69,14 +69,7 @@ class FeatureCache:
         key: Key,
         compute: Callable[[], Float[Tensor, " M"]],
     ) -> Float[Tensor, " M"]:
-        """One number for each pair of images; ``compute`` is called for all pairs unless all are known.
-
-        Args:
-            preds: One image of each pair.
-            target: The other.
-            key: All that the numbers depend on beside the images.
-            compute: Returns the number of every pair.
-        """
+        """One number for each pair; ``compute`` is called for all pairs unless all are known under ``key``."""
         keys = [(*key, *_state(preds), *pair) for pair in zip(digests(preds), digests(target), strict=True)]
         if not all(entry in self._entries for entry in keys):
             for entry, value in zip(keys, compute().detach(), strict=True):

@@ -36,12 +36,7 @@ def resized(images: Float[Tensor, "M 3 H W"], size: int, *, rounded: bool) -> Fl
 
 
 def as_pillow(images: Float[Tensor, "M 3 H W"], shape: tuple[int, int]) -> Float[Tensor, "M 3 h w"]:
-    """Images resized by Pillow as in the published scripts: bilinear with antialiasing, 8 bits before and after.
-
-    Args:
-        images: In [0, 1].
-        shape: Height and width to resize to.
-    """
+    """Images resized by Pillow as in the published scripts: bilinear with antialiasing, 8 bits before and after."""
     eight = (images.clamp(0, 1) * 255).round().byte().cpu().permute(0, 2, 3, 1).contiguous().numpy()
     height, width = shape
     resized = [np.asarray(Image.fromarray(one).resize((width, height), Image.Resampling.BILINEAR)) for one in eight]

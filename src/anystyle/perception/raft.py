@@ -69,14 +69,7 @@ class Raft(Frozen):
         context: Context,
         iterations: int = 32,
     ) -> Float[Tensor, "M 2 H W"]:
-        """The flow, (x, y) in pixels, pair by pair.
-
-        Args:
-            source: Of :meth:`describe`.
-            target: Of :meth:`describe`.
-            context: Of the source.
-            iterations: Number of updates.
-        """
+        """The flow, (x, y) in pixels, pair by pair, of what :meth:`describe` gives; the context is the source's."""
         pyramid = correlation_pyramid(source, target)
         # In one layout with what is looked up, or else each concatenation copies.
         pixels, state, gates = (
@@ -91,11 +84,7 @@ class Raft(Frozen):
 
 
 def load(name: str = "raft_things", path: str | Path | None = None) -> Raft:
-    """The network with published weights, of either layout.
-
-    Args:
-        name: ``raft_things`` or ``raft_large``.
-        path: The file, if not where :func:`anystyle.perception.weights.find` looks.
+    """The network with published weights, ``raft_things`` or ``raft_large``, of either layout.
 
     Raises:
         ValueError: The file does not hold its weights.

@@ -111,11 +111,7 @@ def candidates(name: str) -> Iterator[Path]:
 
 
 def find(name: str, path: str | Path | None = None) -> Path:
-    """The file that holds the weights called ``name``.
-
-    Args:
-        name: A key of :func:`files`.
-        path: Its path; ``None`` searches :func:`candidates`.
+    """The file of the weights called ``name``, a key of :func:`files`: the given one, or one of :func:`candidates`.
 
     Raises:
         FileNotFoundError: There is no such file; the message says where to get it and where to put it.

@@ -16,11 +16,13 @@ from anystyle.types import Cameras, Gaussians
 
 MIN_WEIGHT = 1e-3
 """A Gaussian that all views together show less of than so many pixels keeps its colour."""
+MIN_CONFIDENCE = 1e-3
+"""Of a pixel all of whose Gaussians are seen larger elsewhere."""
 
 
 FitColors = Literal["off", "mean"] | int
 """``off``: each Gaussian has the colour of the pixel it comes from; ``mean``: the weighted mean of the pixels that show
-it; a number: so many steps of least squares after that."""
+it; a number: so many steps of least squares, in which each place is coloured by the view that shows it largest."""
 
 
 def checked_steps(value: str | int) -> FitColors:
@@ -61,7 +63,8 @@ def color_gaussians(
         ValueError: Origins are asked for, and there are none.
     """
     if how != "off":
-        return fit_colors(gaussians, cameras, targets, renderer, steps=0 if how == "mean" else how, keep=keep)
+        steps = 0 if how == "mean" else how
+        return fit_colors(gaussians, cameras, targets, renderer, steps=steps, largest=how != "mean", keep=keep)
     if origins is None:
         raise ValueError(
             "fit_colors=off takes colours from pixels, and it is not known which Gaussian comes from which"
@@ -77,7 +80,8 @@ def fit_colors(
     renderer: Renderer,
     *,
     steps: int = 4,
-    damping: float = 0.01,
+    damping: float = 0.0,
+    largest: bool = False,
     keep: bool = False,
 ) -> Gaussians:
     """Colour Gaussians so that their renders are as near as can be to targets, in squared error.
@@ -87,6 +91,10 @@ def fit_colors(
     not depend on the direction afterwards unless the harmonics that do are kept: what these show is then taken out
     of the targets.
 
+    Pictures painted one by one disagree about strokes, and their mean has none. With ``largest`` a pixel counts
+    by the square of the share that Gaussians have in it which no other view shows larger, so that each place is painted
+    by one view, as surfaces are textured from photographs (Lempitsky and Ivanov 2007).
+
     Args:
         gaussians: A batch of one scene; their colours are kept only where no view sees them.
         cameras: A batch of one scene, for images of the targets' size.
@@ -95,6 +103,7 @@ def fit_colors(
         steps: Of conjugate gradients; none gives the weighted means. A step costs a render of every view and its
             backward pass.
         damping: Pulls each colour towards its weighted mean, with this share of its own weight.
+        largest: Whether pixels count where their view shows a place largest; all count alike otherwise.
         keep: Whether harmonics above degree 0 stay as they are.
 
     Raises:
@@ -114,6 +123,8 @@ def fit_colors(
     higher = gaussians.harmonics[0, :, 1:] if keep else gaussians.harmonics[0, :, :0]
     if higher.shape[1]:
         targets = torch.stack([targets[view] - system.change_by(view, higher) for view in range(len(targets))])
+    if largest:
+        system = system.confident
     weights = system.weights
     means = system.backproject(lambda view: targets[view]) / weights.clamp_min(MIN_WEIGHT)[:, None]  # N 3
     seen = weights > MIN_WEIGHT
@@ -155,11 +166,33 @@ def _conjugate_gradients(
 
 @dataclass(frozen=True)
 class _System:
-    """Renders as a linear map ``A`` of colours, but for what shines through: a pass backward is ``Aᵀ``."""
+    """Renders as a linear map ``A`` of colours, but for what shines through: a pass backward is ``Aᵀ``.
+
+    With ``confidence`` of the pixels of each view, ``Aᵀ`` is ``Aᵀ diag(confidence)`` everywhere: least squares count
+    squared errors so much.
+    """
 
     gaussians: Gaussians
     cameras: Cameras
     renderer: Renderer
+    confidence: tuple[Float[Tensor, "1 H W"], ...] | None = None
+
+    @cached_property
+    def confident(self) -> "_System":
+        """The same with confidence in what a view shows larger than all others."""
+        ones = self.gray.new_ones(3, *self.cameras.size).detach()
+        views = range(len(self.gray_renders))
+        largest = torch.stack([self.transposed(view, ones)[:, 0] for view in views]).argmax(0)
+
+        def largest_in(view: int) -> Float[Tensor, "1 H W"]:
+            shown = 0.5 + 0.45 * (largest == view).to(self.gray)[:, None].expand_as(self.gray)
+            with torch.no_grad():
+                return (self.render(view, shown) - self.gray_renders[view])[:1] / 0.45
+
+        confidence = tuple((largest_in(view).clamp(0, 1) + MIN_CONFIDENCE).square() for view in views)
+        system = replace(self, confidence=confidence)
+        vars(system).update(gray=self.gray, gray_renders=self.gray_renders)
+        return system
 
     def render(self, view: int, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
         """A view of colours in [0, 1], over the renderer's background."""
@@ -185,6 +218,8 @@ class _System:
 
     def transposed(self, view: int, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
         """``Aᵀ`` of one view's pixels."""
+        if self.confidence is not None:
+            pixels = pixels * self.confidence[view]
         return torch.autograd.grad(self.gray_renders[view], self.gray, pixels, retain_graph=True)[0]
 
     def backproject(self, pixels: Callable[[int], Float[Tensor, "3 H W"]]) -> Float[Tensor, "N 3"]:

@@ -10,6 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.capacity import require
 from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.reconstructions.contract import Reconstruction, silent
@@ -91,6 +92,9 @@ class Fit(Reconstruction):
                 f"{'with' if views.cameras else 'without'} them; poses=sfm finds cameras"
             )
         heldout = held_out(views.images.shape[1], self.holdout)
+        numbers = self.num_gaussians * (11 + 3 * (self.options.degree + 1) ** 2)
+        # Each with its gradient and the optimiser's two moments.
+        require(4 * 4 * numbers, f"{self.num_gaussians:,} Gaussians", "set fewer with reconstruction.num_gaussians")
 
         def compute() -> dict[str, Any]:
             assert views.cameras is not None

@@ -172,12 +172,6 @@ def analyze(
 ) -> Analysis:
     """Check the answers and test every question.
 
-    Args:
-        records: As read from files.
-        tests: By the names they get in the results.
-        settings: Scale, rules, intervals.
-        progress: Told of each question as its turn comes.
-
     Raises:
         ValueError: The answers cannot be analysed.
     """

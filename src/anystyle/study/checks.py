@@ -88,13 +88,7 @@ class _Log:
 def check(
     records: Records, *, scale: Scale, rules: Rules, scales: Mapping[str, Scale] | None = None
 ) -> tuple[Checks, tuple[Responses, ...]]:
-    """Judge the answers, leave out what the rules say, and undo the positions.
-
-    Args:
-        records: As read.
-        scale: Of the answers.
-        rules: Who is left out.
-        scales: Of questions that have another one, by name.
+    """Judge the answers, leave out what the rules say, and undo the positions; ``scales`` are questions' own.
 
     Raises:
         ValueError: The scale is another one, or nothing is left.

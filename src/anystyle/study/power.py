@@ -128,17 +128,7 @@ def power_study(
     target: float = 0.8,
     progress: Callable[[str], None] = lambda _: None,
 ) -> PowerStudy:
-    """Simulate the scenario and its twin without an effect, for each number of participants.
-
-    Args:
-        scenario: The effect and the differences assumed.
-        tests: By name.
-        participants: How many to try.
-        studies: How many studies of each kind.
-        seed: Of the simulation.
-        level: Of the tests.
-        target: The power to reach.
-        progress: Told what is simulated as its turn comes.
+    """Simulate the scenario and its twin without an effect, each ``studies`` times, for every number of participants.
 
     Raises:
         ValueError: There is no effect, or no number of participants.

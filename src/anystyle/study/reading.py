@@ -102,11 +102,7 @@ class _Table:
 
 
 def read_responses(paths: Sequence[Path], study: Study | None = None) -> Records:
-    """Read answers from files and folders of files.
-
-    Args:
-        paths: Of them.
-        study: The design, which the form's own answers need.
+    """Read answers from files and folders of files; the form's own answers need the study's design.
 
     Raises:
         ValueError: There is no file, one cannot be understood, is of another study, or holds no answers.

@@ -52,10 +52,7 @@ def subject(kind: str, cls: type, options: Mapping[str, Any]) -> Subject[Any]:
 def run(kind: str, cls: type, options: Mapping[str, Any] | None = None) -> list[Outcome]:
     """Check a class against the contract of its kind, and together with the built-in plugins it meets.
 
-    Args:
-        kind: A kind of plugin.
-        cls: The class.
-        options: Of its constructor; ``None`` for what its ``example`` says.
+    The options of its constructor are by default those that its ``example`` gives.
 
     Raises:
         PluginError: There is no such kind.

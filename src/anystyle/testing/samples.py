@@ -30,15 +30,7 @@ def runtime() -> dict[str, object]:
 def stylization(
     batch: int = 1, number: int = 2, size: tuple[int, int] = SIZE, *, image: bool = True, text: bool = True
 ) -> Stylization:
-    """A stylization whose Gaussians and renders are leaves that take gradients; a scene's do not depend on the others.
-
-    Args:
-        batch: Scenes, each with a style of its own.
-        number: Views.
-        size: Height and width of the views, multiples of 8.
-        image: Whether the styles have images.
-        text: Whether they have texts.
-    """
+    """A stylization whose Gaussians and renders are leaves that take gradients; no scene's depend on the others."""
     given = views(batch, number, size)
     with seeded(0), torch.no_grad():
         backbone = ToyBackbone(dim=12, depth=2).freeze()

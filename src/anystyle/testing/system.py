@@ -55,12 +55,7 @@ class Composition:
         return self.stylizer().encode(views(1, 2, (2 * patch, 3 * patch)))
 
     def stylizer(self, styled: tuple[str, ...] = ("rotation", "color"), seed: int = 0) -> Stylizer:
-        """A stylizer with an untrained branch.
-
-        Args:
-            styled: The attributes that the branch replaces.
-            seed: Of the injectors' weights.
-        """
+        """A stylizer with an untrained branch, which replaces the ``styled`` attributes."""
         encoder = ToyStyleEncoder()
         branch = StyleBranch(
             self.backbone.instance,

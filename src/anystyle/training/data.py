@@ -71,27 +71,16 @@ class BatchSource(Protocol):
 
 
 class SceneBatches:
-    """Batches of scenes, with styles or without.
+    """Batches of scenes, with styles or without; what is not told here is an option of ``training=stylization``.
 
     Args:
         scenes: Source of the views.
         styles: Source of the styles; ``None`` for batches without styles.
         seed: Of every draw.
         batch_size: Scenes a step over all processes; ``None`` derives it from ``images``.
-        images: Most images a step over all processes, where ``batch_size`` is ``None``; the same number of scenes for
-            each process, at least one (published: 36 a process).
-        context_views: Least and greatest number of context views (published: 2 to 18).
-        view_power: Numbers of views are drawn in proportion to this power of themselves (published: 2).
         target_views: Number of further views, for losses.
-        spread: ``any`` views of a scene in any order, or the published ``bounded`` window of a video.
-        heights: Least and greatest height in pixels, in steps of ``multiple``; ``None`` leaves images as they are.
-        width: In pixels; ``None`` keeps the shape of the images.
         multiple: Sides are multiples of it: the backbone's patch size.
-        flip: Chance of mirroring a scene.
-        min_scale: Below 1, images are shrunk to a random scale of at least so much and enlarged again.
         style_images: Whether a style without an image is drawn again.
-        pool: Number of fixed selections of scenes and views to draw from, so that their features can be cached;
-            ``None`` draws a new selection each time.
     """
 
     def __init__(

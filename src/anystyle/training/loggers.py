@@ -18,14 +18,9 @@ EXTRAS = {"csv": "", "tensorboard": "tracking", "wandb": "wandb", "mlflow": "mlf
 
 
 def make_loggers(names: Sequence[str], out: Path, name: str = "run") -> list[Logger]:
-    """The loggers of these names; each run of a training that is continued gets a version of its own.
+    """The loggers of these names, keys of :data:`EXTRAS`; each run of a continued training gets a version of its own.
 
     ``csv`` is among them always: a table of the run costs nothing and needs nobody's server.
-
-    Args:
-        names: Keys of :data:`EXTRAS`.
-        out: The run's folder.
-        name: The run's name, for trackers that gather several runs.
 
     Raises:
         ValueError: A name is unknown.

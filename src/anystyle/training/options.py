@@ -18,10 +18,7 @@ SHARDED = "fsdp2"
 
 
 def check_options(config: DictConfig) -> None:
-    """Check the options of the run and those of the trainer.
-
-    Args:
-        config: As ``conf/train.yaml`` composes it.
+    """Check the options of the run and those of the trainer, as ``conf/train.yaml`` composes them.
 
     Raises:
         ValueError: One is out of its range, or some contradict each other.
@@ -73,10 +70,6 @@ def _holds(holds: Callable[[Any], bool], value: Any) -> bool:
 
 def check_trainer(options: Mapping[str, Any], *, average: bool) -> None:
     """Refuse options of Lightning's trainer that it accepts and that break a run.
-
-    Args:
-        options: Of ``trainer``.
-        average: Whether an average of the weights is kept.
 
     Raises:
         ValueError: Some are out of range or contradict each other.

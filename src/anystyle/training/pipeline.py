@@ -65,14 +65,8 @@ def train_pipeline(
 ) -> tuple[Path, ...]:
     """Run trainings that look for weights among those exported by earlier ones, and then among the bundled ones.
 
-    Each is a run of its own, below ``out`` under its experiment's name: the same call continues the one that was
-    stopped, and finished ones only export their weights again.
-
-    Args:
-        stages: In order.
-        overrides: Further options for each.
-        out: The folder.
-        launch: Runs one; a process of this Python by default.
+    Each is a run of its own with the overrides, below ``out`` under its experiment's name: the same call continues the
+    one that was stopped, and finished ones only export their weights again.
 
     Returns:
         The files of weights.

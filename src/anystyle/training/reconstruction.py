@@ -29,8 +29,6 @@ class ReconstructionTraining(Training):
     rendering loss teaches depth and appearance before cameras are any good.
 
     Args:
-        backbone: The network to train.
-        renderer: Renders the Gaussians.
         batch_size: Scenes a step over all processes.
         context_views: Least and greatest number of context views.
         view_power: Numbers of views are drawn in proportion to this power of themselves.
@@ -145,13 +143,7 @@ class ReconstructionTraining(Training):
         return torch.stack([self.weights[name] * loss for name, loss in losses.items()]).sum()
 
     def geometry_losses(self, features: Features, geometry: Geometry, inputs: Views) -> dict[str, Float[Tensor, ""]]:
-        """The unweighted terms that need no renders; in full precision.
-
-        Args:
-            features: Of the context views.
-            geometry: As predicted.
-            inputs: The context views in the canonical frame.
-        """
+        """The unweighted terms that need no renders, of context views in the canonical frame; in full precision."""
         cameras, depth = inputs.cameras, inputs.depth
         assert cameras is not None and depth is not None
         with self.exact():

@@ -17,7 +17,7 @@ from torch import nn
 from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
 from anystyle.documents import Figure, as_number, kept_json
 from anystyle.errors import one_line
-from anystyle.inference.assemble import assemble, branch_header, weights_file
+from anystyle.inference.assemble import assemble, branch_header, room_for_backbone, weights_file
 from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import Header, load_part, save_part, sha256
 from anystyle.io.tensors import read_tensors
@@ -151,7 +151,7 @@ def make_training(config: DictConfig) -> Training:
     parts: dict[str, Any] = {}
     makers: dict[str, Callable[[], Any]] = {
         "stylizer": lambda: assemble(config, learns=True)[0],
-        "backbone": lambda: _weighted(config, "backbone", build(Backbone, config.backbone)),
+        "backbone": lambda: _learning_backbone(config),
         "style_encoder": lambda: _weighted(config, "style_encoder", build(StyleEncoder, config.style_encoder)),
         "renderer": lambda: build(Renderer, config.renderer),
         "losses": lambda: build_all(
@@ -200,6 +200,11 @@ def objective(config: DictConfig) -> dict[str, Any]:
     return {name: node for name, node in (config.loss or {}).items() if name not in without}
 
 
+def _learning_backbone(config: DictConfig) -> nn.Module:
+    room_for_backbone(config, learns=True)
+    return _weighted(config, "backbone", build(Backbone, config.backbone))
+
+
 def _weighted(config: DictConfig, part: str, module: nn.Module) -> nn.Module:
     name = config.weights.get(part)
     if name is not None:
@@ -228,13 +233,7 @@ def make_sources(config: DictConfig) -> Sources:
 
 
 def make_data(config: DictConfig, training: Training, sources: Sources | None = None) -> StepData:
-    """The data module of training and validation batches.
-
-    Args:
-        config: As ``conf/train.yaml`` composes it.
-        training: Makes batches of the sources.
-        sources: Those of the configuration, built by default.
-    """
+    """The data module of training and validation batches; by default of the sources of the configuration."""
     sources = sources or make_sources(config)
     validated = sources.validation_scenes is not None or sources.validation_styles is not None
     validation = None

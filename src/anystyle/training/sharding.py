@@ -74,13 +74,7 @@ def _named(module: nn.Module, optimizer: Optimizer, state: dict[str, Any]) -> di
 
 
 def shard(roots: Sequence[nn.Module], units: Sequence[nn.Module], mesh: DeviceMesh) -> None:
-    """Shard modules over the processes of a mesh.
-
-    Args:
-        roots: Trainable modules.
-        units: Parts of them that are gathered one at a time, in order, as they are needed.
-        mesh: One-dimensional.
-    """
+    """Shard trainable modules over a one-dimensional mesh; units are gathered one at a time, in order."""
     for module in (*units, *roots):
         fully_shard(module, mesh=mesh)
 

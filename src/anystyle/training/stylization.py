@@ -303,15 +303,7 @@ def branch_groups(
     aggregator_rate: float = 0.3,
     injector_rate: float | None = None,
 ) -> list[dict[str, Any]]:
-    """The published parameter groups: head and its injectors; aggregator and its injectors at a share of the rate.
-
-    Args:
-        stylizer: Its branch learns.
-        lr: The rate.
-        head_rate: Times it, for the head.
-        aggregator_rate: Times it, for the aggregator.
-        injector_rate: Times it, for the aggregator's injectors; ``None`` is ``aggregator_rate``.
-    """
+    """The published parameter groups: head and its injectors; aggregator and its injectors at a share of the rate."""
     branch = stylizer.branch
     inside = {site.name for site in stylizer.backbone.aggregator.sites}
     slow = [branch.injectors[name] for name in branch.injectors if name in inside]

@@ -19,12 +19,7 @@ from anystyle.training.sharding import Sharded
 
 
 def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) -> pl.Trainer:
-    """Build the trainer of a run.
-
-    Args:
-        config: As ``conf/train.yaml`` composes it; ``trainer`` holds options of Lightning's Trainer.
-        out: Where it writes.
-        callbacks: What the run adds.
+    """Build the trainer of a run; ``config.trainer`` holds options of Lightning's.
 
     Raises:
         ValueError: This machine cannot fulfil an option, or Lightning does not know it.

@@ -29,22 +29,21 @@
     }
   };
 
-  // A window that is dragged over tells so by events of every element that is entered and left.
   const holdsFiles = (event) => [...(event.dataTransfer?.types ?? [])].includes("Files");
-  let inside = 0;
-  const over = (step) => (event) => {
+  let ends;
+  const over = (event) => {
     if (!holdsFiles(event)) return;
     event.preventDefault();
-    inside += step;
-    ground.hidden = inside <= 0;
+    ground.hidden = false;
+    // A drag that is given up ends without a word; one that goes on says so several times a second.
+    clearTimeout(ends);
+    ends = setTimeout(() => { ground.hidden = true; }, 1000);
   };
-  addEventListener("dragenter", over(1), true);
-  addEventListener("dragleave", over(-1), true);
-  addEventListener("dragover", over(0), true);
+  addEventListener("dragenter", over, true);
+  addEventListener("dragover", over, true);
   addEventListener("drop", async (event) => {
     if (!holdsFiles(event)) return;
     event.preventDefault();
-    inside = 0;
     ground.hidden = true;
     for (const file of event.dataTransfer.files) {
       if (file.size > LARGEST) say(`${file.name} has ${Math.ceil(file.size / 2 ** 20)} MB; at most ${LARGEST / 2 ** 20} are taken.`);

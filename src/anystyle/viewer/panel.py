@@ -187,7 +187,8 @@ class Panel:
         if painting is not None:
             self.status.content = f"{name_of(painting.style)}: {self.session.status} …"
         else:
-            self.status.content = self.session.status or f"Shown: {name_of(self.session.shown.style) or 'unstyled'}"
+            shown = " → ".join(name_of(style) for style in self.session.shown.styles) or "unstyled"
+            self.status.content = self.session.status or f"Shown: {shown}"
 
     def _changed(self) -> None:
         """Show in every browser what the session holds now."""
@@ -243,7 +244,7 @@ class Panel:
         if name == "html":
             styles = {"unstyled": self.scene.unstyled, **session.kept(), title: session.gaussians}
             styles[title] = styles.pop(title)  # the last one is shown at first
-            write_page(path, list(styles.items()), self.scene.cameras, title=title, notes=notes)
+            write_page(path, list(styles.items()), self.scene.cameras, title=Path(self._opened[0]).stem, notes=notes)
         else:
             export(session.gaussians, path, name, notes="\n".join(filter(None, (title, notes))))
 

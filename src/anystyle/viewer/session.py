@@ -40,6 +40,11 @@ class Wish:
     preserve_color: float = 0.0
 
     @property
+    def styles(self) -> tuple[str, ...]:
+        """One, two or none."""
+        return tuple(filter(None, (self.style, self.second)))
+
+    @property
     def controls(self) -> Controls:
         """How the style is applied."""
         return Controls(self.strength, self.preserve_color)
@@ -126,11 +131,11 @@ class Session:
             words: Hydra's, that it was opened with.
         """
         wish = self.shown
-        styles = [style for style in (wish.style, wish.second) if style]
+        styles = wish.styles
         if any(style in self.saved for style in styles):
             return f"# made of results in {inputs}"
         command = ["anystyle", "stylize", inputs]
-        for style in styles or ["none"]:
+        for style in styles or ("none",):
             command += ["--image" if self.picture(style) else "--text", style]
         command += ["--mix", f"{wish.amount:g}"] if wish.second else []
         strength = wish.strength if wish.style else 0.0
@@ -199,7 +204,7 @@ class Session:
         return embed_styles([given], self.controlled.encoded.stylizer)[0]
 
     def _remember(self, wish: Wish) -> None:
-        for style in filter(None, (wish.second, wish.style)):
+        for style in reversed(wish.styles):
             self.recent = [style, *(other for other in self.recent if other != style)][:MOST_RECENT]
         if self._folder is not None:
             write_json(self._folder / "session.json", asdict(Kept(tuple(self.recent), wish)))

@@ -22,16 +22,6 @@ class MatchedReconstruction(ReconstructionTraining):
     is taught these.
 
     Args:
-        backbone: What learns.
-        renderer: Draws the Gaussians.
-        batch_size: Scenes a step over all processes.
-        context_views: Least and most views the network is given.
-        view_power: Numbers of views are drawn in proportion to their power.
-        learning_rate: Of AdamW, at the end of the warm-up.
-        warmup: Steps of the warm-up.
-        predicted_camera_weight: Of renders of a context view at its predicted camera.
-        render_every: Steps from one with renders to the next.
-        render_scenes: So many scenes of the batch are rendered then.
         match_weight: Of the cross entropy of matching patches.
         glide_weight: Of the expected position of the match.
         locate_weight: Of each patch's world point.

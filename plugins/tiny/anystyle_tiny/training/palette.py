@@ -16,11 +16,6 @@ def palette_loss(
 
     Along a direction the sorted pixels are split into as many equal groups as there are colours, and each group is
     carried to the colour of its rank; the part that no palette could avoid, the spread within groups, is left out.
-
-    Args:
-        palette: sRGB; each colour stands for as many pixels.
-        images: sRGB in [0, 1].
-        directions: Drawn from the global generator.
     """
     count = palette.shape[1]
     axes = F.normalize(torch.randn(directions, 3, device=images.device, dtype=palette.dtype), dim=-1)

@@ -18,7 +18,6 @@ class Folders(Protocol):
     ``SCENE/FRAME.png``, styles ``STYLE.png``; or all three have the same names.
 
     Args:
-        metrics: By name; the framework passes them.
         content: A folder of photographs.
         style: A folder of style images.
         stylized: A folder of results.

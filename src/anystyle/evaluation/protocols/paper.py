@@ -15,11 +15,7 @@ class Paper(Protocol):
     """Stylize every scene in every style, keep the first frames as images, and judge these (Sec. 4 of the paper).
 
     Args:
-        stylizer: What is judged; the framework passes it.
-        method: How scenes take styles; likewise.
-        metrics: By name; likewise.
-        scenes: What is stylized; likewise.
-        styles: In which styles; likewise. Every style has an image, which the figures compare with.
+        styles: Every style has an image, which the figures compare with.
         guide: Whether a style enters as its image or as its text.
         variant: ``reference`` writes JPEG of quality 75 with truncated values and shows the model all views of a
             scene, as the published scripts do; ``corrected`` writes PNG with rounded values and shows it the frames

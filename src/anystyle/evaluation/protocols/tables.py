@@ -34,9 +34,6 @@ class Tables(Protocol):
     method's renders. Each row's figures lie in ``methods/NAME`` of the results, where ``anystyle report`` reads them.
 
     Args:
-        stylizer: The model; the framework passes it.
-        method: How the model's scenes take styles; likewise.
-        metrics: By name; likewise.
         root: The folder.
         table: The paper's table whose figures are computed, such as ``table_2``; ``None`` takes every metric.
         guides: How styles enter the model: ``image``, ``text``, or both; none leaves the model out.

@@ -24,13 +24,7 @@ _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
 
 def write(splats: Splats, path: Path, notes: str = "") -> None:
-    """Write one scene; whole or not at all.
-
-    Args:
-        splats: In y-up axes.
-        path: A ``.glb`` file.
-        notes: Such as licences; the asset's ``copyright``.
-    """
+    """Write one scene in y-up axes, whole or not at all; notes, such as licences, are the asset's ``copyright``."""
     attributes = _attributes(splats)
     accessors: list[dict[str, object]] = []
     views: list[dict[str, object]] = []

@@ -27,13 +27,7 @@ _SCALE_FLOOR = 1e-12
 
 
 def write(splats: Splats, path: Path, notes: str = "") -> None:
-    """Write one scene; whole or not at all.
-
-    Args:
-        splats: In the axes of 3DGS.
-        path: A ``.sog`` file.
-        notes: Such as licences; ``asset.copyright`` in ``meta.json``.
-    """
+    """Write one scene in 3DGS's axes, whole or not at all; notes are ``asset.copyright`` in ``meta.json``."""
     order = morton_order(splats.means.detach().double().cpu().numpy())
     means, _, scales, opacities, harmonics = (tensor.detach().double().cpu().numpy()[order] for tensor in splats)
     far = np.sign(means) * np.log1p(np.abs(means))

@@ -13,13 +13,7 @@ _CONSTANT = 0.28209479177387814
 
 
 def write(splats: Splats, path: Path, notes: str = "") -> None:
-    """Write one scene; whole or not at all.
-
-    Args:
-        splats: In the axes of 3DGS.
-        path: A ``.splat`` file.
-        notes: Are lost: the format has no header.
-    """
+    """Write one scene in 3DGS's axes, whole or not at all; notes are lost, for the format has no header."""
     means, _, scales, opacities, harmonics = (tensor.detach().double().cpu().numpy() for tensor in splats)
     order = np.argsort(-opacities * scales.prod(1), kind="stable")
     rows = np.empty(len(means), ROW)

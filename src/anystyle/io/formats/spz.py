@@ -23,12 +23,7 @@ _COLOR_SCALE = 0.15
 
 
 def write(splats: Splats, path: Path, notes: str = "") -> None:
-    """Write one scene; whole or not at all.
-
-    Args:
-        splats: In axes right, up, back.
-        path: An ``.spz`` file.
-        notes: Are lost.
+    """Write one scene in axes right, up, back, whole or not at all; notes are lost.
 
     Raises:
         ValueError: The scene is farther than eight million units from its origin.

@@ -421,7 +421,7 @@ async function main() {
   const stands = () => new Promise((resolve) => { settled.push(resolve); changed(); });
   window.anystyle = {
     scene, choose: (index) => { choose(index); return stands(); }, go: (view) => { go(view); return stands(); },
-    compare: (on, divider = 0.5) => { state.divider = divider; compare(on); return stands(); }, camera, stands,
+    compare: (on, divider = 0.5) => { state.divider = element("divider").value = divider; compare(on); return stands(); }, camera, stands,
   };
   await stands();
   element("status").textContent = "";
