@@ -180,12 +180,12 @@ SPENT = {
     "model": (
         lambda folder: assemble(compose("stylize", ["~model"])),
         "the weights of the backbone: this takes 4.4 GiB",
-        "model=tiny",
+        "model=NAME",
     ),
     "learning": (
         lambda folder: train(configuration([*RECONSTRUCTION, "backbone.dim=512"], folder), folder),
         "the weights of the backbone, with what learning adds: this takes",
-        "model=tiny",
+        "model=NAME",
     ),
 }  # fmt: skip
 

@@ -29,7 +29,7 @@ _log = logging.getLogger(__name__)
 
 PARTS = ("backbone", "style_encoder", "branch")
 State = Mapping[str, Tensor]
-_SMALLER = "choose a smaller model"
+_SMALLER = "choose a smaller one with model=NAME"
 
 
 def weights_file(name: str) -> Path:
