@@ -180,20 +180,10 @@ def scatter(members: Array, row_moments: Array, moments: Array) -> None:
             moments[members[i], k] += row_moments[i, k]
 
 
-@summed
+@compiled
 @no_type_check
-def blend_tile_backward(
-    splats: Array,
-    entries: Array,
-    top: int,
-    left: int,
-    cap: float,
-    image: Array,
-    last: Array,
-    d_image: Array,
-    moments: Array,
-) -> None:
-    """Add the gradients of the splats ``entries`` of one tile; see :func:`blend_backward`."""
+def tile_backward(top: int, left: int, image: Array, last: Array, d_image: Array) -> tuple[Array, int]:
+    """What the way back through one tile begins with, and the last entry that one of its pixels was open for."""
     tall, wide = min(HEIGHT, last.shape[0] - top), min(WIDTH, last.shape[1] - left)
     # Of each pixel: the gradients of red, green, blue and depth, what passes, the worth of what is behind, last entry,
     # column and row.
@@ -213,6 +203,24 @@ def blend_tile_backward(
             tile[5, at] = d_image[4, top + j, left + i] * image[4, top + j, left + i]
             tile[6, at] = last[top + j, left + i]
             deepest = max(deepest, last[top + j, left + i])
+    return tile, deepest
+
+
+@summed
+@no_type_check
+def blend_tile_backward(
+    splats: Array,
+    entries: Array,
+    top: int,
+    left: int,
+    cap: float,
+    image: Array,
+    last: Array,
+    d_image: Array,
+    moments: Array,
+) -> None:
+    """Add the gradients of the splats ``entries`` of one tile; see :func:`blend_backward`."""
+    tile, deepest = tile_backward(top, left, image, last, d_image)
     near = gather(splats, entries, deepest + 1, top, left)
     for entry in range(deepest, -1, -1):
         index, e = np.float32(entry), np.uint64(entry)
