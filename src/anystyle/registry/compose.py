@@ -131,6 +131,8 @@ def _nearest(*errors: BaseException | None) -> str:
     for error in errors:
         if isinstance(error, OmegaConfBaseException) and isinstance(error.parent_node, DictConfig):
             keys = [str(key) for key in error.parent_node if key not in ("_target_", "hydra")]
+            if error.key in groups():
+                return f"; choose one first: {error.key}={'|'.join(choices(str(error.key)))}"
             if error.key is not None and error.key not in keys:
                 near = did_you_mean(str(error.key), keys)
                 return f".{near}" if near else f". There are: {', '.join(keys) or 'none'}"
