@@ -1,7 +1,6 @@
 """Compiled kernels of :mod:`anystyle.geometry.stereo`: matching costs of planes and their semi-global aggregation."""
 
 from functools import partial
-from typing import no_type_check
 
 import numpy as np
 
@@ -16,7 +15,6 @@ NOISE = np.float32(2e-4)
 
 
 @kernel
-@no_type_check
 def warp(source: Array, homography: Array, warped: Array, inside: Array) -> None:
     """Sample an image bilinearly where a homography takes every pixel centre; at the border the image is continued.
 
@@ -48,7 +46,6 @@ def warp(source: Array, homography: Array, warped: Array, inside: Array) -> None
 
 
 @kernel
-@no_type_check
 def add_row(a: Array, b: Array, sign: float, columns: Array, radius: int) -> None:
     """Add (or subtract) a row of ``a``, ``a²`` and ``a b`` to sums of columns ``[3, W + 2 radius]``, padded after."""
     width = a.shape[0]
@@ -64,7 +61,6 @@ def add_row(a: Array, b: Array, sign: float, columns: Array, radius: int) -> Non
 
 
 @kernel
-@no_type_check
 def window_row(columns: Array, radius: int, sums: Array) -> None:
     """Write the means over windows ``[3, W]`` from sums of columns ``[3, W + 2 radius]``."""
     width = sums.shape[1]
@@ -80,7 +76,6 @@ def window_row(columns: Array, radius: int, sums: Array) -> None:
 
 
 @kernel
-@no_type_check
 def statistics(image: Array, radius: int, mean: Array, variance: Array) -> None:
     """Write mean and variance ``[H, W]`` of an image in square windows; the image is continued at its border."""
     height, width = image.shape
@@ -97,7 +92,6 @@ def statistics(image: Array, radius: int, mean: Array, variance: Array) -> None:
 
 
 @kernel
-@no_type_check
 def dissimilarity(
     warped: Array, inside: Array, reference: Array, mean: Array, variance: Array, radius: int, cost: Array
 ) -> None:
@@ -131,7 +125,6 @@ def dissimilarity(
 
 
 @kernel
-@no_type_check
 def sweep(reference: Array, sources: Array, homographies: Array, radius: int, costs: Array) -> None:
     """Write the matching costs of planes: the mean over the better half of the sources, which leaves out the occluded.
 
@@ -170,7 +163,6 @@ def sweep(reference: Array, sources: Array, homographies: Array, radius: int, co
 
 
 @kernel
-@no_type_check
 def aggregate(costs: Array, gray: Array, small: float, large: float, sums: Array) -> None:
     """Semi-global aggregation (Hirschmüller 2008) along the four directions of rows and columns.
 
@@ -210,7 +202,6 @@ def aggregate(costs: Array, gray: Array, small: float, large: float, sums: Array
 
 
 @kernel
-@no_type_check
 def best_planes(costs: Array, sums: Array, planes: Array, confidence: Array) -> None:
     """Write each pixel's best plane, to a fraction by a parabola through its aggregated costs.
 

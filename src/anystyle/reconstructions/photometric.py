@@ -1,7 +1,7 @@
 """How far renders are from photographs: L1 and structural dissimilarity, with a gradient written by hand."""
 
 from functools import partial
-from typing import Any, no_type_check
+from typing import Any
 
 import numpy as np
 import torch
@@ -111,7 +111,6 @@ def blur(planes: Float[Tensor, "P H W"]) -> Float[Tensor, "P H W"]:
 
 
 @compiled
-@no_type_check
 def _blur(planes: Array, window: Array, blurred: Array) -> None:
     """Write planes ``[P, H, W]`` convolved with a symmetric window of 11 in both directions.
 
@@ -137,7 +136,6 @@ def _blur(planes: Array, window: Array, blurred: Array) -> None:
 
 
 @compiled
-@no_type_check
 def _compare(moments: Array, similarity: Array, derivatives: Array) -> None:
     """Write SSIM ``[n]`` and its derivatives ``[3, n]`` from blurred moments ``[5, n]``; see :func:`_similarity`."""
     one, two, c1, c2 = np.float32(1), np.float32(2), np.float32(C1), np.float32(C2)

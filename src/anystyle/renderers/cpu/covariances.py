@@ -4,7 +4,6 @@ They follow :func:`anystyle.geometry.projection.covariances`, one Gaussian at a 
 """
 
 from math import sqrt
-from typing import no_type_check
 
 import numpy as np
 
@@ -14,7 +13,6 @@ Array = np.ndarray
 
 
 @compiled
-@no_type_check
 def unit(quaternion: Array) -> tuple[float, float, float, float, float]:
     """A quaternion wxyz over its norm, and the norm, which is kept above 0."""
     w, x, y, z = float(quaternion[0]), float(quaternion[1]), float(quaternion[2]), float(quaternion[3])
@@ -23,7 +21,6 @@ def unit(quaternion: Array) -> tuple[float, float, float, float, float]:
 
 
 @compiled
-@no_type_check
 def matrix(w: float, x: float, y: float, z: float, rotation: Array) -> None:
     """Write the rotation matrix ``[3, 3]`` of a unit quaternion."""
     rotation[0, 0] = 1.0 - 2.0 * (y * y + z * z)
@@ -38,7 +35,6 @@ def matrix(w: float, x: float, y: float, z: float, rotation: Array) -> None:
 
 
 @compiled
-@no_type_check
 def covariances(rotations: Array, scales: Array, start: int, stop: int, packed: Array) -> None:
     """Write the covariances ``start .. stop``.
 
@@ -67,7 +63,6 @@ def covariances(rotations: Array, scales: Array, start: int, stop: int, packed: 
 
 
 @compiled
-@no_type_check
 def covariances_backward(
     rotations: Array, scales: Array, start: int, stop: int, d_packed: Array, d_rotations: Array, d_scales: Array
 ) -> None:

@@ -5,7 +5,6 @@ at a time in double precision. A splat is a row of 16 numbers, a line of the cac
 """
 
 from math import isfinite, log, sqrt
-from typing import no_type_check
 
 import numpy as np
 
@@ -26,7 +25,6 @@ MARGIN = 0.15
 
 
 @compiled
-@no_type_check
 def harmonics_at(x: float, y: float, z: float, tables: Array, values: Array) -> None:
     """Write the harmonics at a unit vector.
 
@@ -53,7 +51,6 @@ def harmonics_at(x: float, y: float, z: float, tables: Array, values: Array) -> 
 
 
 @compiled
-@no_type_check
 def harmonics_slopes(x: float, y: float, z: float, tables: Array, values: Array, slopes: Array) -> None:
     """Write the harmonics at a unit vector and their derivatives along the axes, continued smoothly off the sphere.
 
@@ -91,7 +88,6 @@ def harmonics_slopes(x: float, y: float, z: float, tables: Array, values: Array,
 
 
 @compiled
-@no_type_check
 def project(
     means: Array,
     covariances: Array,

@@ -4,7 +4,6 @@ The backward of :mod:`anystyle.renderers.cpu.projection`, in its notation.
 """
 
 from math import sqrt
-from typing import no_type_check
 
 import numpy as np
 
@@ -15,7 +14,6 @@ Array = np.ndarray
 
 
 @compiled
-@no_type_check
 def covariance_gradient(xx: float, xy: float, yy: float, gxx: float, gxy: float, gyy: float) -> tuple:
     """The gradient ``-K G K`` of a covariance, with its inverse K and the gradient G of that: xx, half of xy, yy."""
     hxx = -(xx * xx * gxx + 2.0 * xx * xy * gxy + xy * xy * gyy)
@@ -25,7 +23,6 @@ def covariance_gradient(xx: float, xy: float, yy: float, gxx: float, gxy: float,
 
 
 @compiled
-@no_type_check
 def shape_backward(
     r: Array,
     covariances: Array,
@@ -83,7 +80,6 @@ def shape_backward(
 
 
 @compiled
-@no_type_check
 def view_backward(
     mean: Array,
     camera: Array,
@@ -140,7 +136,6 @@ def view_backward(
 
 
 @compiled
-@no_type_check
 def add_point(mean: Array, moved: tuple, lens: tuple, d_camera: Array) -> None:
     """Add what one point owes to the gradient of the camera.
 
@@ -159,7 +154,6 @@ def add_point(mean: Array, moved: tuple, lens: tuple, d_camera: Array) -> None:
 
 
 @compiled
-@no_type_check
 def project_backward(
     means: Array,
     covariances: Array,

@@ -5,8 +5,6 @@ through which a single loop without branches goes, that compiles to vector instr
 of single precision. No loop makes views of arrays, whose counting of references would cost more than a splat does.
 """
 
-from typing import no_type_check
-
 import numpy as np
 
 from anystyle.renderers.cpu.compiled import compiled, summed
@@ -26,8 +24,7 @@ ROUNDING = np.float32(1.5 * 2**23)
 
 
 @compiled
-@no_type_check
-def falloff(sigma: float) -> float:
+def falloff(sigma: float) -> np.float32:
     """``exp(-sigma)`` in single precision, exact to about two units in the last place; tiny behind 80."""
     power = -LOG2_E * min(sigma, np.float32(80))
     # Added to this number, a power is rounded to a whole one, which the last bits of the sum then hold.
@@ -49,7 +46,6 @@ WIDE = np.uint64(WIDTH)
 
 
 @compiled
-@no_type_check
 def blend(splats: Array, lists: Array, offsets: Array, top: int, cap: float, image: Array, last: Array) -> None:
     """Blend one row of tiles.
 
@@ -68,7 +64,6 @@ def blend(splats: Array, lists: Array, offsets: Array, top: int, cap: float, ima
 
 
 @compiled
-@no_type_check
 def gather(splats: Array, entries: Array, count: int, top: int, left: int) -> Array:
     """What the first entries of a tile need, side by side: to fetch them one by one would be to wait for each.
 
@@ -87,7 +82,6 @@ def gather(splats: Array, entries: Array, count: int, top: int, left: int) -> Ar
 
 
 @compiled
-@no_type_check
 def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, image: Array, last: Array) -> None:
     """Blend the splats ``entries`` of one tile; see :func:`blend`."""
     tall, wide = min(HEIGHT, last.shape[0] - top), min(WIDTH, last.shape[1] - left)
@@ -131,8 +125,7 @@ def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, i
 
 
 @summed
-@no_type_check
-def passing(tile: Array) -> float:
+def passing(tile: Array) -> np.float32:
     """The sum over a tile of what passes its open pixels."""
     value = ZERO
     for i in range(HEIGHT * WIDTH):
@@ -141,7 +134,6 @@ def passing(tile: Array) -> float:
 
 
 @compiled
-@no_type_check
 def blend_backward(
     splats: Array,
     lists: Array,
@@ -172,7 +164,6 @@ def blend_backward(
 
 
 @compiled
-@no_type_check
 def scatter(members: Array, row_moments: Array, moments: Array) -> None:
     """Add the moments ``[m, MOMENTS]`` of the splats ``members`` of one row of tiles to those of all splats."""
     for i in range(members.shape[0]):
@@ -181,7 +172,6 @@ def scatter(members: Array, row_moments: Array, moments: Array) -> None:
 
 
 @compiled
-@no_type_check
 def tile_backward(top: int, left: int, image: Array, last: Array, d_image: Array) -> tuple[Array, int]:
     """What the way back through one tile begins with, and the last entry that one of its pixels was open for."""
     tall, wide = min(HEIGHT, last.shape[0] - top), min(WIDTH, last.shape[1] - left)
@@ -207,7 +197,6 @@ def tile_backward(top: int, left: int, image: Array, last: Array, d_image: Array
 
 
 @summed
-@no_type_check
 def blend_tile_backward(
     splats: Array,
     entries: Array,

@@ -1,7 +1,5 @@
 """Compiled kernels: which splats a tile shows, nearest first."""
 
-from typing import no_type_check
-
 import numpy as np
 
 from anystyle.renderers.cpu.compiled import compiled
@@ -19,7 +17,6 @@ MARGIN = np.float32(0.01)
 
 
 @compiled
-@no_type_check
 def nearest_first(splats: Array, rows: Array) -> Array:
     """Sort rows of splats by depth, stable: a radix sort over the bits of positive floats, which grow with them.
 
@@ -54,7 +51,6 @@ def nearest_first(splats: Array, rows: Array) -> Array:
 
 
 @compiled
-@no_type_check
 def arrange(splats: Array, rows: Array, order: Array, sorted_splats: Array, places: Array) -> None:
     """Copy splats in an order.
 
@@ -73,7 +69,6 @@ def arrange(splats: Array, rows: Array, order: Array, sorted_splats: Array, plac
 
 
 @compiled
-@no_type_check
 def span(center: float, half: float, side: int, count: int) -> tuple[int, int]:
     """The first and the last of ``count`` tiles of a side that an interval of pixels may reach."""
     first = max((center - half - 1.0) / side, 0.0)
@@ -82,7 +77,6 @@ def span(center: float, half: float, side: int, count: int) -> tuple[int, int]:
 
 
 @compiled
-@no_type_check
 def rows_of(splats: Array, offsets: Array) -> Array:
     """List the splats of every row of tiles, in the order of ``splats``.
 
@@ -112,8 +106,7 @@ def rows_of(splats: Array, offsets: Array) -> Array:
 
 
 @compiled
-@no_type_check
-def reach(splats: Array, g: int, x: float, y: float, border: float, bottom: float) -> tuple[int, int]:
+def reach(splats: Array, g: int, x: float, y: float, border: float, bottom: float) -> tuple[np.int32, np.int32]:
     """The rows of a tile in which a splat covers enough of a pixel to be seen.
 
     Args:
@@ -138,7 +131,6 @@ def reach(splats: Array, g: int, x: float, y: float, border: float, bottom: floa
 
 
 @compiled
-@no_type_check
 def tiles_of(splats: Array, members: Array, top: int, bottom: int, width: int, offsets: Array) -> Array:
     """List the splats of every tile in a row of tiles.
 
