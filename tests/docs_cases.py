@@ -102,6 +102,8 @@ NOT_RUN = {
     r"make (demo|setup|lint|test|test-slow)$": "sets up an environment from a network",
     r"anystyle view \S+$": "serves until it is interrupted; viewer/test_live.py looks at it",
     r"make fuzz\b": "sets up an environment from a network, and takes minutes; test_fuzz.py damages a few inputs",
+    r"make faults\b": "sets up an environment from a network, and takes an hour; test_fuzz.py tries a few",
+    r"python -m fuzz --kept$": "test_fuzz.py does",
     r"make docs$": "tests/docs/test_site.py does what it does",
     r"python -m pytest tests/docs$": "these tests",
     r"torchrun ": "needs several graphics cards, or machines",

@@ -7,7 +7,7 @@ from types import MappingProxyType
 
 from torch import Tensor
 
-from anystyle.inference.assemble import assemble_frozen, default_device, method_named
+from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, method_named
 from anystyle.inference.controls import Controls
 from anystyle.inference.encoding import EncodedCapture as EncodedCapture
 from anystyle.inference.encoding import Inputs, encode_capture, encode_splat
@@ -108,9 +108,11 @@ def stylize(
     with contextlib.nullcontext() if out is None else atomic_directory(out) as folder:
         if not isinstance(model, Stylizer):
             with stages("load", "the model"):
-                model, weights = assemble_frozen(compose("stylize", _preset(model)))
+                config = compose("stylize", _preset(model))
+                model, weights = assemble_frozen(config)
                 model = model.to(default_device())
             provenance = {"weights": weights, **provenance}
+            poses = poses or PoseOptions(default_poses(config))
         rebuilt = build(Reconstruction, reconstruction) if isinstance(reconstruction, str) else reconstruction
         given = is_splat(inputs)
         if given is not None:
