@@ -24,6 +24,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 sys.path.insert(0, str(Path(__file__).parents[1] / "study"))
+sys.path.insert(0, str(Path(__file__).parents[2] / "plugins" / "tiny"))
 
 import forked
 from faults.jobs import JOBS, QUICK, Job, result, whole
