@@ -12,7 +12,8 @@ from anystyle.io.lock import folder_lock
 def test_a_failed_write_leaves_the_old_file(tmp_path):
     target = tmp_path / "a.txt"
     target.write_text("old")
-    (tmp_path / f".a-{platform.node()}-999999999-x.txt").touch()  # of a process that is no more
+    for name in ("a", "another"):  # of a process that is no more
+        (tmp_path / f".{name}-{platform.node()}-999999999-ab_12xyz.txt").touch()
     with pytest.raises(RuntimeError), atomic_path(target) as temporary:
         temporary.write_text("half")
         raise RuntimeError

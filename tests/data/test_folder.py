@@ -30,6 +30,14 @@ def test_a_folder_in_natural_order_with_its_aspect_kept(tmp_path):
     torch.testing.assert_close(views.images.mean((0, 2, 3, 4)) * 255, torch.tensor([20.0, 40, 200]))
 
 
+@pytest.mark.parametrize(
+    ("short_side", "enlarge", "size"), [(80, True, (80, 104)), (80, False, (48, 64)), (32, False, (32, 40))]
+)
+def test_photographs_are_enlarged_where_that_is_asked_for(tmp_path, short_side, enlarge, size):
+    save(tmp_path / "a.png")
+    assert read(tmp_path / "a.png", short_side=short_side, enlarge=enlarge)[0].size == size
+
+
 @pytest.mark.parametrize(("width", "height"), [(64, 48), (48, 64), (100, 33), (50, 50), (7, 900)])
 def test_sides_are_multiples_and_points_map_back_to_the_source(tmp_path, width, height):
     across = np.linspace(0, 255, width)[None, :, None].repeat(height, 0).repeat(3, 2)

@@ -74,7 +74,7 @@ class SourceImage:
 
 
 def read_views(
-    inputs: Sequence[Path], *, short_side: int | None, multiple: int, max_views: int
+    inputs: Sequence[Path], *, short_side: int | None, multiple: int, max_views: int, enlarge: bool = True
 ) -> tuple[Views, list[SourceImage]]:
     """Read photographs as views of one size.
 
@@ -89,6 +89,7 @@ def read_views(
             have one size of such multiples.
         multiple: The patch size of the network.
         max_views: Of more photographs, evenly spaced ones are taken.
+        enlarge: Whether smaller photographs are brought to ``short_side``, too.
 
     Raises:
         ValueError: Nothing can be read; the message says why.
@@ -98,7 +99,7 @@ def read_views(
     if short_side is None:
         size = own_size(sizes, multiple=multiple)
     else:
-        size = common_size(sizes, short_side=short_side, multiple=multiple)
+        size = common_size(sizes, short_side=short_side, multiple=multiple, enlarge=enlarge)
     room_for_views(len(shots), size)
     covered: list[tuple[Image.Image, SourceImage]] = []
     for name, shot in zip(distinct([shot.name for shot in shots]), shots, strict=True):
@@ -245,10 +246,16 @@ def evenly(items: Sequence[Path], count: int) -> list[Path]:
     return [items[round(index * (len(items) - 1) / (count - 1))] for index in range(count)]
 
 
-def common_size(sizes: Sequence[tuple[int, int]], *, short_side: int, multiple: int) -> tuple[int, int]:
-    """Height and width that most photographs fit, from their widths and heights."""
+def common_size(
+    sizes: Sequence[tuple[int, int]], *, short_side: int, multiple: int, enlarge: bool = True
+) -> tuple[int, int]:
+    """Height and width that most photographs fit, from their widths and heights.
+
+    Without ``enlarge``, ``short_side`` is at most that of most photographs.
+    """
     (width, height), _ = Counter(sizes).most_common(1)[0]
     aspect = min(max(width / height, 1 / MAX_ASPECT), MAX_ASPECT)
+    short_side = short_side if enlarge else min(short_side, width, height)
     short = max(multiple, round(short_side / multiple) * multiple)
     long = max(short, round(short * max(aspect, 1 / aspect) / multiple) * multiple)
     return (short, long) if aspect >= 1 else (long, short)

@@ -202,10 +202,12 @@ def _find(
     if len(originals) < FEWEST_VIEWS and not required:
         few = f"{len(originals)} photographs are too few for their cameras to be found, which takes {FEWEST_VIEWS} that"
         return _single_pass(Verdict("failed", (f"{few} overlap",), {}))
+    short_side, enlarge = _side(stylizer, options, reconstruction or Fit())
     with stages("cameras", f"of {len(originals)} photographs by structure from motion"):
         posed = find_cameras(
             originals,
-            short_side=options.short_side or (reconstruction or Fit()).short_side or stylizer.backbone.resolution,
+            short_side=short_side,
+            enlarge=enlarge,
             multiple=stylizer.backbone.patch_size,
             progress=partial(stages.progress, "cameras"),
         )
@@ -305,32 +307,35 @@ def reconstruction_report(
 
 
 def _given(
-    inputs: Inputs,
-    stylizer: Stylizer,
-    options: ViewOptions,
-    reconstruction: Reconstruction | None,
-    stages: Stages,
+    inputs: Inputs, stylizer: Stylizer, options: ViewOptions, reconstruction: Reconstruction | None, stages: Stages
 ) -> tuple[Views, tuple[SourceImage, ...]]:
     if isinstance(inputs, Views):
         return _unchanged(inputs, stylizer.backbone.patch_size)
+    short_side, enlarge = _side(stylizer, options, reconstruction)
     with stages("read", "the views"):
-        return _read(inputs, stylizer, options, None if reconstruction is None else reconstruction.short_side)
+        views, sources = read_views(
+            _paths(inputs),
+            short_side=short_side if options.resize else None,
+            enlarge=enlarge,
+            multiple=stylizer.backbone.patch_size,
+            max_views=options.take,
+        )
+    return views, tuple(sources)
 
 
 def _paths(inputs: str | Path | Sequence[str | Path]) -> list[Path]:
     return [Path(path) for path in ([inputs] if isinstance(inputs, (str, Path)) else inputs)]
 
 
-def _read(
-    inputs: str | Path | Sequence[str | Path], stylizer: Stylizer, options: ViewOptions, short_side: int | None
-) -> tuple[Views, tuple[SourceImage, ...]]:
-    views, sources = read_views(
-        _paths(inputs),
-        short_side=(options.short_side or short_side or stylizer.backbone.resolution) if options.resize else None,
-        multiple=stylizer.backbone.patch_size,
-        max_views=options.take,
-    )
-    return views, tuple(sources)
+def _side(stylizer: Stylizer, options: ViewOptions, reconstruction: Reconstruction | None) -> tuple[int, bool]:
+    """The short side of views, and whether smaller photographs are enlarged to it.
+
+    They are to what somebody asks for or a network was trained at; a reconstruction gains nothing from it.
+    """
+    liked = None if reconstruction is None else reconstruction.short_side
+    if options.short_side is None and liked is not None:
+        return liked, False
+    return options.short_side or stylizer.backbone.resolution, True
 
 
 def _unchanged(views: Views, multiple: int) -> tuple[Views, tuple[SourceImage, ...]]:

@@ -59,6 +59,7 @@ def find_cameras(
     short_side: int,
     multiple: int,
     progress: Callable[[str], None],
+    enlarge: bool = True,
     keep: bool = True,
 ) -> FoundCameras | Verdict:
     """Find the cameras of photographs, and make views of one size of those that have one.
@@ -68,6 +69,7 @@ def find_cameras(
         short_side: Of the views, in pixels; rounded to a multiple.
         multiple: Sides of views are multiples of it.
         progress: Told what is done.
+        enlarge: Whether smaller photographs are brought to ``short_side``, too.
         keep: Whether what is found is kept for the next run with the same photographs.
 
     Returns:
@@ -88,7 +90,10 @@ def find_cameras(
     if len(registered) < FEWEST_VIEWS:
         return posed.verdict
     size = common_size(
-        [_width_height(originals[view]) for view in registered], short_side=short_side, multiple=multiple
+        [_width_height(originals[view]) for view in registered],
+        short_side=short_side,
+        multiple=multiple,
+        enlarge=enlarge,
     )
     pictures = [_covered(originals[view], posed, size) for view in registered]
     capture = _first_frame(posed, registered)

@@ -1,9 +1,11 @@
 """Writing files so that nothing half-written ever stays under its final name."""
 
+import functools
 import glob
 import json
 import os
 import platform
+import re
 import shutil
 import tempfile
 from collections.abc import Collection, Iterator
@@ -22,8 +24,8 @@ MADE = ".anystyle"
 def atomic_path(target: str | Path, *, sync: bool = False) -> Iterator[Path]:
     """Yield a temporary path beside ``target`` that takes its name when the block ends well.
 
-    The suffix is kept, so that writers that choose a format by it work; a failing block leaves nothing behind, and
-    what a killed process left beside this target is swept.
+    The suffix is kept, so that writers that choose a format by it work; a failing block leaves nothing behind. What
+    killed processes left in the folder is swept at this process's first write there.
 
     Args:
         target: The file.
@@ -31,10 +33,8 @@ def atomic_path(target: str | Path, *, sync: bool = False) -> Iterator[Path]:
     """
     target = Path(target)
     target.parent.mkdir(parents=True, exist_ok=True)
-    prefix = f".{target.stem[:40]}-"
-    for left in _left(target.parent, prefix):
-        left.unlink(missing_ok=True)
-    handle, name = tempfile.mkstemp(prefix=_own(prefix), suffix=target.suffix, dir=target.parent)
+    _sweep_files(target.parent.absolute())
+    handle, name = tempfile.mkstemp(prefix=_own(f".{target.stem[:40]}-"), suffix=target.suffix, dir=target.parent)
     os.close(handle)
     temporary = Path(name)
     try:
@@ -129,6 +129,16 @@ def _refuse(target: Path, names: Collection[str], earlier: Collection[str]) -> N
 def _own(prefix: str) -> str:
     """The beginning of temporary names that tells whose they are; machines may share a disk."""
     return f"{prefix}{platform.node()}-{os.getpid()}-"
+
+
+@functools.lru_cache(maxsize=256)
+def _sweep_files(folder: Path) -> None:
+    """Remove the temporary files of processes that are no more; again does nothing, as a folder may have many files."""
+    left = re.compile(rf"\..{{1,40}}-{re.escape(platform.node())}-(\d+)-\w{{8}}(\.\w*)?")
+    for path in folder.iterdir():
+        match = left.fullmatch(path.name)
+        if match is not None and not psutil.pid_exists(int(match[1])) and path.is_file():
+            path.unlink(missing_ok=True)
 
 
 def _left(folder: Path, prefix: str) -> list[Path]:

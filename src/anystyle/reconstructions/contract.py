@@ -23,7 +23,8 @@ class Reconstruction(Socket, ABC):
     """Whether views must come with cameras. One that does takes all views at once; others may get them in groups."""
 
     short_side: int | None = None
-    """Shorter side in pixels that it is best given views at; ``None`` is the backbone's resolution."""
+    """Shorter side in pixels that it is best given views at; smaller photographs stay as they are. ``None`` is the
+    backbone's resolution."""
 
     @abstractmethod
     def __call__(

@@ -129,11 +129,11 @@ _load = ConfigLoaderImpl.load_configuration
 
 
 @functools.wraps(_load)
-def _load_judged(loader: ConfigLoaderImpl, *args: Any, **options: Any) -> DictConfig:
-    config = _load(loader, *args, **options)
+def _load_judged(self: ConfigLoaderImpl, *args: Any, **options: Any) -> DictConfig:
+    config = _load(self, *args, **options)
     check(config)
     return config
 
 
 # When this file is imported: the process of a launcher's job imports it with the source above, and installs nothing.
-ConfigLoaderImpl.load_configuration = _load_judged  # type: ignore[method-assign]
+ConfigLoaderImpl.load_configuration = _load_judged

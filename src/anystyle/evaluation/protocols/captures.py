@@ -91,7 +91,7 @@ class Captures(Protocol):
             raise ValueError("protocol.captures is empty; name folders of photographs or videos")
         self.stylizer, self.captures, self.poses = stylizer, [Path(path).expanduser() for path in captures], poses
         self.fit = Fit(quality=quality, num_gaussians=num_gaussians, num_steps=num_steps, holdout=holdout)
-        self.views = ViewOptions(short_side=short_side or self.fit.short_side, take=take)
+        self.views = ViewOptions(short_side=short_side, take=take)
         self.lpips = lpips.load(lpips_backbone, weights)
 
     @classmethod
@@ -183,14 +183,22 @@ class Captures(Protocol):
 
     def _posed(self, path: Path) -> tuple[Views, Sequence[Tensor] | None, dict[str, Any]]:
         multiple = self.stylizer.backbone.patch_size
-        short_side = self.views.short_side or self.stylizer.backbone.resolution
+        enlarge = self.views.short_side is not None
+        short_side = self.views.short_side or self.fit.short_side or self.stylizer.backbone.resolution
         if self.poses == "known":
-            views, sources = read_views([path], short_side=short_side, multiple=multiple, max_views=self.views.take)
+            views, sources = read_views(
+                [path], short_side=short_side, multiple=multiple, max_views=self.views.take, enlarge=enlarge
+            )
             cameras = known_cameras.from_files(sources).of_all([source.name for source in sources])
             return replace(views, cameras=cameras), None, {"trust": "known"}
         originals = read_photographs([path], self.views)
         posed = find_cameras(
-            originals, short_side=short_side, multiple=multiple, progress=lambda line: None, keep=False
+            originals,
+            short_side=short_side,
+            enlarge=enlarge,
+            multiple=multiple,
+            progress=lambda line: None,
+            keep=False,
         )
         if not isinstance(posed, FoundCameras):
             raise ValueError(f"no cameras are found of {path}: {'; '.join(posed.reasons)}")
