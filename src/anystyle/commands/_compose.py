@@ -16,7 +16,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from anystyle import paths
-from anystyle.commands._flags import EPILOG, split
+from anystyle.commands._flags import EPILOG, new_parser, split
 from anystyle.commands._run import run, wants_traceback, words_of
 from anystyle.errors import UserError
 from anystyle.registry.compose import VERSION_BASE, check_words, choices, override
@@ -40,7 +40,7 @@ def main(
     """
 
     def command() -> None:
-        flags = parser or argparse.ArgumentParser(prog=f"anystyle {config_name}", allow_abbrev=False)
+        flags = parser or new_parser(config_name)
         describe(flags)
         arguments, rest = split(flags, words_of(words))
         task = functools.partial(function, arguments=arguments) if parser else function

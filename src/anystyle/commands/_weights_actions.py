@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 
-from anystyle.commands._flags import parse
+from anystyle.commands._flags import new_parser, parse
 
 ROW = "a file, or a row of `anystyle weights`"
 
@@ -87,7 +87,7 @@ def download(words: Sequence[str]) -> None:
 
 
 def _arguments(words: Sequence[str], command: str, description: str, **positional: str) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog=f"anystyle weights {command}", description=description, allow_abbrev=False)
+    parser = new_parser(f"weights {command}", description)
     for name, text in positional.items():
         parser.add_argument(name, metavar=name.upper(), help=text)
     return parse(parser, words)

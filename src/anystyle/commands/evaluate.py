@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from anystyle.commands._bars import Bar
 from anystyle.commands._compose import describe, job_folder, launch, override, run, split, with_sweep
+from anystyle.commands._flags import new_parser
 from anystyle.commands._options import Shared, checked
 from anystyle.commands._run import words_of
 from anystyle.contracts import Correspondence, Metric, SceneSource, StyleEncoder, StyleSource
@@ -33,11 +34,10 @@ FOLDERS = ("content", "style", "stylized", "depth")
 
 def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle evaluate``; every other word is a Hydra override."""
-    flags = argparse.ArgumentParser(
-        prog="anystyle evaluate",
-        description="Judge a model on a protocol (protocol=paper_image scenes=folder scenes.root=DIR styles=folder "
+    flags = new_parser(
+        "evaluate",
+        "Judge a model on a protocol (protocol=paper_image scenes=folder scenes.root=DIR styles=folder "
         "styles.root=DIR), or any method's images (--content, --style, --stylized).",
-        allow_abbrev=False,
     )
     flags.add_argument("--content", metavar="DIR", help="photographs: SCENE/FRAME.png")
     flags.add_argument("--style", metavar="DIR", help="style images: STYLE.png")

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from anystyle.commands._flags import parse
+from anystyle.commands._flags import new_parser, parse
 from anystyle.commands._run import run, words_of
 from anystyle.errors import UserError
 
@@ -12,11 +12,7 @@ FORMATS = ("glb", "spz", "sog", "splat", "ply", "html")
 
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle export``."""
-    words = argparse.ArgumentParser(
-        prog="anystyle export",
-        description="Write a scene in another format.",
-        allow_abbrev=False,
-    )
+    words = new_parser("export", "Write a scene in another format.")
     words.add_argument(
         "scene", type=Path, help="a PLY file of any degree, compressed or not, or a folder of anystyle stylize"
     )

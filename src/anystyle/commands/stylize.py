@@ -13,6 +13,7 @@ from omegaconf import DictConfig, OmegaConf
 from anystyle import api
 from anystyle.commands._compose import job_folder, main, with_sweep
 from anystyle.commands._controls import add_controls, given_controls, with_values
+from anystyle.commands._flags import new_parser
 from anystyle.commands._options import Stylize, checked
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.inference import memory
@@ -30,11 +31,10 @@ from anystyle.types import Style, Views
 
 def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle stylize``; every other word is a Hydra override."""
-    flags = argparse.ArgumentParser(
-        prog="anystyle stylize",
-        description="Stylize photographs as a 3D Gaussian scene. Words such as key=value are Hydra overrides.",
+    flags = new_parser(
+        "stylize",
+        "Stylize photographs as a 3D Gaussian scene. Words such as key=value are Hydra overrides.",
         epilog="Every option of every component: anystyle stylize --cfg job",
-        allow_abbrev=False,
     )
     flags.add_argument(
         "inputs",

@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Iterator, Sequence
 
-from anystyle.commands._flags import parse
+from anystyle.commands._flags import new_parser, parse
 from anystyle.commands._run import run, words_of
 from anystyle.errors import UserError, did_you_mean
 
@@ -12,14 +12,13 @@ SUBCOMMANDS = ("list", "verify", "convert", "download")
 
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle weights list``."""
-    words = argparse.ArgumentParser(
-        prog="anystyle weights",
-        description="Without arguments, or with `list`: every known file of weights, what for, licence, size, source, "
+    words = new_parser(
+        "weights",
+        "Without arguments, or with `list`: every known file of weights, what for, licence, size, source, "
         "checksum, and where it is or was looked for.",
         epilog="anystyle weights verify FILE says what a file holds and whether it is whole; anystyle weights convert "
         "FILE OUT.safetensors keeps its tensors alone; anystyle weights download NAME fetches one from the Hugging "
         'Face hub (pip install "anystyle[hub]").',
-        allow_abbrev=False,
     )
     words.add_argument("name", nargs="*", help="only these rows")
     return words
