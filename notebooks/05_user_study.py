@@ -32,7 +32,7 @@ from anystyle.study.contract import Responses
 from anystyle.study.crossed import variation
 from anystyle.study.figures import as_svg, likert, means
 from anystyle.study.power import power_markdown, power_study
-from anystyle.study.power_figure import power
+from anystyle.study.figures import power
 from anystyle.study.reading import Records
 from anystyle.study.simulate import Scenario
 from anystyle.study.tabulate import bounds, holds_for

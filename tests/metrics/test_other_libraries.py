@@ -10,8 +10,8 @@ from torchmetrics.functional.image import lpips as their_lpips
 from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 from torchmetrics.image.fid import _compute_fid
 
+from anystyle.metrics.art_fid import frechet_distance
 from anystyle.metrics.cfsd import MAX_EXPONENT, structural_distance
-from anystyle.metrics.frechet import frechet_distance
 from anystyle.metrics.psnr import PSNR
 from anystyle.metrics.ssim import SSIM
 from anystyle.perception import lpips, weights

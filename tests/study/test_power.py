@@ -142,8 +142,7 @@ def test_simulated_studies_have_the_design_of_a_drawn_one():
 
 
 def test_the_power_figure_is_drawn(study: PowerStudy, tmp_path):
-    from anystyle.study.figures import save
-    from anystyle.study.power_figure import power
+    from anystyle.study.figures import power, save
 
     for name in ("a.svg", "b.svg"):
         save(power(study), tmp_path / "power.svg")

@@ -33,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
 def export(arguments: argparse.Namespace) -> None:
     """Run the command."""
     from anystyle.inference import export as files
-    from anystyle.inference.page import write_page
+    from anystyle.inference.export import write_page
     from anystyle.inference.saved import read_saved
 
     name = arguments.to or arguments.out.suffix.lstrip(".").lower()

@@ -18,9 +18,9 @@ from anystyle.commands._options import Stylize, checked
 from anystyle.commands._run import run, words_of
 from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
 from anystyle.inference.encoding import encode_capture, encode_splat
+from anystyle.inference.export import write_page
 from anystyle.inference.licenses import licenses, lines
 from anystyle.inference.options import PoseOptions
-from anystyle.inference.page import write_page
 from anystyle.inference.saved import is_saved, read_saved
 from anystyle.inference.stages import Stages
 from anystyle.reconstructions.contract import Reconstruction

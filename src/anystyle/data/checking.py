@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal, TypeVar
 
-from anystyle.data.captions import read_captions
-from anystyle.data.images import SUFFIXES, image_size, open_image
-from anystyle.data.paintings import listing
+from anystyle.data.captioning import read_captions
+from anystyle.data.images import SUFFIXES, image_size, listing, open_image
 from anystyle.data.poses import frame_names, read_poses
 from anystyle.data.re10k import Re10kScenes
 from anystyle.data.scene_folder import FolderScenes

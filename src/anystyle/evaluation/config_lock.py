@@ -11,8 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from anystyle.documents import read_json
 from anystyle.evaluation.resume import forget
-from anystyle.io.atomic import write_json
-from anystyle.io.lock import folder_lock
+from anystyle.io.atomic import folder_lock, write_json
 from anystyle.registry.changes import changes, flat
 
 FILE = "bound.json"

@@ -15,8 +15,8 @@ from anystyle.documents import Figure, as_number, kept_json
 from anystyle.evaluation.contract import Evaluation, Progress
 from anystyle.evaluation.folders import Cell, Pairing, Reader
 from anystyle.evaluation.runner import RowFigures, SceneFigures, aggregate, judge_row, merge_rows
+from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import atomic_path, write_json
-from anystyle.io.tensors import read_tensors
 from anystyle.perception.preprocess import checked
 
 FOLDER = "parts"

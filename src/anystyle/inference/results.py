@@ -15,10 +15,9 @@ from anystyle.geometry.cameras import smooth_path
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.inference.controlled import Controlled
 from anystyle.inference.encoding import EncodedCapture
-from anystyle.inference.export import export
+from anystyle.inference.export import export, write_page
 from anystyle.inference.licenses import lines, report_entry
 from anystyle.inference.options import ExportOptions, VideoOptions
-from anystyle.inference.page import write_page
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import EmbeddedStyle
 from anystyle.io import cameras as cameras_json
