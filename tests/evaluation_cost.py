@@ -38,7 +38,7 @@ from anystyle.geometry.warp import backward_warp, softmax_splat
 from anystyle.metrics.art_fid import ArtFID
 from anystyle.perception import preprocess, raft
 from anystyle.perception.feature_cache import CACHE
-from anystyle.perception.histogram import hellinger, rgb_uv_histogram
+from anystyle.perception.statistics import hellinger, rgb_uv_histogram
 from anystyle.registry.compose import compose
 from judging_cases import filled_folder
 from oracle import smooth_image

@@ -15,7 +15,7 @@ from anystyle.metrics.cfsd import MAX_EXPONENT, structural_distance
 from anystyle.metrics.psnr import PSNR
 from anystyle.metrics.ssim import SSIM
 from anystyle.perception import lpips, weights
-from anystyle.perception.histogram import hellinger, rgb_uv_histogram
+from anystyle.perception.statistics import hellinger, rgb_uv_histogram
 from anystyle.types import Comparison
 from judging_cases import filled_folder
 from oracle import hashed, smooth_image

@@ -7,8 +7,15 @@ import pytest
 from scipy import stats
 
 from anystyle.study.contract import Scale
-from anystyle.study.power import PowerStudy, power_json, power_markdown, power_study, rejection_rates
-from anystyle.study.simulate import Scenario, simulate
+from anystyle.study.power import (
+    PowerStudy,
+    Scenario,
+    power_json,
+    power_markdown,
+    power_study,
+    rejection_rates,
+    simulate,
+)
 from anystyle.study.tests.crossed_t import CrossedT
 from anystyle.study.tests.one_sample_t import OneSampleT
 from anystyle.study.tests.sign_flip import SignFlip

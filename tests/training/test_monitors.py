@@ -10,12 +10,11 @@ from PIL import Image
 
 from anystyle.contracts import StyleSource
 from anystyle.training.data import ATTEMPTS, SceneBatches
-from anystyle.training.options import check_options, check_trainer
 from anystyle.training.run import make_data, make_training, train
 from anystyle.training.safeguards import FiniteLoss
 from anystyle.training.scene_cache import EncodedScenes, FeatureStore
 from anystyle.training.sharding import Sharded
-from anystyle.training.trainer import log_picture, make_loggers, make_trainer
+from anystyle.training.trainer import check_options, check_trainer, log_picture, make_loggers, make_trainer
 from anystyle.types import Style, Views
 from oracle import hashed
 from training_cases import STYLIZATION, configuration

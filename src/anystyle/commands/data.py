@@ -9,9 +9,8 @@ from pathlib import Path
 from anystyle.commands._flags import new_parser, parse, subcommand
 from anystyle.commands._run import run, words_of
 from anystyle.data.captioning import DEFAULT_MODEL, PROMPT, caption_folder, transformers_captioner
-from anystyle.data.checking import Report, check
+from anystyle.data.checking import Report, check, same_pictures
 from anystyle.data.images import SUFFIXES
-from anystyle.data.likeness import same_pictures
 from anystyle.errors import UserError
 from anystyle.evaluation.layout import Layout, is_layout
 from anystyle.io.atomic import atomic_path

@@ -21,8 +21,8 @@ from anystyle.commands._run import words_of
 from anystyle.contracts import Correspondence, Metric, SceneSource, StyleEncoder, StyleSource
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
-from anystyle.evaluation.config_lock import bind
 from anystyle.evaluation.contract import Evaluation, Protocol
+from anystyle.evaluation.resume import bind
 from anystyle.inference.assemble import assemble_frozen, default_device, make_method, weights_file
 from anystyle.io.checkpoint import load_part
 from anystyle.registry.build import build, build_all

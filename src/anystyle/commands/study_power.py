@@ -11,8 +11,7 @@ from anystyle.commands._study_options import build_tests
 from anystyle.io.atomic import atomic_directory
 from anystyle.study import figures
 from anystyle.study.figures import power
-from anystyle.study.power import power_json, power_markdown, power_study
-from anystyle.study.simulate import Scenario
+from anystyle.study.power import Scenario, power_json, power_markdown, power_study
 
 DEFAULT_TESTS = ("one_sample_t", "wilcoxon", "crossed_t")
 

@@ -29,11 +29,10 @@ from anystyle.training.cache import CachedScenes
 from anystyle.training.callbacks import Average, LastCheckpoint, logged
 from anystyle.training.contract import Training
 from anystyle.training.data import StepData
-from anystyle.training.options import check_options
 from anystyle.training.resume import alone, leads, record, resumable, sweep, trial
 from anystyle.training.scene_cache import FeatureFolder
 from anystyle.training.sharding import with_full_state
-from anystyle.training.trainer import make_trainer
+from anystyle.training.trainer import check_options, make_trainer
 
 METRICS = "metrics.json"
 FEATURES = "features"

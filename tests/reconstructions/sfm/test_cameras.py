@@ -9,7 +9,7 @@ from PIL import ExifTags, Image
 from scipy.spatial.transform import Rotation
 
 from anystyle.reconstructions.sfm.cameras import cameras_from_photographs
-from anystyle.reconstructions.sfm.model import Lens
+from anystyle.reconstructions.sfm.model import Lens, pinhole, undistorted_image, undistorted_rays
 from anystyle.reconstructions.sfm.photographs import (
     Enlargement,
     Photograph,
@@ -17,7 +17,6 @@ from anystyle.reconstructions.sfm.photographs import (
     photographs_from_tensor,
 )
 from anystyle.reconstructions.sfm.support import agreement
-from anystyle.reconstructions.sfm.undistort import pinhole, undistorted_image, undistorted_rays
 from real_data import real
 from reconstructions.sfm.cards import World, arc, panorama
 
