@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from anystyle.branch import StyleBranch
 from anystyle.contracts import Backbone, Renderer, StyleEncoder, neutral_embedding
 from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.reconstructions.colors import FitColors, checked_steps, color_gaussians
-from anystyle.reconstructions.colors_alone import colors_alone
+from anystyle.reconstructions.colors import FitColors, checked_steps, color_gaussians, colors_alone
 from anystyle.types import Attributes, Cameras, Gaussians, Renders, Scene, StyleEmbedding, Views
 
 PRECISIONS = ("fp32", "bf16", "reference")

@@ -18,7 +18,7 @@ from anystyle.study.contract import Responses
 from anystyle.study.crossed import variation
 from anystyle.study.reading import read_responses
 from anystyle.study.report import html as report_html
-from anystyle.study.section import latex, markdown
+from anystyle.study.report import latex, markdown
 from anystyle.study.tabulate import escape_tex, p_text
 from anystyle.study.tests.crossed_t import CrossedT
 from anystyle.study.tests.one_sample_t import OneSampleT

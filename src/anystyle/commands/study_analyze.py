@@ -17,7 +17,7 @@ from anystyle.study.contract import Scale
 from anystyle.study.plan import Rules
 from anystyle.study.protocol import read_study
 from anystyle.study.reading import read_responses
-from anystyle.study.section import latex, markdown
+from anystyle.study.report import latex, markdown
 from anystyle.study.verdicts import took_part, verdict
 
 

@@ -10,9 +10,8 @@ import viser
 
 from anystyle.viewer.door import LOOPBACK, Door
 from anystyle.viewer.flight import Flight, Render
-from anystyle.viewer.page import page
+from anystyle.viewer.page import LARGEST, page
 from anystyle.viewer.panel import Panel
-from anystyle.viewer.pictures import LARGEST
 from anystyle.viewer.scenes import OpenScene
 from anystyle.viewer.session import Session
 
