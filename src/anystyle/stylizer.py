@@ -147,8 +147,8 @@ class Stylizer(nn.Module):
         targets = rgb_from_constant(styled.color[..., 0]).clamp(0, 1).movedim(-1, 2).float()  # B V 3 H W
         rows: list[Gaussians] = []
         for row in range(len(targets)):
-            given = gaussians.map(lambda tensor: tensor[row : row + 1])  # noqa: B023
-            cameras = scene.cameras.map(lambda tensor: tensor[row : row + 1])  # noqa: B023
+            given = gaussians.row(row)
+            cameras = scene.cameras.row(row)
             origins = None if scene.origins is None else scene.origins[row]
             with torch.enable_grad():
                 colored = color_gaussians(
