@@ -12,8 +12,7 @@ from scipy import stats
 from study_cases import answer_rows, small_study, write_csv
 
 from anystyle.commands._run import FAILED
-from anystyle.study.analysis import Settings, analyze
-from anystyle.study.analysis_json import as_json
+from anystyle.study.analysis import Settings, analyze, as_json
 from anystyle.study.contract import Responses
 from anystyle.study.crossed import variation
 from anystyle.study.reading import read_responses

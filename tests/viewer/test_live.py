@@ -11,8 +11,8 @@ from PIL import Image
 
 from anystyle.commands._compose import main
 from anystyle.commands.stylize import parser, stylize
-from anystyle.inference.controlled import Controlled
 from anystyle.inference.controls import blended, with_colors_of
+from anystyle.inference.results import Controlled
 from anystyle.inference.saved import read_gaussians
 from anystyle.methods.contract import Method, Progress
 from anystyle.viewer.door import Door, judged, new_token

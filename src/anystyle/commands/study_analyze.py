@@ -11,11 +11,9 @@ from anystyle.commands._flags import new_parser
 from anystyle.commands._study_options import build_tests
 from anystyle.io.atomic import atomic_directory
 from anystyle.study import figures, report
-from anystyle.study.analysis import Analysis, Settings, analyze
-from anystyle.study.analysis_json import as_json
+from anystyle.study.analysis import Analysis, Settings, analyze, as_json
 from anystyle.study.contract import Scale
-from anystyle.study.plan import Rules
-from anystyle.study.protocol import read_study
+from anystyle.study.protocol import Rules, read_study
 from anystyle.study.reading import read_responses
 from anystyle.study.report import latex, markdown
 from anystyle.study.verdicts import took_part, verdict

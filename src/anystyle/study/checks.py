@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from anystyle.study.contract import Responses, Scale
-from anystyle.study.plan import Rules
+from anystyle.study.protocol import Rules
 from anystyle.study.reading import Records
 
 _MIXED_SHARE = 0.1  # of a question's answers outside the scale; above, the scale is another one

@@ -15,8 +15,7 @@ from PIL import Image
 from anystyle.io.atomic import atomic_directory
 from anystyle.study import pictures
 from anystyle.study.balance import balanced_positions, balanced_subsets, draw_pairs, latin_orders, spread_checks
-from anystyle.study.plan import Plan
-from anystyle.study.protocol import PICTURES, Check, Item, Participant, Study
+from anystyle.study.protocol import PICTURES, Check, Item, Participant, Plan, Study
 from anystyle.study.tabulate import escape_markdown
 
 

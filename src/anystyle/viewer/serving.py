@@ -12,8 +12,7 @@ from anystyle.viewer.door import LOOPBACK, Door
 from anystyle.viewer.flight import Flight, Render
 from anystyle.viewer.page import LARGEST, page
 from anystyle.viewer.panel import Panel
-from anystyle.viewer.scenes import OpenScene
-from anystyle.viewer.session import Session
+from anystyle.viewer.session import OpenScene, Session
 
 VISER_PAGE = Path(viser.__file__).parent / "client" / "build" / "index.html"
 
