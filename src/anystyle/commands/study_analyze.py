@@ -92,13 +92,13 @@ def _settings(arguments: argparse.Namespace) -> Settings:
     straight = arguments.exclude_straight_lining or registered.straight_lining
     return Settings(
         scale=Scale() if arguments.scale is None else Scale(*arguments.scale),
-        scales=() if arguments.scale is not None else tuple((one.name, one.scale) for one in questions),
+        scales=() if arguments.scale is not None else tuple((question.name, question.scale) for question in questions),
         rules=structs.replace(registered, straight_lining=straight, **rules),
         confidence=arguments.confidence,
         alternative=arguments.alternative,
         seed=arguments.seed,
         margin=arguments.margin,
-        titles=tuple((one.name, one.text.replace("{method}", "each method")) for one in questions),
+        titles=tuple((question.name, question.text.replace("{method}", "each method")) for question in questions),
         study=study,
     )
 

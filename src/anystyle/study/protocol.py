@@ -260,10 +260,10 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
     participants: tuple[Participant, ...]
 
     def __post_init__(self) -> None:
-        for one in self.participants:
-            strange = [entry for entry in one.order if entry not in self.shown]
+        for participant in self.participants:
+            strange = [entry for entry in participant.order if entry not in self.shown]
             if strange:
-                raise ValueError(f"participant {one.id} is shown {strange[0]!r}, which there is none of")
+                raise ValueError(f"participant {participant.id} is shown {strange[0]!r}, which there is none of")
         unknown = [check.of for check in self.checks if check.of not in self.shown]
         if unknown:
             raise ValueError(f"a check is of {unknown[0]!r}, which there is none of")
@@ -274,12 +274,12 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
     @cached_property
     def shown(self) -> dict[str, Item | Check]:
         """Every set and check by its id."""
-        return {one.id: one for one in (*self.items, *self.checks)}
+        return {entry.id: entry for entry in (*self.items, *self.checks)}
 
     @property
     def pictures(self) -> tuple[str, ...]:
         """The names of all files in ``pictures/``, each once."""
-        names = [name for one in self.shown.values() for name in (*one.ours, *one.theirs)]
+        names = [name for entry in self.shown.values() for name in (*entry.ours, *entry.theirs)]
         names += [name for item in self.items for name in (*item.content, item.reference) if name]
         return tuple(dict.fromkeys(names))
 
@@ -289,7 +289,7 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
 
     @cached_property
     def _by_code(self) -> dict[str, Participant]:
-        return {one.id: one for one in self.participants}
+        return {participant.id: participant for participant in self.participants}
 
     def write(self, folder: Path) -> None:
         """Write ``study.json``."""

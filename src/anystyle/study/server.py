@@ -67,7 +67,7 @@ def render(study: Study, pictures: Mapping[str, str] | None = None) -> str:
     plan = msgspec.to_builtins(study.plan)
     data = {"id": study.id, "server": pictures is None, **{name: plan[name] for name in _SHOWN}}
     if pictures is not None:
-        data |= {"pictures": pictures, "people": {one.id: sequence(study, one) for one in study.participants}}
+        data |= {"pictures": pictures, "people": {person.id: sequence(study, person) for person in study.participants}}
     text = json.dumps(data, ensure_ascii=False)
     return Template((pages / "form.html").read_text(encoding="utf-8")).substitute(
         title=escape(study.plan.title),
