@@ -54,7 +54,9 @@ class GeometryHead(contracts.GeometryHead):
             logs = self.log_depth(features, size)
         depth, confidence = logs.float().exp().unbind(2)
         geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
-        return geometry if self.aligner is None else self.aligner.aligned(geometry, images)
+        if self.aligner is None:
+            return geometry
+        return self.aligner.aligned(geometry, images, features[self.taps[-1]].reference)
 
     def log_depth(self, features: Features, size: tuple[int, int]) -> Float[Tensor, "B V 2 H W"]:
         """The depth head's two maps, before the exponential."""

@@ -19,6 +19,7 @@ from anystyle import paths
 from anystyle.commands._flags import EPILOG, new_parser, split
 from anystyle.commands._run import run, wants_traceback, words_of
 from anystyle.errors import UserError
+from anystyle.registry import once
 from anystyle.registry.compose import VERSION_BASE, check_words, choices, override
 from anystyle.registry.packages import groups
 from anystyle.registry.source import register
@@ -76,7 +77,7 @@ def launch(config_name: str, function: Callable[[DictConfig], Any], words: Seque
             failures.append(error)
             return None
 
-    with _arguments(words), _raising():
+    with _arguments(words), _raising(), once.looking():
         hydra.main(version_base=VERSION_BASE, config_path=str(paths.CONF), config_name=config_name)(task)()
     if failures:
         raise failures[0]
