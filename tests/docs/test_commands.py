@@ -14,7 +14,7 @@ import pytest
 import docs_world as world
 from anystyle.study.protocol import read_study
 from docs_cases import ENDS, INSTEAD, NOT_RUN, PAGES, TELLS, ending, named, reason, shown, small, told
-from docs_program import Done, Program
+from program import Done, Program
 from study_serving import answer, claim, post, token_of
 
 MORE = {
@@ -29,13 +29,6 @@ BEFORE = {"docs/protocol.md": ("anystyle train -m experiment=tiny_style placemen
 KEPT = re.compile(r"anystyle (stylize|plugins \w+ \w+$|weights)")
 """Commands that leave nothing for those after them: they run on the first page that shows them, and not again."""
 LINES = [(named(page), line) for page in PAGES for line in shown(page)]
-
-
-@pytest.fixture(scope="module")
-def program():
-    started = Program()
-    yield started
-    started.close()
 
 
 class Reader:
