@@ -13,10 +13,9 @@ from anystyle.nn import rope
 from anystyle.nn.attention import SwiGlu
 from anystyle.nn.dpt import ResidualConv, add_positions_
 from anystyle.types import Attributes, Cameras, Geometry
-from anystyle_depth_anything import pose
 from anystyle_depth_anything.adapter import Adapter, harmonics
 from anystyle_depth_anything.aggregator import flat_positions
-from anystyle_depth_anything.cameras import CameraDecoder
+from anystyle_depth_anything.cameras import CameraDecoder, decode_pose, encode_pose
 from anystyle_depth_anything.embedder import Embedder
 from oracle import hashed
 
@@ -26,25 +25,25 @@ SIZE = (6, 8)
 def some_cameras(seed: int = 50, views: int = 2) -> Cameras:
     encoding = hashed(seed, (1, views, 9), -1, 1)
     encoding[..., 7:] = 0.9 + 0.1 * encoding[..., 7:]
-    return pose.decode_pose(encoding, SIZE)
+    return decode_pose(encoding, SIZE)
 
 
 class TestPose:
     def test_encodings_are_of_world_from_camera_motions(self) -> None:
         encoding = torch.tensor([[[1.0, 2, 3, 0, 0, 0, 1, 2 * math.atan(0.5), 2 * math.atan(0.25)]]])
-        cameras = pose.decode_pose(encoding, SIZE)
+        cameras = decode_pose(encoding, SIZE)
         assert cameras.world_from_camera[0, 0, :3, 3].tolist() == [1, 2, 3]
         expected = [[16.0, 0, 4], [0, 6, 3], [0, 0, 1]]
         torch.testing.assert_close(cameras.intrinsics[0, 0], torch.tensor(expected))
 
     def test_decoding_inverts_encoding(self) -> None:
         cameras = some_cameras()
-        again = pose.decode_pose(pose.encode_pose(cameras), SIZE)
+        again = decode_pose(encode_pose(cameras), SIZE)
         torch.testing.assert_close(again.world_from_camera, cameras.world_from_camera)
         torch.testing.assert_close(again.intrinsics, cameras.intrinsics)
 
     def test_a_field_of_view_of_nothing_has_a_finite_focal_length(self) -> None:
-        cameras = pose.decode_pose(F.pad(torch.tensor([[[0.0, 0, 0, 0, 0, 0, 1]]]), (0, 2)), SIZE)
+        cameras = decode_pose(F.pad(torch.tensor([[[0.0, 0, 0, 0, 0, 0, 1]]]), (0, 2)), SIZE)
         assert cameras.intrinsics[0, 0, 1, 1].item() == pytest.approx(3 / 1e-6)
 
     def test_fields_of_view_are_never_negative(self) -> None:

@@ -10,8 +10,7 @@ from anystyle import contracts
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.dpt import Dpt, by_views
 from anystyle.types import Features, Geometry
-from anystyle_depth_anything.cameras import CameraDecoder
-from anystyle_depth_anything.pose import decode_pose
+from anystyle_depth_anything.cameras import CameraDecoder, decode_pose
 from anystyle_depth_anything.rays import HIDDEN, RayChain
 
 

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from anystyle.errors import UserError
+from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import atomic_path
-from anystyle.io.tensors import read_tensors
 
 logger = logging.getLogger(__name__)
 

@@ -41,7 +41,16 @@ QUALITIES: Mapping[str, Quality] = MappingProxyType(
     {
         "draft": Quality(192, 15_000, FitOptions(num_steps=400, final_steps=60, evaluate_every=100)),
         "good": Quality(
-            256, 30_000, FitOptions(num_steps=600, half_resolution=0.35, final_steps=80, evaluate_every=100, patience=3)
+            256,
+            40_000,
+            FitOptions(
+                num_steps=600,
+                half_resolution=0.35,
+                scale_weight=0.005,
+                final_steps=80,
+                evaluate_every=100,
+                patience=3,
+            ),
         ),
         "best": Quality(384, 80_000, FitOptions(num_steps=5000, final_steps=500, evaluate_every=250, patience=4)),
     }
