@@ -30,11 +30,9 @@ from scipy import stats
 from anystyle.study.analysis import Settings, analyze
 from anystyle.study.contract import Responses
 from anystyle.study.crossed import variation
-from anystyle.study.figures import as_svg, likert, means
-from anystyle.study.power import power_markdown, power_study
-from anystyle.study.power_figure import power
+from anystyle.study.figures import as_svg, likert, means, power
+from anystyle.study.power import Scenario, power_markdown, power_study
 from anystyle.study.reading import Records
-from anystyle.study.simulate import Scenario
 from anystyle.study.tabulate import bounds, holds_for
 from anystyle.study.tests.crossed_t import CrossedT
 from anystyle.study.tests.one_sample_t import OneSampleT

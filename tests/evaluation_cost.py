@@ -36,9 +36,9 @@ from anystyle.evaluation.folders import Cell, pair, read
 from anystyle.evaluation.resume import judge_pairing
 from anystyle.geometry.warp import backward_warp, softmax_splat
 from anystyle.metrics.art_fid import ArtFID
-from anystyle.perception import correlations, preprocess, raft
+from anystyle.perception import preprocess, raft
 from anystyle.perception.feature_cache import CACHE
-from anystyle.perception.histogram import hellinger, rgb_uv_histogram
+from anystyle.perception.statistics import hellinger, rgb_uv_histogram
 from anystyle.registry.compose import compose
 from judging_cases import filled_folder
 from oracle import smooth_image
@@ -214,14 +214,14 @@ def published_flow(network: raft.Raft, first: Tensor, second: Tensor, iterations
     one, other = network.describe(first), network.describe(second)
     state, context = network.cnet(2 * first - 1).split(128, dim=1)
     state, context = state.tanh(), context.relu()
-    pyramid = correlations.correlation_pyramid(one, other)
+    pyramid = raft.correlation_pyramid(one, other)
     height, width = one.shape[-2:]
     y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     start = torch.stack([x, y])[None].float()
     place, update = start, network.update_block
     fine = start
     for _ in range(iterations):
-        motion = update.encoder(correlations.look_up(pyramid, place), place - start)
+        motion = update.encoder(raft.look_up(pyramid, place), place - start)
         for half in (1, 2):
             conv = [getattr(update.gru, f"conv{gate}{half}") for gate in "zrq"]
             known = torch.cat([state, context, motion], dim=1)

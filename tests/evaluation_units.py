@@ -22,7 +22,7 @@ from anystyle.metrics.cfsd import structural_distance
 from anystyle.metrics.warp_consistency import corrected_warp, reference_warp
 from anystyle.perception import art_score, embeddings, lpips, raft
 from anystyle.perception import load as load_features
-from anystyle.perception.histogram import rgb_uv_histogram
+from anystyle.perception.statistics import rgb_uv_histogram
 from evaluation_cost import FRAMES, STYLES, as_published, published_flow
 from judging_cases import filled_folder
 from oracle import smooth_image

@@ -21,9 +21,8 @@ import anystyle
 from anystyle.api import EncodedCapture
 from anystyle.inference.controlled import Controlled
 from anystyle.inference.encoding import encode_capture
-from anystyle.inference.export import FORMATS, export, from_axes
+from anystyle.inference.export import FORMATS, export, from_axes, write_page
 from anystyle.inference.options import PoseOptions, ViewOptions
-from anystyle.inference.page import write_page
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import embed_styles
 from anystyle.renderers.torch import TorchRenderer

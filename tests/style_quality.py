@@ -5,7 +5,7 @@ the captures, whose cameras are found, and their colours are solved back in seve
 
 - found in colour, and in equalised grey: the share of scenes whose painting is the nearest of 35, or with ``--paintings
   unseen`` of the 20 that ``model=tiny_paper`` was not trained on; by chance 0.03, or 0.05. By
-  statistics of EfficientNet-Lite0 (``anystyle.perception.style_statistics``), which trained ``model=tiny_paper`` and
+  statistics of EfficientNet-Lite0 (``anystyle.perception.statistics``), which trained ``model=tiny_paper`` and
   not the painter, and by the 100 numbers of Magenta, whose networks are the painter's and trained nothing else;
 - edges: the correlation of the gradients of renders with those of the unstyled scene's;
 - sharpness: mean absolute difference of neighbouring pixels, as a share of the 2D teacher's;
@@ -36,13 +36,12 @@ from torch import Tensor
 import anystyle
 from anystyle.data.images import read_image, to_tensor
 from anystyle.geometry.harmonics import constant_from_rgb
-from anystyle.geometry.reprojection import depth_around, reproject
-from anystyle.geometry.warp import sample_at
+from anystyle.geometry.warp import depth_around, reproject, sample_at
 from anystyle.inference.encoding import encode_capture
 from anystyle.inference.options import PoseOptions, ViewOptions
 from anystyle.inference.stages import Stages
 from anystyle.metrics.style_retrieval import StyleRetrieval
-from anystyle.perception.style_statistics import centered_cosines, equalized_gray
+from anystyle.perception.statistics import centered_cosines, equalized_gray
 from anystyle.reconstructions.colors import FitColors
 from anystyle.reconstructions.fit import Fit
 from anystyle.stylizer import Stylizer

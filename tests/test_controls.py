@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 import anystyle
 from anystyle.api import Controls, VideoOptions, ViewOptions
 from anystyle.commands._compose import main
-from anystyle.commands._controls import given_controls, with_values
-from anystyle.commands.stylize import parser, stylize
+from anystyle.commands.stylize import given_controls, parser, stylize, with_values
 from anystyle.data.folder import Original, SourceImage
 from anystyle.data.images import to_tensor
 from anystyle.geometry.harmonics import colors

@@ -11,7 +11,7 @@ import anystyle
 from anystyle.contracts import Loss, Metric
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
-from anystyle.testing import inputs, samples
+from anystyle.testing import inputs
 from elsewhere import There, elsewhere, sent
 
 ASKS_FOR_VALUES = (
@@ -56,9 +56,9 @@ def test_encoding_and_restyling():
 
 @pytest.mark.parametrize("name", catalog().names("loss"))
 def test_losses(name):
-    given = samples.stylization()
+    given = inputs.stylization()
     try:
-        loss = build(Loss, name, style_encoder=samples.runtime()["style_encoder"])
+        loss = build(Loss, name, style_encoder=inputs.runtime()["style_encoder"])
     except FileNotFoundError as error:
         pytest.skip(str(error)[:80])
     assert followed(lambda: loss.to("meta")(given.to("meta"))).is_meta
@@ -67,7 +67,7 @@ def test_losses(name):
 @pytest.mark.parametrize("name", catalog().names("metric"))
 def test_metrics(name):
     """They look at values, which tensors of the meta device lack; those of ``elsewhere`` have some."""
-    given, runtime = samples.comparison(), samples.runtime()
+    given, runtime = inputs.comparison(), inputs.runtime()
     metric = build(Metric, name, style_encoder=runtime["style_encoder"], correspondence=runtime["correspondence"])
     with torch.no_grad(), elsewhere() as device:
         sent(metric)

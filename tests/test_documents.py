@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 
 from anystyle.documents import as_figure, as_number, plain, read_json, read_text, read_toml, read_yaml, regular
 from anystyle.errors import UserError
-from anystyle.io.arrays import read_array, read_arrays
-from anystyle.io.tensors import read_tensors
+from anystyle.io.arrays import read_array, read_arrays, read_tensors
 from anystyle.study.reading import read_responses
 
 

@@ -5,8 +5,7 @@ import sys
 
 import pytest
 
-from anystyle.io.atomic import atomic_directory, atomic_path
-from anystyle.io.lock import folder_lock
+from anystyle.io.atomic import atomic_directory, atomic_path, folder_lock
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):
@@ -80,7 +79,7 @@ def test_a_file_is_no_directory(tmp_path):
 HOLDER = """
 import sys, time
 from pathlib import Path
-from anystyle.io.lock import folder_lock
+from anystyle.io.atomic import folder_lock
 with folder_lock(Path(sys.argv[1]), "taken"):
     print("held", flush=True)
     time.sleep(600)

@@ -100,6 +100,22 @@ def test_the_same_scene_gives_the_same_bits(views: Views):
     assert torch.equal(once, twice)
 
 
+def test_the_camera_of_the_reference_stays_wherever_it_comes(views: Views):
+    assert views.cameras is not None
+    pose, order = turned(views.cameras.world_from_camera[0], 0.02, 0), [2, 0, 1]
+    results = []
+    for given, poses, reference in ((views, pose, 1), (views.select(order), pose[order], 2)):
+        scene, backbone = encoded(given, poses)
+        scene = replace(scene, stem=replace(scene.stem, reference=torch.tensor([reference])))
+        results.append(refine(scene, backbone.adapter).geometry)
+        torch.testing.assert_close(results[-1].cameras.world_from_camera[0, reference], poses[reference])
+    first, other = results
+    torch.testing.assert_close(
+        first.cameras.world_from_camera[:, order], other.cameras.world_from_camera, atol=1e-3, rtol=0
+    )
+    torch.testing.assert_close(first.depth[:, order], other.depth, atol=0, rtol=1e-3)
+
+
 def test_adjustment_finds_exact_cameras_of_exact_tracks():
     generator = torch.Generator().manual_seed(0)
     ray = 0.8 * (torch.rand(60, 2, generator=generator) - 0.5)

@@ -57,7 +57,7 @@ def main() -> None:
 
         sys.stdout.write(f"anystyle {version('anystyle')}\n")
     elif first in ("-sc", "--shell-completion"):
-        from anystyle.commands._completion import complete
+        from anystyle.commands._compose import complete
         from anystyle.commands._run import run
 
         run(lambda: complete(available(), rest))

@@ -6,8 +6,9 @@ import torch
 import anysplat_reference as reference
 from anystyle.injectors.zero_conv import ZeroConv
 from anystyle.nn import dpt, rope
+from anystyle.nn.reference_view import Strategy
 from anystyle.types import Attributes, Cameras, Geometry, Inject, Tokens
-from anystyle_anysplat import keys, pose
+from anystyle_anysplat import camera_head, keys
 from anystyle_anysplat.aggregator import Aggregator
 from anystyle_anysplat.camera_head import CameraHead
 from anystyle_anysplat.embedder import Dino, Embedder
@@ -34,7 +35,7 @@ class TestPose:
     record = GOLDEN["pose_enc"]
 
     def cameras(self, size: tuple[int, int]) -> Cameras:
-        return pose.decode_pose(torch.tensor(self.record["enc"]), size, focal_epsilon=1e-3)
+        return camera_head.decode_pose(torch.tensor(self.record["enc"]), size, focal_epsilon=1e-3)
 
     def test_decoding_is_the_published_one(self) -> None:
         cameras = self.cameras(tuple(self.record["hw"]))
@@ -42,12 +43,12 @@ class TestPose:
         torch.testing.assert_close(cameras.intrinsics, torch.tensor(self.record["intrinsic_px"]))
 
     def test_encoding_is_the_published_one(self) -> None:
-        encoding = pose.encode_pose(self.cameras(tuple(self.record["hw"])))
+        encoding = camera_head.encode_pose(self.cameras(tuple(self.record["hw"])))
         torch.testing.assert_close(encoding, torch.tensor(self.record["reencoded"]), rtol=1e-4, atol=1e-6)
 
     def test_decoding_without_epsilon_inverts_encoding(self) -> None:
         cameras = self.cameras((48, 64))
-        again = pose.decode_pose(pose.encode_pose(cameras), (48, 64), focal_epsilon=0.0)
+        again = camera_head.decode_pose(camera_head.encode_pose(cameras), (48, 64), focal_epsilon=0.0)
         torch.testing.assert_close(again.world_from_camera, cameras.world_from_camera)
         torch.testing.assert_close(again.intrinsics, cameras.intrinsics)
 
@@ -85,6 +86,20 @@ def dino() -> Dino:
     return dino
 
 
+def patches_of(*, dim: int, heads: int, grid: int, reference: Strategy = "first") -> Embedder:
+    return Embedder(
+        embed="conv",
+        dim=dim,
+        depth=0,
+        heads=heads,
+        mlp_ratio=4.0,
+        registers=4,
+        patch_size=14,
+        grid=grid,
+        reference=reference,
+    )
+
+
 class TestEmbedder:
     def test_positions_are_resampled_as_published(self, dino: Dino) -> None:
         assert_matches(dino.positions((3, 6)), GOLDEN["dino_tiny"]["pos_interp"])
@@ -98,9 +113,16 @@ class TestEmbedder:
         assert_matches(dino(images), GOLDEN["dino_tiny"]["square_native"])
 
     def test_sizes_that_are_no_multiples_are_named(self) -> None:
-        embedder = Embedder(embed="conv", dim=8, depth=0, heads=1, mlp_ratio=4.0, registers=4, patch_size=14, grid=1)
+        embedder = patches_of(dim=8, heads=1, grid=1)
         with pytest.raises(ValueError, match=r"28x30 pixels; both sides must be multiples of 14"):
             embedder(torch.zeros(1, 1, 3, 28, 30))
+
+    def test_the_reference_has_camera_and_register_tokens_of_its_own(self) -> None:
+        embedder = patches_of(dim=8, heads=1, grid=1, reference="middle")
+        stem = embedder(hashed(1, (2, 3, 3, 14, 28)))
+        assert stem.special == 5 and stem.reference is not None and stem.reference.tolist() == [1, 1]
+        own, shared = torch.cat([embedder.camera_token, embedder.register_token], dim=2)[0]
+        torch.testing.assert_close(stem.data[:, :, :5], torch.stack([shared, own, shared]).expand(2, -1, -1, -1))
 
 
 def aggregator(dim: int, depth: int, heads: int, taps: tuple[int, ...]) -> Aggregator:
@@ -120,9 +142,7 @@ def test_aggregator_with_its_special_tokens() -> None:
     record = GOLDEN["aggregator_tiny"]
     parts = torch.nn.ModuleDict(
         {
-            "embedder": Embedder(
-                embed="conv", dim=64, depth=0, heads=4, mlp_ratio=4.0, registers=4, patch_size=14, grid=5
-            ),
+            "embedder": patches_of(dim=64, heads=4, grid=5),
             "aggregator": aggregator(64, 3, 4, (0, 2)),
         }
     )

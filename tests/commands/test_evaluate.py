@@ -214,7 +214,7 @@ def test_what_cannot_be_judged_is_one_line_and_leaves_nothing(tmp_path, capsys):
 
 
 def test_two_evaluations_do_not_share_a_folder(tmp_path, capsys):
-    from anystyle.io.lock import folder_lock
+    from anystyle.io.atomic import folder_lock
 
     given = flags(*folders(tmp_path / "in"))
     Path("out").mkdir()

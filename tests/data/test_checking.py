@@ -10,8 +10,7 @@ from PIL import Image
 
 from anystyle.commands.data import main
 from anystyle.contracts import SceneSource
-from anystyle.data.checking import check, guess
-from anystyle.data.likeness import fingerprint, same_pictures
+from anystyle.data.checking import check, fingerprint, guess, same_pictures
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.wikiart import DESCRIPTIONS, TEST_FILES, WikiArtStyles
 from anystyle.errors import UserError

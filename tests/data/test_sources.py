@@ -9,7 +9,7 @@ import pytest
 import torch
 from PIL import Image
 
-from anystyle.data.captions import read_captions
+from anystyle.data.captioning import read_captions
 from anystyle.data.poses import read_poses
 from anystyle.data.re10k import Re10kScenes
 from anystyle.data.scene_folder import FolderScenes

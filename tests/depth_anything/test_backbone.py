@@ -54,12 +54,12 @@ class TestSites:
         ]
 
     def test_each_is_visited_once_with_tokens_of_its_width(self, backbone: DepthAnything) -> None:
-        seen: list[tuple[str, int, int, bool]] = []
+        seen: list[tuple[str, int, int]] = []
 
         def inject(site: str, tokens: Tokens) -> Tokens:
             rows, columns = tokens.grid
             assert tokens.data.shape[:3] == (2, 3, tokens.special + rows * columns)
-            seen.append((site, tokens.data.shape[-1], tokens.special, tokens.order is None))
+            seen.append((site, tokens.data.shape[-1], tokens.special))
             return tokens
 
         images = views(3, scenes=2).images
@@ -67,10 +67,8 @@ class TestSites:
             features = backbone.aggregator(backbone.embedder(images), inject)
             backbone.gaussian_head.chunk = 8
             backbone.gaussian_head(features, images, inject)
-        assert [(name, dim) for name, dim, *_ in seen] == [(site.name, site.dim) for site in backbone.sites]
-        assert {special for _, _, special, _ in seen[:5]} == {1} and {special for *_, special, _ in seen[5:]} == {0}
-        # Views are reordered in the aggregator, and in order where heads read.
-        assert [in_order for *_, in_order in seen] == [False] * 5 + [True] * 5
+        assert [(name, dim) for name, dim, _ in seen] == [(site.name, site.dim) for site in backbone.sites]
+        assert {special for *_, special in seen[:5]} == {1} and {special for *_, special in seen[5:]} == {0}
 
     def test_a_style_at_a_tapped_site_is_in_both_halves_of_what_heads_read(self, backbone: DepthAnything) -> None:
         stem = backbone.embedder(views(2).images)
@@ -111,8 +109,8 @@ class TestOrder:
         given, order = views(5), [3, 0, 4, 1, 2]
         with torch.no_grad():
             one, other = backbone.encode(given), backbone.encode(given.select(order))
-        assert one.stem.order is not None and other.stem.order is not None
-        assert order[int(other.stem.order[0, 0])] == int(one.stem.order[0, 0])
+        assert one.stem.reference is not None and other.stem.reference is not None
+        assert order[int(other.stem.reference)] == int(one.stem.reference)
         same(one.geometry.depth[:, order], other.geometry.depth, rtol=1e-3, atol=1e-4)
         same(one.attributes.color[:, order], other.attributes.color, rtol=1e-3, atol=1e-4)
         same(one.cameras.world_from_camera[:, order], other.cameras.world_from_camera, rtol=1e-3, atol=1e-4)
@@ -124,7 +122,7 @@ class TestOrder:
             centered = backbone.encode(given)
             backbone.embedder.reference = "first"
             first = backbone.encode(given.select(order))
-        assert first.stem.order is None
+        assert first.stem.reference is None
         same(centered.geometry.depth[:, order], first.geometry.depth, rtol=1e-4, atol=1e-5)
         same(centered.features[7].data[:, order], first.features[7].data, rtol=1e-4, atol=1e-5)
 
@@ -144,8 +142,8 @@ class TestOrder:
             scenes = backbone.encode(both)
             for row in range(2):
                 alone = backbone.encode(Views(both.images[row : row + 1]))
-                assert scenes.stem.order is not None and alone.stem.order is not None
-                assert torch.equal(scenes.stem.order[row], alone.stem.order[0])
+                assert scenes.stem.reference is not None and alone.stem.reference is not None
+                assert scenes.stem.reference[row] == alone.stem.reference[0]
                 same(scenes.attributes.map(lambda t, row=row: t[row : row + 1]), alone.attributes, rtol=1e-3, atol=1e-4)
 
 

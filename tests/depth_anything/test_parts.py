@@ -13,10 +13,9 @@ from anystyle.nn import rope
 from anystyle.nn.attention import SwiGlu
 from anystyle.nn.dpt import ResidualConv, add_positions_
 from anystyle.types import Attributes, Cameras, Geometry
-from anystyle_depth_anything import pose, reference_view
 from anystyle_depth_anything.adapter import Adapter, harmonics
 from anystyle_depth_anything.aggregator import flat_positions
-from anystyle_depth_anything.cameras import CameraDecoder
+from anystyle_depth_anything.cameras import CameraDecoder, decode_pose, encode_pose
 from anystyle_depth_anything.embedder import Embedder
 from oracle import hashed
 
@@ -26,25 +25,25 @@ SIZE = (6, 8)
 def some_cameras(seed: int = 50, views: int = 2) -> Cameras:
     encoding = hashed(seed, (1, views, 9), -1, 1)
     encoding[..., 7:] = 0.9 + 0.1 * encoding[..., 7:]
-    return pose.decode_pose(encoding, SIZE)
+    return decode_pose(encoding, SIZE)
 
 
 class TestPose:
     def test_encodings_are_of_world_from_camera_motions(self) -> None:
         encoding = torch.tensor([[[1.0, 2, 3, 0, 0, 0, 1, 2 * math.atan(0.5), 2 * math.atan(0.25)]]])
-        cameras = pose.decode_pose(encoding, SIZE)
+        cameras = decode_pose(encoding, SIZE)
         assert cameras.world_from_camera[0, 0, :3, 3].tolist() == [1, 2, 3]
         expected = [[16.0, 0, 4], [0, 6, 3], [0, 0, 1]]
         torch.testing.assert_close(cameras.intrinsics[0, 0], torch.tensor(expected))
 
     def test_decoding_inverts_encoding(self) -> None:
         cameras = some_cameras()
-        again = pose.decode_pose(pose.encode_pose(cameras), SIZE)
+        again = decode_pose(encode_pose(cameras), SIZE)
         torch.testing.assert_close(again.world_from_camera, cameras.world_from_camera)
         torch.testing.assert_close(again.intrinsics, cameras.intrinsics)
 
     def test_a_field_of_view_of_nothing_has_a_finite_focal_length(self) -> None:
-        cameras = pose.decode_pose(F.pad(torch.tensor([[[0.0, 0, 0, 0, 0, 0, 1]]]), (0, 2)), SIZE)
+        cameras = decode_pose(F.pad(torch.tensor([[[0.0, 0, 0, 0, 0, 0, 1]]]), (0, 2)), SIZE)
         assert cameras.intrinsics[0, 0, 1, 1].item() == pytest.approx(3 / 1e-6)
 
     def test_fields_of_view_are_never_negative(self) -> None:
@@ -73,36 +72,6 @@ class TestRope:
             ).tolist()
             torch.testing.assert_close(products[one], products[other])
         assert not torch.isclose(products[1, 6], products[1, 2])
-
-
-class TestReferenceView:
-    def test_two_views_keep_their_order_whatever_the_strategy(self) -> None:
-        for strategy in ("saddle_balanced", "saddle_sim_range", "middle", "first"):
-            assert reference_view.reference_view(hashed(1, (2, 2, 8)), strategy).tolist() == [0, 0]
-
-    def test_the_balanced_one_is_in_the_middle_of_every_range(self) -> None:
-        # Three directions in a plane, of growing norm: the middle one is nearest to half of what is not the same.
-        angle = torch.tensor([0.0, 0.4, 0.9])
-        tokens = torch.stack([angle.cos(), angle.sin(), torch.zeros(3)], dim=-1) * torch.tensor([[1.0], [1.5], [2.0]])
-        unit = F.normalize(tokens, dim=-1)
-        similar = ((unit @ unit.mT).sum(-1) - 1) / 2
-        figures = [similar, tokens.norm(dim=-1), unit.var(dim=-1)]
-        scores = sum(((f - f.min()) / (f.max() - f.min() + 1e-8) - 0.5).abs() for f in figures)
-        expected = int(torch.as_tensor(scores).argmin())
-        assert reference_view.reference_view(tokens[None], "saddle_balanced").tolist() == [expected]
-
-    def test_the_choice_follows_the_view_and_not_its_place(self) -> None:
-        tokens = hashed(9, (3, 5, 16), -1, 1)
-        first = reference_view.reference_view(tokens, "saddle_balanced")
-        order = [3, 0, 4, 1, 2]
-        moved = reference_view.reference_view(tokens[:, order], "saddle_balanced")
-        assert [order[place] for place in moved.tolist()] == first.tolist()
-
-    def test_the_others_stay_in_order_and_can_be_put_back(self) -> None:
-        order = reference_view.order_of(torch.tensor([2, 0]), 4)
-        assert order.tolist() == [[2, 0, 1, 3], [0, 1, 2, 3]]
-        data = hashed(1, (2, 4, 3, 2))
-        assert torch.equal(reference_view.in_order(reference_view.in_order(data, order), order.argsort(dim=1)), data)
 
 
 def cubic(distance: torch.Tensor) -> torch.Tensor:
@@ -150,9 +119,9 @@ class TestEmbedder:
     def test_the_reference_has_a_camera_token_of_its_own(self) -> None:
         embedder = self.embedder()
         stem = embedder(hashed(1, (2, 3, 3, 4, 6)))
-        assert stem.special == 1 and stem.order is not None and stem.order.tolist() == [[1, 0, 2]] * 2
+        assert stem.special == 1 and stem.reference is not None and stem.reference.tolist() == [1, 1]
         own, shared = embedder.camera_token[0]
-        torch.testing.assert_close(stem.data[:, :, 0], torch.stack([own, shared, shared]).expand(2, -1, -1))
+        torch.testing.assert_close(stem.data[:, :, 0], torch.stack([shared, own, shared]).expand(2, -1, -1))
 
     def test_cameras_need_an_encoder(self) -> None:
         with pytest.raises(ValueError, match="camera_encoder_depth"):

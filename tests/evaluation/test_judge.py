@@ -9,7 +9,7 @@ import torch
 from anystyle.evaluation.folders import Reader, pair
 from anystyle.evaluation.resume import judge_pairing
 from anystyle.evaluation.runner import judge, mean
-from anystyle.testing.samples import comparison
+from anystyle.testing.inputs import comparison
 from anystyle.testing.toy.metric import ToyMetric
 from anystyle.types import Comparison
 from evaluation_cases import Mean, folders, picture

@@ -10,8 +10,8 @@ import torch
 from safetensors.torch import load_file
 
 from anystyle.data.images import open_image
+from anystyle.io.arrays import read_tensors
 from anystyle.io.sheet import to_pil
-from anystyle.io.tensors import read_tensors
 from anystyle.types import Gaussians
 from anystyle_tiny.procedural.scenes import ProceduralScenes
 from fuzz.seeds import picture

@@ -11,9 +11,9 @@ from anystyle.losses.attribute_change import AttributeChange
 from anystyle.losses.depth_consistency import DepthConsistency
 from anystyle.losses.nnfm import NNFM
 from anystyle.losses.simultaneous_scales import SimultaneousScales
+from anystyle.methods.scene_loop import color_map
 from anystyle.perception import weights
-from anystyle.perception.color_transfer import color_map
-from anystyle.testing.samples import stylization
+from anystyle.testing.inputs import stylization
 from oracle import smooth_image
 from style_cases import stylization as images_stylization
 

@@ -11,13 +11,12 @@ from torchmetrics.image.kid import poly_mmd
 
 from anystyle.contracts import Metric
 from anystyle.correspondences.raft import Raft
-from anystyle.metrics.art_fid import ArtFID
+from anystyle.metrics.art_fid import ArtFID, frechet_distance, frechet_infinity
 from anystyle.metrics.cfsd import CFSD
 from anystyle.metrics.clip_direction import ClipDirection
 from anystyle.metrics.clip_style import ClipStyle
 from anystyle.metrics.color_match import ColorMatch
 from anystyle.metrics.depth_agreement import DepthAgreement
-from anystyle.metrics.frechet import frechet_distance, frechet_infinity
 from anystyle.metrics.kid import KID, discrepancy
 from anystyle.metrics.lpips import LPIPS
 from anystyle.metrics.psnr import PSNR

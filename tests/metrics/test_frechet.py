@@ -3,7 +3,7 @@ import pytest
 import scipy.linalg
 import torch
 
-from anystyle.metrics.frechet import frechet_distance
+from anystyle.metrics.art_fid import frechet_distance
 
 
 def by_definition(first, second):

@@ -10,12 +10,12 @@ from torchmetrics.functional.image import lpips as their_lpips
 from torchmetrics.functional.image import peak_signal_noise_ratio, structural_similarity_index_measure
 from torchmetrics.image.fid import _compute_fid
 
+from anystyle.metrics.art_fid import frechet_distance
 from anystyle.metrics.cfsd import MAX_EXPONENT, structural_distance
-from anystyle.metrics.frechet import frechet_distance
 from anystyle.metrics.psnr import PSNR
 from anystyle.metrics.ssim import SSIM
 from anystyle.perception import lpips, weights
-from anystyle.perception.histogram import hellinger, rgb_uv_histogram
+from anystyle.perception.statistics import hellinger, rgb_uv_histogram
 from anystyle.types import Comparison
 from judging_cases import filled_folder
 from oracle import hashed, smooth_image

@@ -14,7 +14,7 @@ from anystyle.metrics.lpips import LPIPS
 from anystyle.metrics.lpips_gray import LPIPSGray
 from anystyle.metrics.warp_consistency import WarpConsistency, corrected_warp, reference_warp
 from anystyle.perception import lpips
-from anystyle.perception.histogram import hellinger, rgb_uv_histogram
+from anystyle.perception.statistics import hellinger, rgb_uv_histogram
 from anystyle.types import Comparison, Flow, Frames, Style
 from judging_cases import filled_folder, nine_frames, six_pairs
 from oracle import assert_matches, golden, hashed, smooth_image

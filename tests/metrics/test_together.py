@@ -12,8 +12,8 @@ import torch
 
 from anystyle.registry.builtin import BUILTIN
 from anystyle.registry.catalog import catalog
+from anystyle.testing.inputs import comparison
 from anystyle.testing.run import subject
-from anystyle.testing.samples import comparison
 
 METRICS = sorted(BUILTIN["metric"])
 ROWS = 3
@@ -74,7 +74,7 @@ def by_two(tmp_path_factory):
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["anystyle.testing.run", "anystyle.testing.samples", "torch.distributed"])
+    context.set_forkserver_preload(["anystyle.testing.run", "anystyle.testing.inputs", "torch.distributed"])
     processes = [context.Process(target=_process, args=(rank, 2, port, folder), daemon=True) for rank in range(2)]
     for process in processes:
         process.start()

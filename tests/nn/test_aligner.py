@@ -8,7 +8,7 @@ import torch.nn.functional as F
 
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.matcher import Matcher
-from anystyle.types import Cameras
+from anystyle.types import Cameras, Geometry
 
 SIZE = (64, 64)
 STRIDE = 4
@@ -77,6 +77,23 @@ def test_poses_carry_no_gradient_and_views_are_independent():
     assert not pose.requires_grad
     swapped = aligner(aligner.correlation(images[:, [0, 2, 1]]), lenses(3), depth)
     torch.testing.assert_close(swapped[:, [0, 2, 1]], pose, atol=1e-3, rtol=1e-3)
+
+
+def test_any_view_may_be_the_one_that_the_others_are_laid_upon():
+    """As if it came first, and everything is put back after; of two scenes each has its own."""
+    images = torch.rand(2, 3, 3, *SIZE, generator=torch.Generator().manual_seed(0))
+    torch.manual_seed(0)
+    aligner = Aligner().eval()
+    depth = 2 + torch.rand(2, 3, *SIZE, generator=torch.Generator().manual_seed(1))
+    geometry = Geometry(lenses(3).expand(2), depth, depth)
+    aligned = aligner.aligned(geometry, images, torch.tensor([2, 1]))
+    for row, order in enumerate(([2, 0, 1], [1, 0, 2])):
+        given = geometry.map(lambda tensor, row=row, order=order: tensor[row : row + 1, order])
+        expected = aligner.aligned(given, images[row : row + 1, order]).cameras.world_from_camera[0]
+        pose = aligned.cameras.world_from_camera[row]
+        assert torch.equal(pose[order[0]], torch.eye(4))
+        torch.testing.assert_close(pose[order], expected, atol=1e-4, rtol=1e-4)
+    assert torch.equal(aligned.depth, depth)
 
 
 def test_an_image_is_most_like_itself():

@@ -5,7 +5,7 @@ import torch
 from scipy.ndimage import map_coordinates
 
 from anystyle.perception import raft
-from anystyle.perception.correlations import RADIUS, WINDOW, correlation_pyramid, look_up
+from anystyle.perception.raft import RADIUS, WINDOW, correlation_pyramid, look_up
 from evaluation_cost import published_upsampling
 from oracle import hashed
 

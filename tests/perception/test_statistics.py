@@ -6,8 +6,14 @@ import torch
 from scipy.stats import wasserstein_distance
 from torch import Tensor
 
-from anystyle.perception.histogram import hellinger, rgb_uv_histogram
-from anystyle.perception.statistics import gram, mean_std, sliced_quantiles, unit_directions
+from anystyle.perception.statistics import (
+    gram,
+    hellinger,
+    mean_std,
+    rgb_uv_histogram,
+    sliced_quantiles,
+    unit_directions,
+)
 from oracle import assert_matches, golden, hashed
 
 

@@ -8,7 +8,7 @@ from skimage.exposure import equalize_hist
 from anystyle.data.images import read_image
 from anystyle.metrics.style_retrieval import StyleRetrieval
 from anystyle.perception import efficientnet, weights
-from anystyle.perception.style_statistics import centered_cosines, equalized_gray
+from anystyle.perception.statistics import centered_cosines, equalized_gray
 from anystyle.testing.inputs import images
 from anystyle.types import Comparison, Style
 from magenta_oracle import picture

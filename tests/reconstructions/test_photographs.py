@@ -48,6 +48,18 @@ def test_photographs_alone_give_a_view_that_was_held_out(photographs):
     assert longer.heldout is not None and longer.heldout.psnr > result.heldout.psnr
 
 
+def test_a_fit_is_the_same_in_any_order_of_photographs(photographs):
+    """Bit for bit, with the views that pixels come from and their exposures."""
+    images, cameras, _ = photographs
+    order = [3, 8, 0, 5, 4, 1, 7, 2, 6]  # the fifth is held out in both
+    first, other = (fit(given) for given in (photographs, (images[order], cameras.select(order), None)))
+    assert torch.equal(first.gaussians.means, other.gaussians.means)
+    assert torch.equal(first.gaussians.harmonics, other.gaussians.harmonics)
+    assert torch.equal(first.pixels, torch.cat([torch.tensor(order)[other.pixels[:, :1]], other.pixels[:, 1:]], dim=1))
+    assert torch.equal(first.gains[order], other.gains) and torch.equal(first.biases[order], other.biases)
+    assert first.gains.std() > 0
+
+
 @pytest.mark.parametrize("steps", [20, 60], ids=["amid the fit", "before the final steps"])
 def test_a_fit_that_was_broken_off_comes_to_the_same(photographs, tmp_path, steps):
     def stop(progress):

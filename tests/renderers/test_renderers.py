@@ -354,7 +354,7 @@ def test_refuses(renderer: Any, change: Callable[..., tuple[Gaussians, Cameras]]
 
 def test_refuses_other_devices() -> None:
     scene, views = gaussians(1, 10), cameras(1, 1, (4, 4))
-    with pytest.raises(ValueError, match="renderer=gsplat"):
+    with pytest.raises(ValueError, match="renderer=torch"):
         CpuRenderer()(scene.to("meta"), views.to("meta"))
     with pytest.raises(ValueError, match="renderer=cpu"):
         GsplatRenderer()(scene, views)

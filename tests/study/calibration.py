@@ -20,7 +20,7 @@ from scipy import special
 from anystyle.study.analysis import _means, _position
 from anystyle.study.contract import Responses
 from anystyle.study.crossed import Crossing
-from anystyle.study.simulate import Scenario, table
+from anystyle.study.power import Scenario, table
 from anystyle.study.tests.one_sample_t import OneSampleT
 from anystyle.study.tests.ordinal_mixed import OrdinalMixed
 from anystyle.study.tests.sign_flip import SignFlip

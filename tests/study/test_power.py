@@ -7,8 +7,15 @@ import pytest
 from scipy import stats
 
 from anystyle.study.contract import Scale
-from anystyle.study.power import PowerStudy, power_json, power_markdown, power_study, rejection_rates
-from anystyle.study.simulate import Scenario, simulate
+from anystyle.study.power import (
+    PowerStudy,
+    Scenario,
+    power_json,
+    power_markdown,
+    power_study,
+    rejection_rates,
+    simulate,
+)
 from anystyle.study.tests.crossed_t import CrossedT
 from anystyle.study.tests.one_sample_t import OneSampleT
 from anystyle.study.tests.sign_flip import SignFlip
@@ -142,8 +149,7 @@ def test_simulated_studies_have_the_design_of_a_drawn_one():
 
 
 def test_the_power_figure_is_drawn(study: PowerStudy, tmp_path):
-    from anystyle.study.figures import save
-    from anystyle.study.power_figure import power
+    from anystyle.study.figures import power, save
 
     for name in ("a.svg", "b.svg"):
         save(power(study), tmp_path / "power.svg")

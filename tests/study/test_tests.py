@@ -10,17 +10,15 @@ import pytest
 from scipy import stats
 
 from anystyle.study import clmm
-from anystyle.study.agreement import krippendorff_alpha
 from anystyle.study.contract import Responses
 from anystyle.study.crossed import Crossing
-from anystyle.study.effects import effects
+from anystyle.study.effects import effects, krippendorff_alpha
 from anystyle.study.probability import holm, log_t_cdf
-from anystyle.study.signed_rank import pseudo_median
 from anystyle.study.tests.crossed_t import CrossedT
 from anystyle.study.tests.one_sample_t import OneSampleT
 from anystyle.study.tests.ordinal_mixed import OrdinalMixed
 from anystyle.study.tests.sign_flip import SignFlip
-from anystyle.study.tests.wilcoxon import Wilcoxon
+from anystyle.study.tests.wilcoxon import Wilcoxon, pseudo_median
 
 
 def table(deviations, ours_is_a=None) -> Responses:

@@ -10,14 +10,11 @@ from PIL import Image
 
 from anystyle.contracts import StyleSource
 from anystyle.training.data import ATTEMPTS, SceneBatches
-from anystyle.training.feature_store import FeatureStore
-from anystyle.training.loggers import log_picture, make_loggers
-from anystyle.training.options import check_options, check_trainer
 from anystyle.training.run import make_data, make_training, train
 from anystyle.training.safeguards import FiniteLoss
-from anystyle.training.scene_cache import EncodedScenes
+from anystyle.training.scene_cache import EncodedScenes, FeatureStore
 from anystyle.training.sharding import Sharded
-from anystyle.training.trainer import make_trainer
+from anystyle.training.trainer import check_options, check_trainer, log_picture, make_loggers, make_trainer
 from anystyle.types import Style, Views
 from oracle import hashed
 from training_cases import STYLIZATION, configuration
@@ -186,7 +183,7 @@ def test_a_tracker_that_is_not_installed_names_its_extra(tmp_path, monkeypatch, 
         raise ModuleNotFoundError(name)
 
     loggers = {"wandb": "WandbLogger", "mlflow": "MLFlowLogger", "tensorboard": "TensorBoardLogger"}
-    monkeypatch.setattr(f"anystyle.training.loggers.{loggers[name]}", absent)
+    monkeypatch.setattr(f"anystyle.training.trainer.{loggers[name]}", absent)
     with pytest.raises(ImportError, match=rf'pip install "anystyle\[{extra}\]"'):
         make_loggers([name], tmp_path)
 

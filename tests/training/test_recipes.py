@@ -8,7 +8,7 @@ from omegaconf import OmegaConf
 from PIL import Image
 
 from anystyle.contracts import neutral_embedding
-from anystyle.data.paintings import read_square
+from anystyle.data.images import read_square
 from anystyle.data.wikiart import WikiArtStyles
 from anystyle.losses.content import Content
 from anystyle.losses.style import StyleLoss

@@ -12,7 +12,7 @@ from PIL import Image
 
 from anystyle.commands import export as export_command
 from anystyle.geometry.harmonics import constant_from_rgb
-from anystyle.inference.page import write_page
+from anystyle.inference.export import write_page
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
 from chromium import SOFTWARE_GL, browser, find_chromium

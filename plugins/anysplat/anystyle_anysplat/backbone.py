@@ -10,6 +10,7 @@ from torch import Tensor
 from anystyle import contracts
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.dpt import Dpt
+from anystyle.nn.reference_view import Strategy
 from anystyle.nn.scratch import FIELD_OF_VIEW, PIXELS
 from anystyle.published import Published
 from anystyle_anysplat.adapter import Adapter
@@ -26,7 +27,7 @@ class AnySplat(contracts.Backbone):
     """Cameras, depth and one Gaussian a pixel of a set of photographs, in one pass (AnySplat, arXiv 2505.23716).
 
     The defaults are the published network of 1.19 billion parameters. The published weights fix every option but
-    ``fuse``, ``sh_mode``, ``chunk`` and ``checkpointing``.
+    ``reference``, ``fuse``, ``sh_mode``, ``chunk`` and ``checkpointing``.
 
     Args:
         resolution: Shorter side, in pixels, that the weights were made for.
@@ -40,12 +41,14 @@ class AnySplat(contracts.Backbone):
         mlp_ratio: Width of all MLPs of transformers, in their channels.
         registers: Register tokens a view.
         rope_base: Of the frequencies of the rotary position embedding.
+        reference: How the view is chosen that others are seen from; as published, the first. See
+            :func:`anystyle.nn.reference_view.reference_view`.
         layer_scale: Initial LayerScale of the aggregator and the camera head.
         taps: The four layers that the heads read; the last is the aggregator's last.
         camera_depth: Blocks of the camera head.
         camera_heads: Its attention heads.
         camera_iterations: Its passes.
-        poses: ``regressed`` from camera tokens, as published, or ``aligned`` by matching patches with the first view's,
+        poses: ``regressed`` from camera tokens, as published, or ``aligned`` by matching patches with the reference's,
             which a network of a few million parameters can learn (see :class:`anystyle.nn.aligner.Aligner`).
         focal_epsilon: Added to the tangent of half a field of view where focal lengths are decoded.
         depth_features: Channels of the depth head's decoder.
@@ -112,6 +115,7 @@ class AnySplat(contracts.Backbone):
         mlp_ratio: float = 4.0,
         registers: int = 4,
         rope_base: float = 100.0,
+        reference: Strategy = "first",
         layer_scale: float = 0.01,
         taps: Sequence[int] = (4, 11, 17, 23),
         camera_depth: int = 4,
@@ -148,6 +152,7 @@ class AnySplat(contracts.Backbone):
             registers=registers,
             patch_size=patch_size,
             grid=native_resolution // patch_size,
+            reference=reference,
         )
         self.aggregator = Aggregator(
             dim=dim,

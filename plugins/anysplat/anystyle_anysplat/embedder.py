@@ -1,5 +1,6 @@
 """From photographs to tokens: DINOv2 with registers, then one camera token and register tokens a view."""
 
+from dataclasses import replace
 from typing import Literal
 
 import torch
@@ -10,6 +11,7 @@ from torch import Tensor, nn
 from anystyle import contracts
 from anystyle.nn.attention import Block, start_as_dino
 from anystyle.nn.pixels import grid_of, normalised
+from anystyle.nn.reference_view import Strategy, is_reference, reference_view
 from anystyle.types import Tokens
 
 
@@ -72,7 +74,7 @@ class Patches(nn.Module):
 class Embedder(contracts.Embedder):
     """Patch tokens of each view behind a camera token and register tokens.
 
-    The first view has camera and register tokens of its own; all others share theirs.
+    The reference view has camera and register tokens of its own; all others share theirs.
 
     Options are explained at :class:`~anystyle_anysplat.AnySplat`. ``grid`` is in patches.
     """
@@ -88,9 +90,11 @@ class Embedder(contracts.Embedder):
         registers: int,
         patch_size: int,
         grid: int,
+        reference: Strategy,
     ) -> None:
         super().__init__()
         self.patch_size = patch_size
+        self.reference: Strategy = reference
         self.patches = (
             Dino(dim=dim, depth=depth, heads=heads, patch_size=patch_size, grid=grid, mlp_ratio=mlp_ratio)
             if embed == "dino"
@@ -111,7 +115,7 @@ class Embedder(contracts.Embedder):
         grid = grid_of(images, self.patch_size)
         pixels = normalised(images.to(self.camera_token.dtype))
         patches = self.patches(pixels.flatten(0, 1)).unflatten(0, (batch, views))
-        special = torch.cat([self.camera_token, self.register_token], dim=2)  # 1 2 special C
-        special = torch.cat([special[:, :1], special[:, 1:].expand(-1, views - 1, -1, -1)], dim=1)
-        tokens = torch.cat([special.expand(batch, -1, -1, -1).to(patches.dtype), patches], dim=2)
-        return Tokens(data=tokens, grid=grid, special=special.shape[2])
+        tokens = Tokens(patches, grid, reference=reference_view(images, patches.mean(2), self.reference))
+        special = torch.cat([self.camera_token, self.register_token], dim=2)[0]  # 2 special C
+        special = special[1 - is_reference(tokens).long()].to(patches.dtype)  # B V special C
+        return replace(tokens, data=torch.cat([special, patches], dim=2), special=special.shape[2])

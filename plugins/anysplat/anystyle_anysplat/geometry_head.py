@@ -10,8 +10,7 @@ from anystyle import contracts
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.dpt import Dpt, by_views
 from anystyle.types import Features, Geometry
-from anystyle_anysplat.camera_head import CameraHead
-from anystyle_anysplat.pose import decode_pose
+from anystyle_anysplat.camera_head import CameraHead, decode_pose
 
 
 class GeometryHead(contracts.GeometryHead):
@@ -22,7 +21,7 @@ class GeometryHead(contracts.GeometryHead):
         depth: Predicts the logarithm of depth, and of confidence less one.
         taps: The layers that the depth head reads, four, in rising order.
         chunk: Views that the depth head decodes at a time; a matter of memory alone.
-        focal_epsilon: See :func:`anystyle_anysplat.pose.decode_pose`.
+        focal_epsilon: See :func:`anystyle_anysplat.camera_head.decode_pose`.
         aligner: Computes poses from matches instead of those of the camera head, whose focal lengths are kept.
     """
 
@@ -55,7 +54,9 @@ class GeometryHead(contracts.GeometryHead):
             logs = self.log_depth(features, size)
         depth, confidence = logs.float().exp().unbind(2)
         geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
-        return geometry if self.aligner is None else self.aligner.aligned(geometry, images)
+        if self.aligner is None:
+            return geometry
+        return self.aligner.aligned(geometry, images, features[self.taps[-1]].reference)
 
     def log_depth(self, features: Features, size: tuple[int, int]) -> Float[Tensor, "B V 2 H W"]:
         """The depth head's two maps, before the exponential."""

@@ -11,7 +11,6 @@ from anystyle import contracts
 from anystyle.nn.attention import Block, run, start_as_dino
 from anystyle.nn.rope import Rotary, grid_positions, rotary
 from anystyle.types import Features, Inject, Site, Tokens, untouched
-from anystyle_depth_anything.reference_view import in_order
 
 
 class Aggregator(contracts.Aggregator):
@@ -64,7 +63,7 @@ class Aggregator(contracts.Aggregator):
         return tuple(Site(_site(layer), self.dim, tapped=layer in tapped) for layer in range(self.start, self.depth))
 
     def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
-        """Turn the stem into tapped features, in the order of the input views."""
+        """Turn the stem into tapped features."""
         batch, views = stem.data.shape[:2]
         within, across = (
             rotary(positions(stem.grid), self.head_dim, base=self.rope_base, like=stem.data)
@@ -88,10 +87,7 @@ class Aggregator(contracts.Aggregator):
     def _tapped(self, local: Float[Tensor, "B V P C"], tokens: Tokens) -> Tokens:
         leading = torch.cat([local[:, :, :1], tokens.data[:, :, :1]], dim=-1)
         patches = torch.cat([local[:, :, 1:], self.norm(tokens.patches)], dim=-1)
-        data = torch.cat([leading, patches], dim=2)
-        if tokens.order is not None:
-            data = in_order(data, tokens.order.argsort(dim=1))
-        return Tokens(data, grid=tokens.grid, special=1)
+        return tokens.with_data(torch.cat([leading, patches], dim=2))
 
     def _run(self, block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary) -> Float[Tensor, "M L C"]:
         return run(block, x, angles, recompute=self.checkpointing and self.training)

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from anystyle import contracts
 from anystyle.nn.aligner import Aligner
+from anystyle.nn.reference_view import Strategy
 from anystyle.published import Published
 from anystyle_depth_anything.adapter import Adapter
 from anystyle_depth_anything.aggregator import Aggregator
@@ -39,12 +40,12 @@ class DepthAnything(contracts.Backbone):
         alternate_from: The block that the aggregator starts with: from here on every odd block sees all views.
         rope_base: Of the frequencies of the rotary position embedding.
         reference: How the view is chosen that others are seen from, where there are three or more; see
-            :func:`anystyle_depth_anything.reference_view.reference_view`.
+            :func:`anystyle.nn.reference_view.reference_view`.
         taps: The four layers that the heads read; the last is the trunk's last.
         camera_encoder_depth: Blocks of the encoder of known cameras; at 0 there is none.
         camera_encoder_heads: Its attention heads.
         rays: Whether the geometry head has the chain that tells rays.
-        poses: ``regressed`` from camera tokens, as published, or ``aligned`` by matching points with the first view's,
+        poses: ``regressed`` from camera tokens, as published, or ``aligned`` by matching points with the reference's,
             which a network of a few million parameters can learn (see :class:`anystyle.nn.aligner.Aligner`).
         depth_features: Channels of the depth head's decoder.
         depth_channels: Channels of its four levels.
@@ -103,7 +104,7 @@ class DepthAnything(contracts.Backbone):
         layer_scale: float = 1.0,
         alternate_from: int = 13,
         rope_base: float = 100.0,
-        reference: Literal["saddle_balanced", "saddle_sim_range", "middle", "first"] = "saddle_balanced",
+        reference: Strategy = "saddle_balanced",
         taps: Sequence[int] = (19, 27, 33, 39),
         camera_encoder_depth: int = 4,
         camera_encoder_heads: int = 16,

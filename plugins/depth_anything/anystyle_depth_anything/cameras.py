@@ -6,8 +6,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.nn.attention import Block, Mlp
+from anystyle.nn.pose import centred_cameras, encode, rotation_of
 from anystyle.types import Cameras
-from anystyle_depth_anything.pose import encode_pose
 
 
 class CameraDecoder(nn.Module):
@@ -46,3 +46,18 @@ class CameraEncoder(nn.Module):
         for block in self.trunk:
             x = block(x)
         return self.trunk_norm(x)
+
+
+LEAST_TANGENT = 1e-6
+"""Of half a field of view, so that the focal length of a field of 0 is finite."""
+
+
+def decode_pose(encoding: Float[Tensor, "B V 9"], size: tuple[int, int]) -> Cameras:
+    """Cameras, in OpenCV axes, of images with the principal point in the middle; fields of view are in radians."""
+    tangent = (encoding[..., 7:] / 2).tan().clamp_min(LEAST_TANGENT)
+    return centred_cameras(rotation_of(encoding), encoding[..., :3], tangent, size)
+
+
+def encode_pose(cameras: Cameras) -> Float[Tensor, "B V 9"]:
+    """The encoding of cameras, with the quaternion's real part at least 0."""
+    return encode(cameras.world_from_camera, cameras)

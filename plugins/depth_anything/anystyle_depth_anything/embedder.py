@@ -11,9 +11,9 @@ from torch import Tensor, nn
 from anystyle import contracts
 from anystyle.nn.attention import Block, start_as_dino
 from anystyle.nn.pixels import grid_of, normalised
+from anystyle.nn.reference_view import Strategy, is_reference, reference_view
 from anystyle.types import Cameras, Tokens
 from anystyle_depth_anything.cameras import CameraEncoder
-from anystyle_depth_anything.reference_view import LEAST_VIEWS, Strategy, in_order, order_of, reference_view
 
 OFFSET = 0.1
 """Added to the sides of a grid of patches where position embeddings are resampled, as DINOv2 was trained."""
@@ -22,8 +22,8 @@ OFFSET = 0.1
 class Embedder(contracts.Embedder):
     """DINOv2's blocks up to the first alternating one, reference-view selection and camera tokens.
 
-    Ahead of its last block the reference view is chosen, and the views reordered so that it comes first. In the stem a
-    camera token has taken the place of the class token.
+    Ahead of its last block the reference view is chosen. In the stem a camera token has taken the place of the class
+    token: the reference has one of its own, all other views share theirs.
 
     Options are explained at :class:`~anystyle_depth_anything.DepthAnything`. ``grid`` is in patches.
     """
@@ -73,10 +73,9 @@ class Embedder(contracts.Embedder):
         for block in self.blocks[:-1]:
             tokens = self._local(block, tokens)
         if cameras is None:
-            tokens = self.reordered(tokens)
+            tokens = replace(tokens, reference=reference_view(images, tokens.data[:, :, 0], self.reference))
         tokens = self._local(self.blocks[-1], tokens)
-        batch, views = images.shape[:2]
-        camera = self._camera_tokens(cameras, views).to(tokens.data.dtype).expand(batch, -1, -1)
+        camera = self._camera_tokens(cameras, tokens).to(tokens.data.dtype)
         return tokens.with_data(torch.cat([camera[:, :, None], tokens.patches], dim=2))
 
     def patches(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
@@ -101,22 +100,13 @@ class Embedder(contracts.Embedder):
         resampled = F.interpolate(stored, scale_factor=(rows, columns), mode="bicubic")
         return torch.cat([self.pos_embed[:, :1].float(), resampled.flatten(2).mT], dim=1)
 
-    def reordered(self, tokens: Tokens) -> Tokens:
-        """The views with the reference first; as they are where that is the first anyway."""
-        views = tokens.data.shape[1]
-        if views < LEAST_VIEWS or self.reference == "first":
-            return tokens
-        order = order_of(reference_view(tokens.data[:, :, 0], self.reference), views)
-        return replace(tokens, data=in_order(tokens.data, order), order=order)
-
     def _local(self, block: nn.Module, tokens: Tokens) -> Tokens:
         views = tokens.data.shape[1]
         return tokens.with_data(block(tokens.data.flatten(0, 1)).unflatten(0, (-1, views)))
 
-    def _camera_tokens(self, cameras: Cameras | None, views: int) -> Float[Tensor, "b V C"]:
+    def _camera_tokens(self, cameras: Cameras | None, tokens: Tokens) -> Float[Tensor, "B V C"]:
         if cameras is None:
-            # One of its own for the reference; all others share theirs.
-            return torch.cat([self.camera_token[:, :1], self.camera_token[:, 1:].expand(-1, views - 1, -1)], dim=1)
+            return self.camera_token[0][1 - is_reference(tokens).long()]
         if self.camera_encoder is None:
             raise ValueError("cameras are given, but this network has no encoder of them; set camera_encoder_depth")
         with torch.autocast(self.camera_token.device.type, enabled=False):

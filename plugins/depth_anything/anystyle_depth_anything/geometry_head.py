@@ -10,8 +10,7 @@ from anystyle import contracts
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.dpt import Dpt, by_views
 from anystyle.types import Features, Geometry
-from anystyle_depth_anything.cameras import CameraDecoder
-from anystyle_depth_anything.pose import decode_pose
+from anystyle_depth_anything.cameras import CameraDecoder, decode_pose
 from anystyle_depth_anything.rays import HIDDEN, RayChain
 
 
@@ -60,7 +59,9 @@ class GeometryHead(contracts.GeometryHead):
             )  # B V H W 2
         depth, confidence = logs.float().exp().unbind(-1)
         geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
-        return geometry if self.aligner is None else self.aligner.aligned(geometry, images)
+        if self.aligner is None:
+            return geometry
+        return self.aligner.aligned(geometry, images, features[self.taps[-1]].reference)
 
     def rays(self, features: Features) -> tuple[Float[Tensor, "B V h w 6"], Float[Tensor, "B V h w"]]:
         """Direction and origin of the ray of every place, eight to a patch's side, and their confidence.

@@ -5,7 +5,7 @@ import contextlib
 import functools
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,9 +16,10 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from anystyle import paths
-from anystyle.commands._flags import EPILOG, split
+from anystyle.commands._flags import EPILOG, new_parser, split
 from anystyle.commands._run import run, wants_traceback, words_of
 from anystyle.errors import UserError
+from anystyle.registry import once
 from anystyle.registry.compose import VERSION_BASE, check_words, choices, override
 from anystyle.registry.packages import groups
 from anystyle.registry.source import register
@@ -40,7 +41,7 @@ def main(
     """
 
     def command() -> None:
-        flags = parser or argparse.ArgumentParser(prog=f"anystyle {config_name}", allow_abbrev=False)
+        flags = parser or new_parser(config_name)
         describe(flags)
         arguments, rest = split(flags, words_of(words))
         task = functools.partial(function, arguments=arguments) if parser else function
@@ -76,7 +77,7 @@ def launch(config_name: str, function: Callable[[DictConfig], Any], words: Seque
             failures.append(error)
             return None
 
-    with _arguments(words), _raising():
+    with _arguments(words), _raising(), once.looking():
         hydra.main(version_base=VERSION_BASE, config_path=str(paths.CONF), config_name=config_name)(task)()
     if failures:
         raise failures[0]
@@ -126,3 +127,36 @@ def _raising() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+
+
+_LINE = "COMP_LINE"
+
+
+def complete(commands: Iterable[str], words: Sequence[str]) -> None:
+    """Answer a shell: print its installation script, or the words that may come next.
+
+    Args:
+        commands: All commands.
+        words: As Hydra takes them: ``install=bash``, ``uninstall=bash`` or ``query=bash``, with the line that is being
+            typed in ``COMP_LINE``; likewise for zsh and fish.
+    """
+    from anystyle.commands._compose import launch
+
+    names = list(commands)
+    if any(word.startswith("query=") for word in words):
+        typed = os.environ.get(_LINE, "").split(" ")[1:]
+        command = typed[0] if typed else ""
+        if len(typed) < 2:
+            print(" ".join(name for name in names if name.startswith(command)))
+            return
+        if command not in names or not (paths.CONF / f"{command}.yaml").is_file():
+            return
+        os.environ[_LINE] = " ".join(typed)
+        launch(command, _nothing, ["-sc", *words])
+    else:
+        configured = [name for name in names if (paths.CONF / f"{name}.yaml").is_file()]
+        launch(configured[0], _nothing, ["-sc", *words])
+
+
+def _nothing(config: object) -> None:
+    """Stands for the command, which completing does not run."""

@@ -2,7 +2,7 @@
 
 import argparse
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NoReturn
 
 from anystyle.errors import UserError, did_you_mean
@@ -24,6 +24,29 @@ Hydra: GROUP=NAME picks a component, KEY=VALUE sets an option; a file name with 
   -cd, --config-dir DIR  add a folder of configurations
   --info [defaults|...]  show how the configuration is composed; --hydra-help lists the rest
 """
+
+
+def new_parser(command: str, description: str | None = None, epilog: str | None = None) -> argparse.ArgumentParser:
+    """The parser of ``anystyle COMMAND``; no flag may be abbreviated."""
+    prog = f"anystyle {command}"
+    return argparse.ArgumentParser(prog=prog, description=description, epilog=epilog, allow_abbrev=False)
+
+
+def subcommand(command: str, about: str | None, choices: Mapping[str, str], words: Sequence[str]) -> str | None:
+    """Which of a command's subcommands the first of the words is; ``None`` where help is asked for, which is printed.
+
+    Raises:
+        UserError: It is none of them.
+    """
+    if not words or words[0] in ("-h", "--help", "help"):
+        rows = "\n".join(f"  {name:<8} {text}" for name, text in choices.items())
+        more = f"anystyle {command} COMMAND --help says more."
+        print(f"usage: anystyle {command} COMMAND ...\n\n{about}\n\n{rows}\n\n{more}")
+        return None
+    if words[0] not in choices:
+        near = did_you_mean(words[0], choices)
+        raise UserError(f"no {command} command is named {words[0]!r}.{near} Commands: {', '.join(choices)}")
+    return words[0]
 
 
 def is_override(word: str) -> bool:

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 
 import anystyle
-from anystyle.commands._flags import split
+from anystyle.commands._flags import new_parser, split
 from anystyle.commands._run import run, words_of
 from anystyle.documents import read_json
 from anystyle.inference import memory
@@ -54,11 +54,10 @@ class Measured:
 
 def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle benchmark``; every other word is an override of the model's configuration."""
-    flags = argparse.ArgumentParser(
-        prog="anystyle benchmark",
-        description="Measure this machine. model=NAME chooses a model, weights=... its weights, method=NAME a method "
+    flags = new_parser(
+        "benchmark",
+        "Measure this machine. model=NAME chooses a model, weights=... its weights, method=NAME a method "
         "that is measured beside the single pass; all as for stylize.",
-        allow_abbrev=False,
     )
     flags.add_argument("--views", default="2,4,8", help="numbers of views (default: %(default)s)")
     flags.add_argument("--size", default=None, metavar="HxW", help="of a view (default: the model's, square)")

@@ -6,13 +6,12 @@ import time
 from collections.abc import Sequence
 from pathlib import Path
 
-from anystyle.commands._flags import parse
+from anystyle.commands._flags import new_parser, parse, subcommand
 from anystyle.commands._run import run, words_of
 from anystyle.data.captioning import DEFAULT_MODEL, PROMPT, caption_folder, transformers_captioner
-from anystyle.data.checking import Report, check
+from anystyle.data.checking import Report, check, same_pictures
 from anystyle.data.images import SUFFIXES
-from anystyle.data.likeness import same_pictures
-from anystyle.errors import UserError, did_you_mean
+from anystyle.errors import UserError
 from anystyle.evaluation.layout import Layout, is_layout
 from anystyle.io.atomic import atomic_path
 
@@ -25,23 +24,16 @@ SUBCOMMANDS = {
 def main(words: Sequence[str] | None = None) -> None:
     """Run ``anystyle data``."""
     given = words_of(words)
-    if not given or given[0] in ("-h", "--help", "help"):
-        rows = "\n".join(f"  {name:<8} {text}" for name, text in SUBCOMMANDS.items())
-        print(f"usage: anystyle data COMMAND ...\n\n{__doc__}\n\n{rows}\n\nanystyle data COMMAND --help says more.")
-    elif given[0] == "check":
+    name = subcommand("data", __doc__, SUBCOMMANDS, given)
+    if name == "check":
         check_command(parse(check_parser(), given[1:]))
-    elif given[0] == "caption":
+    elif name == "caption":
         caption_command(parse(caption_parser(), given[1:]))
-    else:
-        known = ", ".join(SUBCOMMANDS)
-        raise UserError(
-            f"no data command is named {given[0]!r}.{did_you_mean(given[0], SUBCOMMANDS)} Commands: {known}"
-        )
 
 
 def check_parser() -> argparse.ArgumentParser:
     """The words of ``anystyle data check``."""
-    words = argparse.ArgumentParser(prog="anystyle data check", description=SUBCOMMANDS["check"], allow_abbrev=False)
+    words = new_parser("data check", SUBCOMMANDS["check"])
     words.add_argument("path", type=Path, help="a folder")
     words.add_argument(
         "--as",
@@ -129,9 +121,7 @@ def _overlap(root: Path, tests: Path, write: Path | None) -> None:
 
 def caption_parser() -> argparse.ArgumentParser:
     """The words of ``anystyle data caption``."""
-    words = argparse.ArgumentParser(
-        prog="anystyle data caption", description=SUBCOMMANDS["caption"], allow_abbrev=False
-    )
+    words = new_parser("data caption", SUBCOMMANDS["caption"])
     words.add_argument("path", type=Path, help="a folder, walked to any depth")
     words.add_argument(
         "--model", default=DEFAULT_MODEL, help="of the image-text-to-text pipeline (default: %(default)s)"

@@ -8,20 +8,21 @@ import time
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.commands._bars import Bar
 from anystyle.commands._compose import describe, job_folder, launch, override, run, split, with_sweep
+from anystyle.commands._flags import new_parser
 from anystyle.commands._options import Shared, checked
 from anystyle.commands._run import words_of
 from anystyle.contracts import Correspondence, Metric, SceneSource, StyleEncoder, StyleSource
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
-from anystyle.evaluation.config_lock import bind
 from anystyle.evaluation.contract import Evaluation, Protocol
+from anystyle.evaluation.resume import bind
 from anystyle.inference.assemble import assemble_frozen, default_device, make_method, weights_file
 from anystyle.io.checkpoint import load_part
 from anystyle.registry.build import build, build_all
@@ -33,11 +34,10 @@ FOLDERS = ("content", "style", "stylized", "depth")
 
 def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle evaluate``; every other word is a Hydra override."""
-    flags = argparse.ArgumentParser(
-        prog="anystyle evaluate",
-        description="Judge a model on a protocol (protocol=paper_image scenes=folder scenes.root=DIR styles=folder "
+    flags = new_parser(
+        "evaluate",
+        "Judge a model on a protocol (protocol=paper_image scenes=folder scenes.root=DIR styles=folder "
         "styles.root=DIR), or any method's images (--content, --style, --stylized).",
-        allow_abbrev=False,
     )
     flags.add_argument("--content", metavar="DIR", help="photographs: SCENE/FRAME.png")
     flags.add_argument("--style", metavar="DIR", help="style images: STYLE.png")
@@ -171,7 +171,7 @@ def main(words: Sequence[str] | None = None) -> None:
     """Be the command: with ``--run``, once for each run that is found."""
 
     def command() -> None:
-        from anystyle.evaluation.training_runs import trained_runs
+        from anystyle.evaluation.runs import trained_runs
 
         flags = parser()
         describe(flags)
@@ -190,6 +190,49 @@ def main(words: Sequence[str] | None = None) -> None:
             launch("evaluate", lambda config, run_=run_, out=out: evaluate(run_.into(config), out), rest)
 
     run(command)
+
+
+_QUIET_SECONDS = 10.0
+
+
+class Bar:
+    """Told of stages, shows a progress bar for each; without a terminal a line for each stage, and now and then one."""
+
+    def __init__(self) -> None:
+        self._terminal = sys.stderr.isatty()
+        self._stage = ""
+        self._spoken = 0.0
+        self._bars = None
+        self._task = None
+
+    def __enter__(self) -> "Bar":
+        if self._terminal:
+            from rich.console import Console
+            from rich.progress import Progress, TimeRemainingColumn
+
+            self._bars = Progress(
+                *Progress.get_default_columns()[:-1], TimeRemainingColumn(), console=Console(stderr=True)
+            )
+            self._bars.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._bars is not None:
+            self._bars.stop()
+
+    def __call__(self, stage: str, done: int, total: int) -> None:
+        """Say how far a stage is."""
+        if self._bars is not None:
+            if stage != self._stage:
+                self._task = self._bars.add_task(stage, total=total)
+            assert self._task is not None
+            self._bars.update(self._task, completed=done, total=total)
+        elif stage != self._stage or done == total or time.monotonic() - self._spoken > _QUIET_SECONDS:
+            print(f"{stage} {done}/{total} …", file=sys.stderr, flush=True)
+            self._spoken = time.monotonic()
+        self._stage = stage
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from anystyle.commands._flags import parse
+from anystyle.commands._flags import new_parser, parse
 from anystyle.commands._run import run, words_of
 from anystyle.errors import UserError
 
@@ -12,11 +12,7 @@ FORMATS = ("glb", "spz", "sog", "splat", "ply", "html")
 
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle export``."""
-    words = argparse.ArgumentParser(
-        prog="anystyle export",
-        description="Write a scene in another format.",
-        allow_abbrev=False,
-    )
+    words = new_parser("export", "Write a scene in another format.")
     words.add_argument(
         "scene", type=Path, help="a PLY file of any degree, compressed or not, or a folder of anystyle stylize"
     )
@@ -37,7 +33,7 @@ def parser() -> argparse.ArgumentParser:
 def export(arguments: argparse.Namespace) -> None:
     """Run the command."""
     from anystyle.inference import export as files
-    from anystyle.inference.page import write_page
+    from anystyle.inference.export import write_page
     from anystyle.inference.saved import read_saved
 
     name = arguments.to or arguments.out.suffix.lstrip(".").lower()

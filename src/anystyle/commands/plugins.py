@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from typing import get_args
 
 from anystyle import paths
-from anystyle.commands._flags import parse
+from anystyle.commands._flags import new_parser, parse
 from anystyle.commands._run import run, words_of
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import Catalog, Plugin, catalog, kind_named
@@ -23,12 +23,11 @@ SUBCOMMANDS = ("check", "new")
 
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle plugins``."""
-    words = argparse.ArgumentParser(
-        prog="anystyle plugins",
-        description="Without arguments, or with list: every plugin by name. With a KIND: what each is, and its "
+    words = new_parser(
+        "plugins",
+        "Without arguments, or with list: every plugin by name. With a KIND: what each is, and its "
         "options. With a NAME: one plugin in full; only this imports it.",
         epilog="anystyle plugins check KIND NAME runs a plugin's contract; anystyle plugins new KIND NAME begins one.",
-        allow_abbrev=False,
     )
     words.add_argument("kind", nargs="?", help="one of: " + ", ".join(KINDS))
     words.add_argument("name", nargs="?", help="a plugin of that kind")

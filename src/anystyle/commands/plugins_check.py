@@ -9,7 +9,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from anystyle.commands._flags import parse
+from anystyle.commands._flags import new_parser, parse
 from anystyle.commands._run import run, words_of
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import PluginError, catalog
@@ -23,11 +23,10 @@ WIDTH = 100
 
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle plugins check``."""
-    words = argparse.ArgumentParser(
-        prog="anystyle plugins check",
-        description="Run the contract of a plugin, installed or not, and report all that is broken at once: what was "
+    words = new_parser(
+        "plugins check",
+        "Run the contract of a plugin, installed or not, and report all that is broken at once: what was "
         "given, what was expected, what to change. Exit status 0: all is kept; 1: it is not; 2: no such plugin.",
-        allow_abbrev=False,
     )
     words.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(KINDS))
     words.add_argument("name", metavar="NAME", help="a plugin of that kind")

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from anystyle import paths
-from anystyle.commands._flags import parse
+from anystyle.commands._flags import new_parser, parse
 from anystyle.commands._run import run, words_of
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
@@ -27,11 +27,10 @@ _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle plugins new``."""
-    words = argparse.ArgumentParser(
-        prog="anystyle plugins new",
-        description="Write a folder with a plugin that works and keeps its contract: a class on trivial maths, the "
+    words = new_parser(
+        "plugins new",
+        "Write a folder with a plugin that works and keeps its contract: a class on trivial maths, the "
         "line that declares it, a test and a README.",
-        allow_abbrev=False,
     )
     words.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(KINDS))
     words.add_argument("name", metavar="NAME", help="how configurations call it: a-z, 0-9 and '_'")

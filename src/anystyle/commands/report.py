@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from anystyle.commands._flags import parse
+from anystyle.commands._flags import new_parser, parse
 from anystyle.commands._run import run, words_of
 from anystyle.evaluation import plots, published, report, runs
 from anystyle.evaluation.tables import STAND_IN, Table
@@ -19,11 +19,10 @@ _COLORS = {"ours": plots.OURS, "stand-in": plots.STOOD_IN, "published": plots.PU
 
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle report``."""
-    words = argparse.ArgumentParser(
-        prog="anystyle report",
-        description="Set runs side by side: evaluations, trainings, the jobs of a multirun. A row for each variant "
+    words = new_parser(
+        "report",
+        "Set runs side by side: evaluations, trainings, the jobs of a multirun. A row for each variant "
         "(runs that differ by seed alone are one), figures in columns; jobs that failed are rows that say so.",
-        allow_abbrev=False,
     )
     words.add_argument("folders", nargs="*", type=Path, metavar="DIR", help="a run, a multirun, or a folder of these")
     words.add_argument("--figures", default="", metavar="A,B", help="which figures, in this order (default: all)")

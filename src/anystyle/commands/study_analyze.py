@@ -7,6 +7,7 @@ from pathlib import Path
 
 from msgspec import structs
 
+from anystyle.commands._flags import new_parser
 from anystyle.commands._study_options import build_tests
 from anystyle.io.atomic import atomic_directory
 from anystyle.study import figures, report
@@ -22,13 +23,12 @@ from anystyle.study.verdicts import took_part, verdict
 
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle study analyze``."""
-    words = argparse.ArgumentParser(
-        prog="anystyle study analyze",
-        description="Read answers (CSV, JSON or SQLite, one a row), undo the positions, leave out whom the design's "
+    words = new_parser(
+        "study analyze",
+        "Read answers (CSV, JSON or SQLite, one a row), undo the positions, leave out whom the design's "
         "rules say, and test every question for new participants, scenes and styles. Writes analysis.json, results.md, "
         "results.tex, report.html and figures/.",
         epilog="Words such as wilcoxon.zero_method=pratt set a test's options; anystyle plugins study_test lists them.",
-        allow_abbrev=False,
     )
     words.add_argument("responses", nargs="+", help="files of answers, or folders of them; and TEST.OPTION=VALUE")
     words.add_argument("--out", type=Path, required=True, help="where the results go")

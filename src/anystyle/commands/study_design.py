@@ -3,6 +3,7 @@
 import argparse
 from pathlib import Path
 
+from anystyle.commands._flags import new_parser
 from anystyle.commands._study_options import read_plan
 from anystyle.errors import UserError
 from anystyle.study.design import Sources, design
@@ -10,15 +11,14 @@ from anystyle.study.design import Sources, design
 
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle study design``."""
-    words = argparse.ArgumentParser(
-        prog="anystyle study design",
-        description="Draw a study from two or more methods' results, laid out as SCENE/STYLE.png or SCENE/STYLE/*.png: "
+    words = new_parser(
+        "study design",
+        "Draw a study from two or more methods' results, laid out as SCENE/STYLE.png or SCENE/STYLE/*.png: "
         "sets balanced over scenes and styles, positions balanced over participants and sets, orders from Latin "
         "squares, attention checks; of a larger pool, each one sees a balanced part. Writes study.json, pictures "
         "and a report on the balance.",
         epilog="study=paper (the default), study=pilot, study=online or study=FILE.yaml says what is asked; words "
         "such as participants=20 change it; anystyle study design --show prints it.",
-        allow_abbrev=False,
     )
     words.add_argument("options", nargs="*", metavar="OPTION=VALUE", help="changes to the configuration")
     words.add_argument("--method", action="append", default=[], metavar="NAME=FOLDER", help="results; at least twice")

@@ -4,6 +4,7 @@ import argparse
 from contextlib import closing
 from pathlib import Path
 
+from anystyle.commands._flags import new_parser
 from anystyle.study.form import write_page
 from anystyle.study.protocol import read_study
 from anystyle.study.server import serve
@@ -12,11 +13,10 @@ from anystyle.study.store import Store
 
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle study form``."""
-    words = argparse.ArgumentParser(
-        prog="anystyle study form",
-        description="Write the study as one page that works offline, keeps answers in the browser and saves them as "
+    words = new_parser(
+        "study form",
+        "Write the study as one page that works offline, keeps answers in the browser and saves them as "
         "JSON at the end; or serve it, with every answer on the disk before the next.",
-        allow_abbrev=False,
     )
     words.add_argument("study", type=Path, help="the folder that `anystyle study design` made")
     words.add_argument("--out", type=Path, help="the page to write (default: form.html in the study's folder)")

@@ -6,12 +6,12 @@ import sys
 from dataclasses import fields
 from pathlib import Path
 
+from anystyle.commands._flags import new_parser
 from anystyle.commands._study_options import build_tests
 from anystyle.io.atomic import atomic_directory
 from anystyle.study import figures
-from anystyle.study.power import power_json, power_markdown, power_study
-from anystyle.study.power_figure import power
-from anystyle.study.simulate import Scenario
+from anystyle.study.figures import power
+from anystyle.study.power import Scenario, power_json, power_markdown, power_study
 
 DEFAULT_TESTS = ("one_sample_t", "wilcoxon", "crossed_t")
 
@@ -19,12 +19,11 @@ DEFAULT_TESTS = ("one_sample_t", "wilcoxon", "crossed_t")
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle study power``."""
     scenario = Scenario()
-    words = argparse.ArgumentParser(
-        prog="anystyle study power",
-        description="Simulate studies with differences between participants, sets, scenes and styles: how often each "
+    words = new_parser(
+        "study power",
+        "Simulate studies with differences between participants, sets, scenes and styles: how often each "
         "test finds a preference that is there and one that is not, and how many participants it needs. The defaults "
         "are the paper's design.",
-        allow_abbrev=False,
     )
     words.add_argument("options", nargs="*", metavar="TEST.OPTION=VALUE", help="options of the tests")
     words.add_argument(

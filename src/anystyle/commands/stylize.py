@@ -12,11 +12,13 @@ from omegaconf import DictConfig, OmegaConf
 
 from anystyle import api
 from anystyle.commands._compose import job_folder, main, with_sweep
-from anystyle.commands._controls import add_controls, given_controls, with_values
+from anystyle.commands._flags import new_parser
 from anystyle.commands._options import Stylize, checked
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.inference import memory
 from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
+from anystyle.inference.controls import Controls, combinations
+from anystyle.inference.masks import parsed
 from anystyle.inference.options import PoseOptions, ViewOptions
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import Mixture, StyleInput, check_text
@@ -30,11 +32,10 @@ from anystyle.types import Style, Views
 
 def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle stylize``; every other word is a Hydra override."""
-    flags = argparse.ArgumentParser(
-        prog="anystyle stylize",
-        description="Stylize photographs as a 3D Gaussian scene. Words such as key=value are Hydra overrides.",
+    flags = new_parser(
+        "stylize",
+        "Stylize photographs as a 3D Gaussian scene. Words such as key=value are Hydra overrides.",
         epilog="Every option of every component: anystyle stylize --cfg job",
-        allow_abbrev=False,
     )
     flags.add_argument(
         "inputs",
@@ -179,6 +180,63 @@ def given_styles(arguments: argparse.Namespace, config: DictConfig, amounts: Seq
         return styles
     first, second = styles
     return [Mixture(first, second, amount) for amount in amounts]
+
+
+def add_controls(parser: argparse.ArgumentParser) -> None:
+    """Add them; each takes several values, and every combination is a result."""
+    group = parser.add_argument_group("how a style is applied; several values make a strip")
+    group.add_argument("--strength", action="append", default=[], metavar="0..1", help="0 is the unstyled scene")
+    group.add_argument(
+        "--preserve-color", action="append", default=[], metavar="0..1", help="keep the scene's hues; alone it means 1"
+    )
+    group.add_argument("--scale", action="append", default=[], metavar="FACTOR", help="size of strokes of --image")
+    group.add_argument(
+        "--mask",
+        action="append",
+        default=[],
+        metavar="WHERE",
+        help="where style enters: a folder of masks, sphere:X,Y,Z,RADIUS or box:X,Y,Z,X,Y,Z; ,soft=WIDTH behind it",
+    )
+
+
+def with_values(words: Sequence[str]) -> list[str]:
+    """The words, and the value that ``--preserve-color`` alone stands for."""
+    return ["--preserve-color=1" if _alone(words, index) else word for index, word in enumerate(words)]
+
+
+def _alone(words: Sequence[str], index: int) -> bool:
+    if words[index] != "--preserve-color" or "--" in words[:index]:
+        return False
+    following = words[index + 1] if index + 1 < len(words) else ""
+    return not all(_is_number(word) for word in following.split(","))
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+def given_controls(arguments: argparse.Namespace) -> list[Controls]:
+    """Every combination of the values of the flags.
+
+    Raises:
+        ValueError: A value is no number, out of its range, or no mask.
+    """
+    return combinations(
+        *(_numbers(flag, getattr(arguments, flag)) for flag in ("strength", "preserve_color", "scale")),
+        mask=[parsed(word) for word in arguments.mask],
+    )
+
+
+def _numbers(flag: str, words: Sequence[str]) -> list[float]:
+    values = ",".join(words).split(",") if words else []
+    for word in values:
+        if not _is_number(word):
+            raise ValueError(f"--{flag.replace('_', '-')} takes numbers, not {word!r}")
+    return [float(word) for word in values]
 
 
 if __name__ == "__main__":

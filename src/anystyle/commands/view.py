@@ -13,14 +13,14 @@ from jaxtyping import Float
 from omegaconf import DictConfig
 from torch import Tensor
 
-from anystyle.commands._flags import split
+from anystyle.commands._flags import new_parser, split
 from anystyle.commands._options import Stylize, checked
 from anystyle.commands._run import run, words_of
 from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
 from anystyle.inference.encoding import encode_capture, encode_splat
+from anystyle.inference.export import write_page
 from anystyle.inference.licenses import licenses, lines
 from anystyle.inference.options import PoseOptions
-from anystyle.inference.page import write_page
 from anystyle.inference.saved import is_saved, read_saved
 from anystyle.inference.stages import Stages
 from anystyle.reconstructions.contract import Reconstruction
@@ -35,10 +35,9 @@ Render = Callable[[Gaussians, Cameras], Iterator[Float[Tensor, "3 H W"]]]
 
 def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle view``; words such as model=... are Hydra's, as those of ``anystyle stylize``."""
-    flags = argparse.ArgumentParser(
-        prog="anystyle view",
-        description="Look at a scene, and give it styles: photographs, a folder of anystyle stylize, or a PLY file.",
-        allow_abbrev=False,
+    flags = new_parser(
+        "view",
+        "Look at a scene, and give it styles: photographs, a folder of anystyle stylize, or a PLY file.",
     )
     flags.add_argument("input", type=Path, help="a folder of photographs or of results, a video, or a .ply file")
     flags.add_argument("--html", type=Path, metavar="FILE", help="write one page with all saved styles, and end")

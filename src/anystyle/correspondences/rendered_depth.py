@@ -3,7 +3,7 @@
 import torch
 
 from anystyle.contracts import Correspondence
-from anystyle.geometry.reprojection import depth_around, reproject
+from anystyle.geometry.warp import depth_around, reproject
 from anystyle.types import Flow, Frames
 
 

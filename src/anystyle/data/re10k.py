@@ -18,7 +18,7 @@ from anystyle.contracts import SceneSource
 from anystyle.data.folder import SourceImage, as_views, common_size, read_picture, room_for_views
 from anystyle.data.images import image_size
 from anystyle.documents import read_json
-from anystyle.io.tensors import read_tensors
+from anystyle.io.arrays import read_tensors
 from anystyle.types import Cameras, Views
 
 

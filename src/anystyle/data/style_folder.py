@@ -6,9 +6,9 @@ from pathlib import Path
 from PIL import Image
 
 from anystyle.contracts import StyleSource
-from anystyle.data.captions import read_captions
+from anystyle.data.captioning import read_captions
 from anystyle.data.folder import image_files
-from anystyle.data.paintings import listing, read_square, readable
+from anystyle.data.images import listing, read_square, readable
 from anystyle.types import Style
 
 logger = logging.getLogger(__name__)

@@ -9,8 +9,8 @@ import torch
 from PIL import Image
 
 from anystyle.contracts import StyleSource
-from anystyle.data.captions import read_captions
-from anystyle.data.paintings import listing, read_square, readable
+from anystyle.data.captioning import read_captions
+from anystyle.data.images import listing, read_square, readable
 from anystyle.documents import read_text
 from anystyle.types import Style
 

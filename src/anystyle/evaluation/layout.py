@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from anystyle.data.captions import read_captions
+from anystyle.data.captioning import read_captions
 from anystyle.data.folder import image_files, natural
 
 SCENES = ("Train", "Truck", "M60", "Garden")

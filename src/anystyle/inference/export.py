@@ -1,6 +1,6 @@
 """A scene as a file of any format, in the axes that its readers expect."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -8,10 +8,10 @@ from torch import Tensor
 
 from anystyle.errors import did_you_mean
 from anystyle.geometry.similarity import Similarity, y_up_from_opencv
-from anystyle.io import ply
+from anystyle.io import page, ply
 from anystyle.io.formats import glb, sog, spz
 from anystyle.io.formats import splat as splat_file
-from anystyle.types import Gaussians
+from anystyle.types import Cameras, Gaussians
 
 UP = ("opencv", "y", "z")
 """Axes: x right, y down, z forward; x right, y up, z back; x right, y forward, z up. All are right-handed."""
@@ -98,3 +98,46 @@ def _turn(up: str, like: Tensor) -> Similarity:
     if up == "z":
         return Similarity(like.new_ones(()), like.new_tensor(Z_UP_FROM_OPENCV), like.new_zeros(3))
     raise ValueError(f"up={up}; choose one of {', '.join(UP)}")
+
+
+def write_page(
+    path: Path, styles: Sequence[tuple[str, Gaussians]], cameras: Cameras, *, title: str = "", notes: str = ""
+) -> None:
+    """Write one scene in its styles; whole or not at all. The last style is shown at first.
+
+    Args:
+        path: An ``.html`` file.
+        styles: Titles, and batches of one scene in OpenCV's axes, all of one geometry.
+        cameras: A batch of one scene; the page begins at the first.
+        title: For people.
+        notes: Lines of the caption, such as licences.
+
+    Raises:
+        ValueError: Styles are not of one geometry, or nothing is visible.
+    """
+    seen = styles[0][1].opacities[0] > 0
+    if not bool(seen.any()):
+        raise ValueError("the scene has no Gaussians that are visible; there is nothing to show")
+    entries: list[page.PageStyle] = []
+    for name, gaussians in styles:
+        tensors = (gaussians.means, gaussians.rotations, gaussians.scales, gaussians.opacities, gaussians.harmonics)
+        if gaussians.means.shape[1] != len(seen):
+            raise ValueError(f"the style {name!r} has other Gaussians than {styles[0][0]!r}; one page, one scene")
+        entries.append(page.PageStyle(name, ply.Splats(*(tensor[0][seen] for tensor in tensors))))
+    page.write(path, entries, places(cameras), title=title, notes=notes.splitlines(), first=len(entries) - 1)
+
+
+def places(cameras: Cameras) -> list[page.PageCamera]:
+    """Cameras of one scene as a page has them."""
+    height, width = cameras.size
+    poses, intrinsics = cameras.world_from_camera[0].cpu(), cameras.intrinsics[0].cpu()
+    return [
+        page.PageCamera(
+            position=pose[:3, 3].tolist(),
+            axes=pose[:3, :3].mT.tolist(),
+            focal=(float(matrix[0, 0]), float(matrix[1, 1])),
+            center=(float(matrix[0, 2]), float(matrix[1, 2])),
+            size=(width, height),
+        )
+        for pose, matrix in zip(poses, intrinsics, strict=True)
+    ]

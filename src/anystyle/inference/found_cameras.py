@@ -15,9 +15,8 @@ from anystyle.data.folder import Original, SourceImage, as_views, common_size, c
 from anystyle.geometry.similarity import Similarity
 from anystyle.inference.options import ViewOptions
 from anystyle.reconstructions.sfm.cameras import PosedPhotographs, cameras_from_photographs
-from anystyle.reconstructions.sfm.model import Lens
+from anystyle.reconstructions.sfm.model import Lens, is_distorted, undistorted_image
 from anystyle.reconstructions.sfm.photographs import photograph_with_exif
-from anystyle.reconstructions.sfm.undistort import is_distorted, undistorted_image
 from anystyle.reconstructions.sfm.verdict import FEWEST_VIEWS, Verdict
 from anystyle.types import Cameras, Views
 

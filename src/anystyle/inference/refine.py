@@ -11,6 +11,7 @@ from torch import Tensor
 from anystyle.contracts import Adapter
 from anystyle.geometry.bundle import Bundle, Tracks, adjust
 from anystyle.geometry.matching import PatchMatches, describe_points, grid_points, match_points
+from anystyle.nn.reference_view import in_order, reference_first
 from anystyle.types import Cameras, Geometry, Scene
 
 MIN_MATCHES = 20
@@ -31,7 +32,8 @@ def refine(scene: Scene, adapter: Adapter) -> Scene:
 
     Patches of the views are matched near where the predicted geometry expects them, bundle adjustment moves cameras
     and depth to where the matches want them, and both are done once more from there. Nothing is learnt, and nothing but
-    the photographs and the predicted geometry is looked at; depth is read as distance along z. Focal lengths stay.
+    the photographs and the predicted geometry is looked at; depth is read as distance along z. Focal lengths stay, and
+    so does the camera of the view that the others are seen from.
 
     Args:
         scene: As encoded; one view alone is returned as it is.
@@ -39,8 +41,12 @@ def refine(scene: Scene, adapter: Adapter) -> Scene:
     """
     if scene.views.images.shape[1] < 2:
         return scene
-    rows = [_refined(scene.views.images[row], scene.geometry, row) for row in range(scene.batch)]
-    poses, scales = (torch.stack(parts) for parts in zip(*rows, strict=True))
+    reference = scene.stem.reference
+    first = torch.zeros(scene.batch, dtype=torch.long, device=scene.views.images.device)
+    order = reference_first(first if reference is None else reference, scene.views.images.shape[1])
+    images, geometry = in_order(scene.views.images, order), scene.geometry.map(lambda tensor: in_order(tensor, order))
+    rows = [_refined(images[row], geometry, row) for row in range(scene.batch)]
+    poses, scales = (in_order(torch.stack(parts), order.argsort(dim=1)) for parts in zip(*rows, strict=True))
     cameras = replace(scene.geometry.cameras, world_from_camera=poses)
     geometry = replace(scene.geometry, cameras=cameras, depth=scene.geometry.depth * scales[..., None, None])
     return replace(scene, geometry=geometry, clusters=adapter.cluster(geometry, scene.attributes))

@@ -15,13 +15,11 @@ from anystyle.geometry.cameras import smooth_path
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.inference.controlled import Controlled
 from anystyle.inference.encoding import EncodedCapture
-from anystyle.inference.export import export
+from anystyle.inference.export import export, write_page
 from anystyle.inference.licenses import lines, report_entry
 from anystyle.inference.options import ExportOptions, VideoOptions
-from anystyle.inference.page import write_page
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import EmbeddedStyle
-from anystyle.io import cameras as cameras_json
 from anystyle.io import colmap, ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.checkpoint import save_tensors
@@ -32,6 +30,7 @@ from anystyle.methods.contract import Method
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians
 
+CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
 MAX_POINTS = 100_000
 """Points of a COLMAP export: what an optimisation of Gaussians starts from."""
 
@@ -236,16 +235,35 @@ def save_gaussians(gaussians: Gaussians, path: Path) -> None:
 
 
 def write_cameras(path: Path, encoded: EncodedCapture) -> None:
-    """Write the cameras of the input views, with intrinsics in pixels of the source images, as readable JSON."""
-    sources, cameras = encoded.sources, encoded.cameras
-    cameras_json.write(
-        path,
-        [source.name for source in sources],
-        [source.size for source in sources],
-        _source_intrinsics(encoded, cameras.intrinsics[0].cpu()),
-        cameras.world_from_camera[0],
-        scene_from_known=encoded.scene_from_known,
+    """Write the cameras of the input views as readable JSON, whole or not at all.
+
+    Intrinsics are in pixels of the source images; where known cameras were given, the similarity from their frame to
+    the scene's is written, too.
+    """
+    cameras = encoded.cameras.to("cpu")
+    rows = zip(
+        encoded.sources, _source_intrinsics(encoded, cameras.intrinsics[0]), cameras.world_from_camera[0], strict=True
     )
+    views = [
+        {
+            "name": source.name,
+            "height": source.size[0],
+            "width": source.size[1],
+            "intrinsics": intrinsics.tolist(),
+            "world_from_camera": pose.tolist(),
+        }
+        for source, intrinsics, pose in rows
+    ]
+    content: dict[str, object] = {"convention": CONVENTION, "views": views}
+    if encoded.scene_from_known is not None:
+        scale, rotation, translation = encoded.scene_from_known
+        content["scene_from_known"] = {
+            "meaning": "scene = scale * rotation @ known + translation",
+            "scale": float(scale),
+            "rotation": rotation.tolist(),
+            "translation": translation.tolist(),
+        }
+    write_json(path, content)
 
 
 def write_colmap(folder: Path, gaussians: Gaussians, encoded: EncodedCapture, *, binary: bool) -> None:

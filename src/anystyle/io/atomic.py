@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import psutil
+from filelock import FileLock, Timeout
 
 from anystyle.documents import kept_json, plain
 
@@ -156,3 +157,32 @@ def _sweep(target: Path) -> None:
                 entry.rename(target / entry.name)
     for left in (*_left(target, _REPLACED), *_left(target, _PARTIAL)):
         shutil.rmtree(left, ignore_errors=True)
+
+
+@contextmanager
+def folder_lock(folder: Path, refusal: str) -> Iterator[None]:
+    """Keep other processes out of a folder until the block ends, however it ends.
+
+    Args:
+        folder: Made where it is missing; the lock is its file ``.lock``, which stays unless nothing else was made.
+        refusal: The message of the error.
+
+    Raises:
+        ValueError: Another process holds the folder.
+    """
+    created = [path for path in (folder, *folder.parents) if not path.exists()]
+    folder.mkdir(parents=True, exist_ok=True)
+    lock = FileLock(folder / ".lock")
+    try:
+        lock.acquire(blocking=False)
+    except Timeout:
+        raise ValueError(refusal) from None
+    try:
+        yield
+    finally:
+        lock.release()
+        if [entry.name for entry in folder.iterdir()] == [".lock"]:
+            (folder / ".lock").unlink()  # nothing came of it
+            for path in created:
+                with suppress(OSError):
+                    path.rmdir()

@@ -1,19 +1,20 @@
 """3DGS PLY files, as SuperSplat, viser and the original viewer read them."""
 
-from math import isqrt
+from math import isqrt, sqrt
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from jaxtyping import Float
+from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
 from anystyle.capacity import require
 from anystyle.documents import regular
-from anystyle.io import compressed_ply
 from anystyle.io.atomic import atomic_path
+from anystyle.io.packing import smallest_three_to_wxyz
 
 MAX_DEGREE = 3
 """What viewers read; higher coefficients are left out."""
@@ -102,7 +103,7 @@ def read(path: Path) -> Splats:
     try:
         data = PlyData.read(path)
         vertices = data["vertex"].data
-        columns = compressed_ply.unpack(data) if "chunk" in data else {}
+        columns = unpack(data) if "chunk" in data else {}
     except (PlyParseError, KeyError, ValueError) as error:
         raise ValueError(f"{path} is no PLY file of Gaussians ({error})") from None
     columns = columns or {name: vertices[name] for name in vertices.dtype.names or ()}
@@ -143,3 +144,57 @@ def _properties(degree: int) -> list[str]:
         *(f"f_rest_{index}" for index in range(higher)),
         *("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
     ]
+
+
+CHUNK = 256
+"""Gaussians that one row of bounds is for."""
+
+_CONSTANT = 0.5 / sqrt(np.pi)
+_BYTE_BOUNDS = 8.0
+
+
+def unpack(data: PlyData) -> dict[str, Float[np.ndarray, " N"]]:
+    """The properties of an ordinary PLY file of Gaussians, by name.
+
+    Raises:
+        ValueError: Chunks are missing.
+        KeyError: Elements or properties are missing.
+    """
+    vertex, chunk = data["vertex"].data, data["chunk"].data
+    if len(chunk) * CHUNK < len(vertex):
+        raise ValueError(f"{len(chunk)} chunks for {len(vertex)} Gaussians; {CHUNK} a chunk are expected")
+    rows = np.arange(len(vertex)) // CHUNK
+
+    def between(values: NDArray[np.float64], name: str) -> NDArray[np.float64]:
+        low, high = (chunk[f"{bound}_{name}"][rows].astype(np.float64) for bound in ("min", "max"))
+        return low + (high - low) * values
+
+    columns: dict[str, NDArray[np.float64]] = {}
+    for name, axis, values in zip("xyz", ("x", "y", "z"), _bits_11_10_11(vertex["packed_position"]), strict=True):
+        columns[name] = between(values, axis)
+    for index, values in enumerate(_bits_11_10_11(vertex["packed_scale"])):
+        columns[f"scale_{index}"] = between(values, f"scale_{'xyz'[index]}")
+    quaternions = smallest_three_to_wxyz(vertex["packed_rotation"])
+    columns |= {f"rot_{index}": quaternions[:, index] for index in range(4)}
+    packed = vertex["packed_color"]
+    red, green, blue, alpha = ((packed >> shift & 255) / 255 for shift in (24, 16, 8, 0))
+    for index, (channel, values) in enumerate(zip("rgb", (red, green, blue), strict=True)):
+        bounded = between(values, channel) if f"min_{channel}" in (chunk.dtype.names or ()) else values
+        columns[f"f_dc_{index}"] = (bounded - 0.5) / _CONSTANT
+    opacity = alpha.clip(1e-6, 1 - 1e-6)
+    columns["opacity"] = np.log(opacity / (1 - opacity))
+    if "sh" in data:
+        for name in data["sh"].data.dtype.names or ():
+            columns[name] = _coefficient(data["sh"].data[name])
+    return {name: values.astype(np.float32) for name, values in columns.items()}
+
+
+def _bits_11_10_11(packed: NDArray[np.uint32]) -> tuple[NDArray[np.float64], ...]:
+    return (packed >> 21) / 2047, (packed >> 11 & 1023) / 1023, (packed & 2047) / 2047
+
+
+def _coefficient(packed: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Harmonics of degrees above 0 in [-4, 4]; the first and last byte are the bounds, others middles of intervals."""
+    middle = (packed.astype(np.float64) + 0.5) / 256
+    unit = np.where(packed == 0, 0.0, np.where(packed == 255, 1.0, middle))
+    return (unit - 0.5) * _BYTE_BOUNDS

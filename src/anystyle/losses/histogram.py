@@ -6,7 +6,7 @@ from torch import Tensor
 
 from anystyle.contracts import Loss
 from anystyle.losses._style import mean_where, style_images
-from anystyle.perception.histogram import hellinger, rgb_uv_histogram
+from anystyle.perception.statistics import hellinger, rgb_uv_histogram
 from anystyle.types import Stylization
 
 

@@ -1,6 +1,7 @@
-"""Embeddings of images and styles in a style encoder's space; each image is embedded once."""
+"""Cosines in a style encoder's space; each image is embedded once."""
 
-from collections.abc import Callable
+from abc import abstractmethod
+from typing import final
 
 import torch
 import torch.nn.functional as F
@@ -8,46 +9,78 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from anystyle.contracts import StyleEncoder
+from anystyle.metrics._mean import RowMean
 from anystyle.perception.feature_cache import CACHE, identity
 from anystyle.types import Comparison
 
 
-def embed(encoder: StyleEncoder, images: Float[Tensor, "M 3 H W"], size: int | None) -> Float[Tensor, "M D"]:
-    """Embeddings of images, squashed to a square before unless ``size`` is ``None``; bicubic, as published."""
+class StyleCosine(RowMean):
+    """Cosine of what stylized views show and of their style, averaged over views, in [-1, 1].
 
-    def compute(batch: Tensor) -> list[Tensor]:
-        if size is not None and batch.shape[-2:] != (size, size):
-            batch = F.interpolate(batch, size=(size, size), mode="bicubic", align_corners=False)
-        return [encoder.embed_images(batch)]
-
-    return CACHE.features(images, ("style encoder", identity(encoder), size), compute)[0]
-
-
-def embed_styles(
-    encoder: StyleEncoder, comparison: Comparison, size: int | None
-) -> tuple[Float[Tensor, "B D"], Bool[Tensor, " B"]]:
-    """The embedding of each row's style, of its text if there is one and else of its image; and which rows have one.
-
-    Raises:
-        ValueError: There is no style at all.
+    Args:
+        size: Side that images are squashed to before, bicubic; none leaves that to the encoder.
     """
-    style, num_rows = comparison.style, comparison.content.shape[0]
-    if style is None or (style.image is None and style.text is None):
-        raise ValueError("the comparison has no style; give style images or texts")
-    given = torch.zeros(num_rows, dtype=torch.bool, device=comparison.stylized.device)
-    vectors = comparison.stylized.new_zeros(num_rows, encoder.dim)
-    if style.image is not None:
-        given = given | (style.has_image.to(given.device) if style.has_image is not None else True)
-        if bool(given.any()):
-            vectors[given] = embed(encoder, style.image[given], size)
-    for row, text in enumerate(style.text or ()):
-        if text:
-            vectors[row] = encoder.embed_texts([text])[0]
-            given[row] = True
-    return vectors, given
 
+    def __init__(self, *, style_encoder: StyleEncoder, size: int | None = 224) -> None:
+        super().__init__()
+        # Held, not owned: whoever configured the encoder keeps its weights.
+        self._encoder = (style_encoder,)
+        self.size = size
 
-def of_given_rows(given: Bool[Tensor, " B"], value: Callable[[int], Tensor]) -> Float[Tensor, " R"]:
-    """One number for each row that has a style, in float64."""
-    rows = [value(row).double() for row in given.nonzero().flatten().tolist()]
-    return torch.stack(rows) if rows else torch.zeros(0, dtype=torch.float64)
+    @property
+    def encoder(self) -> StyleEncoder:
+        """The style encoder."""
+        return self._encoder[0]
+
+    @abstractmethod
+    def of_views(self, comparison: Comparison, row: int) -> Float[Tensor, "V D"]:
+        """What the views of a row show."""
+
+    @abstractmethod
+    def of_styles(self, styles: Float[Tensor, "B D"]) -> Float[Tensor, "B D"]:
+        """What the embeddings of styles ask for."""
+
+    @final
+    def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
+        """The mean over the views of each row that has a style, in float64.
+
+        Raises:
+            ValueError: There is no style.
+        """
+        styles, given = self._embed_styles(comparison)
+        target = F.normalize(self.of_styles(styles), dim=-1)
+        rows = given.nonzero().flatten().tolist()
+        cosines = [(F.normalize(self.of_views(comparison, row), dim=-1) @ target[row]).mean() for row in rows]
+        return torch.stack(cosines).double() if cosines else torch.zeros(0, dtype=torch.float64)
+
+    def embed(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
+        """Embeddings of images, squashed to a square before unless ``size`` is ``None``; bicubic, as published."""
+        size = self.size
+
+        def compute(batch: Tensor) -> list[Tensor]:
+            if size is not None and batch.shape[-2:] != (size, size):
+                batch = F.interpolate(batch, size=(size, size), mode="bicubic", align_corners=False)
+            return [self.encoder.embed_images(batch)]
+
+        return CACHE.features(images, ("style encoder", identity(self.encoder), size), compute)[0]
+
+    def _embed_styles(self, comparison: Comparison) -> tuple[Float[Tensor, "B D"], Bool[Tensor, " B"]]:
+        """The embedding of each row's style, of its text if it has one and else of its image; and which rows have one.
+
+        Raises:
+            ValueError: There is no style at all.
+        """
+        style, num_rows = comparison.style, comparison.content.shape[0]
+        if style is None or (style.image is None and style.text is None):
+            raise ValueError("the comparison has no style; give style images or texts")
+        given = torch.zeros(num_rows, dtype=torch.bool, device=comparison.stylized.device)
+        vectors = comparison.stylized.new_zeros(num_rows, self.encoder.dim)
+        if style.image is not None:
+            given = given | (style.has_image.to(given.device) if style.has_image is not None else True)
+            if bool(given.any()):
+                vectors[given] = self.embed(style.image[given])
+        for row, text in enumerate(style.text or ()):
+            if text:
+                vectors[row] = self.encoder.embed_texts([text])[0]
+                given[row] = True
+        return vectors, given

@@ -3,6 +3,7 @@
 from abc import ABC
 from collections.abc import Iterable
 from pathlib import Path
+from typing import ClassVar, Literal, final
 
 import torch
 from jaxtyping import Float
@@ -10,12 +11,14 @@ from torch import Tensor
 from torchmetrics.utilities import dim_zero_cat
 
 from anystyle.contracts import Metric
-from anystyle.metrics._pairs import Pairs
-from anystyle.perception import preprocess
+from anystyle.metrics._mean import RowMean
+from anystyle.metrics._pairs import Pairs, mean_per_row
+from anystyle.perception import lpips, preprocess
 from anystyle.perception.embeddings import SourcedNetwork
 from anystyle.perception.feature_cache import CACHE
 from anystyle.perception.lpips import Lpips
-from anystyle.perception.sources import Source, checksums, stand_ins
+from anystyle.perception.sources import Source, Weights, checksums, stand_ins
+from anystyle.types import Comparison
 
 
 class NetworkMetric(Metric, ABC):
@@ -86,6 +89,41 @@ def lpips_of_pairs(
 
     key = (network.source.identity, size, rounded, gray)
     return CACHE.scores(batch.preds, batch.target, ("lpips", *key), distances)
+
+
+class LpipsMean(NetworkMetric, RowMean):
+    """Mean LPIPS of stylized images and photographs.
+
+    Args:
+        backbone: Of the distance; the published evaluation takes ``alex`` here.
+        size: Pixels of the shorter side that images are resized to; none keeps theirs.
+        variant: ``reference`` has images of 8 bits before and after they are resized, as the published script has
+            them from files; ``corrected`` rounds nothing.
+    """
+
+    gray: ClassVar[bool]
+    """Whether colour is removed before."""
+
+    def __init__(
+        self,
+        *,
+        backbone: Literal["alex", "vgg"] = "alex",
+        size: int | None = 512,
+        variant: Literal["reference", "corrected"] = "reference",
+        weights: Weights = "auto",
+    ) -> None:
+        super().__init__()
+        self.size = size
+        self.rounded = variant == "reference"
+        self.network = lpips.load(backbone, weights)
+        self.declare(self.network.source)
+
+    @final
+    def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
+        return mean_per_row(comparison, self._distances)
+
+    def _distances(self, batch: Pairs) -> Float[Tensor, " M"]:
+        return lpips_of_pairs(self.network, batch, size=self.size, rounded=self.rounded, gray=self.gray)
 
 
 def stacked(state: list[Tensor] | Tensor) -> Float[Tensor, "N D"]:

@@ -3,45 +3,23 @@
 from collections.abc import Mapping
 from typing import ClassVar
 
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import StyleEncoder
-from anystyle.metrics._embeddings import embed, embed_styles, of_given_rows
-from anystyle.metrics._mean import RowMean
+from anystyle.metrics._embeddings import StyleCosine
 from anystyle.types import Comparison
 
 
-class ClipStyle(RowMean):
+class ClipStyle(StyleCosine):
     """Cosine of ``E(stylized)`` and ``E(style)``, averaged over views, in [-1, 1].
 
     A style's text counts if it has one, else its image.
-
-    Args:
-        size: Side that images are squashed to before, bicubic; none leaves that to the encoder.
     """
 
     better: ClassVar[Mapping[str, str]] = {"clip_style": "higher"}
 
-    def __init__(self, *, style_encoder: StyleEncoder, size: int | None = 224) -> None:
-        super().__init__()
-        # Held, not owned: whoever configured the encoder keeps its weights.
-        self._encoder = (style_encoder,)
-        self.size = size
+    def of_views(self, comparison: Comparison, row: int) -> Float[Tensor, "V D"]:
+        return self.embed(comparison.stylized[row])
 
-    def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean over each row's views.
-
-        Raises:
-            ValueError: There is no style.
-        """
-        encoder = self._encoder[0]
-        styles, given = embed_styles(encoder, comparison, self.size)
-        styles = F.normalize(styles, dim=-1)
-
-        def cosine(row: int) -> Tensor:
-            preds = embed(encoder, comparison.stylized[row], self.size)
-            return (F.normalize(preds, dim=-1) @ styles[row]).mean()
-
-        return of_given_rows(given, cosine)
+    def of_styles(self, styles: Float[Tensor, "B D"]) -> Float[Tensor, "B D"]:
+        return styles

@@ -11,7 +11,7 @@ from anystyle.metrics._mean import RowMean
 from anystyle.metrics._pairs import Pairs, mean_per_row, with_style_images
 from anystyle.perception import preprocess
 from anystyle.perception.feature_cache import CACHE
-from anystyle.perception.histogram import hellinger, rgb_uv_histogram
+from anystyle.perception.statistics import hellinger, rgb_uv_histogram
 from anystyle.types import Comparison
 
 BATCH = 2

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.geometry.reprojection import depth_around, reproject
+from anystyle.geometry.warp import depth_around, reproject
 from anystyle.metrics._mean import RowMean
 from anystyle.types import Comparison
 

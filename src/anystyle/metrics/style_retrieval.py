@@ -14,7 +14,7 @@ from anystyle.contracts import Metric
 from anystyle.metrics._pairs import with_style_images
 from anystyle.perception import efficientnet
 from anystyle.perception.sources import checksums, published
-from anystyle.perception.style_statistics import centered_cosines, equalized_gray, style_statistics
+from anystyle.perception.statistics import centered_cosines, equalized_gray, style_statistics
 from anystyle.perception.weights import find
 from anystyle.types import Comparison
 

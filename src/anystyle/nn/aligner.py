@@ -5,11 +5,12 @@ from dataclasses import replace
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from anystyle.geometry.alignment import MatchedPoints, align
 from anystyle.nn.matcher import Matcher
+from anystyle.nn.reference_view import in_order, reference_first
 from anystyle.types import Cameras, Geometry
 
 DOUBTFUL = 1.5 / 112
@@ -19,7 +20,7 @@ RADIUS = 2
 
 
 class Aligner(nn.Module):
-    """Move every camera to where what it sees agrees with what the first view sees.
+    """Move every camera to where what it sees agrees with what one view sees, the reference.
 
     Not in published networks, which regress poses from camera tokens; a network of a few million parameters does not
     learn that in hours. Points of the views are compared by descriptors, and the rigid motion that explains the
@@ -44,8 +45,21 @@ class Aligner(nn.Module):
         cosines = torch.einsum("bvdij,bdkl->bvijkl", unit[:, 1:], unit[:, 0])
         return cosines * self.log_sharpness.exp()
 
-    def aligned(self, geometry: Geometry, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
-        """The geometry with the poses that matches between the images give; focal lengths and depth are kept."""
+    def aligned(
+        self, geometry: Geometry, images: Float[Tensor, "B V 3 H W"], reference: Int[Tensor, " B"] | None = None
+    ) -> Geometry:
+        """The geometry with the poses that matches between the images give; focal lengths and depth are kept.
+
+        Args:
+            geometry: As predicted.
+            images: sRGB in [0, 1].
+            reference: The view, the first by default, whose camera is the world's frame.
+        """
+        if reference is not None:
+            order = reference_first(reference, images.shape[1])
+            back = order.argsort(dim=1)
+            moved = self.aligned(geometry.map(lambda tensor: in_order(tensor, order)), in_order(images, order))
+            return moved.map(lambda tensor: in_order(tensor, back))
         correlation = self.correlation(images)
         with torch.autocast(images.device.type, enabled=False):
             pose = self(correlation, geometry.cameras, geometry.depth)

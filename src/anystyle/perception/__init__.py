@@ -6,12 +6,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 from anystyle.perception import weights
-from anystyle.perception.alexnet import AlexNet
 from anystyle.perception.efficientnet import EfficientNetLite0
 from anystyle.perception.features import FeatureNetwork, load_frozen
 from anystyle.perception.sources import Source, published
 from anystyle.perception.texture import Texture
-from anystyle.perception.vgg import VGG16, VGG19
+from anystyle.perception.vgg import VGG16, VGG19, AlexNet
 
 NETWORKS: dict[str, type[FeatureNetwork]] = {
     "vgg19": VGG19,

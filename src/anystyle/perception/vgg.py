@@ -1,7 +1,4 @@
-"""VGG-16 and VGG-19 (Simonyan and Zisserman 2015, configurations D and E).
-
-VGG-19 is the network of the paper's style and content losses and of CFSD, VGG-16 that of one of the two LPIPS.
-"""
+"""AlexNet's and VGG's convolutions, as LPIPS and style losses read them."""
 
 from collections.abc import Iterator, Mapping, Sequence
 
@@ -47,17 +44,17 @@ class VGG16(Normalised):
     """The convolutions of VGG-16; layers are named ``relu{block}_{convolution}``, up to ``relu5_3``."""
 
     def __init__(self) -> None:
-        super().__init__(_stages(BLOCKS_16), relu_names(BLOCKS_16))
+        super().__init__(_vgg_stages(BLOCKS_16), relu_names(BLOCKS_16))
 
 
 class VGG19(Normalised):
     """The convolutions of VGG-19; layers are named ``relu{block}_{convolution}``, up to ``relu5_4``."""
 
     def __init__(self) -> None:
-        super().__init__(_stages(BLOCKS_19), relu_names(BLOCKS_19))
+        super().__init__(_vgg_stages(BLOCKS_19), relu_names(BLOCKS_19))
 
 
-def _stages(blocks: Sequence[tuple[int, int]]) -> Iterator[nn.Module]:
+def _vgg_stages(blocks: Sequence[tuple[int, int]]) -> Iterator[nn.Module]:
     channels = 3
     for width, num_convolutions in blocks:
         for _ in range(num_convolutions):
@@ -65,3 +62,21 @@ def _stages(blocks: Sequence[tuple[int, int]]) -> Iterator[nn.Module]:
             yield nn.ReLU(inplace=True)
             channels = width
         yield nn.MaxPool2d(2)
+
+
+ALEXNET_LAYERS = {"relu1": 1, "relu2": 4, "relu3": 7, "relu4": 9, "relu5": 11}
+
+
+class AlexNet(Normalised):
+    """The convolutions of AlexNet; layers are named ``relu1`` to ``relu5``."""
+
+    def __init__(self) -> None:
+        super().__init__(_alexnet_stages(), ALEXNET_LAYERS)
+
+
+def _alexnet_stages() -> Iterator[nn.Module]:
+    yield from (nn.Conv2d(3, 64, 11, stride=4, padding=2), nn.ReLU(inplace=True), nn.MaxPool2d(3, stride=2))
+    yield from (nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(inplace=True), nn.MaxPool2d(3, stride=2))
+    yield from (nn.Conv2d(192, 384, 3, padding=1), nn.ReLU(inplace=True))
+    yield from (nn.Conv2d(384, 256, 3, padding=1), nn.ReLU(inplace=True))
+    yield from (nn.Conv2d(256, 256, 3, padding=1), nn.ReLU(inplace=True))

@@ -14,8 +14,8 @@ import torch
 from torch import Tensor
 
 from anystyle.errors import UserError
+from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import atomic_path
-from anystyle.io.tensors import read_tensors
 
 logger = logging.getLogger(__name__)
 
@@ -25,7 +25,7 @@ VARIABLE = "ANYSTYLE_CACHE"
 LIMIT = 1 << 30
 """Bytes that are kept; what was used least recently goes first."""
 
-FORMAT = "1"
+FORMAT = "2"
 """Changes whenever the same photographs and options come to something else, so that nothing old is taken for it."""
 
 

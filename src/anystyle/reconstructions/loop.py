@@ -12,8 +12,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import atomic_path
-from anystyle.io.tensors import read_tensors
 
 logger = logging.getLogger(__name__)
 

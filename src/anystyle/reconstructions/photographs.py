@@ -6,7 +6,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from anystyle.contracts import Renderer
@@ -103,6 +103,11 @@ def fit_photographs(
     Raises:
         ValueError: No depth agrees between the photographs.
     """
+    # By what they show, so that a fit is the same in whatever order photographs are given.
+    order = sorted(range(len(images)), key=lambda view: fingerprint((), {"image": images[view]}))
+    images, cameras = images[order], cameras.select(order)
+    points = None if points is None else [points[view] for view in order]
+    heldout = sorted(order.index(view) for view in heldout)
     training = [view for view in range(len(images)) if view not in heldout]
     begin = _initial(images, cameras, training, points, num_gaussians, options.seed)
     fit = Fit(images, cameras, begin, renderer, options, heldout=tuple(heldout))
@@ -113,7 +118,13 @@ def fit_photographs(
     result = fit.run(on_progress, None if state is None else lambda: write_state(fit, state, key))
     if state is not None:
         state.unlink(missing_ok=True)
-    return result
+    return _in_given_order(result, torch.tensor(order, device=images.device))
+
+
+def _in_given_order(result: FitResult, order: Int[Tensor, " V"]) -> FitResult:
+    pixels, back = result.pixels.clone(), order.argsort()
+    pixels[:, 0] = order[pixels[:, 0]]
+    return replace(result, pixels=pixels, gains=result.gains[back], biases=result.biases[back])
 
 
 def _initial(

@@ -97,8 +97,9 @@ def _checked(plugin: Plugin, given: Mapping[str, Any]) -> dict[str, Any]:
             if OmegaConf.is_missing(merged, item.name):
                 where = f"{plugin.kind}.{plugin.name}" if KINDS[plugin.kind].many else plugin.kind
                 raise ValueError(f"it has no default; give it one with {where}.{item.name}=...")
-            container: Any = OmegaConf.to_container(merged, resolve=True)
-            values[item.name] = fitted(container[item.name], item.hint)
+            value = merged[item.name]
+            plain_value = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+            values[item.name] = fitted(plain_value, item.hint)
             if values[item.name] != values[item.name]:
                 raise ValueError("nan is no number that anything can be set to")
         except (OmegaConfBaseException, ValueError) as error:

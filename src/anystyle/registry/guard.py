@@ -4,6 +4,7 @@ Hydra builds its callbacks, its launcher, its sweeper and the logging from confi
 any of it. What it composes is therefore judged here, between composing and everything else.
 """
 
+import copy
 import functools
 from collections.abc import Iterator
 from pathlib import Path
@@ -16,6 +17,7 @@ from hydra.errors import ConfigCompositionException
 from hydra.plugins.config_source import ConfigLoadError, ConfigResult, ConfigSource
 from omegaconf import DictConfig, OmegaConf
 
+from anystyle.caching import LRUCache
 from anystyle.documents import read_text, read_yaml
 from anystyle.errors import UserError, one_line
 from anystyle.registry.catalog import catalog
@@ -108,16 +110,28 @@ class FileConfigSource(file_config_source.FileConfigSource):
         path = Path(self.path, self._normalize_file_name(config_path))
         if not path.is_file():
             raise ConfigLoadError(f"Config not found : {path}")
-        try:
-            header = ConfigSource._get_header_dict(read_text(path)[:512])
-            content = read_yaml(path, dict[str, Any] | None, what="configuration of 'key: value' lines", limit=False)
-            config = OmegaConf.create(content or {})
-        except UserError as error:
-            raise ConfigCompositionException(str(error)) from None
-        except Exception as error:
-            # Interpolations that end nowhere, keys that are none.
-            raise ConfigCompositionException(f"{path} is no configuration ({one_line(error)[:300]})") from None
-        return ConfigResult(config=config, path=f"file://{self.path}", provider=self.provider, header=header)
+        state = path.stat()
+        header, config = _KEPT.get((path, state.st_ino, state.st_mtime_ns, state.st_size), lambda: _read(path))
+        # Hydra takes the defaults list out of what it is given.
+        config = copy.deepcopy(config)
+        return ConfigResult(config=config, path=f"file://{self.path}", provider=self.provider, header=dict(header))
+
+
+_KEPT: LRUCache[tuple[Path, int, int, int], tuple[dict[str, str | None], DictConfig]] = LRUCache(512)
+"""Files as they were read: a sweep composes them several times for each of its jobs, and YAML is slow."""
+
+
+def _read(path: Path) -> tuple[dict[str, str | None], DictConfig]:
+    """The header and the content of a configuration file."""
+    try:
+        header = ConfigSource._get_header_dict(read_text(path)[:512])
+        content = read_yaml(path, dict[str, Any] | None, what="configuration of 'key: value' lines", limit=False)
+        return header, OmegaConf.create(content or {})
+    except UserError as error:
+        raise ConfigCompositionException(str(error)) from None
+    except Exception as error:
+        # Interpolations that end nowhere, keys that are none.
+        raise ConfigCompositionException(f"{path} is no configuration ({one_line(error)[:300]})") from None
 
 
 def install() -> None:

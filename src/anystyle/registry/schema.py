@@ -1,10 +1,12 @@
 """A constructor's signature as a configuration schema."""
 
+import copy
+import functools
 import inspect
 import re
 import types
 import typing
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, make_dataclass
 from enum import Enum
 from pathlib import Path
@@ -20,6 +22,10 @@ REQUIRED: Any = inspect.Parameter.empty
 _PLAIN = (int, float, bool, str)
 _SEQUENCES = (list, tuple, Sequence)
 _MAPPINGS = (dict, Mapping)
+
+
+_kept = functools.lru_cache(maxsize=512)
+"""Of what follows from a class and its constructor: a sweep, and a process with many, describes each plugin once."""
 
 
 class _Choice(Enum):
@@ -55,9 +61,14 @@ def _constructor(plugin: Plugin) -> tuple[list[inspect.Parameter], dict[str, Any
     cls = plugin.load()
     if cls.__init__ is base_of(plugin.kind).__init__:
         return [], {}
-    parameters = list(inspect.signature(cls.__init__).parameters.values())[1:]
+    return _signature(plugin, cls.__init__)
+
+
+@_kept
+def _signature(plugin: Plugin, constructor: Callable[..., None]) -> tuple[list[inspect.Parameter], dict[str, Any]]:
+    parameters = list(inspect.signature(constructor).parameters.values())[1:]
     try:
-        hints = typing.get_type_hints(cls.__init__)
+        hints = typing.get_type_hints(constructor)
     except Exception as error:
         raise PluginError(f"{plugin} has an annotation that cannot be evaluated: {one_line(error)}") from error
     return parameters, hints
@@ -101,6 +112,12 @@ def node(plugin: Plugin) -> "DictConfig":
     Raises:
         PluginError: As :func:`options`; or a default does not fit its annotation.
     """
+    cls = plugin.load()
+    return copy.deepcopy(_prototype(plugin, cls, cls.__init__))
+
+
+@_kept
+def _prototype(plugin: Plugin, cls: type, _: Callable[..., None]) -> "DictConfig":
     from omegaconf import MISSING, OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
@@ -110,7 +127,7 @@ def node(plugin: Plugin) -> "DictConfig":
         for item in known:
             default = MISSING if item.required else plain(item.default)
             fields.append((item.name, option(item.hint), _field(default)))
-        return OmegaConf.structured(make_dataclass(plugin.load().__name__, fields))
+        return OmegaConf.structured(make_dataclass(cls.__name__, fields))
     except (OmegaConfBaseException, TypeError, ValueError) as error:
         message = str(error).partition("\n")[0]
         raise PluginError(f"{plugin} has an option that a config cannot hold: {message}") from error

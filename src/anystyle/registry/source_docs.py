@@ -1,6 +1,7 @@
 """What a plugin's source says of it, read without importing the plugin."""
 
 import ast
+import contextlib
 import importlib.machinery
 import importlib.util
 import inspect
@@ -32,13 +33,13 @@ def peek(plugin: Plugin) -> Summary:
         return Summary((inspect.getdoc(plugin.defined) or "").partition("\n")[0])
     module, _, name = plugin.target.partition(":")
     try:
-        definition = _class(module, name, plugin.root, _HOPS)
+        located = _class(module, name, plugin.root, _HOPS)
     except (OSError, SyntaxError, ValueError, ImportError) as error:
         return Summary(f"(cannot be read: {str(error).partition(chr(10))[0]})")
-    if definition is None:
+    if located is None:
         return Summary(f"(no class {name} in {module})")
-    text = ast.get_docstring(definition) or ""
-    return Summary(text.partition("\n")[0], tuple(_options(definition, kind_named(plugin.kind).runtime)))
+    text = ast.get_docstring(located[1]) or ""
+    return Summary(text.partition("\n")[0], tuple(_options(*located, plugin.root, kind_named(plugin.kind).runtime)))
 
 
 def source_file(module: str, root: Path | None) -> Path | None:
@@ -63,14 +64,15 @@ def source_file(module: str, root: Path | None) -> Path | None:
     return Path(origin) if origin is not None and origin.endswith(".py") else None
 
 
-def _class(module: str, name: str, root: Path | None, hops: int) -> ast.ClassDef | None:
+def _class(module: str, name: str, root: Path | None, hops: int) -> tuple[str, ast.ClassDef] | None:
+    """The module that defines a class, and its definition there."""
     file = source_file(module, root)
     if file is None:
         raise ImportError(f"no source file of module {module}")
     tree = ast.parse(file.read_bytes())
     for statement in tree.body:
         if isinstance(statement, ast.ClassDef) and statement.name == name:
-            return statement
+            return module, statement
         if isinstance(statement, ast.ImportFrom) and hops:
             for alias in statement.names:
                 if (alias.asname or alias.name) == name:
@@ -81,7 +83,8 @@ def _class(module: str, name: str, root: Path | None, hops: int) -> ast.ClassDef
     return None
 
 
-def _options(definition: ast.ClassDef, runtime: tuple[str, ...]) -> list[str]:
+def _options(module: str, definition: ast.ClassDef, root: Path | None, runtime: tuple[str, ...]) -> list[str]:
+    """The options of a class's constructor, or of the one that it inherits."""
     for statement in definition.body:
         if isinstance(statement, ast.FunctionDef) and statement.name == "__init__":
             signature = statement.args
@@ -90,6 +93,11 @@ def _options(definition: ast.ClassDef, runtime: tuple[str, ...]) -> list[str]:
             pairs = [*zip(plain, defaults, strict=True)][1:]
             pairs += zip(signature.kwonlyargs, signature.kw_defaults, strict=True)
             return [_written(argument, default) for argument, default in pairs if argument.arg not in runtime]
+    for base in definition.bases:
+        with contextlib.suppress(OSError, SyntaxError, ValueError, ImportError):
+            located = _class(module, base.id, root, _HOPS) if isinstance(base, ast.Name) else None
+            if located is not None and (options := _options(*located, root, runtime)):
+                return options
     return []
 
 

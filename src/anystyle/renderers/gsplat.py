@@ -7,56 +7,22 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import colors, degree_of
 from anystyle.geometry.projection import covariances
-from anystyle.renderers._common import at_least_single, check, over
-from anystyle.types import Cameras, Gaussians, Renders
+from anystyle.renderers._common import Rasterizer, at_least_single
+from anystyle.types import Cameras, Gaussians
 
 
-class GsplatRenderer(Renderer):
+class GsplatRenderer(Rasterizer):
     """gsplat's CUDA kernels, all cameras of a scene at once; what the published models were trained with.
 
     Differentiable in the Gaussians and the poses, not in the intrinsics. The most that one Gaussian covers of a pixel
     is compiled into gsplat: 0.999 to version 1.5.3, 0.99 in 1.6.
-
-    Args:
-        background: Colour in [0, 1] behind the scene.
-        near: Distance along z, above 0, under which centres are not seen; the published renderer's default.
-        far: Distance along z over which centres are not seen.
-        eps2d: Low-pass filter of a pixel: variance in pixels² added to every Gaussian in the image.
     """
 
-    def __init__(
-        self,
-        *,
-        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
-        near: float = 1e-10,
-        far: float = 1e10,
-        eps2d: float = 0.3,
-    ) -> None:
-        self.background = background
-        self.near = near
-        self.far = far
-        self.eps2d = eps2d
-
-    def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
-        """Render every camera of every scene.
-
-        Raises:
-            ValueError: The tensors are not on a CUDA device, or do not belong together.
-            ImportError: gsplat is not installed.
-        """
-        check(gaussians, cameras, self.background, self.near)
-        if gaussians.means.device.type != "cuda":
-            raise ValueError(
-                f"the renderer 'gsplat' was given tensors on {gaussians.means.device}; "
-                "use renderer=cpu there, or move the Gaussians and cameras with .to('cuda')"
-            )
-        return over(self.accumulate(gaussians, cameras), self.background)
+    device = "cuda"
 
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
-        """Red, green, blue and depth over black and before any cut, and the share of light that passes."""
         rasterization = _rasterization()
         scenes = range(gaussians.means.shape[0])
         with torch.autocast(gaussians.means.device.type, enabled=False):

@@ -6,11 +6,10 @@ from torch import Tensor
 from torch.nn.functional import normalize
 from torch.utils.checkpoint import checkpoint
 
-from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import colors
 from anystyle.geometry.projection import MIN_ALPHA, Splats, covariances, project
-from anystyle.renderers._common import at_least_single, check, over
-from anystyle.types import Cameras, Gaussians, Renders
+from anystyle.renderers._common import CappedRasterizer, at_least_single
+from anystyle.types import Cameras, Gaussians
 
 MIN_TRANSMITTANCE = 1e-4
 """A pixel is full before the Gaussian that would let less than this through."""
@@ -19,40 +18,10 @@ TILE = 16
 """Side in pixels of the squares that are blended at once; no result depends on it."""
 
 
-class TorchRenderer(Renderer):
-    """Tile by tile in PyTorch: slow, readable, differentiable in everything.
-
-    Args:
-        background: Colour in [0, 1] behind the scene.
-        near: Distance along z under which centres are not seen; the published renderer's default.
-        far: Distance along z over which centres are not seen.
-        eps2d: Low-pass filter of a pixel: variance in pixels² added to every Gaussian in the image.
-        alpha_cap: The most one Gaussian covers of a pixel: 0.999 in gsplat to 1.5.3, which the published models used,
-            0.99 in gsplat 1.6.
-    """
-
-    def __init__(
-        self,
-        *,
-        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
-        near: float = 1e-10,
-        far: float = 1e10,
-        eps2d: float = 0.3,
-        alpha_cap: float = 0.999,
-    ) -> None:
-        self.background = background
-        self.near = near
-        self.far = far
-        self.eps2d = eps2d
-        self.alpha_cap = alpha_cap
-
-    def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
-        """Render every camera of every scene, differentiable in the Gaussians, the poses and the intrinsics."""
-        check(gaussians, cameras, self.background, self.near)
-        return over(self.accumulate(gaussians, cameras), self.background)
+class TorchRenderer(CappedRasterizer):
+    """Tile by tile in PyTorch: slow, readable, differentiable in everything."""
 
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
-        """Red, green, blue and depth over black and before any cut, and the share of light that passes."""
         scenes, views = cameras.world_from_camera.shape[:2]
         with torch.autocast(gaussians.means.device.type, enabled=False):
             gaussians, cameras = at_least_single(gaussians, cameras)

@@ -8,11 +8,10 @@ import numpy as np
 from jaxtyping import Float
 from scipy import special
 
-from anystyle.study.agreement import agreement
 from anystyle.study.checks import Checks, check
 from anystyle.study.contract import Alternative, Responses, Scale, StudyTest, TestResult, Unit
 from anystyle.study.crossed import Crossing, Variation, variation
-from anystyle.study.effects import Effect, effects
+from anystyle.study.effects import Effect, agreement, effects
 from anystyle.study.plan import Rules
 from anystyle.study.probability import holm, log_t_cdf, log_t_pvalue, t_interval
 from anystyle.study.protocol import Study

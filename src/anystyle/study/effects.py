@@ -1,9 +1,10 @@
-"""Standardised effects of all answers, for new participants and items: linearised, then averaged like the answers."""
+"""Standardised effects of all answers, linearised and then averaged like them; and how far participants agree."""
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from anystyle.study.contract import Alternative, Responses
 from anystyle.study.crossed import CrossedMean, Crossing
@@ -54,3 +55,34 @@ def effects(responses: Responses, confidence: float = 0.95, alternative: Alterna
         Effect("cohens_d", mean / sd, interval),
         Effect(name, float(preferring.mean()), probability_interval(crossed, 1, confidence, alternative)),
     ]
+
+
+def krippendorff_alpha(counts: Float[np.ndarray, "J K"]) -> float:
+    """Krippendorff's alpha with the ordinal metric.
+
+    Args:
+        counts: How often each item (row) received each answer, answers in ascending order.
+
+    Returns:
+        1 where all agree, 0 where they agree as by chance, ``nan`` where nothing can be compared.
+    """
+    compared = counts[counts.sum(1) >= 2]
+    sizes = compared.sum(1)
+    # Each item's pairs of answers, weighted so that an answer counts once however many others there are.
+    coincidences = (compared / (sizes - 1)[:, None]).T @ compared - np.diag((compared / (sizes - 1)[:, None]).sum(0))
+    totals = compared.sum(0)
+    total = totals.sum()
+    cumulative = np.cumsum(totals) - totals / 2
+    distance = (cumulative[:, None] - cumulative[None, :]) ** 2
+    expected = (totals[:, None] * totals[None, :] * distance).sum()
+    if expected <= 0:
+        return math.nan
+    return float(1 - (total - 1) * (coincidences * distance).sum() / expected)
+
+
+def agreement(responses: Responses) -> float:
+    """Krippendorff's ordinal alpha over items."""
+    levels, level = np.unique(responses.deviations, return_inverse=True)
+    items, item = np.unique(responses.items, return_inverse=True)
+    flat = np.bincount(item * len(levels) + level, minlength=len(items) * len(levels))
+    return krippendorff_alpha(flat.reshape(len(items), len(levels)).astype(float))

@@ -37,10 +37,11 @@ def fits_every_site(plugin: Plugin) -> None:
                 result = injector(tokens, _style(batch))
             sizes = {"B": batch, "V": number, "P": tokens.data.shape[2], "C": dim}
             conform(result, Tokens, f"the injector on {what}", **sizes)
-            kept = (result.grid, result.special) == (tokens.grid, tokens.special) and result.order is tokens.order
+            kept = (result.grid, result.special) == (tokens.grid, tokens.special)
+            kept &= result.reference is tokens.reference
             expect(
                 kept and result.data.dtype == tokens.data.dtype,
-                given=f"other tokens: {result.grid=}, {result.special=}, {result.data.dtype=}, order kept: {kept}",
+                given=f"other tokens: {result.grid=}, {result.special=}, {result.data.dtype=}, reference kept: {kept}",
                 change="return `tokens.with_patches(...)` or `tokens.with_data(...)`",
             )
 

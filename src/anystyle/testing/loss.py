@@ -16,8 +16,7 @@ from anystyle.testing.comparing import (
     expect_untouched,
     tensors_of,
 )
-from anystyle.testing.inputs import images
-from anystyle.testing.samples import stylization
+from anystyle.testing.inputs import images, stylization
 from anystyle.testing.subject import Subject, seeded
 from anystyle.types import Stylization
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from anystyle.contracts import Metric
 from anystyle.testing.check import Check, attempt, expect
 from anystyle.testing.comparing import expect_close, expect_same, expect_untouched
-from anystyle.testing.samples import comparison
+from anystyle.testing.inputs import comparison
 from anystyle.testing.subject import Subject
 from anystyle.types import Comparison
 

@@ -14,7 +14,7 @@ from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import base_of, catalog, kind_named
 from anystyle.testing import declaration, system
 from anystyle.testing.check import Check, Outcome, report, run_checks
-from anystyle.testing.samples import runtime
+from anystyle.testing.inputs import runtime
 from anystyle.testing.subject import Subject
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.testing.toy.injector import ToyInjector

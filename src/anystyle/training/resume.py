@@ -15,9 +15,8 @@ from omegaconf import DictConfig, OmegaConf
 from anystyle.documents import Count, read_json
 from anystyle.documents import plain as as_json
 from anystyle.errors import UserError
-from anystyle.io.atomic import write_json
-from anystyle.io.lock import folder_lock
-from anystyle.io.tensors import read_tensors
+from anystyle.io.arrays import read_tensors
+from anystyle.io.atomic import folder_lock, write_json
 from anystyle.registry.changes import changes, flat
 
 UNBOUND = (

@@ -18,9 +18,9 @@ from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncod
 from anystyle.documents import Figure, as_number, kept_json
 from anystyle.errors import one_line
 from anystyle.inference.assemble import assemble, branch_header, room_for_backbone, weights_file
+from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import Header, load_part, save_part, sha256
-from anystyle.io.tensors import read_tensors
 from anystyle.paths import SHARED
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
@@ -29,11 +29,10 @@ from anystyle.training.cache import CachedScenes
 from anystyle.training.callbacks import Average, LastCheckpoint, logged
 from anystyle.training.contract import Training
 from anystyle.training.data import StepData
-from anystyle.training.feature_store import FeatureFolder
-from anystyle.training.options import check_options
 from anystyle.training.resume import alone, leads, record, resumable, sweep, trial
+from anystyle.training.scene_cache import FeatureFolder
 from anystyle.training.sharding import with_full_state
-from anystyle.training.trainer import make_trainer
+from anystyle.training.trainer import check_options, make_trainer
 
 METRICS = "metrics.json"
 FEATURES = "features"

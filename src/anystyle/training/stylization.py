@@ -16,11 +16,10 @@ from anystyle.io.atomic import atomic_path
 from anystyle.stylizer import Stylizer
 from anystyle.training.contract import Training, required
 from anystyle.training.data import Batch, SceneBatches
-from anystyle.training.feature_store import FeatureFolder, without_stem
-from anystyle.training.loggers import Picture, log_picture
 from anystyle.training.optim import check_rates, check_steps, scheduled, trainable
 from anystyle.training.sampling import check_counts, generator
-from anystyle.training.scene_cache import EncodedScenes
+from anystyle.training.scene_cache import EncodedScenes, FeatureFolder, without_stem
+from anystyle.training.trainer import Picture, log_picture
 from anystyle.types import Renders, Scene, Style, StyleEmbedding, Stylization, Views
 
 

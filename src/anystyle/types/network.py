@@ -19,13 +19,13 @@ class Tokens(Value):
         data: The special tokens of a view first, then its patches in row-major order.
         grid: Rows and columns of patches.
         special: How many special tokens (camera, registers) lead.
-        order: Where a backbone reorders the views: the index in the input of each view here; ``None`` means in order.
+        reference: The view that the others are seen from, where a backbone chooses it; ``None`` means the first.
     """
 
     data: Float[Tensor, "B V P C"]
     grid: tuple[int, int]
     special: int = 0
-    order: Int[Tensor, "B V"] | None = None
+    reference: Int[Tensor, " B"] | None = None
 
     @property
     def patches(self) -> Float[Tensor, "B V p C"]:

@@ -8,8 +8,7 @@ from pathlib import Path
 import viser
 
 from anystyle.errors import one_line
-from anystyle.inference.export import FORMATS, export
-from anystyle.inference.page import write_page
+from anystyle.inference.export import FORMATS, export, write_page
 from anystyle.io.sheet import to_pil
 from anystyle.types import Gaussians
 from anystyle.viewer.flight import Flight

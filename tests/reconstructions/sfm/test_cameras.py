@@ -8,16 +8,15 @@ import torch
 from PIL import ExifTags, Image
 from scipy.spatial.transform import Rotation
 
-from anystyle.reconstructions.sfm.agreement import agreement
 from anystyle.reconstructions.sfm.cameras import cameras_from_photographs
-from anystyle.reconstructions.sfm.model import Lens
+from anystyle.reconstructions.sfm.model import Lens, pinhole, undistorted_image, undistorted_rays
 from anystyle.reconstructions.sfm.photographs import (
     Enlargement,
     Photograph,
     photograph_with_exif,
     photographs_from_tensor,
 )
-from anystyle.reconstructions.sfm.undistort import pinhole, undistorted_image, undistorted_rays
+from anystyle.reconstructions.sfm.support import agreement
 from real_data import real
 from reconstructions.sfm.cards import World, arc, panorama
 

@@ -6,12 +6,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from anystyle.reconstructions.sfm.agreement import agreement
-from anystyle.reconstructions.sfm.matches import Features, VerifiedPair
+from anystyle.reconstructions.sfm.matches import Features, VerifiedPair, pairs_to_match
 from anystyle.reconstructions.sfm.model import Lens, SparseModel, Tracks, triangulation_angles
-from anystyle.reconstructions.sfm.pairs import pairs_to_match
-from anystyle.reconstructions.sfm.parallax import share_of_rotation
-from anystyle.reconstructions.sfm.support import supported_views
+from anystyle.reconstructions.sfm.support import agreement, share_of_rotation, supported_views
 from anystyle.reconstructions.sfm.verdict import Capture, judge
 from reconstructions.sfm.cards import arc
 

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from anystyle.training.supervision import project
-from anystyle.types import Cameras, Features, Geometry, Tokens
+from anystyle.types import Cameras, Features, Geometry
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class FeatureProbes(nn.Module):
         terms: dict[str, list[Tensor]] = {"match": [], "glide": [], "locate": [], "shift": []}
         others = matches.visible[:, 1:]
         for layer, tokens in features.items():
-            patches = self.normal[str(layer)](in_input_order(tokens).patches.float())
+            patches = self.normal[str(layer)](tokens.patches.float())
             alike = self._alike(self.compare[str(layer)](patches))
             entropy = F.cross_entropy(alike.movedim(-1, 1), matches.target[:, 1:], reduction="none")
             expected = alike.softmax(-1) @ matches.centers
@@ -142,11 +142,3 @@ def correlation_loss(correlation: Float[Tensor, "B v r c r c"], matches: PatchMa
 
 def _mean(values: Float[Tensor, "B V P"], chosen: Bool[Tensor, "B V P"]) -> Float[Tensor, ""]:
     return (values * chosen).sum() / chosen.sum().clamp_min(1)
-
-
-def in_input_order(tokens: Tokens) -> Tokens:
-    """Tokens with the views in the order of the input, where a backbone reorders them."""
-    if tokens.order is None:
-        return tokens
-    index = tokens.order.argsort(dim=1)[..., None, None].expand_as(tokens.data)
-    return Tokens(data=tokens.data.gather(1, index), grid=tokens.grid, special=tokens.special)

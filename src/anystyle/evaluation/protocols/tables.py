@@ -9,8 +9,7 @@ from PIL import Image
 
 from anystyle.contracts import Metric
 from anystyle.data.folder import read_picture
-from anystyle.data.images import image_size, to_tensor
-from anystyle.data.paintings import read_square
+from anystyle.data.images import image_size, read_square, to_tensor
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.style_folder import FolderStyles
 from anystyle.evaluation import published, record

@@ -10,10 +10,9 @@ import numpy as np
 from jaxtyping import Bool, Float64, UInt8
 
 from anystyle.reconstructions.kept import kept, key_of
-from anystyle.reconstructions.sfm.model import Lens, SparseModel, Tracks
-from anystyle.reconstructions.sfm.pairs import pairs_to_match
+from anystyle.reconstructions.sfm.matches import pairs_to_match
+from anystyle.reconstructions.sfm.model import Lens, SparseModel, Tracks, undistorted_image, undistorted_model
 from anystyle.reconstructions.sfm.photographs import Enlargement, Photograph
-from anystyle.reconstructions.sfm.undistort import undistorted_image, undistorted_model
 from anystyle.reconstructions.sfm.verdict import FEWEST_VIEWS, Capture, Verdict, judge
 
 Array = np.ndarray

@@ -1,6 +1,9 @@
 """Features and verified matches of photographs, in COLMAP's database."""
 
-from collections.abc import Callable, Sequence
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +12,23 @@ from jaxtyping import Float
 
 from anystyle.reconstructions.sfm.matches import Features, VerifiedPair
 from anystyle.reconstructions.sfm.photographs import Enlargement, Photograph
-from anystyle.reconstructions.sfm.silence import silent
+
+if threading.current_thread() is threading.main_thread():
+    # Its import lets signals print a native stack; Python's own handlers are put back.
+    for _number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(_number, signal.getsignal(_number) or signal.SIG_DFL)
+
+
+@contextmanager
+def silent() -> Iterator[None]:
+    """Let COLMAP say only what ends the process; also a decorator."""
+    before = pycolmap.logging.minloglevel
+    pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
+    try:
+        yield
+    finally:
+        pycolmap.logging.minloglevel = before
+
 
 Array = np.ndarray
 LENS_MODEL = "SIMPLE_RADIAL"

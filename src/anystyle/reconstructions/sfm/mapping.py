@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pycolmap
 
+from anystyle.reconstructions.sfm.database import silent
 from anystyle.reconstructions.sfm.model import Lens, SparseModel, Tracks
 from anystyle.reconstructions.sfm.photographs import Enlargement
-from anystyle.reconstructions.sfm.silence import silent
 
 LEAST_INLIERS = 15
 """Points by which the incremental mapper tries a view; whether it is well held is judged afterwards."""

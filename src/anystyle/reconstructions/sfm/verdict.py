@@ -7,11 +7,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Int
 
-from anystyle.reconstructions.sfm.agreement import Agreement, agreement
 from anystyle.reconstructions.sfm.matches import VerifiedPair
 from anystyle.reconstructions.sfm.model import SparseModel, triangulation_angles
-from anystyle.reconstructions.sfm.parallax import share_of_rotation
-from anystyle.reconstructions.sfm.support import supported_views
+from anystyle.reconstructions.sfm.support import Agreement, agreement, share_of_rotation, supported_views
 
 LEAST_SUPPORT = 30
 """Points that hold a view in its place."""

@@ -8,58 +8,21 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import degree_of, normalisation
-from anystyle.renderers._common import at_least_single, check, over
+from anystyle.renderers._common import CappedRasterizer, at_least_single
 from anystyle.renderers.cpu import stages
-from anystyle.types import Cameras, Gaussians, Renders
+from anystyle.types import Cameras, Gaussians
 
 
-class CpuRenderer(Renderer):
+class CpuRenderer(CappedRasterizer):
     """Tiles in compiled code, on as many threads as ``torch.get_num_threads()`` says; the same bits for any number.
 
     It computes in single precision and is differentiable once, in the Gaussians, the poses and the intrinsics.
-
-    Args:
-        background: Colour in [0, 1] behind the scene.
-        near: Distance along z, above 0, under which centres are not seen; the published renderer's default.
-        far: Distance along z over which centres are not seen.
-        eps2d: Low-pass filter of a pixel: variance in pixels² added to every Gaussian in the image.
-        alpha_cap: The most one Gaussian covers of a pixel: 0.999 in gsplat to 1.5.3, which the published models used,
-            0.99 in gsplat 1.6.
     """
 
-    def __init__(
-        self,
-        *,
-        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
-        near: float = 1e-10,
-        far: float = 1e10,
-        eps2d: float = 0.3,
-        alpha_cap: float = 0.999,
-    ) -> None:
-        self.background = background
-        self.near = near
-        self.far = far
-        self.eps2d = eps2d
-        self.alpha_cap = alpha_cap
-
-    def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
-        """Render every camera of every scene.
-
-        Raises:
-            ValueError: The tensors are not on the CPU, or do not belong together.
-        """
-        check(gaussians, cameras, self.background, self.near)
-        return over(self.accumulate(gaussians, cameras), self.background)
+    device = "cpu"
 
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
-        """Red, green, blue and depth over black and before any cut, and the share of light that passes."""
-        if gaussians.means.device.type != "cpu":
-            raise ValueError(
-                f"the renderer 'cpu' was given tensors on {gaussians.means.device}; "
-                "use renderer=gsplat there, or move the Gaussians and cameras with .to('cpu')"
-            )
         with torch.autocast("cpu", enabled=False):
             gaussians, cameras = at_least_single(gaussians, cameras)
             image = _Splatting.apply(

@@ -1,0 +1,36 @@
+"""Checkerboard: what repeats with the patches of a network is no stroke."""
+
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import Loss
+from anystyle.types import Stylization
+
+
+class Checkerboard(Loss):
+    """Keep the change that a style makes free of a pattern that repeats with the patches.
+
+    ``mean |m - mean m|`` with ``m``, of ``period x period`` pixels, the change from photograph to render averaged over
+    all patches of a view. Transposed convolutions draw such patterns at no cost (Odena et al., Deconvolution and
+    Checkerboard Artifacts, Distill 2016), and losses on statistics of features take them for strokes: strokes that
+    follow the scene average out over patches, a lattice does not.
+
+    Args:
+        period: Side of a patch, in pixels.
+        weight: In the objective.
+    """
+
+    def __init__(self, *, period: int = 14, weight: float = 1.0) -> None:
+        super().__init__()
+        if period < 2:
+            raise ValueError(f"loss.checkerboard.period is {period}; give the side of a patch, 2 pixels or more")
+        self.period = period
+        self.weight = weight
+
+    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+        """See :meth:`anystyle.contracts.Loss.forward`; what is left of a last, partial patch is not seen."""
+        change = (result.renders.color - result.views.images).flatten(0, 1)
+        rows, columns = (side // self.period for side in change.shape[-2:])
+        whole = change[..., : rows * self.period, : columns * self.period]
+        repeated = whole.unflatten(-2, (rows, -1)).unflatten(-1, (columns, -1)).mean((-4, -2))
+        return (repeated - repeated.mean((-2, -1), keepdim=True)).abs().mean()
