@@ -162,16 +162,15 @@ class AnySplat(contracts.Backbone):
             taps=taps,
             checkpointing=checkpointing,
         )
-        camera = CameraHead(
-            dim=2 * dim,
-            depth=camera_depth,
-            heads=camera_heads,
-            mlp_ratio=mlp_ratio,
-            layer_scale=layer_scale,
-            iterations=camera_iterations,
-        )
         self.geometry_head = GeometryHead(
-            camera=camera,
+            camera=CameraHead(
+                dim=2 * dim,
+                depth=camera_depth,
+                heads=camera_heads,
+                mlp_ratio=mlp_ratio,
+                layer_scale=layer_scale,
+                iterations=camera_iterations,
+            ),
             depth=Dpt(dim=2 * dim, features=depth_features, channels=depth_channels, hidden=depth_hidden, outputs=2),
             taps=taps,
             chunk=2 * chunk,
