@@ -28,8 +28,6 @@ class Stylizer(nn.Module):
         branch: Predicts styled attributes.
         renderer: Shows scenes, and colours those whose Gaussians are not the backbone's.
         fit_colors: How these are coloured; see :func:`~anystyle.reconstructions.colors.color_gaussians`.
-        fit_predicted: Whether the backbone's own Gaussians take colours so too, instead of fusing those of pixels:
-            sharper strokes, by least squares and no longer in a single pass.
         keep_harmonics: Whether their harmonics above degree 0 stay as they are; they are dropped otherwise.
 
     Example:
@@ -47,7 +45,6 @@ class Stylizer(nn.Module):
         branch: StyleBranch,
         renderer: Renderer,
         fit_colors: FitColors = 6,
-        fit_predicted: bool = False,
         keep_harmonics: bool = False,
     ) -> None:
         super().__init__()
@@ -56,7 +53,6 @@ class Stylizer(nn.Module):
         self.branch = branch
         self.renderer = renderer
         self.fit_colors: FitColors = checked_steps(fit_colors)
-        self.fit_predicted = fit_predicted
         self.keep_harmonics = keep_harmonics
         self.mixed = False
 
@@ -141,14 +137,13 @@ class Stylizer(nn.Module):
         scene = _paired(scene, embedding)
         with self._precision(scene.views.images.device):
             styled = self.branch(scene, embedding)
-        gaussians = self.unstyled(scene) if self.fit_predicted else scene.gaussians
-        if gaussians is not None:
-            return self._recolored(scene, gaussians, styled)
+        if scene.gaussians is not None:
+            return self._recolored(scene, scene.gaussians, styled)
         attributes = scene.attributes.with_(styled, self.branch.styled)
         return self.backbone.adapter(attributes, scene.geometry, scene.clusters)
 
     def _recolored(self, scene: Scene, gaussians: Gaussians, styled: Attributes) -> Gaussians:
-        """Gaussians in the styled colours of pixels, which theirs are fitted to."""
+        """Gaussians that are none of the backbone's, in the styled colours of pixels."""
         targets = rgb_from_constant(styled.color[..., 0]).clamp(0, 1).movedim(-1, 2).float()  # B V 3 H W
         rows: list[Gaussians] = []
         for row in range(len(targets)):
