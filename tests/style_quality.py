@@ -104,6 +104,13 @@ def single_pass(case: Case) -> Tensor:
     return case.stylizer.render(gaussians, case.scene.cameras).color
 
 
+def solved_back(case: Case) -> Tensor:
+    case.stylizer.fit_predicted = True
+    images = single_pass(case)
+    case.stylizer.fit_predicted = False
+    return images
+
+
 def trained(model: str) -> Callable[[Case], Tensor]:
     """Another model's style branch on the same scene, which the same backbone encoded."""
 
@@ -131,6 +138,7 @@ METHODS: dict[str, dict[str, Callable[[Case], Tensor]]] = {
         "palette transfer": palette_transfer,
         "2D teacher, view by view": teacher,
         "single pass": single_pass,
+        "fit_predicted=true": solved_back,
         "model=tiny": trained("tiny"),
         "model=tiny_paper": trained("tiny_paper"),
     },

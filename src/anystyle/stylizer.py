@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from anystyle.branch import StyleBranch
 from anystyle.contracts import Backbone, Renderer, StyleEncoder, neutral_embedding
 from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.reconstructions.colors import FitColors, checked_steps, color_gaussians
-from anystyle.reconstructions.colors_alone import colors_alone
+from anystyle.reconstructions.colors import FitColors, checked_steps, color_gaussians, colors_alone
 from anystyle.types import Attributes, Cameras, Gaussians, Renders, Scene, StyleEmbedding, Views
 
 PRECISIONS = ("fp32", "bf16", "reference")
@@ -29,6 +28,8 @@ class Stylizer(nn.Module):
         branch: Predicts styled attributes.
         renderer: Shows scenes, and colours those whose Gaussians are not the backbone's.
         fit_colors: How these are coloured; see :func:`~anystyle.reconstructions.colors.color_gaussians`.
+        fit_predicted: Whether the backbone's own Gaussians take colours so too, instead of fusing those of pixels:
+            sharper strokes, by least squares and no longer in a single pass.
         keep_harmonics: Whether their harmonics above degree 0 stay as they are; they are dropped otherwise.
 
     Example:
@@ -46,6 +47,7 @@ class Stylizer(nn.Module):
         branch: StyleBranch,
         renderer: Renderer,
         fit_colors: FitColors = 6,
+        fit_predicted: bool = False,
         keep_harmonics: bool = False,
     ) -> None:
         super().__init__()
@@ -54,6 +56,7 @@ class Stylizer(nn.Module):
         self.branch = branch
         self.renderer = renderer
         self.fit_colors: FitColors = checked_steps(fit_colors)
+        self.fit_predicted = fit_predicted
         self.keep_harmonics = keep_harmonics
         self.mixed = False
 
@@ -138,18 +141,19 @@ class Stylizer(nn.Module):
         scene = _paired(scene, embedding)
         with self._precision(scene.views.images.device):
             styled = self.branch(scene, embedding)
-        if scene.gaussians is not None:
-            return self._recolored(scene, scene.gaussians, styled)
+        gaussians = self.unstyled(scene) if self.fit_predicted else scene.gaussians
+        if gaussians is not None:
+            return self._recolored(scene, gaussians, styled)
         attributes = scene.attributes.with_(styled, self.branch.styled)
         return self.backbone.adapter(attributes, scene.geometry, scene.clusters)
 
     def _recolored(self, scene: Scene, gaussians: Gaussians, styled: Attributes) -> Gaussians:
-        """Gaussians that are none of the backbone's, in the styled colours of pixels."""
+        """Gaussians in the styled colours of pixels, which theirs are fitted to."""
         targets = rgb_from_constant(styled.color[..., 0]).clamp(0, 1).movedim(-1, 2).float()  # B V 3 H W
         rows: list[Gaussians] = []
         for row in range(len(targets)):
-            given = gaussians.map(lambda tensor: tensor[row : row + 1])  # noqa: B023
-            cameras = scene.cameras.map(lambda tensor: tensor[row : row + 1])  # noqa: B023
+            given = gaussians.row(row)
+            cameras = scene.cameras.row(row)
             origins = None if scene.origins is None else scene.origins[row]
             with torch.enable_grad():
                 colored = color_gaussians(

@@ -55,6 +55,22 @@ def test_styles_mix_linearly(stylizer, scene):
     assert light[0] < light[1] < light[2]
 
 
+def test_colors_solved_back_are_sharper_than_fused_ones(stylizer, scene):
+    """On the Gaussians that the backbone predicts, which stay where they are."""
+    embedding = stylizer.embed(image=images(1, (64, 64), seed=9))
+    with torch.no_grad():
+        fused = stylizer.restyle(scene, embedding)
+        stylizer.fit_predicted, stylizer.fit_colors = True, 2
+        solved = stylizer.restyle(scene, embedding)
+        stylizer.fit_predicted, stylizer.fit_colors = False, 6
+        for name in ("means", "rotations", "scales", "opacities"):
+            assert torch.equal(getattr(solved, name), getattr(fused, name))
+        first, second = (
+            stylizer.render(each, scene.cameras).color.diff(dim=-1).abs().mean() for each in (fused, solved)
+        )
+    assert second > 1.1 * first
+
+
 def test_no_warning_is_due_and_the_report_names_the_files(caplog):
     with caplog.at_level(logging.WARNING):
         _, loaded = assemble(compose("stylize", ["model=painter"]))

@@ -27,6 +27,7 @@ class Shared(msgspec.Struct, kw_only=True):
     precision: Literal["fp32", "bf16", "reference"]
     branch: Branch
     fit_colors: Index | bool | str
+    fit_predicted: bool
     keep_harmonics: bool
     weights: dict[str, str | None]
 

@@ -233,6 +233,7 @@ def build_and_load(
         branch=branch,
         renderer=renderer,
         fit_colors=config.fit_colors,
+        fit_predicted=config.fit_predicted,
         keep_harmonics=config.keep_harmonics,
     )
     return stylizer.set_precision(config.precision), headers
