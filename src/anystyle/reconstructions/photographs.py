@@ -42,7 +42,7 @@ QUALITIES: Mapping[str, Quality] = MappingProxyType(
         "draft": Quality(192, 15_000, FitOptions(num_steps=400, final_steps=60, evaluate_every=100)),
         "good": Quality(
             256,
-            40_000,
+            30_000,
             FitOptions(
                 num_steps=600,
                 half_resolution=0.35,
