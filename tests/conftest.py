@@ -2,9 +2,21 @@
 
 import os
 import sys
+from pathlib import Path
+
+import pytest
+
+from program import Program
 
 os.environ["ANYSTYLE_CACHE"] = "off"
 # Where bytecode is forbidden, each worker and each process that a test starts would compile every module again: of the
 # libraries too, since what an instrumented module imports is looked for under the instrumentation's own name.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+
+@pytest.fixture(scope="session")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Program:
+    """The program, started already; one for all workers."""
+    base: Path = tmp_path_factory.getbasetemp()
+    return Program(base.parent if "PYTEST_XDIST_WORKER" in os.environ else base)

@@ -71,10 +71,13 @@ INSTEAD = {
 FEWER = {
     "docs/ablation.md": {
         "seed=0,1,2": "seed=0",
-        "ablation=base,all_geometry,no_clip_loss,no_style_loss,no_text": "ablation=base,no_text",
+        "ablation=base,all_geometry,no_clip_loss,no_style_loss,no_text,distillation": "ablation=base,distillation",
         "placement=aggregator,full": "placement=full",
         "hydra/launcher=joblib": None,
         "hydra.launcher.n_jobs=2": None,
+    },
+    "docs/getting_started.md": {
+        "ablation=base,all_geometry,no_clip_loss,no_style_loss,no_text": "ablation=base,no_text",
     },
     "docs/rivals.md": {"method=branch,nnfm,projection": "method=branch,projection"},
     "docs/clusters.md": {"seed=0,1,2": "seed=0", "placement=head,full": "placement=full"},

@@ -19,10 +19,10 @@ from torch import Tensor
 
 import anystyle
 from anystyle.api import EncodedCapture
-from anystyle.inference.controlled import Controlled
 from anystyle.inference.encoding import encode_capture
 from anystyle.inference.export import FORMATS, export, from_axes, write_page
 from anystyle.inference.options import PoseOptions, ViewOptions
+from anystyle.inference.results import Controlled
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import embed_styles
 from anystyle.renderers.torch import TorchRenderer

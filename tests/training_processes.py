@@ -4,20 +4,38 @@ import multiprocessing
 import os
 import resource
 import socket
+import sys
 from collections.abc import Mapping, Sequence
+from multiprocessing import forkserver
+from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 PRELOADED = ("warm", "training_cases")
 
 
+def forking() -> ForkServerContext:
+    """Where processes are forked that have imported :data:`PRELOADED`."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(list(PRELOADED))
+    before = os.environ.get("PYTHONPATH")
+    # Python 3.11 looks for what is to be preloaded there alone, and is silent where it finds nothing.
+    os.environ["PYTHONPATH"] = os.pathsep.join(sys.path)
+    try:
+        forkserver.ensure_running()
+    finally:
+        if before is None:
+            del os.environ["PYTHONPATH"]
+        else:
+            os.environ["PYTHONPATH"] = before
+    return context
+
+
 def start(
     words: Sequence[str], out: Path, environment: Mapping[str, str] | None = None, largest: int | None = None
 ) -> BaseProcess:
     """A training at work, or about to be; no file that it writes may have more than ``largest`` bytes."""
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(list(PRELOADED))
-    process = context.Process(target=_train, args=(tuple(words), out, dict(environment or {}), largest), daemon=True)
+    process = forking().Process(target=_train, args=(tuple(words), out, dict(environment or {}), largest), daemon=True)
     process.start()
     return process
 
@@ -38,6 +56,7 @@ def said(out: Path) -> str:
 
 
 def _train(words: Sequence[str], out: Path, environment: Mapping[str, str], largest: int | None) -> None:
+    assert "warm" in sys.modules, "the process was not forked from one that has imported everything"
     import torch
 
     from anystyle.commands._run import run

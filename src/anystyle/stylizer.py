@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from anystyle.branch import StyleBranch
 from anystyle.contracts import Backbone, Renderer, StyleEncoder, neutral_embedding
 from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.reconstructions.colors import FitColors, checked_steps, color_gaussians
-from anystyle.reconstructions.colors_alone import colors_alone
+from anystyle.reconstructions.colors import FitColors, checked_steps, color_gaussians, colors_alone
 from anystyle.types import Attributes, Cameras, Gaussians, Renders, Scene, StyleEmbedding, Views
 
 PRECISIONS = ("fp32", "bf16", "reference")
@@ -148,8 +147,8 @@ class Stylizer(nn.Module):
         targets = rgb_from_constant(styled.color[..., 0]).clamp(0, 1).movedim(-1, 2).float()  # B V 3 H W
         rows: list[Gaussians] = []
         for row in range(len(targets)):
-            given = gaussians.map(lambda tensor: tensor[row : row + 1])  # noqa: B023
-            cameras = scene.cameras.map(lambda tensor: tensor[row : row + 1])  # noqa: B023
+            given = gaussians.row(row)
+            cameras = scene.cameras.row(row)
             origins = None if scene.origins is None else scene.origins[row]
             with torch.enable_grad():
                 colored = color_gaussians(

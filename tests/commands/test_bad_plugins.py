@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from docs_program import Program
-
 TOY = """
 from dataclasses import replace
 
@@ -73,9 +71,9 @@ BAD = {
 
 
 @pytest.fixture(scope="module")
-def use(tmp_path_factory):
+def use(tmp_path_factory, program):
     """Run commands in a folder with a photograph, where ``ANYSTYLE_PLUGINS`` is a folder of one plugin."""
-    program, root = Program(), tmp_path_factory.mktemp("bad")
+    root = tmp_path_factory.mktemp("bad")
     Image.fromarray(np.random.default_rng(0).integers(0, 255, (56, 72, 3), dtype=np.uint8)).save(root / "photo.png")
 
     def run(name, code, *words, twice=False):
@@ -89,8 +87,7 @@ def use(tmp_path_factory):
         environment.pop("ANYSTYLE_TRACEBACK", None)
         return program(list(words), folder=root, environment=environment)
 
-    yield run
-    program.close()
+    return run
 
 
 WORDS = ("stylize", "photo.png", "--text", "dots", "~model", "backbone=mine", "views.short_side=56", "video.frames=2")

@@ -307,16 +307,11 @@ def test_what_is_asked_for_must_exist(words, told):
     assert "\n" not in str(caught.value)
 
 
-def test_exit_statuses_reach_the_shell(tmp_path):
+def test_exit_statuses_reach_the_shell(tmp_path, program):
     _write(tmp_path, "wordless", "placement", BAD["undescribed"][1])
     environment = {**os.environ, "ANYSTYLE_PLUGINS": str(tmp_path)}
     for name, status in (("wordless", 1), ("nobody", 2)):
-        done = subprocess.run(
-            [sys.executable, "-m", "anystyle", "plugins", "check", "placement", name],
-            env=environment,
-            capture_output=True,
-            text=True,
-        )
-        assert done.returncode == status, done.stdout + done.stderr
-        assert "Traceback" not in done.stderr
-    assert done.stderr.startswith("anystyle: error: no placement is named 'nobody'.")
+        done = program(["plugins", "check", "placement", name], folder=tmp_path, environment=environment)
+        assert done.status == status, done.out + done.err
+        assert "Traceback" not in done.err
+    assert done.err.startswith("anystyle: error: no placement is named 'nobody'.")

@@ -13,8 +13,8 @@ import pytest
 
 import docs_world as world
 from anystyle.study.protocol import read_study
-from docs_cases import ENDS, INSTEAD, NOT_RUN, PAGES, TELLS, ending, named, reason, shown, small, told
-from docs_program import Done, Program
+from docs_cases import ENDS, FEWER, INSTEAD, NOT_RUN, PAGES, TELLS, ending, named, reason, shown, small, told
+from program import Done, Program
 from study_serving import answer, claim, post, token_of
 
 MORE = {
@@ -29,13 +29,6 @@ BEFORE = {"docs/protocol.md": ("anystyle train -m experiment=tiny_style placemen
 KEPT = re.compile(r"anystyle (stylize|plugins \w+ \w+$|weights)")
 """Commands that leave nothing for those after them: they run on the first page that shows them, and not again."""
 LINES = [(named(page), line) for page in PAGES for line in shown(page)]
-
-
-@pytest.fixture(scope="module")
-def program():
-    started = Program()
-    yield started
-    started.close()
 
 
 class Reader:
@@ -121,5 +114,7 @@ def test_what_is_said_of_commands_is_said_of_some():
     for pattern in (*NOT_RUN, *ENDS, *TELLS):
         assert any(re.match(pattern, line) for line in lines), pattern
     assert set(INSTEAD) <= set(lines)
+    for page, words in FEWER.items():
+        assert set(words) <= {word for where, line in LINES if where == page for word in shlex.split(line)}, page
     assert all(shlex.split(line) for line in lines)
     assert not [line for line in lines if reason(line) and ending(line)]

@@ -12,7 +12,7 @@ from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.geometry.similarity import y_up_from_opencv
 from anystyle.inference.export import FORMATS, UP, export, in_axes
-from anystyle.inference.licenses import licenses, meaning
+from anystyle.inference.saved import licenses, meaning
 from anystyle.io.formats.sog import codebook, palette
 from anystyle.io.packing import from_smallest_three, smallest_three
 from anystyle.renderers.torch import TorchRenderer

@@ -6,7 +6,7 @@ import torch
 
 import anystyle
 from anystyle.inference.assemble import make_method
-from anystyle.reconstructions.colors_alone import colors_alone
+from anystyle.reconstructions.colors import colors_alone
 from anystyle.registry.compose import compose
 from anystyle.types import Geometry, Style, Views
 from reconstructions.scenes import photographed_wall, wall

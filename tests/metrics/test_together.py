@@ -1,6 +1,5 @@
 """All metrics: two processes say what one does, and each draws itself."""
 
-import multiprocessing
 import socket
 import warnings
 from dataclasses import replace
@@ -14,6 +13,7 @@ from anystyle.registry.builtin import BUILTIN
 from anystyle.registry.catalog import catalog
 from anystyle.testing.inputs import comparison
 from anystyle.testing.run import subject
+from training_processes import forking
 
 METRICS = sorted(BUILTIN["metric"])
 ROWS = 3
@@ -73,8 +73,7 @@ def by_two(tmp_path_factory):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["anystyle.testing.run", "anystyle.testing.inputs", "torch.distributed"])
+    context = forking()
     processes = [context.Process(target=_process, args=(rank, 2, port, folder), daemon=True) for rank in range(2)]
     for process in processes:
         process.start()

@@ -19,10 +19,11 @@ def read(name):
     return jupytext.read(FOLDER / name)
 
 
-def run(name, folder, monkeypatch):
+def run(name, folder, monkeypatch, program):
     client = pytest.importorskip("nbclient", reason="notebooks are run by nbclient: pip install nbmake")
-    # Commands of a notebook are those of this environment.
-    monkeypatch.setenv("PATH", os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]]))
+    # Commands of a notebook are those of this environment, started already.
+    commands = [program.install(folder / "bin"), Path(sys.executable).parent]
+    monkeypatch.setenv("PATH", os.pathsep.join([*map(str, commands), os.environ["PATH"]]))
     monkeypatch.setenv("IPYTHONDIR", str(folder / "ipython"))
     notebook = read(name)
     client.NotebookClient(
@@ -32,8 +33,8 @@ def run(name, folder, monkeypatch):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_notebook_runs(name, tmp_path, monkeypatch):
-    notebook = run(name, tmp_path, monkeypatch)
+def test_notebook_runs(name, tmp_path, monkeypatch, program):
+    notebook = run(name, tmp_path, monkeypatch, program)
     shown = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
     assert not [output for output in shown if output.get("name") == "stderr"], shown
     kinds = {kind for output in shown for kind in output.get("data", {})}

@@ -140,3 +140,15 @@ def test_what_shows_nothing_is_removed(photographs):
     assert torch.equal(run.pixels, lifted.pixels[keep])
     assert all(len(value) == len(keep) for value in run.parameters.values())
     run.advance()
+
+
+def test_a_weight_on_scales_keeps_gaussians_small(photographs):
+    """What is small has room for a style's strokes; views held out lose little."""
+    results = [
+        fit(photographs, FitOptions(num_steps=120, scale_weight=weight, evaluate_every=120)).run()
+        for weight in (0.0, 0.01)
+    ]
+    scales = [float(result.gaussians.scales.amax(-1).mean()) for result in results]
+    assert scales[1] < 0.9 * scales[0]
+    quality = [result.heldout for result in results]
+    assert quality[0] is not None and quality[1] is not None and quality[1].psnr > quality[0].psnr - 1

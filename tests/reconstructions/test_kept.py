@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from anystyle.reconstructions import kept as keeping
-from anystyle.reconstructions.colors_alone import colors_alone
+from anystyle.reconstructions.colors import colors_alone
 from anystyle.reconstructions.fit import Fit
 from anystyle.reconstructions.kept import kept, key_of
 from anystyle.renderers.cpu.renderer import CpuRenderer

@@ -7,8 +7,7 @@ import numpy as np
 from PIL import Image
 
 from anystyle.study.design import Sources, design
-from anystyle.study.plan import Plan, plan_from
-from anystyle.study.protocol import Study
+from anystyle.study.protocol import Plan, Study, plan_from
 
 HEADER = "participant,item,question,score,ours_is"
 

@@ -12,13 +12,12 @@ from scipy import stats
 from study_cases import answer_rows, small_study, write_csv
 
 from anystyle.commands._run import FAILED
-from anystyle.study.analysis import Settings, analyze
-from anystyle.study.analysis_json import as_json
+from anystyle.study.analysis import Settings, analyze, as_json
 from anystyle.study.contract import Responses
 from anystyle.study.crossed import variation
 from anystyle.study.reading import read_responses
 from anystyle.study.report import html as report_html
-from anystyle.study.section import latex, markdown
+from anystyle.study.report import latex, markdown
 from anystyle.study.tabulate import escape_tex, p_text
 from anystyle.study.tests.crossed_t import CrossedT
 from anystyle.study.tests.one_sample_t import OneSampleT

@@ -13,9 +13,8 @@ from study_cases import QUESTIONS, small_plan, small_study, write_results
 from anystyle.commands._study_options import read_plan
 from anystyle.study.balance import balanced_positions, balanced_subsets, draw_pairs, latin_orders
 from anystyle.study.design import Sources, balance, design
-from anystyle.study.form import sequence
-from anystyle.study.plan import Rules
-from anystyle.study.protocol import read_study
+from anystyle.study.protocol import Rules, read_study
+from anystyle.study.server import sequence
 from anystyle.study.store import Store
 
 

@@ -11,8 +11,8 @@ import pytest
 from study_cases import small_study
 
 from anystyle.commands.study import main
-from anystyle.study.form import render, sequence, write_page
 from anystyle.study.reading import read_responses
+from anystyle.study.server import render, sequence, write_page
 from chromium import LOADED, start, until
 from study_serving import answer, kept_answers, post, serving
 

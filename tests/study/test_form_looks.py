@@ -3,7 +3,7 @@
 import pytest
 from study_cases import small_study
 
-from anystyle.study.form import write_page
+from anystyle.study.server import write_page
 from chromium import LOADED, start
 
 

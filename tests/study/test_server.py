@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from study_cases import QUESTIONS, small_study
 
-from anystyle.study.form import write_page
+from anystyle.study.server import write_page
 from anystyle.study.store import Answer, Claim, Fact, Message, Refused, Store
 from chromium import until
 from study_serving import PATIENCE, answer, claim, kept_answers, post, serving, token_of

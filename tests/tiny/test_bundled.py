@@ -8,9 +8,8 @@ from anystyle.io.checkpoint import Header, load_part
 from anystyle.perception import weights
 from anystyle_tiny.procedural.scenes import ProceduralScenes
 from anystyle_tiny.procedural.styles import ProceduralStyles
-from anystyle_tiny.ramps import ramp
-from anystyle_tiny.style_encoder import KNOTS, Tiny
-from anystyle_tiny.training.palette import palette_loss
+from anystyle_tiny.style_encoder import KNOTS, Tiny, ramp
+from anystyle_tiny.training.perceptual import palette_loss
 
 COUNT = 200
 

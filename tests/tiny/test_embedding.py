@@ -14,8 +14,7 @@ from anystyle_tiny.procedural.scenes import ProceduralScenes
 from anystyle_tiny.procedural.styles import ProceduralStyles
 from anystyle_tiny.style_encoder import Tiny
 from anystyle_tiny.training.embedding import EmbeddingTraining
-from anystyle_tiny.training.palette import palette_loss
-from anystyle_tiny.training.perceptual import TAPS, NormedTexture, PerceptualTraining
+from anystyle_tiny.training.perceptual import TAPS, NormedTexture, PerceptualTraining, palette_loss
 from anystyle_tiny.training.styles import UNKNOWN, StyleBatches, TraitHeads
 from oracle import hashed
 

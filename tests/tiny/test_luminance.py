@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from anystyle_tiny.luminance import Luminance
-from anystyle_tiny.ramps import ramp
+from anystyle_tiny.style_encoder import ramp
 from oracle import smooth_image
 from style_cases import stylization
 

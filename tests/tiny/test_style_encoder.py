@@ -4,8 +4,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from anystyle_tiny.ramps import ramp
-from anystyle_tiny.style_encoder import COLORS, KNOTS, Tiny, colors, shorter_side
+from anystyle_tiny.style_encoder import COLORS, KNOTS, Tiny, colors, ramp, shorter_side
 from oracle import smooth_image
 
 TEXTS = ("red dots", "thick swirling strokes in deep blue and gold, very large", "a photo", "a")

@@ -3,8 +3,6 @@
 import csv
 import os
 import signal
-import subprocess
-import sys
 
 import pytest
 from omegaconf import OmegaConf
@@ -18,25 +16,20 @@ from anystyle.training.stylization import StylizationTraining
 from training_cases import BACKBONE, STYLIZATION
 
 
-def anystyle(folder, *words: str) -> subprocess.CompletedProcess[str]:
-    environment = os.environ | {"OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-m", "anystyle", "train", *words]
-    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False, env=environment)
-
-
-def test_a_smoke_run_learns_and_says_what_it_left(tmp_path):
+def test_a_smoke_run_learns_and_says_what_it_left(tmp_path, program):
     small = [word for word in BACKBONE if not word.startswith(("backbone=", "renderer="))]
-    result = anystyle(
-        tmp_path, "experiment=tiny_reconstruction", "debug=smoke", *small, "scenes.num_scenes=2", "training.warmup=2",
+    words = [
+        "train", "experiment=tiny_reconstruction", "debug=smoke", *small, "scenes.num_scenes=2", "training.warmup=2",
         "training.learning_rate=0.003", "training.render_every=1", "trainer.precision=32-true",
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    assert result.stdout == "12 steps done; backbone.safetensors in runs/smoke-tiny_reconstruction\n"
-    assert "Traceback" not in result.stderr and "Warning" not in result.stderr
+    ]  # fmt: skip
+    done = program(words, folder=tmp_path, environment=os.environ | {"OMP_NUM_THREADS": "1"})
+    assert done.status == 0, done.err
+    assert done.out == "12 steps done; backbone.safetensors in runs/smoke-tiny_reconstruction\n"
+    assert "Traceback" not in done.err and "Warning" not in done.err
     with (tmp_path / "runs/smoke-tiny_reconstruction/log/version_0/metrics.csv").open() as file:
         losses = [float(row["train/loss"]) for row in csv.DictReader(file) if row["train/loss"]]
     assert sum(losses[-4:]) < 0.95 * sum(losses[:4])
-    assert result.stderr.splitlines()[-1].startswith("val/")
+    assert done.err.splitlines()[-1].startswith("val/")
 
 
 def refused(capsys, *words: str) -> str:

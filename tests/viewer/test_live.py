@@ -11,13 +11,12 @@ from PIL import Image
 
 from anystyle.commands._compose import main
 from anystyle.commands.stylize import parser, stylize
-from anystyle.inference.controlled import Controlled
 from anystyle.inference.controls import blended, with_colors_of
+from anystyle.inference.results import Controlled
 from anystyle.inference.saved import read_gaussians
 from anystyle.methods.contract import Method, Progress
 from anystyle.viewer.door import Door, judged, new_token
-from anystyle.viewer.page import name_of, row
-from anystyle.viewer.pictures import LARGEST, LONGEST, keep_picture
+from anystyle.viewer.page import LARGEST, LONGEST, keep_picture, name_of, row
 from anystyle.viewer.session import Session, Wish
 from chromium import until
 from viewer.worlds import WORDS, world_in

@@ -15,7 +15,7 @@ from anystyle.inference.options import SplatOptions, ViewOptions
 from anystyle.inference.stages import Stages
 from anystyle.types import Cameras, Gaussians
 from anystyle.viewer.flight import Render
-from anystyle.viewer.scenes import OpenScene, opened_scene
+from anystyle.viewer.session import OpenScene, opened_scene
 
 SIZE = (336, 448)
 FOCAL = 370.0

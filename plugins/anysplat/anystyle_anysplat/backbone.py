@@ -1,6 +1,5 @@
 """The network: five parts, and every option that its weights fix."""
 
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -11,7 +10,6 @@ from anystyle import contracts
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.dpt import Dpt
 from anystyle.nn.reference_view import Strategy
-from anystyle.nn.scratch import FIELD_OF_VIEW, PIXELS
 from anystyle.published import Published
 from anystyle_anysplat.adapter import Adapter
 from anystyle_anysplat.aggregator import Aggregator
@@ -198,8 +196,7 @@ class AnySplat(contracts.Backbone):
             scale_max=scale_max,
         )
         if init == "scratch":
-            footprint = 2 * (math.tan(FIELD_OF_VIEW / 2) + focal_epsilon) / resolution  # of a pixel at depth 1
-            start_from_scratch(self, scale=PIXELS * footprint / scale_unit)
+            start_from_scratch(self, focal_epsilon=focal_epsilon, scale_unit=scale_unit)
 
     def load_reference(self, state: Mapping[str, Tensor]) -> None:
         """Load the published weights: the state dict of AnySplat's file, or of an AnyStyle checkpoint.

@@ -10,22 +10,29 @@ from torch import nn
 
 from anystyle.contracts import Backbone
 from anystyle.geometry.harmonics import CONSTANT
-from anystyle.nn.scratch import FIELD_OF_VIEW, OPACITY_LOGIT, SMALL, carriers, conv, start_small
+from anystyle.nn.scratch import FIELD_OF_VIEW, OPACITY_LOGIT, PIXELS, SMALL, carriers, conv, start_small
 from anystyle_anysplat.embedder import Embedder
 from anystyle_anysplat.gaussian_head import GaussianHead
 from anystyle_anysplat.geometry_head import GeometryHead
 
 
 @torch.no_grad()
-def start_from_scratch(backbone: Backbone, *, scale: float) -> None:
-    """Let the untrained network show its photographs on a plane, by Gaussians of a scale in the adapter's units."""
+def start_from_scratch(backbone: Backbone, *, focal_epsilon: float, scale_unit: float) -> None:
+    """Let the untrained network show its photographs on a plane, by Gaussians about as large as its pixels.
+
+    Args:
+        backbone: An untrained one.
+        focal_epsilon: See :func:`anystyle_anysplat.camera_head.decode_pose`.
+        scale_unit: World units of a Gaussian's scale a unit of softplus.
+    """
     embedder, geometry_head, gaussian_head = backbone.embedder, backbone.geometry_head, backbone.gaussian_head
     assert isinstance(embedder, Embedder) and isinstance(geometry_head, GeometryHead)
     assert isinstance(gaussian_head, GaussianHead)
     for token in (embedder.camera_token, embedder.register_token):
         nn.init.normal_(token, std=0.02)  # else the layer norms of the first block see no difference between views
     _start_geometry(geometry_head)
-    _start_gaussians(gaussian_head, scale)
+    footprint = 2 * (math.tan(FIELD_OF_VIEW / 2) + focal_epsilon) / backbone.resolution  # of a pixel at depth 1
+    _start_gaussians(gaussian_head, PIXELS * footprint / scale_unit)
 
 
 def _start_geometry(head: GeometryHead) -> None:

@@ -11,8 +11,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import SceneSource, StyleSource
+from anystyle.nn.words import with_made_up_word
 from anystyle.training.contract import Training, required
-from anystyle.training.optim import decayed_groups, scheduled
+from anystyle.training.optim import decayed_adamw
 from anystyle.training.sampling import generator
 from anystyle.types import Value
 from anystyle_magenta.style_encoder import MagentaEncoder
@@ -140,7 +141,7 @@ class CaptionTraining(Training):
 
     def training_step(self, batch: CaptionBatch, step: int) -> Tensor:
         """The squared error as a share of the variance."""
-        predicted = self.tower([_noisy(text, self.noise_words) for text in batch.texts])
+        predicted = self.tower([with_made_up_word(text, self.noise_words) for text in batch.texts])
         loss = (predicted - batch.vectors).square().sum(1).mean() / self.variance
         self.log("train/loss", loss, batch_size=len(batch.texts), prog_bar=True)
         return loss
@@ -154,14 +155,8 @@ class CaptionTraining(Training):
         self.log_dict({f"val/{name}": value for name, value in figures.items()}, batch_size=len(batch.texts))
 
     def configure_optimizers(self) -> Any:
-        """AdamW with a warm-up and a cosine to 1 % of the rate."""
-        groups = decayed_groups([self.tower], lr=self.learning_rate, weight_decay=self.weight_decay)
-        return scheduled(
-            torch.optim.AdamW(groups, betas=(0.9, 0.98)),
-            total=self.trainer.max_steps - self.warmup,
-            warmup=self.warmup,
-            floor=0.01 * self.learning_rate,
-        )
+        rate, decay, steps = self.learning_rate, self.weight_decay, self.trainer.max_steps
+        return decayed_adamw(self.tower, lr=rate, weight_decay=decay, steps=steps, warmup=self.warmup)
 
 
 def recall(predicted: Float[Tensor, "M D"], target: Float[Tensor, "M D"], k: int) -> Float[Tensor, ""]:
@@ -169,12 +164,3 @@ def recall(predicted: Float[Tensor, "M D"], target: Float[Tensor, "M D"], k: int
     rows, columns = (F.normalize(side - side.mean(0), dim=-1) for side in (predicted, target))
     cosines = rows @ columns.T
     return (cosines > cosines.diagonal()[:, None]).sum(1).lt(k).float().mean()
-
-
-def _noisy(text: str, chance: float) -> str:
-    if torch.rand(()) >= chance:
-        return text
-    letters = torch.randint(26, (int(torch.randint(2, 9, ())),)).tolist()
-    words = text.split()
-    words.insert(int(torch.randint(len(words) + 1, ())), "".join(chr(97 + letter) for letter in letters))
-    return " ".join(words)

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
+from kornia.color import rgb_to_grayscale
 from torch import Tensor, nn
 
 from anystyle.contracts import StyleEncoder
 from anystyle.nn.words import WordTable
 from anystyle.perception.statistics import pooled_moments
 from anystyle.perception.texture import Texture
-from anystyle_tiny.ramps import ramp
 
 TAPS = ("relu1_2", "relu2_2", "relu3_2", "relu4_1")
 TAP_CHANNELS = (32, 64, 96, 128)
@@ -195,3 +195,18 @@ def shorter_side(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "
     if size == (height, width):
         return images
     return F.interpolate(images, size=size, mode="bilinear", align_corners=False, antialias=True)
+
+
+def ramp(images: Float[Tensor, "B 3 h w"], knots: int) -> Float[Tensor, "B knots 3"]:
+    """The colours of each image from the dark to the light end of their first principal axis.
+
+    Args:
+        images: sRGB.
+        knots: Into so many parts of equal size the ordered pixels are split; each is averaged.
+    """
+    colors = images.flatten(2).mT
+    centred = colors - colors.mean(1, keepdim=True)
+    axis = torch.linalg.eigh(centred.mT @ centred).eigenvectors[..., -1:]  # B 3 1
+    lighter = torch.where(rgb_to_grayscale(axis[..., None])[..., 0] < 0, -1.0, 1.0)
+    order = (centred @ (axis * lighter)).argsort(dim=1)
+    return F.adaptive_avg_pool1d(colors.gather(1, order.expand_as(colors)).mT, knots).mT

@@ -12,7 +12,7 @@ from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import explain
 from anystyle.study.contract import StudyTest
-from anystyle.study.plan import Plan, plan_from
+from anystyle.study.protocol import Plan, plan_from
 
 
 def read_plan(overrides: Sequence[str]) -> Plan:

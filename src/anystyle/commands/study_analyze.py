@@ -11,13 +11,11 @@ from anystyle.commands._flags import new_parser
 from anystyle.commands._study_options import build_tests
 from anystyle.io.atomic import atomic_directory
 from anystyle.study import figures, report
-from anystyle.study.analysis import Analysis, Settings, analyze
-from anystyle.study.analysis_json import as_json
+from anystyle.study.analysis import Analysis, Settings, analyze, as_json
 from anystyle.study.contract import Scale
-from anystyle.study.plan import Rules
-from anystyle.study.protocol import read_study
+from anystyle.study.protocol import Rules, read_study
 from anystyle.study.reading import read_responses
-from anystyle.study.section import latex, markdown
+from anystyle.study.report import latex, markdown
 from anystyle.study.verdicts import took_part, verdict
 
 
@@ -94,13 +92,13 @@ def _settings(arguments: argparse.Namespace) -> Settings:
     straight = arguments.exclude_straight_lining or registered.straight_lining
     return Settings(
         scale=Scale() if arguments.scale is None else Scale(*arguments.scale),
-        scales=() if arguments.scale is not None else tuple((one.name, one.scale) for one in questions),
+        scales=() if arguments.scale is not None else tuple((question.name, question.scale) for question in questions),
         rules=structs.replace(registered, straight_lining=straight, **rules),
         confidence=arguments.confidence,
         alternative=arguments.alternative,
         seed=arguments.seed,
         margin=arguments.margin,
-        titles=tuple((one.name, one.text.replace("{method}", "each method")) for one in questions),
+        titles=tuple((question.name, question.text.replace("{method}", "each method")) for question in questions),
         study=study,
     )
 

@@ -5,9 +5,8 @@ from contextlib import closing
 from pathlib import Path
 
 from anystyle.commands._flags import new_parser
-from anystyle.study.form import write_page
 from anystyle.study.protocol import read_study
-from anystyle.study.server import serve
+from anystyle.study.server import serve, write_page
 from anystyle.study.store import Store
 
 

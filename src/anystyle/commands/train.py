@@ -73,9 +73,9 @@ def check_devices(config: DictConfig) -> None:
         ValueError: Several devices are asked for inside a multirun whose jobs are not processes of their own.
     """
     state = HydraConfig.get()
-    one = config.trainer.devices in (1, "1") and config.trainer.num_nodes == 1
+    single = config.trainer.devices in (1, "1") and config.trainer.num_nodes == 1
     launcher = str(state.runtime.choices.get("hydra/launcher"))
-    if state.mode is RunMode.MULTIRUN and not one and not launcher.startswith("submitit"):
+    if state.mode is RunMode.MULTIRUN and not single and not launcher.startswith("submitit"):
         raise ValueError(
             f"trainer.devices={config.trainer.devices} inside a multirun would start the sweep again in every "
             "process; use hydra/launcher=submitit_slurm, or trainer.devices=1"

@@ -19,16 +19,15 @@ from anystyle.commands._run import run, words_of
 from anystyle.inference.assemble import assemble_frozen, default_device, default_poses, make_method
 from anystyle.inference.encoding import encode_capture, encode_splat
 from anystyle.inference.export import write_page
-from anystyle.inference.licenses import licenses, lines
 from anystyle.inference.options import PoseOptions
-from anystyle.inference.saved import is_saved, read_saved
+from anystyle.inference.saved import is_saved, licenses, lines, read_saved
 from anystyle.inference.stages import Stages
 from anystyle.reconstructions.contract import Reconstruction
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians
-from anystyle.viewer.scenes import OpenScene, opened_scene
+from anystyle.viewer.session import OpenScene, opened_scene
 
 Render = Callable[[Gaussians, Cameras], Iterator[Float[Tensor, "3 H W"]]]
 

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, NoReturn, TypeVar
 
 import torch
 from jaxtyping import Float
@@ -23,6 +23,7 @@ from anystyle.types import Cameras, Views
 MAX_ASPECT = 3.0
 """Longer panoramas lose their ends."""
 
+_Read = TypeVar("_Read")
 _log = logging.getLogger(__name__)
 
 
@@ -101,19 +102,12 @@ def read_views(
     else:
         size = common_size(sizes, short_side=short_side, multiple=multiple, enlarge=enlarge)
     room_for_views(len(shots), size)
-    covered: list[tuple[Image.Image, SourceImage]] = []
-    for name, shot in zip(distinct([shot.name for shot in shots]), shots, strict=True):
-        try:
-            covered.append(
-                read_picture(shot.path, name, size) if shot.frame is None else cover(name, shot.frame, shot.size, size)
-            )
-        except ValueError as error:
-            problems.append(str(error))
-    for problem in problems:
-        _log.warning("left out: %s", problem)
-    if not covered:
-        raise ValueError(f"no photograph can be read: {problems[0]}" + _more(len(problems) - 1))
-    return as_views(covered), [source for _, source in covered]
+
+    def covered(name: str, shot: _Shot) -> tuple[Image.Image, SourceImage]:
+        return read_picture(shot.path, name, size) if shot.frame is None else cover(name, shot.frame, shot.size, size)
+
+    pictures = _each(shots, problems, covered)
+    return as_views(pictures), [source for _, source in pictures]
 
 
 def room_for_views(count: int, size: tuple[int, int]) -> None:
@@ -169,22 +163,15 @@ def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> l
         ValueError: Nothing can be read.
     """
     shots, problems = _shots(inputs, max_views)
-    originals: list[Original] = []
-    for name, shot in zip(distinct([shot.name for shot in shots]), shots, strict=True):
+
+    def original(name: str, shot: _Shot) -> Original:
         size = (shot.size[1], shot.size[0])
         if shot.frame is not None:
-            originals.append(Original(name, None, size, shot.frame, Image.Exif()))
-            continue
-        try:
-            picture = images.open_image(shot.path, longest=longest)
-            originals.append(Original(name, shot.path, size, picture, images.read_exif(shot.path)))
-        except ValueError as error:
-            problems.append(str(error))
-    for problem in problems:
-        _log.warning("left out: %s", problem)
-    if not originals:
-        raise ValueError(f"no photograph can be read: {problems[0]}" + _more(len(problems) - 1))
-    return originals
+            return Original(name, None, size, shot.frame, Image.Exif())
+        picture = images.open_image(shot.path, longest=longest)
+        return Original(name, shot.path, size, picture, images.read_exif(shot.path))
+
+    return _each(shots, problems, original)
 
 
 def read_picture(source: Picture, name: str, size: tuple[int, int]) -> tuple[Image.Image, SourceImage]:
@@ -317,9 +304,25 @@ def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[st
     if len(thinned) < len(paths):
         _log.warning("%d of %d photographs are taken, evenly spaced; views.take sets how many", max_views, len(paths))
     shots, problems = _open(thinned, max_views)
-    if not shots:
-        raise ValueError(f"no photograph can be read: {problems[0]}" + _more(len(problems) - 1))
-    return shots, problems
+    return shots or _nothing(problems), problems
+
+
+def _each(shots: Sequence[_Shot], problems: list[str], read: Callable[[str, _Shot], _Read]) -> list[_Read]:
+    """What ``read`` makes of each photograph and its name; what cannot be read is left out, and the log says so."""
+    results: list[_Read] = []
+    for name, shot in zip(distinct([shot.name for shot in shots]), shots, strict=True):
+        try:
+            results.append(read(name, shot))
+        except ValueError as error:
+            problems.append(str(error))
+    for problem in problems:
+        _log.warning("left out: %s", problem)
+    return results or _nothing(problems)
+
+
+def _nothing(problems: Sequence[str]) -> NoReturn:
+    more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    raise ValueError(f"no photograph can be read: {problems[0]}{more}")
 
 
 def _open(paths: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]]:
@@ -350,7 +353,3 @@ def cover(
     reduced = (box[0] * x, box[1] * y, min(box[2] * x, picture.width), min(box[3] * y, picture.height))
     resized = picture.resize((size[1], size[0]), Image.Resampling.LANCZOS, box=reduced)
     return resized, shown
-
-
-def _more(count: int) -> str:
-    return f" (and {count} more)" if count > 0 else ""

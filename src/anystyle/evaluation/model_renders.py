@@ -14,7 +14,7 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.contracts import Metric, SceneSource, StyleSource
-from anystyle.evaluation.contract import Evaluation, Progress
+from anystyle.evaluation.contract import Evaluation, Progress, Protocol, required
 from anystyle.evaluation.folders import CAMERAS, pair, read_seconds, seconds_file, write_cameras
 from anystyle.evaluation.resume import judge_pairing
 from anystyle.io.atomic import atomic_path
@@ -34,21 +34,33 @@ class _Plan(NamedTuple):
     styles: tuple[tuple[int, str], ...]
 
 
-class ModelRenders:
+class ModelRenders(Protocol):
     """Stylizes scenes in styles, keeps the first frames as images, and judges these.
 
-    Options are explained at :class:`anystyle.evaluation.protocols.paper.Paper`.
+    Args:
+        styles: Every style has an image, which the figures compare with.
+        guide: Whether a style enters as its image or as its text.
+        variant: ``reference`` writes JPEG of quality 75 with truncated values and shows the model all views of a
+            scene, as the published scripts do; ``corrected`` writes PNG with rounded values and shows it the frames
+            that are judged.
+        scene_names: Which scenes, in this order; all if empty.
+        num_scenes: At most so many; ``None`` takes all.
+        num_styles: At most so many; ``None`` takes all.
+        frames: Of each scene, the first so many are judged.
+        square: Whether the middle square of each view is taken.
 
     Raises:
-        ValueError: A number is below 1, or a source lacks a scene that is named.
+        ValueError: A number is below 1, or a source is not configured or lacks a scene that is named.
     """
 
     def __init__(
         self,
-        stylizer: Stylizer,
-        scenes: SceneSource,
-        styles: StyleSource,
         *,
+        stylizer: Stylizer,
+        metrics: Mapping[str, Metric],
+        scenes: SceneSource | None,
+        styles: StyleSource | None,
+        method: Method | None = None,
         guide: Literal["image", "text"] = "image",
         variant: Variant = "reference",
         scene_names: Sequence[str] = (),
@@ -56,15 +68,13 @@ class ModelRenders:
         num_styles: int | None = 50,
         frames: int = 16,
         square: bool = True,
-        method: Method | None = None,
     ) -> None:
         for name, value in (("num_scenes", num_scenes), ("num_styles", num_styles), ("frames", frames)):
             if value is not None and value < 1:
                 raise ValueError(f"{name}={value}: give at least 1")
-        self.stylizer = stylizer
+        self.stylizer, self.metrics = stylizer, metrics
         self.method = method or Branch()
-        self.scenes = scenes
-        self.styles = styles
+        self.scenes, self.styles = required(scenes, "scenes"), required(styles, "styles")
         self.guide = guide
         self.variant: Variant = variant
         self.frames = frames
@@ -72,7 +82,7 @@ class ModelRenders:
         self.suffix = suffix_of(variant)
         self.plan = self._plan(scene_names, num_scenes, num_styles)
 
-    def judge(self, metrics: Mapping[str, Metric], out: Path, progress: Progress) -> Evaluation:
+    def run(self, out: Path, progress: Progress) -> Evaluation:
         """Render what is missing below ``out/images``, and compute the figures of all that was asked for.
 
         Raises:
@@ -84,7 +94,7 @@ class ModelRenders:
         # An evaluation of fewer scenes in the folder of a larger one judges those asked for.
         scenes, styles = ({name for _, name in part} for part in self.plan)
         chosen = tuple(cell for cell in pairing.cells if cell.scene in scenes and cell.style in styles)
-        evaluation = judge_pairing(metrics, replace(pairing, cells=chosen), out, progress)
+        evaluation = judge_pairing(self.metrics, replace(pairing, cells=chosen), out, progress)
         seconds, seconds_an_image = self._seconds(images)
         return replace(evaluation, times={"time_s": seconds_an_image}).with_facts(
             variant=self.variant,

@@ -127,7 +127,8 @@ def _panels(
     figure = plotting()(figsize=(margin[0] + num_columns * width, margin[1] + num_rows * height), dpi=130)
     axes = list(figure.subplots(num_rows, num_columns, squeeze=False).flat)
     for index, axis in enumerate(axes[:num_panels]):
-        axis.set_yticks(range(len(titles)), titles if index % num_columns == 0 else [""] * len(titles), fontsize=7)
+        labels = titles if index % num_columns == 0 else ()
+        axis.set_yticks(range(len(labels)), labels, fontsize=7)
         axis.set_ylim(len(titles) - 0.5, -0.5)
         axis.tick_params(axis="y", length=0)
         for side in ("top", "right", "left"):

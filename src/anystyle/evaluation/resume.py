@@ -21,7 +21,7 @@ from anystyle.evaluation.runner import RowFigures, SceneFigures, aggregate, judg
 from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import atomic_path, folder_lock, write_json
 from anystyle.perception.preprocess import checked
-from anystyle.registry.changes import changes, flat
+from anystyle.registry.compose import changes, flat
 
 FOLDER = "parts"
 """Below the folder of an evaluation: ``parts/METRIC-SCENE.json``; what is deleted there is computed again.

@@ -63,9 +63,9 @@ def find(folder: Path) -> list[Run]:
 
 
 def _inside(folder: Path) -> Iterator[Run]:
-    places = (path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
-    places = sorted(places, key=job_order)
-    known = [path for path in places if _is_run(path)]
+    folders = (path for path in folder.iterdir() if path.is_dir() and not path.name.startswith("."))
+    folders = sorted(folders, key=job_order)
+    known = [path for path in folders if _is_run(path)]
     words = _expected(folder / SWEEP)
     for number, overrides in enumerate(words):
         if not (folder / str(number)).is_dir():
@@ -77,7 +77,7 @@ def _inside(folder: Path) -> Iterator[Run]:
         planned = path.name.isdigit() and int(path.name) < len(words)
         yield Run(path, words[int(path.name)], run.state, run.evaluation, run.logged) if planned else run
     if not known and not words:
-        for path in places:
+        for path in folders:
             yield from _inside(path)
 
 

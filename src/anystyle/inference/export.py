@@ -124,10 +124,10 @@ def write_page(
         if gaussians.means.shape[1] != len(seen):
             raise ValueError(f"the style {name!r} has other Gaussians than {styles[0][0]!r}; one page, one scene")
         entries.append(page.PageStyle(name, ply.Splats(*(tensor[0][seen] for tensor in tensors))))
-    page.write(path, entries, places(cameras), title=title, notes=notes.splitlines(), first=len(entries) - 1)
+    page.write(path, entries, page_cameras(cameras), title=title, notes=notes.splitlines(), first=len(entries) - 1)
 
 
-def places(cameras: Cameras) -> list[page.PageCamera]:
+def page_cameras(cameras: Cameras) -> list[page.PageCamera]:
     """Cameras of one scene as a page has them."""
     height, width = cameras.size
     poses, intrinsics = cameras.world_from_camera[0].cpu(), cameras.intrinsics[0].cpu()

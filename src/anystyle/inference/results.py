@@ -1,7 +1,7 @@
 """Results of a stylization, computed one at a time, and their files."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
@@ -11,13 +11,15 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
+from anystyle.caching import LRUCache
 from anystyle.geometry.cameras import smooth_path
 from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.inference.controlled import Controlled
+from anystyle.inference.controls import Controls, applied
 from anystyle.inference.encoding import EncodedCapture
 from anystyle.inference.export import export, write_page
-from anystyle.inference.licenses import lines, report_entry
+from anystyle.inference.masks import Mask, Shown
 from anystyle.inference.options import ExportOptions, VideoOptions
+from anystyle.inference.saved import lines, report_entry
 from anystyle.inference.stages import Stages
 from anystyle.inference.styles import EmbeddedStyle
 from anystyle.io import colmap, ply
@@ -26,9 +28,63 @@ from anystyle.io.checkpoint import save_tensors
 from anystyle.io.sheet import Cell, style_sheet, to_pil
 from anystyle.io.video import write_video
 from anystyle.methods.branch import Branch
-from anystyle.methods.contract import Method
+from anystyle.methods.contract import Method, Progress, silent
 from anystyle.registry.catalog import catalog
-from anystyle.types import Cameras, Gaussians
+from anystyle.types import Cameras, Gaussians, StyleEmbedding
+
+
+class Controlled:
+    """The styles of one capture under controls; what several have in common is computed once.
+
+    Args:
+        encoded: The capture.
+        method: How it takes styles; ``None`` for the single pass.
+        on_progress: Told where the method is.
+        keep: So many styled scenes are kept, for other controls of the same styles.
+    """
+
+    def __init__(
+        self,
+        encoded: EncodedCapture,
+        method: Method | None = None,
+        on_progress: Callable[[Progress], None] = silent,
+        keep: int = 1,
+    ) -> None:
+        self.encoded, self.method, self.on_progress = encoded, method, on_progress
+        # Beside each scene the embedding, whose identity is the key while it lives.
+        self._styled: LRUCache[int, tuple[StyleEmbedding, Gaussians]] = LRUCache(keep)
+        self._weights: dict[Mask, Float[Tensor, "B N"]] = {}
+
+    @cached_property
+    def unstyled(self) -> Gaussians:
+        """The reconstruction itself."""
+        return self.encoded.unstyled()
+
+    def gaussians(self, style: EmbeddedStyle) -> Gaussians:
+        """The scene in a style, as its controls say."""
+        controls = style.controls
+        if controls.strength == 0:
+            return self.unstyled
+        embedding = style.embedding
+        _, styled = self._styled.get(id(embedding), lambda: (embedding, self._restyled(style)))
+        if controls == replace(Controls(), scale=controls.scale):
+            return styled
+        if styled.means.shape != self.unstyled.means.shape:
+            raise ValueError("this method adds Gaussians, and controls mix those there were; set method.split_every=0")
+        return applied(controls, self.unstyled, styled, self._mask_weights(controls.mask))
+
+    def _restyled(self, style: EmbeddedStyle) -> Gaussians:
+        return self.encoded.restyle(style, self.method, self.on_progress)
+
+    def _mask_weights(self, mask: Mask | None) -> float | Float[Tensor, "B N"]:
+        if mask is None:
+            return 1.0
+        if mask not in self._weights:
+            encoded = self.encoded
+            shown = Shown(encoded.sources, encoded.cameras, encoded.stylizer.renderer)
+            self._weights[mask] = mask.weights(self.unstyled, shown)
+        return self._weights[mask]
+
 
 CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
 MAX_POINTS = 100_000

@@ -1,9 +1,9 @@
 """Scenes that were saved: what ``anystyle stylize`` leaves in a folder, or a PLY file of anybody."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import torch
 from msgspec import Meta
@@ -13,8 +13,47 @@ from anystyle.data.poses import StoredCamera
 from anystyle.documents import Count, read_json, regular
 from anystyle.geometry.cameras import look_at
 from anystyle.inference.export import from_axes
-from anystyle.inference.licenses import lines
+from anystyle.perception import weights
 from anystyle.types import Cameras, Gaussians
+
+_OPEN = ("Apache", "MIT", "BSD", "CC0", "CC-BY-4.0")
+_CLOSED = ("NC", "non-commercial", "noncommercial", "research")
+
+
+def licenses(loaded: Mapping[str, Any]) -> dict[str, dict[str, str]]:
+    """By part of the model: its file, the terms it was given under, and what they mean for a result.
+
+    Args:
+        loaded: What was loaded, as :func:`anystyle.inference.assemble.assemble` says it: by part, with ``file``.
+    """
+    terms = {row.file: row.license for row in weights.files().values()}
+    files = {part: str(entry["file"]) for part, entry in loaded.items()}
+    return {
+        part: {"file": file, "license": terms.get(file, "not stated"), "means": meaning(terms.get(file))}
+        for part, file in files.items()
+    }
+
+
+def meaning(license: str | None) -> str:
+    """What a licence of weights means for a scene made with them, in a sentence; no legal advice."""
+    if license is not None and any(word in license for word in _CLOSED):
+        return "results may not be used commercially"
+    if license is not None and license.startswith(_OPEN):
+        return "results may be used freely; whoever passes the weights on keeps their notice"
+    return "the terms are not known here; ask whoever published the weights before results are passed on"
+
+
+def lines(terms: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
+    """For a file or a caption: a line for each part."""
+    for part, entry in terms.items():
+        yield f"{part}: {entry['file']}, {entry['license']}: {entry['means']}"
+
+
+def report_entry(provenance: Mapping[str, object]) -> dict[str, dict[str, str]]:
+    """The terms of what a report's provenance says was loaded; empty where it says nothing."""
+    loaded = provenance.get("weights")
+    return licenses(loaded) if isinstance(loaded, dict) else {}
+
 
 UNSTYLED = "unstyled"
 _Row3 = tuple[float, float, float]

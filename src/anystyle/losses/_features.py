@@ -1,18 +1,49 @@
-"""What losses on features of a frozen network have in common."""
+"""What losses have in common: the images they compare with, and features of a frozen network."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from anystyle import perception
 from anystyle.contracts import Loss
-from anystyle.losses._style import mean_where, style_images
 from anystyle.perception.sources import Source
 from anystyle.types import Stylization
+
+
+def style_images(result: Stylization) -> tuple[Float[Tensor, "B 3 h w"], Bool[Tensor, " B"]] | None:
+    """The style images of a batch and which rows hold one; rows without are grey. ``None`` if none does."""
+    image, given = result.style.image, result.style.has_image
+    if image is None:
+        return None
+    if given is None:
+        return image, torch.ones(image.shape[0], dtype=torch.bool, device=image.device)
+    return torch.where(given[:, None, None, None], image, 0.5), given
+
+
+def mean_where(values: Float[Tensor, " M"], given: Bool[Tensor, " M"]) -> Float[Tensor, ""]:
+    """The mean of the values that are given; 0 where none is."""
+    return torch.where(given, values, 0).sum() / given.sum().clamp_min(1)
+
+
+Reference = Literal["photograph", "render"]
+
+
+def reference_images(result: Stylization, reference: Reference) -> Float[Tensor, "B V 3 H W"]:
+    """The images before the change of style.
+
+    Raises:
+        ValueError: The unstyled render is asked for, and there is none.
+    """
+    if reference == "photograph":
+        return result.views.images
+    if result.unstyled is None:
+        raise ValueError("reference=render compares with the unstyled scene, of which this training makes no render")
+    return result.unstyled.color
 
 
 class FeatureLoss(Loss):

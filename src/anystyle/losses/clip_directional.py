@@ -6,7 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss, StyleEncoder
-from anystyle.losses._style import Reference, reference_images
+from anystyle.losses._features import Reference, reference_images
 from anystyle.types import Stylization
 
 

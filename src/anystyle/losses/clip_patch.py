@@ -7,7 +7,7 @@ from kornia.geometry.transform import get_perspective_transform, warp_perspectiv
 from torch import Tensor
 
 from anystyle.contracts import Loss, StyleEncoder
-from anystyle.losses._style import Reference, reference_images
+from anystyle.losses._features import Reference, reference_images
 from anystyle.perception.eager_backward import eager_backward
 from anystyle.types import Stylization
 

@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
-from anystyle.losses._style import Reference
+from anystyle.losses._features import Reference
 from anystyle.types import Stylization
 
 

@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
-from anystyle.losses._style import mean_where, style_images
+from anystyle.losses._features import mean_where, style_images
 from anystyle.perception.statistics import hellinger, rgb_uv_histogram
 from anystyle.types import Stylization
 

@@ -8,8 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.losses._features import FeatureLoss
-from anystyle.losses._style import mean_where, style_images
+from anystyle.losses._features import FeatureLoss, mean_where, style_images
 from anystyle.perception.eager_backward import eager_backward
 from anystyle.perception.statistics import gram, mean_std
 from anystyle.types import Stylization

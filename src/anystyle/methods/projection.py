@@ -12,8 +12,7 @@ from anystyle.data.folder import image_files, read_picture
 from anystyle.data.images import to_tensor
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.methods.contract import Method, Progress, silent
-from anystyle.reconstructions.colors import fit_colors
-from anystyle.reconstructions.colors_alone import colors_alone
+from anystyle.reconstructions.colors import colors_alone, fit_colors
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, Style, StyleEmbedding
 

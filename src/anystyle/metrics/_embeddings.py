@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from anystyle.contracts import StyleEncoder
-from anystyle.metrics._mean import RowMean
+from anystyle.metrics._pairs import RowMean
 from anystyle.perception.feature_cache import CACHE, identity
 from anystyle.types import Comparison
 

@@ -11,8 +11,7 @@ from torch import Tensor
 from torchmetrics.utilities import dim_zero_cat
 
 from anystyle.contracts import Metric
-from anystyle.metrics._mean import RowMean
-from anystyle.metrics._pairs import Pairs, mean_per_row
+from anystyle.metrics._pairs import Pairs, RowMean, mean_per_row
 from anystyle.perception import lpips, preprocess
 from anystyle.perception.embeddings import SourcedNetwork
 from anystyle.perception.feature_cache import CACHE

@@ -6,9 +6,8 @@ from typing import ClassVar, Literal
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._mean import RowMean
 from anystyle.metrics._networks import NetworkMetric
-from anystyle.metrics._pairs import Pairs, mean_per_row
+from anystyle.metrics._pairs import Pairs, RowMean, mean_per_row
 from anystyle.perception import embeddings, preprocess
 from anystyle.perception.feature_cache import CACHE
 from anystyle.perception.sources import Weights

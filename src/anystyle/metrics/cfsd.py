@@ -9,9 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle import perception
-from anystyle.metrics._mean import RowMean
 from anystyle.metrics._networks import NetworkMetric
-from anystyle.metrics._pairs import Pairs, mean_per_row
+from anystyle.metrics._pairs import Pairs, RowMean, mean_per_row
 from anystyle.perception import preprocess
 from anystyle.perception.feature_cache import CACHE
 from anystyle.perception.lpips import STAND_IN_SIDE

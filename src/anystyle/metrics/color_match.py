@@ -7,8 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._mean import RowMean
-from anystyle.metrics._pairs import Pairs, mean_per_row, with_style_images
+from anystyle.metrics._pairs import Pairs, RowMean, mean_per_row, with_style_images
 from anystyle.perception import preprocess
 from anystyle.perception.feature_cache import CACHE
 from anystyle.perception.statistics import hellinger, rgb_uv_histogram

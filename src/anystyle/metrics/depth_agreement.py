@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.geometry.warp import depth_around, reproject
-from anystyle.metrics._mean import RowMean
+from anystyle.metrics._pairs import RowMean
 from anystyle.types import Comparison
 
 

@@ -7,8 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torchmetrics.functional.image import peak_signal_noise_ratio
 
-from anystyle.metrics._mean import RowMean
-from anystyle.metrics._pairs import Pairs, mean_per_row
+from anystyle.metrics._pairs import Pairs, RowMean, mean_per_row
 from anystyle.types import Comparison
 
 

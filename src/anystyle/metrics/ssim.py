@@ -7,8 +7,7 @@ import kornia
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._mean import RowMean
-from anystyle.metrics._pairs import Pairs, mean_per_row
+from anystyle.metrics._pairs import Pairs, RowMean, mean_per_row
 from anystyle.types import Comparison
 
 WINDOW = 11

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._mean import RowMean
+from anystyle.metrics._pairs import RowMean
 from anystyle.types import Comparison
 
 

@@ -60,6 +60,16 @@ def hash_words(text: str, *, buckets: int, max_words: int) -> list[tuple[int, ..
     return [(_row(word, buckets), *(_row(f"#{triple}", buckets) for triple in _triples(word))) for word in words]
 
 
+def with_made_up_word(text: str, chance: float) -> str:
+    """The text, at times with a made-up word in it, so that training makes unknown words mean nothing."""
+    if torch.rand(()) >= chance:
+        return text
+    letters = torch.randint(26, (int(torch.randint(2, 9, ())),)).tolist()
+    words = text.split()
+    words.insert(int(torch.randint(len(words) + 1, ())), "".join(chr(97 + letter) for letter in letters))
+    return " ".join(words)
+
+
 def _triples(word: str) -> list[str]:
     framed = f"<{word}>"
     return [framed[start : start + 3] for start in range(len(framed) - 2)]

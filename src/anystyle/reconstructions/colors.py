@@ -12,7 +12,7 @@ from torch import Tensor
 from anystyle.caching import LRUCache
 from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import constant_from_rgb
-from anystyle.types import Cameras, Gaussians
+from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, Tokens, Views
 
 MIN_WEIGHT = 1e-3
 """A Gaussian that all views together show less of than so many pixels keeps its colour."""
@@ -255,3 +255,24 @@ def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _Syst
     # A system holds its tensors, so that no others can lie where they do.
     identity = [(tensor.data_ptr(), tensor.shape, tensor._version) for tensor in tensors]
     return _SYSTEMS.get((*identity, cameras.size, id(renderer)), lambda: _System(gaussians, cameras, renderer))
+
+
+def colors_alone(views: Views, cameras: Cameras) -> Scene:
+    """Views as a style branch at the colours of pixels reads them: no tokens, and no depth or Gaussian yet."""
+    images = views.images
+    batch, number, _, height, width = images.shape
+    pixels = images.new_zeros(batch, number, height, width)
+    rotation = torch.tensor([1.0, 0.0, 0.0, 0.0]).to(images).expand(*pixels.shape, 4)
+    return Scene(
+        views=views,
+        stem=Tokens(images.new_zeros(batch, number, 0, 0), grid=(0, 0)),
+        features={},
+        geometry=Geometry(cameras, pixels, pixels),
+        attributes=Attributes(
+            opacity=pixels,
+            scale=pixels[..., None].expand(*pixels.shape, 3),
+            rotation=rotation,
+            color=constant_from_rgb(images.movedim(2, -1))[..., None],
+        ),
+        clusters=None,
+    )

@@ -1,8 +1,9 @@
 """Composing a configuration: ``conf/`` and the catalog through Hydra's compose API, with errors in one line."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
@@ -137,3 +138,19 @@ def _nearest(*errors: BaseException | None) -> str:
                 near = did_you_mean(str(error.key), keys)
                 return f".{near}" if near else f". There are: {', '.join(keys) or 'none'}"
     return ""
+
+
+def flat(node: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:
+    """The values of a nested mapping by their full keys, such as ``backbone.depth``."""
+    values: dict[str, Any] = {}
+    for key, value in node.items():
+        name = f"{prefix}{key}"
+        values |= flat(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
+    return values
+
+
+def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
+    """The first five values that are not what they were, in words; empty where all are."""
+    changed = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
+    shown = [f"{key} {before.get(key)} -> {now.get(key)}" for key in changed[:5]]
+    return ", ".join([*shown, *(["…"] if len(changed) > 5 else [])])

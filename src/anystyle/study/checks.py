@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from anystyle.study.contract import Responses, Scale
-from anystyle.study.plan import Rules
+from anystyle.study.protocol import Rules
 from anystyle.study.reading import Records
 
 _MIXED_SHARE = 0.1  # of a question's answers outside the scale; above, the scale is another one
@@ -103,7 +103,7 @@ def check(
     _check_speed(main, rules, log)
     remaining = main.select(~np.isnan(main.score) & ~np.isin(main.participant, list(log.exclusions)))
     responses = split(remaining, by_question)
-    if not any(one.count for one in responses):
+    if not any(answers.count for answers in responses):
         raise ValueError(f"no answers are left of {len(records.score)}: {_reasons(log)}")
     read = len(np.unique(records.participant))
     checks = Checks(
@@ -115,7 +115,7 @@ def check(
         exclusions=tuple(log.exclusions.values()),
         notes=tuple(_notes(remaining, read, len(log.exclusions))),
     )
-    return checks, tuple(one for one in responses if one.count)
+    return checks, tuple(answers for answers in responses if answers.count)
 
 
 def _undone(records: Records, scales: Mapping[str, Scale]) -> np.ndarray:

@@ -15,8 +15,7 @@ from PIL import Image
 from anystyle.io.atomic import atomic_directory
 from anystyle.study import pictures
 from anystyle.study.balance import balanced_positions, balanced_subsets, draw_pairs, latin_orders, spread_checks
-from anystyle.study.plan import Plan
-from anystyle.study.protocol import PICTURES, Check, Item, Participant, Study
+from anystyle.study.protocol import PICTURES, Check, Item, Participant, Plan, Study
 from anystyle.study.tabulate import escape_markdown
 
 
@@ -222,15 +221,15 @@ def _participants(
 def balance(study: Study) -> dict[str, tuple[int, int]]:
     """How even a study is: the least and the most of counts that a perfect design makes equal."""
     sets = {item.id: item for item in study.items}
-    orders = [[entry for entry in one.order if entry in sets] for one in study.participants]
+    orders = [[entry for entry in person.order if entry in sets] for person in study.participants]
     seen = Counter(entry for order in orders for entry in order)
-    ours_is_a = Counter(entry for one in study.participants for entry in one.ours_is_a)
+    ours_is_a = Counter(entry for person in study.participants for entry in person.ours_is_a)
     standing = Counter((entry, rank) for order in orders for rank, entry in enumerate(order))
     following = Counter(pair for order in orders for pair in pairwise(order))
     counts = {
         **{f"sets per {name}": _count(study.items, name) for name in ("scene", "style", "baseline")},
         "participants per set": [seen[entry] for entry in sets],
-        "ours is A per participant": [len(one.ours_is_a & sets.keys()) for one in study.participants],
+        "ours is A per participant": [len(person.ours_is_a & sets.keys()) for person in study.participants],
         "ours is A per set": [ours_is_a[entry] for entry in sets],
         **{
             f"a {name} per participant": [

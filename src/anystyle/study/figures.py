@@ -269,9 +269,9 @@ def power(study: PowerStudy) -> "Figure":
         figure = new_figure(7.2, 3.5)
         axes = figure.subplots(1, 2)
         colors = _colors(study)
-        for one in study.tests:
-            _curve(axes[0], study.rates(*one, null=True), colors[one])
-            _curve(axes[1], study.rates(*one), colors[one])
+        for test in study.tests:
+            _curve(axes[0], study.rates(*test, null=True), colors[test])
+            _curve(axes[1], study.rates(*test), colors[test])
         people = sorted({rate.scenario.participants for rate in study.power})
         effect = study.power[0].scenario.effect
         titles = ("False positives: no preference", f"Power: a preference of {abs(effect):g} points")
@@ -306,7 +306,7 @@ def _colors(study: PowerStudy) -> dict[tuple[str, Unit], str]:
     """Grey for tests that stand for nobody else, a colour of its own for each of the others."""
     naive = {(rate.test, rate.unit) for rate in study.power if not rate.holds_for}
     palette = cycle(_PALETTE)
-    return {one: "#9aa0a6" if one in naive else next(palette) for one in study.tests}
+    return {test: "#9aa0a6" if test in naive else next(palette) for test in study.tests}
 
 
 def _curve(axes: "Axes", rates: list[Rate], color: str) -> None:

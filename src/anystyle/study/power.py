@@ -248,8 +248,8 @@ def power_study(
     for number in sorted(set(participants)):
         for effect, rates in ((0.0, null), (scenario.effect, power)):
             progress(f"{number} participants, effect {effect:g}")
-            one = replace(scenario, participants=number, effect=effect)
-            rates += rejection_rates(one, tests, studies=studies, seed=seed, level=level)
+            simulated = replace(scenario, participants=number, effect=effect)
+            rates += rejection_rates(simulated, tests, studies=studies, seed=seed, level=level)
     return PowerStudy(tuple(null), tuple(power), target, level, seed)
 
 

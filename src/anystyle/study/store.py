@@ -86,7 +86,7 @@ class Store:
     def __init__(self, *, study: Study, path: Path) -> None:
         self._study = study
         self._questions = {question.name: question for question in study.plan.questions}
-        self._facts = {"consent", "comment", *(one.name for one in study.plan.demographics)}
+        self._facts = {"consent", "comment", *(question.name for question in study.plan.demographics)}
         self._lock = threading.Lock()
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
@@ -139,7 +139,7 @@ class Store:
         self._belongs(message.study)
         assigned = bool(self._study.plan.id_parameters)
         person = message.person if assigned else message.person.upper()
-        if not assigned and person not in {one.id for one in self._study.participants}:
+        if not assigned and person not in {participant.id for participant in self._study.participants}:
             raise Refused(404, "this code is not known")
         digest = _digest(message.token)
         with self._change() as database:
@@ -166,7 +166,9 @@ class Store:
             (since,),
         ).fetchall()
         begun, taken = Counter(slot for slot, _ in rows), Counter(slot for slot, counts in rows if counts)
-        return min((one.id for one in self._study.participants), key=lambda slot: (taken[slot], begun[slot]))
+        return min(
+            (participant.id for participant in self._study.participants), key=lambda slot: (taken[slot], begun[slot])
+        )
 
     def _state(self, participant: str) -> dict[str, Any]:
         columns = ("item", "question", "side", "score", "seconds", "time", "revision")

@@ -77,7 +77,7 @@ def registered(analysis: Analysis) -> list[str]:
     settings, rules, study = analysis.settings, analysis.settings.rules, analysis.settings.study
     lines = []
     if study is not None:
-        plan, asked = study.plan, [f"{one.name} ({one.kind}): “{one.text}”" for one in study.plan.questions]
+        plan, asked = study.plan, [f"{item.name} ({item.kind}): “{item.text}”" for item in study.plan.questions]
         lines.append(
             f"Design {study.id}, drawn with seed {plan.seed}: {plan.participants} participants, {plan.sets} of "
             f"{len(study.items)} sets each, {study.ours} against {', '.join(study.baselines)}; "

@@ -53,7 +53,7 @@ def encodes_several_scenes_at_once(plugin: Plugin) -> None:
     expect_scene(plugin, together)
     backbone, both = frozen(plugin), encoded(plugin, batch=2)
     for index in range(2):
-        alone = backbone.encode(together.map(lambda tensor, i=index: tensor[i : i + 1]))
+        alone = backbone.encode(together.row(index))
         for name in ("stem", "features", "geometry", "attributes"):
             expect_close(
                 _one_scene(getattr(both, name), index),
@@ -225,19 +225,18 @@ def expect_cameras(cameras: Cameras, size: tuple[int, int]) -> None:
 
 def _one_scene(value: Value | Features, index: int) -> Value | Features:
     if isinstance(value, Value):
-        return value.map(lambda tensor: tensor[index : index + 1])
-    return {layer: tokens.map(lambda tensor: tensor[index : index + 1]) for layer, tokens in value.items()}
+        return value.row(index)
+    return {layer: tokens.row(index) for layer, tokens in value.items()}
 
 
 def _expect_fusion_by_scene(backbone: Backbone, both: Scene) -> None:
     # Each scene's fusion is repeated on the batch's own numbers: what rounding does before it is no matter here.
     together = adapted(backbone, both)
     for index in range(2):
-        geometry = both.geometry.map(lambda tensor, i=index: tensor[i : i + 1])
-        attributes = both.attributes.map(lambda tensor, i=index: tensor[i : i + 1])
+        geometry, attributes = both.geometry.row(index), both.attributes.row(index)
         clusters = backbone.adapter.cluster(geometry, attributes)
         alone = backbone.adapter(attributes, geometry, clusters)
-        mine: Gaussians = together.map(lambda tensor, i=index: tensor[i : i + 1])
+        mine: Gaussians = together.row(index)
         if clusters is not None and both.clusters is not None:
             # By pixel, for the order of Gaussians is the adapter's own affair.
             ours, theirs = both.clusters.index[index], clusters.index[0]

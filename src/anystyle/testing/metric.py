@@ -135,7 +135,7 @@ def _rows(batch: int = 3, number: int = 3) -> list[Comparison]:
     together = comparison(batch, number)
     rows: list[Comparison] = []
     for row in range(batch):
-        one = together.map(lambda tensor, i=row: tensor[i : i + 1])
+        one = together.row(row)
         scenes, styles = together.scenes[row : row + 1], together.styles[row : row + 1]
         rows.append(_renamed(one, scenes, styles))
     return rows

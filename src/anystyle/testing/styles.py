@@ -4,8 +4,7 @@ from torch import Tensor
 
 from anystyle.contracts import StyleSource
 from anystyle.testing.check import Check, attempt, expect
-from anystyle.testing.comparing import conform, expect_finite, expect_same
-from anystyle.testing.sources import MOST, copies, expect_any, expect_srgb
+from anystyle.testing.comparing import MOST, conform, copies, expect_any, expect_finite, expect_same, expect_srgb
 from anystyle.testing.subject import Subject
 from anystyle.types import Style
 

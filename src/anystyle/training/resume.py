@@ -17,7 +17,7 @@ from anystyle.documents import plain as as_json
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import folder_lock, write_json
-from anystyle.registry.changes import changes, flat
+from anystyle.registry.compose import changes, flat
 
 UNBOUND = (
     "resume", "checkpoint", "loggers", "workers", "export", "out", "fast_dev_run", "name", "features", "explosion",

@@ -171,7 +171,7 @@ class EncodedScenes:
     def _one(self, views: Views, row: int, key: int) -> Scene:
         # A pool's views are the same each time, and yet of another size where sizes change from step to step.
         name = f"{key}_{views.size[0]}x{views.size[1]}"
-        return self._scenes.get(name, lambda: self._encoded(name, views.map(lambda tensor: tensor[row : row + 1])))
+        return self._scenes.get(name, lambda: self._encoded(name, views.row(row)))
 
     def _encoded(self, name: str, views: Views) -> Scene:
         scene = None if self.store is None else self.store.get(name, views)

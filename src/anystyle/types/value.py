@@ -37,6 +37,10 @@ class Value:
         """This value with ``function`` applied to every tensor in it."""
         return pytree.tree_map_only(Tensor, function, self)
 
+    def row(self: AnyValue, index: int) -> AnyValue:
+        """One row of the batch, as a batch of one."""
+        return self.map(lambda tensor: tensor[index : index + 1])
+
     def to(self: AnyValue, target: torch.device | torch.dtype | str) -> AnyValue:
         """This value on another device, or with its floating-point tensors in another dtype."""
         if isinstance(target, torch.dtype):

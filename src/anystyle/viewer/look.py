@@ -15,7 +15,7 @@ from anystyle.geometry.rotations import matrix_from_wxyz, wxyz_from_matrix
 from anystyle.io.sheet import to_pil
 from anystyle.types import Gaussians
 from anystyle.viewer.flight import Flight
-from anystyle.viewer.scenes import OpenScene
+from anystyle.viewer.session import OpenScene
 
 Array = np.ndarray
 REST_SECONDS = 0.15

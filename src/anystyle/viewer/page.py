@@ -1,8 +1,10 @@
 """viser's page with what it lacks: a drop of pictures, a row of styles with their pictures, and the line of a split."""
 
 import base64
+import hashlib
 import io
 import re
+import tempfile
 from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.resources import files
@@ -10,6 +12,9 @@ from pathlib import Path
 from string import Template
 
 from PIL import Image
+
+from anystyle.data.images import open_image
+from anystyle.errors import one_line
 
 
 def page(viser_page: Path, largest: int) -> bytes:
@@ -56,3 +61,36 @@ def address(picture: Image.Image) -> str:
     data = io.BytesIO()
     picture.convert("RGB").save(data, "JPEG", quality=85)
     return f"data:image/jpeg;base64,{base64.b64encode(data.getvalue()).decode()}"
+
+
+LARGEST = 32 * 1024 * 1024
+"""Bytes of a picture."""
+LONGEST = 2048
+"""Pixels of the longer side; larger pictures are reduced to less than twice of it."""
+
+
+def keep_picture(folder: Path, name: str, content: bytes) -> Path:
+    """Keep a picture under its name and the beginning of its digest.
+
+    Args:
+        folder: Where to; it is made.
+        name: As the browser says it.
+        content: The file.
+
+    Raises:
+        ValueError: It is too large, or none.
+    """
+    if len(content) > LARGEST:
+        raise ValueError(f"a picture of {len(content):,} bytes; at most {LARGEST:,} are taken")
+    stem = "".join(letter if letter.isalnum() else "-" for letter in Path(name).stem)[:40] or "picture"
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=folder, prefix=".given-") as file:
+        file.write(content)
+        file.flush()
+        try:
+            picture = open_image(Path(file.name), longest=LONGEST)
+        except (ValueError, OSError) as error:
+            raise ValueError(one_line(error).replace(file.name, f"the picture {stem}")) from None
+    target = folder / f"{stem}-{hashlib.sha256(content).hexdigest()[:8]}.png"
+    picture.save(target)
+    return target

@@ -13,10 +13,8 @@ from anystyle.io.sheet import to_pil
 from anystyle.types import Gaussians
 from anystyle.viewer.flight import Flight
 from anystyle.viewer.look import Look, drawn
-from anystyle.viewer.page import address, name_of, row
-from anystyle.viewer.pictures import keep_picture
-from anystyle.viewer.scenes import OpenScene
-from anystyle.viewer.session import Session, Wish
+from anystyle.viewer.page import address, keep_picture, name_of, row
+from anystyle.viewer.session import OpenScene, Session, Wish
 
 NONE = "—"
 THUMBNAIL = 72

@@ -10,11 +10,9 @@ import viser
 
 from anystyle.viewer.door import LOOPBACK, Door
 from anystyle.viewer.flight import Flight, Render
-from anystyle.viewer.page import page
+from anystyle.viewer.page import LARGEST, page
 from anystyle.viewer.panel import Panel
-from anystyle.viewer.pictures import LARGEST
-from anystyle.viewer.scenes import OpenScene
-from anystyle.viewer.session import Session
+from anystyle.viewer.session import OpenScene, Session
 
 VISER_PAGE = Path(viser.__file__).parent / "client" / "build" / "index.html"
 

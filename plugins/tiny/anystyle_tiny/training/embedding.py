@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import perception
+from anystyle.nn.words import with_made_up_word
 from anystyle.training.optim import decayed_adamw
 from anystyle_tiny.style_encoder import KNOTS, SIDE, Tiny, colors, shorter_side
 from anystyle_tiny.training.styles import StyleBatch, StyleTraining, TraitHeads, retrieval
@@ -101,7 +102,7 @@ class EmbeddingTraining(StyleTraining):
         raw, ramps = self.known_pictures(images, batch.keys)
         pictures = self.style_encoder.from_image_tower(raw)
         captions = self.style_encoder.embed_texts(
-            [_noisy(text, self.noise_words) for text in batch.texts + batch.photo_texts]
+            [with_made_up_word(text, self.noise_words) for text in batch.texts + batch.photo_texts]
         )
         terms = {"contrast": self.contrast(pictures, captions, len(batch.photos))}
         for name, vectors in (("image", pictures), ("text", captions)):
@@ -170,13 +171,3 @@ class EmbeddingTraining(StyleTraining):
         """AdamW with a warm-up and a cosine to 0.2 % of the rate."""
         rate, decay, steps = self.learning_rate, self.weight_decay, self.trainer.max_steps
         return decayed_adamw(self, lr=rate, weight_decay=decay, steps=steps, warmup=self.warmup, floor=2e-3)
-
-
-def _noisy(text: str, chance: float) -> str:
-    """The caption, at times with a made-up word in it, so that unknown words come to mean nothing."""
-    if torch.rand(()) >= chance:
-        return text
-    letters = torch.randint(26, (int(torch.randint(2, 9, ())),)).tolist()
-    words = text.split()
-    words.insert(int(torch.randint(len(words) + 1, ())), "".join(chr(97 + letter) for letter in letters))
-    return " ".join(words)

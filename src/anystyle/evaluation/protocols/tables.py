@@ -102,7 +102,7 @@ class Tables(Protocol):
         rows: dict[str, Evaluation] = {}
         for guide in self.guides:
             name = f"model_{guide}"
-            rows[name] = self._model(guide).judge(self.metrics, out / "methods" / name, progress)
+            rows[name] = self._model(guide).run(out / "methods" / name, progress)
         for name in self.methods:
             pairing = self._pairing(out, self.layout.renders(name))
             rows[name] = judge_pairing(self.metrics, pairing, out / "methods" / name, progress, stage=name)
@@ -118,9 +118,10 @@ class Tables(Protocol):
     def _model(self, guide: Literal["image", "text"]) -> ModelRenders:
         patch = self.stylizer.backbone.patch_size
         return ModelRenders(
-            self.stylizer,
-            FolderScenes(root=str(self.layout.content), short_side=self.size, multiple=patch),
-            FolderStyles(root=str(self.layout.styles), size=STYLE_SIZE),
+            stylizer=self.stylizer,
+            metrics=self.metrics,
+            scenes=FolderScenes(root=str(self.layout.content), short_side=self.size, multiple=patch),
+            styles=FolderStyles(root=str(self.layout.styles), size=STYLE_SIZE),
             guide=guide,
             variant=self.variant,
             scene_names=[self.layout.scene_folder_name(scene) for scene in self.layout.scene_names],

@@ -128,8 +128,8 @@ def verified_pairs(path: Path) -> list[VerifiedPair]:
             ids = pycolmap.pair_id_to_image_pair(pair)
             matches = geometry.inlier_matches
             if len(matches):
-                places = np.stack([pixels[one][matches[:, side]] for side, one in enumerate(ids)])
-                verified.append(VerifiedPair(index[ids[0]], index[ids[1]], places))
+                matched = np.stack([pixels[image][matches[:, side]] for side, image in enumerate(ids)])
+                verified.append(VerifiedPair(index[ids[0]], index[ids[1]], matched))
     finally:
         database.close()
     return sorted(verified, key=lambda pair: (pair.first, pair.second))

@@ -165,7 +165,7 @@ def project_backward(
     stop: int,
     splats: Array,
     owners: Array,
-    places: Array,
+    ranks: Array,
     moments: Array,
     d_means: Array,
     d_covariances: Array,
@@ -187,7 +187,7 @@ def project_backward(
         stop: One behind the last splat.
         splats: ``[n, SPLAT]``, nearest first.
         owners: ``[n]``: the Gaussian of a splat, ascending.
-        places: ``[n]``: the row of that splat in ``splats`` and ``moments``.
+        ranks: ``[n]``: the row of that splat in ``splats`` and ``moments``.
         moments: ``[n, MOMENTS]``, as :mod:`anystyle.renderers.cpu.raster` sums them.
         d_means: ``[N, 3]``, added to.
         d_covariances: ``[N, 6]``, added to.
@@ -205,7 +205,7 @@ def project_backward(
     basis, slopes = np.full(count, tables[0, 0, 0]), np.zeros((count, 3))
     ray = np.empty(3)
     for i in range(start, stop):
-        g, at = owners[i], places[i]
+        g, at = owners[i], ranks[i]
         mx, my, mz = float(means[g, 0]), float(means[g, 1]), float(means[g, 2])
         z = r[6] * mx + r[7] * my + r[8] * mz + t[2]
         u = (r[0] * mx + r[1] * my + r[2] * mz + t[0]) / z

@@ -51,21 +51,21 @@ def nearest_first(splats: Array, rows: Array) -> Array:
 
 
 @compiled
-def arrange(splats: Array, rows: Array, order: Array, sorted_splats: Array, places: Array) -> None:
+def arrange(splats: Array, rows: Array, order: Array, sorted_splats: Array, ranks: Array) -> None:
     """Copy splats in an order.
 
     Args:
         splats: ``[N, SPLAT]``.
         rows: ``[n]``: which rows to copy.
-        order: ``[n]``: places in ``rows``.
+        order: ``[n]``: indices into ``rows``.
         sorted_splats: ``[n, SPLAT]``, written.
-        places: ``[n]``, written: where each of ``rows`` went.
+        ranks: ``[n]``, written: where each of ``rows`` went.
     """
     for i in range(rows.shape[0]):
         row = rows[order[i]]
         for k in range(splats.shape[1]):
             sorted_splats[i, k] = splats[row, k]
-        places[order[i]] = i
+        ranks[order[i]] = i
 
 
 @compiled

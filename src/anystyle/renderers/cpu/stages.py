@@ -38,7 +38,7 @@ class Splats(NamedTuple):
 
     data: np.ndarray
     owners: np.ndarray
-    places: np.ndarray
+    ranks: np.ndarray
     lists: np.ndarray
     offsets: np.ndarray
 
@@ -114,11 +114,11 @@ def project(scene: Scene, view: View, height: int, run: Run) -> Splats:
         return np.arange(start, start + count)
 
     rows = np.concatenate([np.empty(0, np.int64), *run(job, range(0, number, CHUNK))])
-    nearest, places = np.empty((len(rows), projection.SPLAT), np.float32), np.empty(len(rows), np.int32)
-    sorting.arrange(data, rows, sorting.nearest_first(data, rows), nearest, places)
+    nearest, ranks = np.empty((len(rows), projection.SPLAT), np.float32), np.empty(len(rows), np.int32)
+    sorting.arrange(data, rows, sorting.nearest_first(data, rows), nearest, ranks)
     offsets = np.empty(-(-height // sorting.HEIGHT) + 1, np.int64)
     lists = sorting.rows_of(nearest, offsets)
-    return Splats(nearest, owners[rows], places, lists, offsets)
+    return Splats(nearest, owners[rows], ranks, lists, offsets)
 
 
 def project_backward(
@@ -134,7 +134,7 @@ def project_backward(
         d_camera = np.zeros(projection.CAMERA)
         projection_gradients.project_backward(
             scene.means, scene.shapes, scene.harmonics, *view, start, min(start + CHUNK, number),
-            splats.data, splats.owners, splats.places, moments,
+            splats.data, splats.owners, splats.ranks, moments,
             into.means, into.shapes, into.opacities, into.harmonics, posed, d_camera,
         )  # fmt: skip
         return d_camera

@@ -37,8 +37,8 @@ class CrossedT(StudyTest):
         crossed = Crossing(factors=factors).mean(values) if factors else None
         if crossed is None or crossed.error[0] == 0:
             reason = f"{drawn or 'one participant, one item'}: the means do not vary, and nothing can be tested"
-            nothing = TestResult.untestable(responses, reason=reason, alternative=self.alternative, method=method)
-            return replace(nothing, unit="participant", n=people)
+            untestable = TestResult.untestable(responses, reason=reason, alternative=self.alternative, method=method)
+            return replace(untestable, unit="participant", n=people)
         mean, error, df = (float(column[0]) for column in (crossed.mean, crossed.error, crossed.df))
         return TestResult(
             unit="participant",

@@ -32,20 +32,20 @@ class OrdinalMixed(StudyTest):
     def __call__(self, responses: Responses) -> TestResult:
         people = len(np.unique(responses.participants))
         method = "cumulative-logit mixed model, crossed random intercepts, Laplace approximation"
-        nothing = TestResult.untestable(responses, reason="", alternative=self.alternative, method=method)
-        nothing = replace(nothing, unit="participant", n=people)
+        untestable = TestResult.untestable(responses, reason="", alternative=self.alternative, method=method)
+        untestable = replace(untestable, unit="participant", n=people)
         if not responses.factors:
-            return replace(nothing, note="one participant and one item: no random effect can be told from noise")
+            return replace(untestable, note="one participant and one item: no random effect can be told from noise")
         if len(np.unique(responses.deviations)) < 2:
-            return replace(nothing, note="every answer is the same: the model has no finite fit")
+            return replace(untestable, note="every answer is the same: the model has no finite fit")
         try:
             fitted = clmm.fit(responses)
         except ValueError as error:
-            return replace(nothing, note=str(error))
+            return replace(untestable, note=str(error))
         if fitted.failure:
-            return replace(nothing, note=f"the optimiser reached no maximum: {fitted.failure}")
+            return replace(untestable, note=f"the optimiser reached no maximum: {fitted.failure}")
         if not fitted.error < _LARGEST_ERROR:
-            return replace(nothing, note="the likelihood is flat: one side may have all but every answer")
+            return replace(untestable, note="the likelihood is flat: one side may have all but every answer")
         low, high = t_interval(fitted.preference, fitted.error, fitted.df, self.confidence, self.alternative)
         spreads = ", ".join(f"{sd:.2f} between {factor}" for factor, sd in fitted.sds.items())
         statistic = fitted.preference / fitted.error
