@@ -6,8 +6,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from anystyle.nn.aligner import Aligner
-from anystyle.nn.matcher import Matcher
+from anystyle.nn.aligner import Aligner, Matcher
 from anystyle.types import Cameras, Geometry
 
 SIZE = (64, 64)

@@ -12,7 +12,7 @@ from anystyle import contracts
 from anystyle.nn.dpt import Dpt, by_views
 from anystyle.nn.pixels import normalised
 from anystyle.types import Attributes, Features, Inject, Site, Tokens, untouched
-from anystyle_depth_anything.rays import HIDDEN
+from anystyle_depth_anything.geometry_head import HIDDEN
 
 
 class GaussianHead(contracts.GaussianHead):

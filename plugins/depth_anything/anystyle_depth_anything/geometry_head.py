@@ -3,15 +3,39 @@
 from collections.abc import Callable, Sequence
 
 import torch
+import torch.nn.functional as F
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from anystyle import contracts
 from anystyle.nn.aligner import Aligner
-from anystyle.nn.dpt import Dpt, by_views
+from anystyle.nn.dpt import Chain, Dpt, add_positions_, by_views
 from anystyle.types import Features, Geometry
 from anystyle_depth_anything.cameras import CameraDecoder, decode_pose
-from anystyle_depth_anything.rays import HIDDEN, RayChain
+
+HIDDEN = 32
+"""Channels of decoders' last hidden layers, in every size."""
+
+
+class RayChain(nn.Module):
+    """Tells the ray of every place on a grid eight times as fine as the patches."""
+
+    def __init__(self, features: int) -> None:
+        super().__init__()
+        wide, narrow = features, features // 2
+        self.fusions = Chain(wide, rectified=False)
+        self.neck = nn.Sequential(
+            *(nn.Conv2d(a, b, 3, padding=1) for a, b in [(wide, narrow), (narrow, wide)] * 2 + [(wide, narrow)])
+        )
+        self.first = nn.Conv2d(narrow, HIDDEN, 3, padding=1)
+        self.norm = nn.LayerNorm(HIDDEN)
+        self.last = nn.Conv2d(HIDDEN, 7, 1)
+
+    def forward(self, maps: Sequence[Float[Tensor, "M C _ _"]]) -> Float[Tensor, "M 7 h w"]:
+        """Direction and origin of rays, and the logarithm of confidence less one."""
+        x = self.neck(self.fusions(maps))
+        x = self.first(add_positions_(x, x.shape[-1] / x.shape[-2]))
+        return self.last(F.relu(self.norm(x.movedim(1, -1)).movedim(-1, 1)))
 
 
 class GeometryHead(contracts.GeometryHead):
