@@ -14,7 +14,10 @@ FOLDER = Path(__file__).parent
 
 def test_what_once_ended_badly_ends_well():
     done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-m", "fuzz", "--kept"], cwd=FOLDER, capture_output=True, text=True
+        [sys.executable, "-W", "ignore", "-m", "fuzz", "--kept", "--seconds", "600"],
+        cwd=FOLDER,
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stdout + done.stderr
     assert sum(line.endswith(": fine ") for line in done.stdout.splitlines()) == len(KEPT)

@@ -140,8 +140,6 @@ def complete(commands: Iterable[str], words: Sequence[str]) -> None:
         words: As Hydra takes them: ``install=bash``, ``uninstall=bash`` or ``query=bash``, with the line that is being
             typed in ``COMP_LINE``; likewise for zsh and fish.
     """
-    from anystyle.commands._compose import launch
-
     names = list(commands)
     if any(word.startswith("query=") for word in words):
         typed = os.environ.get(_LINE, "").split(" ")[1:]
