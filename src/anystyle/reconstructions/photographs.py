@@ -46,7 +46,7 @@ QUALITIES: Mapping[str, Quality] = MappingProxyType(
             FitOptions(
                 num_steps=600,
                 half_resolution=0.35,
-                scale_weight=0.0025,
+                scale_weight=0.001,
                 final_steps=80,
                 evaluate_every=100,
                 patience=3,
