@@ -27,6 +27,8 @@ def read_array(path: Path, *, what: str = "array of numbers") -> NDArray[np.floa
     try:
         # Mapped first: what the header announces and the file does not hold is never allocated.
         return _numbers(np.load(path, mmap_mode="r", allow_pickle=False))
+    except MemoryError:
+        raise
     except Exception as error:
         # Damaged headers make the parser raise nearly anything.
         raise UserError(f"{path} is no {what} ({_reason(error)})") from None
@@ -53,6 +55,8 @@ def read_arrays(path: Path, numbers: Sequence[str], names: Sequence[str] = (), *
             values: dict[str, NDArray] = {name: _numbers(stored[name]) for name in numbers}
             values |= {name: np.array([str(item) for item in stored[name].ravel().tolist()]) for name in names}
         return values
+    except MemoryError:
+        raise
     except Exception as error:
         raise UserError(f"{path} is no {what} ({_reason(error)})") from None
 

@@ -40,7 +40,7 @@ def _mode(self: Hydra, config_name: str | None, overrides: list[str]) -> Any:
             return _get_mode(self, config_name, overrides)
         config = self.config_loader.load_configuration(config_name, list(overrides), RunMode.RUN)
     except Exception:
-        return None  # the run composes it again, and says what is wrong
+        return None  # as Hydra does: the run composes it again, and says what is wrong
     mode = config.hydra.mode
     if mode is None:
         # As Hydra is about to ask for it.
