@@ -8,7 +8,7 @@ import torch
 from anystyle.geometry.stereo import StereoDepth
 from anystyle.reconstructions.exposure import Exposures
 from anystyle.reconstructions.fitting import Fit
-from anystyle.reconstructions.initial import from_stereo, lift
+from anystyle.reconstructions.initial import InitialGaussians, backdrop, from_stereo, lift
 from anystyle.reconstructions.options import FitOptions
 from anystyle.renderers.cpu.renderer import CpuRenderer
 from reconstructions.scenes import photographed_wall, rig
@@ -152,3 +152,34 @@ def test_a_weight_on_scales_keeps_gaussians_small(photographs):
     assert scales[1] < 0.9 * scales[0]
     quality = [result.heldout for result in results]
     assert quality[0] is not None and quality[1] is not None and quality[1].psnr > quality[0].psnr - 1
+
+
+def test_what_no_view_shows_keeps_its_size(photographs):
+    """Adam takes whole steps however small a gradient is; shrunk, it would leave a hole where a new view looks."""
+    images, cameras, _ = photographs
+    lifted = initial(photographs)
+    behind = cameras.world_from_camera[0, 0, :3, 3] - cameras.world_from_camera[0, 0, :3, 2]
+    lifted = replace(lifted, means=torch.cat([behind[None], lifted.means[1:]]))
+    run = Fit(images, cameras, lifted, RENDERER, FitOptions(num_steps=20, scale_weight=0.01))
+    run.run()
+    torch.testing.assert_close(run.gaussians().scales[0, 0], lifted.scales[0].expand(3))
+
+
+def test_a_view_that_looks_past_the_photographs_sees_no_hole(photographs):
+    """Beside what they show, the backdrop goes on in the colours of their borders."""
+    images, cameras, depth = photographs
+    stereo = StereoDepth(depth, torch.ones_like(depth), torch.ones(depth.shape, dtype=torch.int32))
+    behind = backdrop(images, cameras, stereo, num_gaussians=400, generator=torch.Generator().manual_seed(0))
+    views, rows, columns = behind.pixels.unbind(1)
+    assert torch.equal(behind.colors, images[views, :, rows, columns])
+    height, width = cameras.size
+    assert ((rows % (height - 1) == 0) | (columns % (width - 1) == 0)).all(), "all depths are supported"
+    run = Fit(images, cameras, InitialGaussians.cat([initial(photographs), behind]), RENDERER, FitOptions(num_steps=60))
+    run.run()
+    aside = torch.tensor([[0.96, 0, 0.28, 0], [0, 1, 0, 0], [-0.28, 0, 0.96, 0], [0, 0, 0, 1]])
+    turned = replace(cameras, world_from_camera=cameras.world_from_camera @ aside).select([6])
+    with torch.no_grad():
+        alpha = RENDERER(run.gaussians(), turned).alpha[0, 0]
+        bare = RENDERER(fit(photographs, FitOptions(num_steps=1)).gaussians(), turned).alpha[0, 0]
+    assert bare.amin(0).min() < 0.05
+    assert alpha.quantile(0.02) > 0.8

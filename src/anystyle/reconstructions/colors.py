@@ -64,13 +64,19 @@ def color_gaussians(
     """
     if how != "off":
         steps = 0 if how == "mean" else how
-        return fit_colors(gaussians, cameras, targets, renderer, steps=steps, largest=how != "mean", keep=keep)
+        return fit_colors(
+            gaussians, cameras, targets, renderer, steps=steps, largest=how != "mean", keep=keep, origins=origins
+        )
     if origins is None:
         raise ValueError(
             "fit_colors=off takes colours from pixels, and it is not known which Gaussian comes from which"
         )
-    view, row, column = origins.unbind(1)
-    return replace(gaussians, harmonics=constant_from_rgb(targets[view, :, row, column])[None, :, None])
+    return replace(gaussians, harmonics=constant_from_rgb(_at(targets, origins))[None, :, None])
+
+
+def _at(pictures: Float[Tensor, "V 3 H W"], pixels: Int[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+    view, row, column = pixels.unbind(1)
+    return pictures[view, :, row, column]
 
 
 def fit_colors(
@@ -83,6 +89,7 @@ def fit_colors(
     damping: float = 0.0,
     largest: bool = False,
     keep: bool = False,
+    origins: Int[Tensor, "N 3"] | None = None,
 ) -> Gaussians:
     """Colour Gaussians so that their renders are as near as can be to targets, in squared error.
 
@@ -96,7 +103,8 @@ def fit_colors(
     by one view, as surfaces are textured from photographs (Lempitsky and Ivanov 2007).
 
     Args:
-        gaussians: A batch of one scene; their colours are kept only where no view sees them.
+        gaussians: A batch of one scene; their colours are kept only where no view sees them, and
+            no origin is known.
         cameras: A batch of one scene, for images of the targets' size.
         targets: sRGB in [0, 1].
         renderer: Differentiable in colours; what it has behind the scene is taken out of the targets.
@@ -105,6 +113,7 @@ def fit_colors(
         damping: Pulls each colour towards its weighted mean, with this share of its own weight.
         largest: Whether pixels count where their view shows a place largest; all count alike otherwise.
         keep: Whether harmonics above degree 0 stay as they are.
+        origins: View, row and column of the pixel that each Gaussian comes from, for what no view sees.
 
     Raises:
         ValueError: There are several scenes, or targets and cameras do not belong together.
@@ -130,7 +139,8 @@ def fit_colors(
     seen = weights > MIN_WEIGHT
     colors = _conjugate_gradients(system, targets, weights * seen, means, steps, damping) if steps else means
     constant = constant_from_rgb(colors.clamp(0, 1))
-    constant = torch.where(seen[:, None], constant, gaussians.harmonics[0, :, 0])
+    unseen = gaussians.harmonics[0, :, 0] if origins is None else constant_from_rgb(_at(targets, origins))
+    constant = torch.where(seen[:, None], constant, unseen)
     return replace(gaussians, harmonics=torch.cat([constant[:, None], higher], dim=1)[None])
 
 

@@ -113,6 +113,7 @@ class Fit(Loop):
         color = color + passing * (random if self.options.random_background else self.behind)
         loss = photometric_loss(color, target, dssim=self.options.dssim) + self._penalty()
         loss.backward()
+        self._shrink()
         self.splats.step()
         if self.options.exposure_lr:
             self.exposure_optimizer.param_groups[0]["lr"] = self.options.exposure_lr * 0.1**fraction
@@ -126,11 +127,21 @@ class Fit(Loop):
         return float(psnr(color.detach(), target))
 
     def _penalty(self) -> Tensor | float:
-        o, p = self.options, self.parameters
-        loss = o.opacity_weight * p["opacities"].sigmoid().mean() if o.opacity_weight else 0.0
-        if o.scale_weight:
-            loss = loss + o.scale_weight * (p["scales"].exp() / self.splats.units[:, None]).mean()
-        return loss
+        o = self.options
+        return o.opacity_weight * self.parameters["opacities"].sigmoid().mean() if o.opacity_weight else 0.0
+
+    @torch.no_grad()
+    def _shrink(self) -> None:
+        """Add the gradient of the mean scale in footprints, for those Gaussians that the view shows.
+
+        Adam takes whole steps however small a gradient is: what no view shows would shrink to nothing, and leave holes
+        where a new view looks past the photographs.
+        """
+        scales = self.parameters["scales"]
+        if self.options.scale_weight and scales.grad is not None:
+            shown = (scales.grad != 0).any(1, keepdim=True)
+            footprints = scales.exp() / self.splats.units[:, None]
+            scales.grad += self.options.scale_weight / scales.numel() * footprints * shown
 
     @torch.no_grad()
     def _prune(self) -> None:

@@ -6,12 +6,16 @@ import torch
 from jaxtyping import Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
+from torch.nn.functional import pad
 
 from anystyle.geometry.stereo import StereoDepth
 from anystyle.types import Cameras, Value
 
 BACKDROP = 3.0
 """Sky and the like lie behind nearly all known depths by this factor."""
+
+SURROUND = 0.5
+"""The backdrop goes on around every photograph by this share of its sides."""
 
 NEIGHBORS = 3
 """A Gaussian is as large as the mean distance of so many of its neighbours."""
@@ -90,26 +94,24 @@ def backdrop(
     *,
     num_gaussians: int,
     generator: torch.Generator,
-) -> InitialGaussians | None:
+) -> InitialGaussians:
     """Large Gaussians behind everything, at pixels whose depth no view supports: sky, and whatever is too far or plain.
 
-    Without them, floaters near the cameras would have to show what lies at infinity.
+    Without them, floaters near the cameras would have to show what lies at infinity. As many lie around the
+    photographs, in the colours of their borders: a new view that looks past all photographs sees no hole.
 
     Args:
         images: sRGB in [0, 1].
         cameras: Of one scene, for images of this size.
         stereo: The depth of these images, supported somewhere.
-        num_gaussians: How many; fewer where there are not enough pixels.
+        num_gaussians: How many in the photographs, and around them; fewer where there are not enough pixels.
         generator: Of the choice of pixels.
-
-    Returns:
-        ``None`` where every depth is supported.
     """
     supported = stereo.support >= 1
-    candidates = (~supported).nonzero()
-    if len(candidates) == 0 or num_gaussians == 0:
-        return None
-    pixels = candidates[torch.randperm(len(candidates), generator=generator)[:num_gaussians]]
+    bottom, right = (round(SURROUND * side) for side in images.shape[-2:])
+    around = pad(torch.zeros_like(supported), (right, right, bottom, bottom), value=True).nonzero()
+    candidates = (~supported).nonzero(), around - torch.tensor([0, bottom, right])
+    pixels = torch.cat([each[torch.randperm(len(each), generator=generator)[:num_gaussians]] for each in candidates])
     known = stereo.depth[supported]
     far = BACKDROP * known[:: max(1, len(known) // 1_000_000)].quantile(0.98)
     return _at_depth(images, cameras, far.expand(len(pixels)), pixels, largest=float("inf"))
@@ -122,7 +124,10 @@ def _at_depth(
     pixels: Int[Tensor, "N 3"],
     largest: float = 6.0,
 ) -> InitialGaussians:
-    """Gaussians at the depth of each pixel; they span at most ``largest`` footprints."""
+    """Gaussians at the depth of each pixel; they span at most ``largest`` footprints.
+
+    Pixels may lie outside of the images; they have the colour of the border then, and count as its pixels.
+    """
     view, y, x = pixels.unbind(1)
     z = depth.double()
     image = torch.stack([x + 0.5, y + 0.5, torch.ones_like(z)], dim=1)
@@ -132,10 +137,11 @@ def _at_depth(
     footprints = z / cameras.intrinsics[0, view, 0, 0].double()
     distances, _ = KDTree(means.numpy()).query(means.numpy(), k=min(NEIGHBORS + 1, len(means)))
     gaps = torch.from_numpy(distances).view(len(means), -1)[:, 1:].mean(1).nan_to_num(1.0)
+    y, x = y.clamp(0, images.shape[-2] - 1), x.clamp(0, images.shape[-1] - 1)
     return InitialGaussians(
         means=means.float(),
         scales=(0.7 * gaps.clamp(0.5 * footprints, largest * footprints)).float(),
         colors=images[view, :, y, x],
         footprints=footprints.float(),
-        pixels=pixels,
+        pixels=torch.stack([view, y, x], dim=1),
     )

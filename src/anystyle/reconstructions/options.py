@@ -27,8 +27,9 @@ class FitOptions:
         rotations_lr: Of quaternions.
         exposure_lr: Of gains and biases; falls to a tenth; 0 leaves exposure alone.
         opacity_weight: The weight of the mean opacity in the loss.
-        scale_weight: The weight of the mean scale in footprints. Where photographs are plain, large Gaussians show them
-            as well as small ones, and only small ones have room for a style's strokes.
+        scale_weight: The weight of the mean scale in footprints, of those Gaussians that a step's view shows. Where
+            photographs are plain, large Gaussians show them as well as small ones, and only small ones have room for a
+            style's strokes.
         random_background: Whether photographs are laid over random colours, so that no Gaussian lets the
             background through where there is something.
         prune_every: Steps between removals of Gaussians that show nothing, or are too large; 0 removes none.

@@ -1,5 +1,6 @@
 """Posed photographs in, fitted Gaussians out."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from anystyle.types import Cameras
 
 UNSUPPORTED, BEHIND = 0.1, 0.05
 """Of the pixels without a supported depth, the share that is lifted all the same; Gaussians of the backdrop, as a share
-of all others."""
+of all others; as many lie around the photographs."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +144,7 @@ def _initial(
     lifted = from_stereo(
         chosen, posed, stereo, num_gaussians=num_gaussians, unsupported=UNSUPPORTED, generator=generator
     )
-    behind = backdrop(chosen, posed, stereo, num_gaussians=round(BEHIND * num_gaussians), generator=generator)
-    begin = lifted if behind is None else InitialGaussians.cat([lifted, behind])
+    behind = backdrop(chosen, posed, stereo, num_gaussians=math.ceil(BEHIND * num_gaussians), generator=generator)
+    begin = InitialGaussians.cat([lifted, behind])
     view, row, column = begin.pixels.unbind(1)
     return replace(begin, pixels=torch.stack([torch.tensor(training)[view], row, column], dim=1)).to(device)
