@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -119,7 +120,7 @@ def fit_photographs(
         fit = Fit(images, cameras, begin, renderer, options, heldout=tuple(heldout))
         if state is not None:
             resume(fit, state, key, images.device)
-        result = fit.run(on_progress, None if state is None else lambda: write_state(fit, state, key))
+        result = fit.run(on_progress, None if state is None else partial(write_state, fit, state, key))
         if state is not None:
             state.unlink(missing_ok=True)
         return result.as_dict()
