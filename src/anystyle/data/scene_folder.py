@@ -16,6 +16,7 @@ from anystyle.data.folder import SourceImage, as_views, common_size, image_files
 from anystyle.data.images import image_size, readable
 from anystyle.data.poses import StoredCamera, read_poses, view_camera
 from anystyle.documents import read_json
+from anystyle.io.names import natural
 from anystyle.types import Cameras, Views
 
 logger = logging.getLogger(__name__)
