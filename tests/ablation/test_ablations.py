@@ -76,7 +76,7 @@ def test_objective_of_each_row(experiment, ablation):
 
 def test_distillation_replaces_the_terms_of_the_tiny_recipe():
     config = compose("train", ["experiment=tiny_ablation", "ablation=distillation", "cache=null", "name=x", "out=x"])
-    assert set(objective(config)) == {"teacher", "depth_consistency"}
+    assert set(objective(config)) == {"teacher", "depth_consistency", "checkerboard"}
 
 
 def test_what_is_left_out_must_be_a_loss():
