@@ -84,12 +84,18 @@ def test_brings_back_the_colors_of_its_own_renders():
     assert errors[-1] < 1e-6
 
 
-def test_what_no_view_sees_keeps_its_color():
+def test_what_no_view_sees_keeps_its_color_or_has_that_of_its_pixel():
     scene, views = small_scene()
     hidden = torch.tensor([0, 5])
     scene = replace(scene, opacities=scene.opacities.index_fill(1, hidden, 0.0))
-    result = fit_colors(scene, views, torch.rand(4, 3, 24, 32), RENDERER, steps=2)
+    targets = torch.rand(4, 3, 24, 32)
+    result = fit_colors(scene, views, targets, RENDERER, steps=2)
     torch.testing.assert_close(result.harmonics[:, hidden], scene.harmonics[:, hidden])
+    origins = torch.stack([torch.arange(12) % 4, torch.arange(12), torch.arange(12) + 7], dim=1)
+    painted = fit_colors(scene, views, targets, RENDERER, steps=2, origins=origins)
+    expected = torch.stack([targets[0, :, 0, 7], targets[1, :, 5, 12]])
+    torch.testing.assert_close(rgb_from_constant(painted.harmonics[0, hidden, 0]), expected)
+    assert torch.equal(painted.harmonics[:, 1], result.harmonics[:, 1])
     assert not torch.equal(result.harmonics[:, 1], scene.harmonics[:, 1])
     assert result.means is scene.means or torch.equal(result.means, scene.means)
 

@@ -141,7 +141,7 @@ class Fit(Loop):
         if self.options.scale_weight and scales.grad is not None:
             shown = (scales.grad != 0).any(1, keepdim=True)
             footprints = scales.exp() / self.splats.units[:, None]
-            scales.grad += self.options.scale_weight / scales.numel() * footprints * shown
+            scales.grad += self.options.scale_weight * footprints * shown / (3 * shown.sum().clamp_min(1))
 
     @torch.no_grad()
     def _prune(self) -> None:
