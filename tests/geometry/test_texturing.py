@@ -9,7 +9,7 @@ HEIGHT, WIDTH, DEPTH = 8, 12, 2.0
 
 
 def plane():
-    """Three cameras side by side before a plane, the middle one at the origin; the others two and three pixels from it."""
+    """Three cameras side by side before a plane, the middle one at the origin, the others 2 and 3 pixels off."""
     poses = torch.eye(4).repeat(1, 3, 1, 1)
     poses[0, :, 0, 3] = torch.tensor([-2.0, 0.0, 3.0]) * DEPTH / WIDTH
     matrix = torch.tensor([[WIDTH, 0, WIDTH / 2], [0, WIDTH, HEIGHT / 2], [0, 0, 1]]).expand(1, 3, 3, 3)
