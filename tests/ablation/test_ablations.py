@@ -17,6 +17,7 @@ from training_cases import BACKBONE
 
 ROWS = ("base", "all_geometry", "no_clip_loss", "no_style_loss", "no_text")
 PAPER = {"content", "style", "clip_directional", "clip_patch", "depth_consistency"}
+SMOOTH = {"edge_aware_smoothness", "checkerboard"}
 TERMS = {
     "paper_head": {
         "base": PAPER,
@@ -29,9 +30,9 @@ TERMS = {
         "no_style_loss": {"luminance", "clip_directional"},
     },
     "tiny_ablation": {
-        "base": {*PAPER, "sliced_wasserstein", "edge_aware_smoothness"},
-        "no_clip_loss": {"content", "style", "depth_consistency", "sliced_wasserstein", "edge_aware_smoothness"},
-        "no_style_loss": PAPER - {"style"} | {"edge_aware_smoothness"},
+        "base": {*PAPER, "sliced_wasserstein", *SMOOTH},
+        "no_clip_loss": {"content", "style", "depth_consistency", "sliced_wasserstein", *SMOOTH},
+        "no_style_loss": PAPER - {"style"} | SMOOTH,
     },
 }
 TABLE = f"ablation={','.join(ROWS)}"
@@ -75,7 +76,7 @@ def test_objective_of_each_row(experiment, ablation):
 
 def test_distillation_replaces_the_terms_of_the_tiny_recipe():
     config = compose("train", ["experiment=tiny_ablation", "ablation=distillation", "cache=null", "name=x", "out=x"])
-    assert set(objective(config)) == {"teacher", "depth_consistency"}
+    assert set(objective(config)) == {"teacher", "depth_consistency", "checkerboard"}
 
 
 def test_what_is_left_out_must_be_a_loss():

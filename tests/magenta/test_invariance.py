@@ -2,13 +2,17 @@
 
 import pytest
 import torch
+from PIL import Image
 
 import anystyle
+from anystyle.api import PoseOptions, ViewOptions
 from anystyle.data.folder import read_views
+from anystyle.reconstructions.fit import Fit
 from anystyle.testing.inputs import images
 from anystyle.types import Views
 from methods import worlds
 from real_data import real
+from reconstructions.sfm.cards import World, arc
 
 ORDER = [2, 0, 3, 1]
 ROUNDING = 5e-5
@@ -62,11 +66,16 @@ def test_exchanging_photographs_changes_a_style_by_no_more_than_the_scene(backbo
     assert min(unstyled, *styled) > 50 * ROUNDING
 
 
+def exchanged_scenes():
+    """A fitted scene, and the same with its photographs exchanged."""
+    scene = worlds.scene()
+    return scene, scene.map(lambda tensor: tensor[:, ORDER] if tensor.shape[:2] == (1, 4) else tensor)
+
+
 @torch.no_grad()
 def test_exchanging_photographs_of_a_fitted_scene_changes_nothing():
     """Its Gaussians stay where they are, and which view paints a place does not depend on the order of views."""
-    stylizer, scene = anystyle.load("painter"), worlds.scene()
-    exchanged = scene.map(lambda tensor: tensor[:, ORDER] if tensor.shape[:2] == (1, 4) else tensor)
+    stylizer, (scene, exchanged) = anystyle.load("painter"), exchanged_scenes()
     assert not torch.equal(scene.views.images, exchanged.views.images)
     embedding = stylizer.embed(image=images(1, (128, 128), seed=5))
     for how in ("mean", 6):
@@ -76,3 +85,53 @@ def test_exchanging_photographs_of_a_fitted_scene_changes_nothing():
         )
         torch.testing.assert_close(other, first, rtol=0, atol=2e-3)
         assert (first - stylizer.render(scene.gaussians, scene.cameras).color).abs().mean() > 0.05
+
+
+def test_exchanging_photographs_of_a_scene_that_is_optimised_changes_nothing():
+    """Views take their turns in an order of their own."""
+    method = worlds.method("method=stylized_gs", "method.num_steps=6")
+    first, other = (worlds.run(method, given=scene) for scene in exchanged_scenes())
+    assert (first.harmonics - worlds.scene().gaussians.harmonics).abs().mean() > 0.05
+    torch.testing.assert_close(other.means, first.means, rtol=0, atol=1e-4)
+    torch.testing.assert_close(other.harmonics, first.harmonics, rtol=0, atol=1e-3)
+
+
+def photographed(folder, count):
+    """Files of a world of cards."""
+    world, files = World(), [folder / f"view{number}.png" for number in range(count)]
+    for pose, file in zip(arc(count, 30), files, strict=True):
+        Image.fromarray(world.picture(pose, 200.0, (168, 192))).save(file)
+    return files
+
+
+@pytest.mark.parametrize("reconstruction", ["fit", "feedforward"])
+def test_exchanging_photographs_whose_cameras_are_found_changes_nothing(tmp_path, reconstruction):
+    """Neither cameras nor their frame, which view is held out, where a fit begins, nor what style makes of it."""
+    stylizer, fitted = anystyle.load("painter"), reconstruction == "fit"
+    files = photographed(tmp_path, 4) if fitted else sorted(real("scenes/train/images").iterdir())[:4]
+    fit = Fit(quality="draft", num_gaussians=1500, num_steps=30, holdout=4, keep=False)
+    first, other = (
+        anystyle.stylize(
+            [files[view] for view in order],
+            images(1, (64, 64), seed=5)[0],
+            model=stylizer,
+            poses=PoseOptions("sfm"),
+            reconstruction=fit if fitted else reconstruction,
+            views=ViewOptions(short_side=84),
+        )
+        for order in (range(4), ORDER)
+    )
+    assert [source.path for source in other.encoded.sources] == [files[view] for view in ORDER]
+    poses = [each.encoded.cameras.world_from_camera[0] for each in (first, other)]
+    torch.testing.assert_close(poses[1], poses[0][ORDER], rtol=0, atol=0 if fitted else 1e-4)
+    for scene, after in (
+        (first.encoded.unstyled(), other.encoded.unstyled()),
+        (first[0].gaussians, other[0].gaussians),
+    ):
+        before, exchanged = (
+            torch.stack(list(each.encoded.render(scene))) for each, scene in ((first, scene), (other, after))
+        )
+        assert (before[ORDER] - exchanged).abs().mean() < ROUNDING
+        assert not fitted or torch.equal(scene.means, after.means)
+    heldout = [each.encoded.reconstruction.get("heldout_psnr") for each in (first, other)]
+    assert heldout[0] == heldout[1] and (heldout[0] is not None) is fitted

@@ -9,6 +9,8 @@ from anystyle.reconstructions import kept as keeping
 from anystyle.reconstructions.colors import colors_alone
 from anystyle.reconstructions.fit import Fit
 from anystyle.reconstructions.kept import kept, key_of
+from anystyle.reconstructions.options import FitOptions
+from anystyle.reconstructions.photographs import fit_photographs
 from anystyle.renderers.cpu.renderer import CpuRenderer
 from anystyle.types import Views
 from reconstructions.scenes import photographed_wall
@@ -106,3 +108,17 @@ def test_a_scene_is_fitted_once_and_again_for_other_options():
         values = [getattr(gaussians, name) for gaussians in fits]
         assert torch.equal(values[0], values[1]) and torch.equal(values[0], values[2]), name
         assert values[0].shape != values[3].shape or not torch.equal(values[0], values[3]), name
+
+
+def test_a_scene_is_found_again_in_another_order_of_photographs():
+    """With the views that its pixels come from and their exposures."""
+    images, cameras, _ = photographed_wall(num_views=5)
+    order = [3, 0, 4, 1, 2]
+
+    def fit(images, cameras):
+        options = FitOptions(num_steps=4, final_steps=0)
+        return fit_photographs(images, cameras, CpuRenderer(), num_gaussians=300, options=options, keep=True)
+
+    first, again = fit(images, cameras), fit(images[order], cameras.select(order))
+    assert not first.kept and again.kept and torch.equal(first.gains[order], again.gains)
+    assert torch.equal(torch.tensor(order)[again.pixels[:, 0]], first.pixels[:, 0])

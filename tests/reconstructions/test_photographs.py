@@ -3,11 +3,13 @@
 import logging
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
 from anystyle.reconstructions.options import FitOptions
-from anystyle.reconstructions.photographs import QUALITIES, fit_photographs, held_out, quality_named
+from anystyle.reconstructions.order import held_out
+from anystyle.reconstructions.photographs import QUALITIES, fit_photographs, quality_named
 from anystyle.renderers.cpu.renderer import CpuRenderer
 from reconstructions.scenes import photographed_wall
 
@@ -29,6 +31,14 @@ def test_every_so_many_th_view_is_held_out():
     assert held_out(24, 8) == (4, 12, 20)
     assert held_out(8, 8) == (4,)
     assert held_out(7, 8) == () and held_out(24, 0) == ()
+
+
+def test_the_same_photographs_are_held_out_in_any_order():
+    names = [f"view{number}" for number in range(12)]
+    order = np.random.default_rng(0).permutation(12).tolist()
+    exchanged = [names[view] for view in order]
+    assert held_out(12, 8, names) == (4,) and held_out(12, 4, names) == (2, 6, 10)
+    assert {exchanged[view] for view in held_out(12, 4, exchanged)} == {"view2", "view6", "view10"}
 
 
 def test_qualities_cost_more_and_more():

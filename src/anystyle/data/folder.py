@@ -2,7 +2,6 @@
 
 import glob
 import logging
-import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,6 +17,7 @@ from anystyle.capacity import require
 from anystyle.data import images
 from anystyle.io import video
 from anystyle.io.images import Picture
+from anystyle.io.names import natural
 from anystyle.types import Cameras, Views
 
 MAX_ASPECT = 3.0
@@ -199,11 +199,6 @@ def covering(name: str, source: tuple[int, int], size: tuple[int, int]) -> Sourc
     return SourceImage(name, source, (left, top, left + shown[0], top + shown[1]), size)
 
 
-def natural(name: str) -> list[tuple[int, str]]:
-    """A key that sorts ``view2`` before ``view10``."""
-    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name.casefold()) if part]
-
-
 def image_files(folder: Path) -> list[Path]:
     """The image files of a folder, in natural order of their names."""
     files = (path for path in folder.iterdir() if path.suffix.lower() in images.SUFFIXES and path.is_file())
@@ -240,7 +235,8 @@ def common_size(
 
     Without ``enlarge``, ``short_side`` is at most that of most photographs.
     """
-    (width, height), _ = Counter(sizes).most_common(1)[0]
+    # Of two that are as frequent the larger one, whichever comes first.
+    (width, height), _ = max(Counter(sizes).items(), key=lambda size: (size[1], size[0]))
     aspect = min(max(width / height, 1 / MAX_ASPECT), MAX_ASPECT)
     short_side = short_side if enlarge else min(short_side, width, height)
     short = max(multiple, round(short_side / multiple) * multiple)

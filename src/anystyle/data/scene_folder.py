@@ -12,10 +12,11 @@ from PIL import Image
 
 from anystyle.caching import LRUCache
 from anystyle.contracts import SceneSource
-from anystyle.data.folder import SourceImage, as_views, common_size, image_files, natural, read_picture, room_for_views
+from anystyle.data.folder import SourceImage, as_views, common_size, image_files, read_picture, room_for_views
 from anystyle.data.images import image_size, readable
 from anystyle.data.poses import StoredCamera, read_poses, view_camera
 from anystyle.documents import read_json
+from anystyle.io.names import natural
 from anystyle.types import Cameras, Views
 
 logger = logging.getLogger(__name__)

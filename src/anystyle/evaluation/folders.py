@@ -14,10 +14,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.capacity import require
-from anystyle.data.folder import natural
 from anystyle.data.images import SUFFIXES, image_size, open_image, to_tensor
 from anystyle.documents import read_json
 from anystyle.io.arrays import read_array, read_arrays
+from anystyle.io.names import natural
 from anystyle.types import Cameras, Comparison, Style
 
 log = logging.getLogger(__name__)

@@ -7,7 +7,8 @@ from functools import cached_property
 from pathlib import Path
 
 from anystyle.data.captioning import read_captions
-from anystyle.data.folder import image_files, natural
+from anystyle.data.folder import image_files
+from anystyle.io.names import natural
 
 SCENES = ("Train", "Truck", "M60", "Garden")
 """Of Tanks and Temples, the last of Mip-NeRF 360."""

@@ -6,12 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from anystyle.data.folder import natural
 from anystyle.data.images import SUFFIXES, open_image
 from anystyle.evaluation.contract import Evaluation
 from anystyle.evaluation.published import PublishedFigure, PublishedTable, disagreements
 from anystyle.evaluation.runs import Run
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
+from anystyle.io.names import natural
 from anystyle.io.sheet import Cell, TextCard
 
 Origin = Literal["ours", "stand-in", "published", "none"]

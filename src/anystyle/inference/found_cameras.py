@@ -3,6 +3,7 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from math import fsum
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,8 @@ class FoundCameras:
     """The photographs whose cameras were found.
 
     Args:
-        views: Undistorted, with cameras in the frame of the first; the median of the points lies at depth 1 there.
+        views: Undistorted, with cameras in the frame of the one nearest to all others; the median of the points that
+            it sees lies at depth 1 there.
         sources: Where each view comes from.
         points: For each view, sparse points that it shows.
         verdict: How far the cameras can be trusted, and what was left out.
@@ -95,7 +97,7 @@ def find_cameras(
         enlarge=enlarge,
     )
     pictures = [_covered(originals[view], posed, size) for view in registered]
-    capture = _first_frame(posed, registered)
+    capture = _central_frame(posed, registered)
     sources = tuple(source for _, source in pictures)
     intrinsics = [_intrinsics(posed, originals[view], source) for view, source in zip(registered, sources, strict=True)]
     poses = capture.poses(torch.from_numpy(posed.world_from_camera[registered]))
@@ -138,10 +140,13 @@ def _intrinsics(posed: PosedPhotographs, original: Original, source: SourceImage
     return source.view_intrinsics(torch.from_numpy(posed.intrinsics[view]) * scale[:, None])
 
 
-def _first_frame(posed: PosedPhotographs, registered: Sequence[int]) -> Similarity:
-    """To the frame of the first camera, in the unit in which the median of its points is at depth 1."""
-    first = registered[0]
-    camera_from_world = torch.linalg.inv(torch.from_numpy(posed.world_from_camera[first]))
-    seen = torch.from_numpy(posed.points[posed.tracks.point[posed.tracks.view == first]])
+def _central_frame(posed: PosedPhotographs, registered: Sequence[int]) -> Similarity:
+    """To the frame of the camera nearest to all others, in the unit in which the median of its points is at depth 1."""
+    positions = posed.world_from_camera[registered, :3, 3]
+    distances = np.linalg.norm(positions[:, None] - positions, axis=-1)
+    # Sums that are rounded once, and so the same in any order of photographs.
+    central = registered[int(np.argmin([fsum(row) for row in distances]))]
+    camera_from_world = torch.linalg.inv(torch.from_numpy(posed.world_from_camera[central]))
+    seen = torch.from_numpy(posed.points[posed.tracks.point[posed.tracks.view == central]])
     depth = (seen @ camera_from_world[:3, :3].T + camera_from_world[:3, 3])[:, 2].median()
     return Similarity(1 / depth, camera_from_world[:3, :3], camera_from_world[:3, 3] / depth)

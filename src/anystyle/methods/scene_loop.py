@@ -13,6 +13,7 @@ from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.methods.contract import Progress
 from anystyle.reconstructions.gaussian_parameters import GaussianParameters
 from anystyle.reconstructions.loop import Loop
+from anystyle.reconstructions.order import canonical_order
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Renders, Scene, Style, StyleEmbedding, Stylization
 
@@ -101,7 +102,7 @@ class SceneLoop(Loop):
         losses: Mapping[str, Loss],
         schedule: Schedule,
     ) -> None:
-        super().__init__(list(range(scene.views.images.shape[1])), every=schedule.report_every, seed=schedule.seed)
+        super().__init__(canonical_order(scene.views.images[0]), every=schedule.report_every, seed=schedule.seed)
         self.stylizer, self.scene, self.style, self.embedding = stylizer, scene, style, embedding
         self.losses, self.schedule = {name: loss.train() for name, loss in losses.items()}, schedule
         for loss in losses.values():

@@ -4,7 +4,6 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -14,9 +13,9 @@ from anystyle.capacity import require
 from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.reconstructions.contract import Reconstruction, silent
-from anystyle.reconstructions.kept import kept, key_of
 from anystyle.reconstructions.options import FitResult, Progress
-from anystyle.reconstructions.photographs import fit_photographs, held_out, quality_named
+from anystyle.reconstructions.order import held_out
+from anystyle.reconstructions.photographs import fit_photographs, quality_named
 from anystyle.types import Attributes, Geometry, Reconstructed, Scene, Views
 
 logger = logging.getLogger(__name__)
@@ -33,8 +32,8 @@ class Fit(Reconstruction):
         num_gaussians: At the start, about, instead of the quality's.
         num_steps: At most, instead of the quality's.
         degree: Of the spherical harmonics of colours.
-        holdout: Every so many-th view is held out of the fit and says how good it is, where there are so many; the
-            final steps see all views. 0 holds out none.
+        holdout: Every so many-th view, in the natural order of their names, is held out of the fit and says how good it
+            is, where there are so many; the final steps see all views. 0 holds out none.
         state: A file to write the fit to as it goes, and to resume it from.
         keep: Whether the fitted scene is kept in the user's cache folder, and taken from there when the same
             photographs are fitted again with the same options.
@@ -91,40 +90,30 @@ class Fit(Reconstruction):
                 f"a fit takes one scene with known cameras, and there are {views.images.shape[0]} scenes "
                 f"{'with' if views.cameras else 'without'} them; poses=sfm finds cameras"
             )
-        heldout = held_out(views.images.shape[1], self.holdout)
         numbers = self.num_gaussians * (11 + 3 * (self.options.degree + 1) ** 2)
         # Each with its gradient and the optimiser's two moments.
         require(4 * 4 * numbers, f"{self.num_gaussians:,} Gaussians", "set fewer with reconstruction.num_gaussians")
 
-        def compute() -> dict[str, Any]:
-            assert views.cameras is not None
-            with torch.enable_grad():
-                return fit_photographs(
-                    views.images[0],
-                    views.cameras,
-                    renderer,
-                    num_gaussians=self.num_gaussians,
-                    options=self.options,
-                    points=points,
-                    heldout=heldout,
-                    state=None if self.state is None else Path(self.state).expanduser(),
-                    on_progress=lambda now: progress(described(now)),
-                ).as_dict()
-
-        cameras = views.cameras
-        drawn = views.images, cameras.world_from_camera, cameras.intrinsics, *(points or ())
-        shown = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple, dict))}
-        key = key_of(*drawn, self.num_gaussians, self.options, heldout, type(renderer).__name__, shown)
-        values, before = kept("fit", key, compute) if self.keep else (compute(), False)
-        result = FitResult.from_dict(values, views.images.device)
+        with torch.enable_grad():
+            result = fit_photographs(
+                views.images[0],
+                views.cameras,
+                renderer,
+                num_gaussians=self.num_gaussians,
+                options=self.options,
+                points=points,
+                heldout=held_out(views.images.shape[1], self.holdout, views.names),
+                state=None if self.state is None else Path(self.state).expanduser(),
+                keep=self.keep,
+                on_progress=lambda now: progress(described(now)),
+            )
         if result.unexplained > DOUBTFUL:
             logger.warning(
                 "the scene shows %.0f%% of the pixels of most photographs quite otherwise: something moved while they "
                 "were taken, or the light changed, and what moved is smeared",
                 100 * result.unexplained,
             )
-        measures = _measures(result) | ({"kept": 1.0} if before else {})
-        return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
+        return Reconstructed(scene_of_fit(views, encode(views), result, renderer), _measures(result))
 
 
 def described(now: Progress) -> str:
@@ -136,6 +125,7 @@ def described(now: Progress) -> str:
 def _measures(result: FitResult) -> dict[str, float]:
     measures = {"num_gaussians": float(result.gaussians.means.shape[1]), "steps": float(result.steps)}
     measures |= {"train_psnr": result.train_psnr, "unexplained": result.unexplained}
+    measures |= {"kept": 1.0} if result.kept else {}
     if result.heldout is not None:
         measures |= {
             "heldout_psnr": result.heldout.psnr,

@@ -25,7 +25,7 @@ VARIABLE = "ANYSTYLE_CACHE"
 LIMIT = 1 << 30
 """Bytes that are kept; what was used least recently goes first."""
 
-FORMAT = "2"
+FORMAT = "3"
 """Changes whenever the same photographs and options come to something else, so that nothing old is taken for it."""
 
 

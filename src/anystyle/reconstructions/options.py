@@ -107,6 +107,7 @@ class FitResult:
         train_psnr: In dB, with each view's exposure.
         heldout: Of the views held out, before the final steps; ``None`` where there are none.
         unexplained: Share of the pixels of half of the photographs, at least, that the scene shows quite otherwise.
+        kept: Whether an earlier run fitted it.
     """
 
     gaussians: Gaussians
@@ -117,6 +118,7 @@ class FitResult:
     train_psnr: float
     heldout: HeldoutQuality | None
     unexplained: float = 0.0
+    kept: bool = False
 
     def as_dict(self) -> dict[str, Any]:
         """Tensors and plain values that :meth:`from_dict` takes."""

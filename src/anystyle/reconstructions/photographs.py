@@ -2,8 +2,10 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import torch
 from jaxtyping import Float, Int
@@ -13,8 +15,10 @@ from anystyle.contracts import Renderer
 from anystyle.geometry.stereo import plane_sweep
 from anystyle.reconstructions.fitting import Fit
 from anystyle.reconstructions.initial import InitialGaussians, backdrop, from_stereo
-from anystyle.reconstructions.loop import fingerprint, resume, write_state
+from anystyle.reconstructions.kept import kept, key_of
+from anystyle.reconstructions.loop import resume, write_state
 from anystyle.reconstructions.options import FitOptions, FitResult, Progress
+from anystyle.reconstructions.order import canonical_order
 from anystyle.types import Cameras
 
 UNSUPPORTED, BEHIND = 0.1, 0.05
@@ -68,11 +72,6 @@ def quality_named(name: str) -> Quality:
     return QUALITIES[name]
 
 
-def held_out(num_views: int, every: int) -> tuple[int, ...]:
-    """Every so many-th view, beginning in the middle of the first stretch; none where less than one stretch is."""
-    return tuple(range(every // 2, num_views, every)) if 0 < every <= num_views else ()
-
-
 def fit_photographs(
     images: Float[Tensor, "V 3 H W"],
     cameras: Cameras,
@@ -83,9 +82,12 @@ def fit_photographs(
     points: Sequence[Float[Tensor, "_ 3"]] | None = None,
     heldout: Sequence[int] = (),
     state: Path | None = None,
+    keep: bool = False,
     on_progress: Callable[[Progress], None] | None = None,
 ) -> FitResult:
     """Fit Gaussians to photographs: initial ones by stereo, then all their attributes through the renderer.
+
+    The same photographs come to the same Gaussians, bit for bit, in whatever order they are given.
 
     Args:
         images: sRGB in [0, 1].
@@ -98,26 +100,33 @@ def fit_photographs(
         heldout: Views that no step sees before the final ones.
         state: A file to write the fit to as it goes, and to resume it from where one of the same photographs and
             options is there; removed at the end. The result is the same with and without a break.
+        keep: Whether the fit is kept in the user's cache folder, and taken from there if it is known.
         on_progress: Called after every evaluation.
 
     Raises:
         ValueError: No depth agrees between the photographs.
     """
-    # By what they show, so that a fit is the same in whatever order photographs are given.
-    order = sorted(range(len(images)), key=lambda view: fingerprint((), {"image": images[view]}))
+    order = canonical_order(images)
     images, cameras = images[order], cameras.select(order)
     points = None if points is None else [points[view] for view in order]
     heldout = sorted(order.index(view) for view in heldout)
-    training = [view for view in range(len(images)) if view not in heldout]
-    begin = _initial(images, cameras, training, points, num_gaussians, options.seed)
-    fit = Fit(images, cameras, begin, renderer, options, heldout=tuple(heldout))
-    poses = {"poses": cameras.world_from_camera, "intrinsics": cameras.intrinsics}
-    key = fingerprint((options, tuple(heldout), cameras.size), {"images": images, **poses, "means": begin.means})
-    if state is not None:
-        resume(fit, state, key, images.device)
-    result = fit.run(on_progress, None if state is None else lambda: write_state(fit, state, key))
-    if state is not None:
-        state.unlink(missing_ok=True)
+    drawn = images, cameras.world_from_camera, cameras.intrinsics, *(points or ())
+    shown = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple, dict))}
+    key = key_of(*drawn, num_gaussians, options, heldout, type(renderer).__name__, shown)
+
+    def compute() -> dict[str, Any]:
+        training = [view for view in range(len(images)) if view not in heldout]
+        begin = _initial(images, cameras, training, points, num_gaussians, options.seed)
+        fit = Fit(images, cameras, begin, renderer, options, heldout=tuple(heldout))
+        if state is not None:
+            resume(fit, state, key, images.device)
+        result = fit.run(on_progress, None if state is None else partial(write_state, fit, state, key))
+        if state is not None:
+            state.unlink(missing_ok=True)
+        return result.as_dict()
+
+    values, before = kept("fit", key, compute) if keep else (compute(), False)
+    result = replace(FitResult.from_dict(values, images.device), kept=before)
     return _in_given_order(result, torch.tensor(order, device=images.device))
 
 

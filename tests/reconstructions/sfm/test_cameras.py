@@ -71,6 +71,22 @@ def test_the_same_photographs_give_the_same_cameras(orbit, solved):
     np.testing.assert_array_equal(again.points, solved.points)
 
 
+def test_any_order_of_photographs_gives_the_same_cameras(orbit, solved, tmp_path, monkeypatch):
+    """Bit for bit, in the order given; what is kept of one order is found in another, and a path stays as it is."""
+    order = [3, 5, 0, 4, 1, 2]
+    exchanged = [orbit[1][view] for view in order]
+    again = solve(exchanged)
+    assert again.names == tuple(f"view{view}" for view in order)
+    np.testing.assert_array_equal(again.world_from_camera, solved.world_from_camera[order])
+    np.testing.assert_array_equal(again.intrinsics, solved.intrinsics[order])
+    np.testing.assert_array_equal(again.points, solved.points)
+    np.testing.assert_array_equal(np.array(order)[again.tracks.view], solved.tracks.view)
+    np.testing.assert_array_equal(again.images[0], solved.images[3])
+    monkeypatch.setenv("ANYSTYLE_CACHE", str(tmp_path))
+    assert [solve(given, keep=True).kept for given in (orbit[1], exchanged)] == [False, True]
+    assert not solve(exchanged, keep=True, ordered=True).kept
+
+
 def test_progress_is_told(orbit):
     told = []
     solve(orbit[1][:3], progress=lambda *step: told.append(step))

@@ -28,7 +28,8 @@ from anystyle.perception import lpips
 from anystyle.perception.lpips import Lpips
 from anystyle.perception.sources import Weights, stand_ins
 from anystyle.reconstructions.fit import Fit, scene_of_fit
-from anystyle.reconstructions.photographs import fit_photographs, held_out
+from anystyle.reconstructions.order import held_out
+from anystyle.reconstructions.photographs import fit_photographs
 from anystyle.reconstructions.photometric import match_colors, psnr, ssim
 from anystyle.stylizer import Stylizer
 from anystyle.types import Scene, Views
@@ -154,7 +155,7 @@ class Captures(Protocol):
         start = time.process_time()
         views, points, cameras = self._posed(path)
         costs: dict[str, Any] = {"cameras": {"cpu_seconds": round(time.process_time() - start, 1)}}
-        chosen = held_out(views.images.shape[1], self.fit.holdout)
+        chosen = held_out(views.images.shape[1], self.fit.holdout, views.names)
         if not chosen:
             raise ValueError(
                 f"{path} has {views.images.shape[1]} photographs with cameras, and every {self.fit.holdout}th is to be "

@@ -7,9 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float64, UInt8
 
 from anystyle.reconstructions.kept import kept, key_of
+from anystyle.reconstructions.order import canonical_order
 from anystyle.reconstructions.sfm.matches import pairs_to_match
 from anystyle.reconstructions.sfm.model import Lens, SparseModel, Tracks, undistorted_image, undistorted_model
 from anystyle.reconstructions.sfm.photographs import Enlargement, Photograph
@@ -65,8 +67,8 @@ def cameras_from_photographs(
 ) -> PosedPhotographs:
     """Find where photographs of one rigid scene were taken, by SIFT features and COLMAP's two mappers.
 
-    The same photographs, seed and number of threads give the same cameras. What fails raises nothing: the verdict says
-    it.
+    The same photographs, seed and number of threads give the same cameras, bit for bit, in whatever order they are
+    given, unless that is a path. What fails raises nothing: the verdict says it.
 
     Args:
         photographs: With distinct names.
@@ -87,22 +89,24 @@ def cameras_from_photographs(
     names = tuple(photograph.name for photograph in photographs)
     if not names or len(set(names)) < len(names):
         raise ValueError(f"{len(names)} photographs with {len(set(names))} names; give one or more, of distinct names")
-    enlarged = [Enlargement.between(photograph.size, *sides) for photograph in photographs]
+    pixels = [torch.tensor(photograph.pixels) for photograph in photographs]
+    order = list(range(len(names))) if ordered else canonical_order(pixels, names)
+    arranged = [photographs[view] for view in order]
+    enlarged = [Enlargement.between(photograph.size, *sides) for photograph in arranged]
     report = progress or (lambda stage, done, total: None)
 
     def compute() -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "capture.db"
-            capture = _matched(path, photographs, enlarged, ordered, num_features, seed, threads, report)
+            capture = _matched(path, arranged, enlarged, ordered, num_features, seed, threads, report)
             candidates = _mapped(path, capture, enlarged, seed, threads, report)
         model, verdict = judge(capture, candidates)
         return {"model": None if model is None else model.as_dict(), "verdict": asdict(verdict)}
 
-    pixels = (photograph.pixels for photograph in photographs)
-    known = [(photograph.name, photograph.focal_length, photograph.lens) for photograph in photographs]
-    key = key_of(*pixels, known, ordered, num_features, sides, seed) if keep else ""
+    known = [(photograph.name, photograph.focal_length, photograph.lens) for photograph in arranged]
+    key = key_of(*(pixels[view] for view in order), known, ordered, num_features, sides, seed)
     values, before = kept("cameras", key, compute) if keep else (compute(), False)
-    model = None if values["model"] is None else SparseModel.from_dict(values["model"])
+    model = None if values["model"] is None else SparseModel.from_dict(values["model"]).rearranged(order)
     return replace(_posed(photographs, model, Verdict(**values["verdict"])), kept=before)
 
 

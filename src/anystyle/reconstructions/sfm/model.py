@@ -1,5 +1,6 @@
 """Sparse models: cameras, points and where the cameras see them, as plain arrays."""
 
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any
@@ -99,6 +100,13 @@ class SparseModel:
         seen = np.zeros((len(self.points), len(self.world_from_camera)), dtype=bool)
         seen[self.tracks.point, self.tracks.view] = True
         return seen
+
+    def rearranged(self, order: Sequence[int]) -> "SparseModel":
+        """The same model where view ``i`` of this one stands at ``order[i]``."""
+        back = np.argsort(order)
+        tracks = replace(self.tracks, view=np.asarray(order)[self.tracks.view])
+        lenses = tuple(self.lenses[view] for view in back)
+        return replace(self, world_from_camera=self.world_from_camera[back], lenses=lenses, tracks=tracks)
 
     def restricted(self, views: NDArray[np.int64]) -> "SparseModel":
         """The same model with these views alone, and the points that at least two of them see."""

@@ -7,6 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from jaxtyping import Int
 
+from anystyle.io.names import natural
 from anystyle.reconstructions.sfm.matches import VerifiedPair
 from anystyle.reconstructions.sfm.model import SparseModel, triangulation_angles
 from anystyle.reconstructions.sfm.support import Agreement, agreement, share_of_rotation, supported_views
@@ -205,5 +206,5 @@ def _left_out(capture: Capture, model: SparseModel) -> list[str]:
 
 
 def _listed(capture: Capture, views: Sequence[int] | Int[np.ndarray, " S"], most: int = 6) -> str:
-    names = [capture.names[view] for view in views]
+    names = sorted((capture.names[view] for view in views), key=natural)
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
