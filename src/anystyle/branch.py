@@ -40,6 +40,9 @@ class StyleBranch(nn.Module):
         styled: The attributes taken from this branch, of ``opacity, scale, rotation, color``; the paper styles
             rotation and colour, its ablation "all geometry" all four.
         sh_degree: Degree of the styled colours; the published weights use the constant coefficient alone.
+        one_view: Whether each place takes its styled colour from one view, so that strokes of views which were painted
+            one by one do not average out; see :func:`anystyle.geometry.texturing.from_one_view`. For injectors that
+            paint pictures: with it a style that changes nothing does repaint the scene.
 
     Raises:
         ValueError: An attribute is unknown, or named twice.
@@ -53,6 +56,7 @@ class StyleBranch(nn.Module):
         make_injector: Callable[[Site], Injector],
         styled: Sequence[str] = ("rotation", "color"),
         sh_degree: int = 0,
+        one_view: bool = False,
     ) -> None:
         super().__init__()
         unknown = [name for name in styled if name not in ATTRIBUTES]
@@ -63,6 +67,7 @@ class StyleBranch(nn.Module):
         in_head = any(site.name in chosen for site in backbone.gaussian_head.sites)
         self.styled = tuple(styled)
         self.sh_degree = sh_degree
+        self.one_view = one_view
         self.aggregator = copy.deepcopy(backbone.aggregator).requires_grad_() if in_aggregator else None
         self.gaussian_head = (
             copy.deepcopy(backbone.gaussian_head).requires_grad_() if in_aggregator or in_head else None

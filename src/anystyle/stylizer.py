@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import torch
 import torch.nn.functional as F
@@ -11,6 +12,7 @@ from torch import Tensor, nn
 from anystyle.branch import StyleBranch
 from anystyle.contracts import Backbone, Renderer, StyleEncoder, neutral_embedding
 from anystyle.geometry.harmonics import rgb_from_constant
+from anystyle.geometry.texturing import from_one_view
 from anystyle.reconstructions.colors import FitColors, checked_steps, color_gaussians, colors_alone
 from anystyle.types import Attributes, Cameras, Gaussians, Renders, Scene, StyleEmbedding, Views
 
@@ -140,7 +142,18 @@ class Stylizer(nn.Module):
         if scene.gaussians is not None:
             return self._recolored(scene, scene.gaussians, styled)
         attributes = scene.attributes.with_(styled, self.branch.styled)
-        return self.backbone.adapter(attributes, scene.geometry, scene.clusters)
+        gaussians = self.backbone.adapter(attributes, scene.geometry, scene.clusters)
+        if not self.branch.one_view:
+            return gaussians
+        color = attributes.color
+        centers = (
+            gaussians.means
+            if scene.clusters is None
+            else gaussians.means.take_along_dim(scene.clusters.index[..., None], dim=1)
+        )
+        points = centers.view(*color.shape[:4], 3)
+        repainted = from_one_view(color.flatten(4), points, scene.cameras).view_as(color)
+        return self.backbone.adapter(replace(attributes, color=repainted), scene.geometry, scene.clusters)
 
     def _recolored(self, scene: Scene, gaussians: Gaussians, styled: Attributes) -> Gaussians:
         """Gaussians that are none of the backbone's, in the styled colours of pixels."""

@@ -68,6 +68,7 @@ def make_branch(
         make_injector=make_injector,
         styled=tuple(config.branch.styled),
         sh_degree=config.branch.sh_degree,
+        one_view=config.branch.one_view,
     )
 
 
