@@ -18,6 +18,7 @@ class Branch(msgspec.Struct):
 
     styled: list[str]
     sh_degree: Annotated[int, msgspec.Meta(ge=0, le=4)]
+    one_view: bool = False
 
 
 class Shared(msgspec.Struct, kw_only=True):

@@ -68,7 +68,8 @@ def make_branch(
         make_injector=make_injector,
         styled=tuple(config.branch.styled),
         sh_degree=config.branch.sh_degree,
-        one_view=config.branch.one_view,
+        # Headers of weights that were written before there was the option have none.
+        one_view=config.branch.get("one_view", False),
     )
 
 
