@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn.functional import pad
@@ -109,12 +109,19 @@ def backdrop(
     """
     supported = stereo.support >= 1
     bottom, right = (round(SURROUND * side) for side in images.shape[-2:])
-    around = pad(torch.zeros_like(supported), (right, right, bottom, bottom), value=True).nonzero()
-    candidates = (~supported).nonzero(), around - torch.tensor([0, bottom, right])
-    pixels = torch.cat([each[torch.randperm(len(each), generator=generator)[:num_gaussians]] for each in candidates])
+    around = pad(torch.zeros_like(supported), (right, right, bottom, bottom), value=True)
+    inside = _drawn(~supported, num_gaussians, generator)
+    pixels = torch.cat([inside, _drawn(around, num_gaussians, generator) - torch.tensor([0, bottom, right])])
     known = stereo.depth[supported]
     far = BACKDROP * known[:: max(1, len(known) // 1_000_000)].quantile(0.98)
     return _at_depth(images, cameras, far.expand(len(pixels)), pixels, largest=float("inf"))
+
+
+def _drawn(mask: Bool[Tensor, "V H W"], count: int, generator: torch.Generator) -> Int[Tensor, "N 3"]:
+    """So many pixels where a mask is true, at random; of flat indices, for the mask may have many million."""
+    candidates = mask.flatten().nonzero().flatten()
+    drawn = candidates[torch.randperm(len(candidates), generator=generator)[:count]]
+    return torch.stack(torch.unravel_index(drawn, mask.shape), dim=1)
 
 
 def _at_depth(

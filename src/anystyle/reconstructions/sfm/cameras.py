@@ -89,8 +89,8 @@ def cameras_from_photographs(
     names = tuple(photograph.name for photograph in photographs)
     if not names or len(set(names)) < len(names):
         raise ValueError(f"{len(names)} photographs with {len(set(names))} names; give one or more, of distinct names")
-    pixels = [torch.tensor(photograph.pixels) for photograph in photographs]
-    order = list(range(len(names))) if ordered else canonical_order(pixels, names)
+    copies = (torch.tensor(photograph.pixels) for photograph in photographs)
+    order = list(range(len(names))) if ordered else canonical_order(copies, names)
     arranged = [photographs[view] for view in order]
     enlarged = [Enlargement.between(photograph.size, *sides) for photograph in arranged]
     report = progress or (lambda stage, done, total: None)
@@ -103,8 +103,9 @@ def cameras_from_photographs(
         model, verdict = judge(capture, candidates)
         return {"model": None if model is None else model.as_dict(), "verdict": asdict(verdict)}
 
+    pixels = (photograph.pixels for photograph in arranged)
     known = [(photograph.name, photograph.focal_length, photograph.lens) for photograph in arranged]
-    key = key_of(*(pixels[view] for view in order), known, ordered, num_features, sides, seed)
+    key = key_of(*pixels, known, ordered, num_features, sides, seed) if keep else ""
     values, before = kept("cameras", key, compute) if keep else (compute(), False)
     model = None if values["model"] is None else SparseModel.from_dict(values["model"]).rearranged(order)
     return replace(_posed(photographs, model, Verdict(**values["verdict"])), kept=before)
