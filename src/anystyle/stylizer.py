@@ -142,18 +142,9 @@ class Stylizer(nn.Module):
         if scene.gaussians is not None:
             return self._recolored(scene, scene.gaussians, styled)
         attributes = scene.attributes.with_(styled, self.branch.styled)
-        gaussians = self.backbone.adapter(attributes, scene.geometry, scene.clusters)
-        if not self.branch.one_view:
-            return gaussians
-        color = attributes.color
-        centers = (
-            gaussians.means
-            if scene.clusters is None
-            else gaussians.means.take_along_dim(scene.clusters.index[..., None], dim=1)
-        )
-        points = centers.view(*color.shape[:4], 3)
-        repainted = from_one_view(color.flatten(4), points, scene.cameras).view_as(color)
-        return self.backbone.adapter(replace(attributes, color=repainted), scene.geometry, scene.clusters)
+        if self.branch.one_view:
+            attributes = replace(attributes, color=_from_one_view(scene, attributes.color))
+        return self.backbone.adapter(attributes, scene.geometry, scene.clusters)
 
     def _recolored(self, scene: Scene, gaussians: Gaussians, styled: Attributes) -> Gaussians:
         """Gaussians that are none of the backbone's, in the styled colours of pixels."""
@@ -201,6 +192,15 @@ def modules_in_bf16(precision: str, backbone: Backbone, branch: StyleBranch | No
     if precision == "bf16":
         parts += [backbone.gaussian_head, *([branch] if branch else [])]
     return parts
+
+
+def _from_one_view(scene: Scene, color: Float[Tensor, "B V H W 3 K"]) -> Float[Tensor, "B V H W 3 K"]:
+    """Colours of pixels, where those that are fused are one point."""
+    if scene.clusters is None:
+        points = scene.geometry.points()
+    else:
+        points = scene.clusters.means.take_along_dim(scene.clusters.index[..., None], dim=1)
+    return from_one_view(color.flatten(4), points.view(*color.shape[:4], 3), scene.cameras).view_as(color)
 
 
 def _paired(scene: Scene, embedding: StyleEmbedding) -> Scene:
