@@ -27,19 +27,24 @@ import numpy as np
 from IPython.display import SVG, IFrame, Markdown
 from scipy import stats
 
-from anystyle.study.analysis import Settings, analyze
-from anystyle.study.contract import Responses
-from anystyle.study.crossed import variation
-from anystyle.study.figures import as_svg, likert, means, power
-from anystyle.study.power import Scenario, power_markdown, power_study
-from anystyle.study.reading import Records
-from anystyle.study.tabulate import bounds, holds_for
-from anystyle.study.tests.crossed_t import CrossedT
-from anystyle.study.tests.one_sample_t import OneSampleT
-from anystyle.study.tests.ordinal_mixed import OrdinalMixed
-from anystyle.study.tests.sign_flip import SignFlip
-from anystyle.study.tests.wilcoxon import Wilcoxon
-from anystyle.study.verdicts import response_level
+import anystyle
+from anystyle.evaluation.tables import Table
+
+anystyle.catalog().find("command", "study").load()  # finds the package of `anystyle study` where it is not installed
+
+from anystyle_study.analysis import Settings, analyze
+from anystyle_study.contract import Responses
+from anystyle_study.crossed import variation
+from anystyle_study.figures import as_svg, likert, means, power
+from anystyle_study.power import Scenario, power_study, power_table
+from anystyle_study.reading import Answer, Records
+from anystyle_study.report import tests_table
+from anystyle_study.significance.crossed_t import CrossedT
+from anystyle_study.significance.one_sample_t import OneSampleT
+from anystyle_study.significance.ordinal_mixed import OrdinalMixed
+from anystyle_study.significance.sign_flip import SignFlip
+from anystyle_study.significance.wilcoxon import Wilcoxon
+from anystyle_study.wording import response_level
 
 # %% [markdown]
 # ## Answers that have these p-values
@@ -51,11 +56,8 @@ counts = np.array([199, 225, 237, 102, 37])
 deviations = np.repeat([-2.0, -1.0, 0.0, 1.0, 2.0], counts)
 assert f"{stats.ttest_1samp(deviations, 0, alternative='less').pvalue:.2e}" == "3.47e-40"
 assert f"{stats.wilcoxon(deviations, alternative='less', correction=False).pvalue:.2e}" == "1.67e-35"
-Markdown(
-    "| much better | better | same | worse | much worse |\n|---|---|---|---|---|\n| "
-    + " | ".join(map(str, counts))
-    + " |"
-)
+names = ("much better", "better", "same", "worse", "much worse")
+Markdown(Table(names, (tuple(map(str, counts)),)).markdown())
 
 # %% [markdown]
 # ## The published analysis
@@ -99,19 +101,19 @@ Markdown(
 # the last row every participant gives one answer throughout, as nearly as the counts allow.
 
 # %%
-rows = ["| SD between participants | independent answers | p, responses | p, participants | p, people and sets |"]
-rows.append("|---:|---:|---:|---:|---:|")
+columns = ("SD between participants", "independent answers", "p, responses", "p, participants", "p, people and sets")
+rows = []
 for spread in (0.0, 0.25, 0.5, 1.0, 2.0, 1e6):
     responses = arranged(counts, spread)
     varies = variation(responses)
-    by_answer = OneSampleT(alternative="less")(responses)
-    by_person = OneSampleT(alternative="less")(responses.at("participant"))
-    both = CrossedT(alternative="less")(responses)
-    rows.append(
-        f"| {varies.sds['participants']:.2f} | {varies.effective_answers:.0f} | {by_answer.pvalue:.2e} "
-        f"| {by_person.pvalue:.2e} | {both.pvalue:.1e} |"
+    results = (
+        OneSampleT(alternative="less")(responses),
+        OneSampleT(alternative="less")(responses.at("participant")),
+        CrossedT(alternative="less")(responses),
     )
-Markdown("\n".join(rows))
+    cells = (f"{varies.sds['participants']:.2f}", f"{varies.effective_answers:.0f}")
+    rows.append((*cells, *(f"{result.pvalue:.2e}" for result in results)))
+Markdown(Table(columns, tuple(rows)).markdown())
 
 # %% [markdown]
 # The p-value over responses never changes: it cannot see the difference. The last row is the worst case: no other way
@@ -126,17 +128,11 @@ Markdown("\n".join(rows))
 # %%
 responses = arranged(counts, participant_sd=0.5)
 ours_is_a = (person + item) % 2 == 0
-records = Records(
-    participant=np.array([responses.participant_names[index] for index in person]),
-    item=np.array([responses.item_names[index] for index in item]),
-    question=np.full(PEOPLE * SETS, "style"),
-    score=3 + np.where(ours_is_a, responses.deviations, -responses.deviations),
-    ours_is_a=ours_is_a,
-    expected=np.full(PEOPLE * SETS, np.nan),
-    seconds=np.full(PEOPLE * SETS, np.nan),
-    **dict.fromkeys(("method", "check", "of", "comparison", "scene", "style"), np.full(PEOPLE * SETS, "")),
-    sources=("reconstructed answers",),
-)
+answers = [
+    Answer(f"P{p + 1:02d}", f"set-{i + 1:02d}", "style", 3 + (deviation if first else -deviation), ours_is_a=first)
+    for p, i, deviation, first in zip(person, item, responses.deviations.tolist(), ours_is_a.tolist(), strict=True)
+]
+records = Records(answers=tuple(answers), sources=("reconstructed answers",))
 tests = {
     "one_sample_t": OneSampleT(),
     "wilcoxon": Wilcoxon(),
@@ -144,7 +140,7 @@ tests = {
     "crossed_t": CrossedT(),
     "ordinal_mixed": OrdinalMixed(),
 }
-analysis = analyze(records, tests, Settings(titles=(("style", "Style (reconstructed)"),), margin=0.1))
+analysis = analyze(records, tests, Settings(titles={"style": "Style (reconstructed)"}, margin=0.1))
 SVG(as_svg(likert(analysis), "likert"))
 
 # %%
@@ -152,14 +148,7 @@ SVG(as_svg(means(analysis), "means"))
 
 # %%
 (question,) = analysis.questions
-lines = ["| test | unit | n | estimate | interval | p | holds for |", "|---|---|---:|---:|---|---:|---|"]
-for named in question.tests:
-    found = named.result
-    lines.append(
-        f"| {named.name} | {found.unit} | {found.n} | {found.estimate:.3f} | {bounds(found.interval)} "
-        f"| {found.pvalue:.2e} | {holds_for(found.generalizes_to)} |"
-    )
-Markdown("\n".join([*lines, "", f"**{response_level(analysis)}**"]))
+Markdown(tests_table(question, analysis.settings.confidence).markdown() + f"\n**{response_level(analysis)}**")
 
 # %% [markdown]
 # `anystyle study analyze` writes the same as a page, with all checks; here is its beginning.
@@ -167,7 +156,7 @@ Markdown("\n".join([*lines, "", f"**{response_level(analysis)}**"]))
 # %%
 import base64
 
-from anystyle.study.report import html
+from anystyle_study.report import html
 
 page = base64.b64encode(html(analysis, "Reconstructed study").encode()).decode()
 IFrame(f"data:text/html;base64,{page}", width="100%", height=600)
@@ -183,4 +172,4 @@ study = power_study(Scenario(effect=-0.3), fast, participants=(6, 10, 20, 40), s
 SVG(as_svg(power(study), "power"))
 
 # %%
-Markdown(power_markdown(study))
+Markdown(power_table(study).markdown())
