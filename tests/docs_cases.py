@@ -89,6 +89,7 @@ ENDS = {
     r"anystyle weights download ": "cannot be fetched",
     r"anystyle data caption ": "captions need transformers",
     r"anystyle (stylize|benchmark) .*model=any(splat|style_head|style_full)\b": "the weights '.*' are missing: get",
+    r"anystyle stylize .*reconstruction=fit": "no cameras are found: there is too little to see",
     r"anystyle stylize .*weights.backbone=model.safetensors": "there is no weights file model.safetensors",
 }
 """Commands that need a file from the network: they run as well, and end in one line that says which."""
@@ -101,12 +102,16 @@ TELLS = {
 }
 """What the commands that begin so say, by which it is seen that they did their work."""
 NOT_RUN = {
+    r"anystyle NAME$": "a name to fill in",
+    r"anystyle plugins check KIND NAME$": "names to fill in",
+    r"anystyle export SCENE": "a file of a format that the reader adds",
+    r"python -m build$": "builds the reader's package",
     r"pip install ": "needs a network",
-    r"make (demo|setup|lint|test|test-slow)$": "sets up an environment from a network",
+    r"make (demo|setup|lint|test|test-slow|format lint)$": "sets up an environment from a network",
     r"anystyle view \S+$": "serves until it is interrupted; viewer/test_live.py looks at it",
     r"make fuzz\b": "sets up an environment from a network, and takes minutes; test_fuzz.py damages a few inputs",
-    r"make faults\b": "sets up an environment from a network, and takes an hour; test_fuzz.py tries a few",
-    r"python -m fuzz --kept$": "test_fuzz.py does",
+    r"PYTHONPATH=tests python tests/benchmarks/": "minutes, and pictures that do not travel with the project",
+    r"ssh ": "needs another machine",
     r"make docs$": "tests/docs/test_site.py does what it does",
     r"python -m pytest tests/docs$": "these tests",
     r"torchrun ": "needs several graphics cards, or machines",
@@ -114,17 +119,9 @@ NOT_RUN = {
     r"anystyle train -m hydra/launcher=submitit_slurm ": "needs a cluster",
     r"anystyle train -m hydra/launcher=(joblib|submitit_local) ": "ablation/test_ablations.py runs both launchers",
     r"anystyle train experiment=paper_(?!.*model=tiny)": "needs graphics cards, the data sets and published weights",
-    r"PYTHONPATH=tests python tests/full_size.py (make|load) ": "gigabytes; `make test-slow` runs it",
-    r"(OMP_NUM_THREADS=2 )?python tests/step_(cost|count).py ": "minutes; training/test_step_cost.py has a small one",
-    r"python tests/evaluation_cost.py ": "hours; evaluation/test_cost.py has a small one, for `make test-slow`",
-    r"python tests/evaluation_units.py": "minutes",
     r"anystyle (data check ROOT|evaluate protocol=table|report .?T2)": "evaluation/test_paper_layout.py does, small",
     r"anystyle train experiment=tiny_all$": "hours; training/test_pipeline.py runs a small one",
-    r"python tests/style_(quality|grid).py": "minutes, and pictures that do not travel with the project",
-    r"python tests/format_quality.py": "minutes; export/test_formats.py has a small one, for `make test-slow`",
     r"anystyle evaluate protocol=captures ": "minutes; evaluation/test_captures.py runs a small one",
-    r"python tests/study/calibration.py$": "minutes; study/test_calibration.py keeps its table and a small one",
-    r"anystyle study 'design\|form\|analyze\|power'$": "four commands in a line; docs/user_study.md shows each",
 }
 """Commands that no test machine can run, and why. They are parsed and composed by ``test_docs.py``."""
 

@@ -6,89 +6,56 @@ import resource
 import signal
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+import traceback
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import NoReturn
 
-WARM = ("stylize", "data", "report", "evaluate", "study", "study_analyze", "study_power", "weights", "plugins", "train")
+from anystyle.__main__ import main
+
+COMMANDS = ("stylize", "data", "report", "evaluate", "weights", "plugins", "train")
+MEMORY = 8 << 30
 
 
-def warm(commands: Sequence[str] = WARM) -> None:
+def warm() -> None:
     """Import what commands import; the program itself runs them."""
-    for name in commands:
+    for name in COMMANDS:
         importlib.import_module(f"anystyle.commands.{name}")
         del sys.modules[f"anystyle.commands.{name}"]
 
 
-def start(
-    words: Sequence[str],
-    folder: Path,
-    said: Path,
-    environment: Mapping[str, str] | None = None,
-    limits: Mapping[int, int] | None = None,
-    instead: Callable[[], object] | None = None,
-) -> int:
-    """Fork a command.
-
-    Args:
-        words: After ``anystyle``.
-        folder: It runs there.
-        said: The file of what it writes on both streams.
-        environment: Variables that it is given.
-        limits: Of ``RLIMIT_...``.
-        instead: Runs in place of the command.
-
-    Returns:
-        The process, which leads a group of its own.
-    """
+def start(words: Sequence[str], folder: Path, output: Path, environment: Mapping[str, str] | None = None) -> int:
+    """Fork ``anystyle WORDS`` in a folder; both streams go to ``output``. Returns the process, a group's leader."""
     child = os.fork()
-    if child == 0:
-        _be(words, folder, said, environment or {}, limits or {}, instead)
-    return child
-
-
-def _be(
-    words: Sequence[str],
-    folder: Path,
-    said: Path,
-    environment: Mapping[str, str],
-    limits: Mapping[int, int],
-    instead: Callable[[], object] | None,
-) -> NoReturn:
+    if child:
+        return child
     code: object = 0
     try:
         os.setsid()
-        for name, value in limits.items():
-            resource.setrlimit(name, (value, value))
-        with said.open("wb") as file:
+        sys.dont_write_bytecode = True  # the tests' import hook instruments what runpy compiles and would cache
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+        with output.open("wb") as file:
             for number in (1, 2):
                 os.dup2(file.fileno(), number)
         os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
         os.chdir(folder)
-        os.environ.update(environment)
+        os.environ.update(environment or {})
         sys.argv = ["anystyle", *words]
         sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False) for number in (1, 2))
-        # What starts this may run in the background, where interrupts are ignored.
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        from anystyle.__main__ import main
-
-        (instead or main)()
+        main()
     except SystemExit as end:
-        code = end.code if isinstance(end.code, int) else int(bool(end.code))
-    except KeyboardInterrupt:  # before the program is there to take it
-        code = 130
+        code = end.code
     except BaseException:
-        import traceback
-
         traceback.print_exc()
         code = 1
     sys.stdout.flush()
     sys.stderr.flush()
-    os._exit(code if isinstance(code, int) else 1)
+    os._exit(code if isinstance(code, int) else int(bool(code)))
 
 
 def ended(child: int, seconds: float) -> int | None:
-    """The exit status of a process, negative after a signal; ``None``, and its end, if it runs longer than that."""
+    """The exit status of a process, negative after a signal; ``None`` if it runs longer, and then it is killed."""
     limit = time.monotonic() + seconds
     while time.monotonic() < limit:
         done, status = os.waitpid(child, os.WNOHANG)
@@ -100,9 +67,9 @@ def ended(child: int, seconds: float) -> int | None:
 
 
 def kill(child: int) -> None:
-    """End a process and all that it started, and wait for it."""
-    try:
+    """Kill a process and all that it started, and wait for it."""
+    with suppress(ProcessLookupError, PermissionError):  # it may not lead a group yet
         os.killpg(child, signal.SIGKILL)
-    except (ProcessLookupError, PermissionError):  # it has not come to lead a group
+    with suppress(ProcessLookupError):
         os.kill(child, signal.SIGKILL)
     os.waitpid(child, 0)

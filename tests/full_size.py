@@ -2,9 +2,9 @@
 
 No published weights are needed to measure: what a network costs does not depend on its values.
 
-``python tests/full_size.py make anystyle_head FOLDER`` writes ``anystyle_head.safetensors`` and with ``--ckpt`` a
-training checkpoint beside it. Tensors have the published file's types (the frozen transformers in bf16) unless
-``--types fp32`` or ``--types bf16`` is given. ``longclip_b32`` and ``vggt`` are made the same way.
+``python tests/full_size.py make anystyle_head FOLDER`` writes ``anystyle_head.safetensors`` in the published types (the
+frozen transformers in bf16) and with ``--ckpt`` a training checkpoint beside it; ``longclip_b32`` and ``vggt`` are made
+the same way.
 
 ``python tests/full_size.py load FILE [OVERRIDE ...]`` loads a file in a process of its own, looks at every tensor, and
 prints the peak of the process's own memory above where it began, in the size of the loaded model: without the pages of
@@ -16,7 +16,7 @@ import json
 import pickle
 import subprocess
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +24,9 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor
 
-from anystyle.inference.assemble import build_and_load
-from anystyle.perception.clip import Clip
+from anystyle.pipeline.load import build_and_load
 from anystyle.registry.compose import compose
+from anystyle.vision.clip import Clip
 from oracle import fill_named, golden
 
 KINDS = ("anysplat", "anystyle_head", "anystyle_full", "vggt", "longclip_b32")
@@ -36,9 +36,9 @@ FILES = {"longclip_b32": "longclip-B-32"}
 LOAD = """
 import json, sys
 import torch
-from anystyle.inference.assemble import build_and_load
-from anystyle.inference.memory import sampled_peak
-from anystyle.inference.weights import load_reference
+from anystyle.pipeline.load import build_and_load
+from anystyle.commands.benchmark import sampled_peak
+from anystyle.pipeline.weights import load_reference
 from anystyle.registry.compose import compose
 
 # The program itself, which is no matter of weights.
@@ -91,51 +91,28 @@ def shapes(kind: str) -> dict[str, Tensor]:
     }
 
 
-def typed(tensors: Mapping[str, Tensor], types: str) -> dict[str, Tensor]:
-    """The tensors in the types asked for."""
-    kinds = {"fp32": torch.float32, "bf16": torch.bfloat16}
-    return {key: tensor.to(kinds.get(types, tensor.dtype)) for key, tensor in tensors.items()}
-
-
-def filled(tensors: Mapping[str, Tensor]) -> Iterator[tuple[str, Tensor]]:
-    """Hash-filled tensors one by one, by the rule of ``golden_e2e``: its index is the bare key's."""
-    rules = golden("golden_e2e")["fill"]["rules"]
-    for key, like in tensors.items():
-        bare = key.removeprefix("model.").removeprefix("encoder.")
-        yield key, fill_named({bare: like}, rules)[bare].to(like.dtype)
-
-
-def write(path: Path, tensors: Mapping[str, Tensor]) -> None:
-    """A safetensors file, written tensor by tensor."""
-    header, place = {}, 0
+def make(kind: str, folder: Path, ckpt: bool) -> None:
+    """Write a checkpoint tensor by tensor, and on request a training checkpoint of the same tensors."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{FILES.get(kind, kind)}.safetensors"
+    tensors, header, place = shapes(kind), {}, 0
     for key, tensor in tensors.items():
         end = place + tensor.numel() * tensor.element_size()
         header[key] = {"dtype": NAMES[tensor.dtype], "shape": list(tensor.shape), "data_offsets": [place, end]}
         place = end
-    told = json.dumps(header, separators=(",", ":")).encode()
-    told = told.ljust(-(-len(told) // 8) * 8)
+    encoded = json.dumps(header, separators=(",", ":")).encode()
+    encoded = encoded.ljust(-(-len(encoded) // 8) * 8)
+    rules = golden("golden_e2e")["fill"]["rules"]
     with path.open("wb") as file:
-        file.write(len(told).to_bytes(8, "little") + told)
-        for _, tensor in filled(tensors):
+        file.write(len(encoded).to_bytes(8, "little") + encoded)
+        for key, like in tensors.items():
+            bare = key.removeprefix("model.").removeprefix("encoder.")
+            tensor = fill_named({bare: like}, rules)[bare].to(like.dtype)
             file.write(tensor.reshape(-1).view(torch.uint8).numpy().tobytes())
-
-
-def make(kind: str, folder: Path, types: str, ckpt: bool) -> None:
-    """Write a checkpoint, and on request a training checkpoint of the same tensors."""
-    folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{FILES.get(kind, kind)}.safetensors"
-    write(path, typed(shapes(kind), types))
-    told(path)
     if ckpt or kind in FILES:
         state = load_file(path)
         other = path.with_suffix(".pt" if kind in FILES else ".ckpt")
         torch.save(state if kind in FILES else {"state_dict": state, "global_step": 0}, other, pickle_module=pickle)
-        told(other)
-
-
-def told(line: object) -> None:
-    """Write a line."""
-    sys.stdout.write(f"{line}\n")
 
 
 def load(file: Path, overrides: Sequence[str]) -> dict[str, Any]:
@@ -154,19 +131,19 @@ def main(words: Sequence[str] | None = None) -> None:
     making = commands.add_parser("make")
     making.add_argument("kind", choices=KINDS)
     making.add_argument("folder", type=Path)
-    making.add_argument("--types", choices=("published", "fp32", "bf16"), default="published")
     making.add_argument("--ckpt", action="store_true")
     loading = commands.add_parser("load")
     loading.add_argument("file", type=Path)
     loading.add_argument("override", nargs="*")
     arguments = flags.parse_args(words)
     if arguments.command == "make":
-        make(arguments.kind, arguments.folder, arguments.types, arguments.ckpt)
+        make(arguments.kind, arguments.folder, arguments.ckpt)
         return
     result = load(arguments.file, arguments.override)
     size = result["size"]
-    told(f"{size / 2**30:.2f} GiB of weights ({result['tensors']} tensors, {', '.join(result['types'])})")
-    told(f"peak {result['peak'] / size:.3f}")
+    types = ", ".join(result["types"])
+    sys.stdout.write(f"{size / 2**30:.2f} GiB of weights ({result['tensors']} tensors, {types})\n")
+    sys.stdout.write(f"peak {result['peak'] / size:.3f}\n")
 
 
 if __name__ == "__main__":

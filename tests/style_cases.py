@@ -1,4 +1,4 @@
-"""Inputs that the tests of perception, losses and style encoders share."""
+"""Inputs that the tests of vision, losses and style encoders share."""
 
 import atexit
 import shutil
@@ -9,8 +9,6 @@ from tempfile import mkdtemp
 import torch
 from torch import Tensor
 
-from anystyle.perception import weights
-from anystyle.perception.vgg import VGG19
 from anystyle.types import (
     Attributes,
     Cameras,
@@ -24,6 +22,8 @@ from anystyle.types import (
     Tokens,
     Views,
 )
+from anystyle.vision import weights
+from anystyle.vision.vgg import VGG19
 from oracle import fill_named
 
 # The goldens fill VGG by name with the gain of a rectifier.

@@ -10,12 +10,13 @@ import torch
 from PIL import Image
 
 import anystyle
-from anystyle.api import ExportOptions, Mixture, PoseOptions, Stages, VideoOptions, ViewOptions
+from anystyle import ExportOptions, Mixture, PoseOptions, VideoOptions, ViewOptions
 from anystyle.commands._compose import main
-from anystyle.commands.stylize import parser, stylize
+from anystyle.commands.stylize import command, parser
 from anystyle.contracts import SceneSource
 from anystyle.data.folder import read_views
-from anystyle.inference.styles import slug
+from anystyle.pipeline.stages import Stages
+from anystyle.pipeline.styles import slug
 from anystyle.types import Gaussians, Style
 
 VIEWS = ViewOptions(short_side=56, take=3)
@@ -52,7 +53,7 @@ def test_a_result_is_the_single_pass(photographs, stylizer):
 
 def test_the_call_writes_what_the_command_writes(photographs, stylizer, tmp_path):
     words = ["views.short_side=56", "views.take=3", "video.frames=2", "video.scale=0.5", "export.colmap=binary"]
-    main("stylize", stylize, parser(), [str(photographs), "--text", "dots", "--out", str(tmp_path / "a"), *words])
+    main("stylize", command, parser(), [str(photographs), "--text", "dots", "--out", str(tmp_path / "a"), *words])
     export = ExportOptions(colmap="binary")
     anystyle.stylize(str(photographs), ["dots"], views=VIEWS, video=VIDEO, export=export, out=tmp_path / "b")
     files = [
@@ -125,10 +126,10 @@ def test_views_that_were_read_already_keep_their_known_cameras(stylizer):
 
 def test_stages_are_announced_and_timed(photographs, stylizer):
     announced = []
-    stages = Stages(lambda name, note: announced.append((name, note)))
+    stages = Stages(lambda stage, progress: announced.append((stage, progress.line)))
     next(iter(anystyle.stylize(photographs, "dots", model=stylizer, views=VIEWS, stages=stages)))
-    assert [name for name, _ in announced] == ["read", "encode", "embed", "restyle"] == list(stages.seconds)
-    assert announced[1] == ("encode", "3 views of 70x56") and announced[3] == ("restyle", "1/1: “dots”")
+    assert [name for name, _ in announced] == ["load", "read", "encode", "embed", "restyle"] == list(stages.seconds)
+    assert announced[2] == ("encode", "3 views of 70x56") and announced[4] == ("restyle", "1/1: “dots”")
 
 
 def test_what_cannot_be_done_is_one_line_and_leaves_nothing(photographs, stylizer, tmp_path):

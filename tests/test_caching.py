@@ -5,7 +5,7 @@ import pickle
 from hypothesis import given
 from hypothesis import strategies as st
 
-from anystyle.caching import LRUCache
+from anystyle.io.cache import LRUCache
 
 
 @given(st.lists(st.integers(0, 6), max_size=40), st.integers(0, 5))

@@ -9,18 +9,19 @@ from PIL import Image
 from scipy.spatial.transform import Rotation, Slerp
 
 import anystyle
-from anystyle.api import Controls, VideoOptions, ViewOptions
+from anystyle import Controls, VideoOptions, ViewOptions
 from anystyle.commands._compose import main
-from anystyle.commands.stylize import given_controls, parser, stylize, with_values
-from anystyle.data.folder import Original, SourceImage
+from anystyle.commands.stylize import command, given_controls, parser, with_values
+from anystyle.data.folder import Original, covering
 from anystyle.data.images import to_tensor
 from anystyle.geometry.harmonics import colors
-from anystyle.inference.controls import LUMA, blended, rescaled, with_colors_of
-from anystyle.inference.found_cameras import FoundCameras, find_cameras
-from anystyle.inference.masks import Box, Photographs, Shown, Sphere, inside, parsed
+from anystyle.pipeline.controls import LUMA, blended, rescaled, with_colors_of
+from anystyle.pipeline.masks import Box, Photographs, SeenScene, Sphere, inside, parsed
+from anystyle.pipeline.poses import PosedViews
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
-from reconstructions.sfm.cards import World, arc
+from anystyle_captures.structure_from_motion import StructureFromMotion
+from cards import World, arc
 
 VIEWS = ViewOptions(short_side=56, take=3)
 VIDEO = VideoOptions(frames=2, scale=0.5)
@@ -98,7 +99,7 @@ def test_strokes_grow_as_the_scale_says():
 
 def test_signed_distances_of_a_sphere_and_a_box():
     gaussians = gaussians_of(count=200)
-    shown = Shown([], Cameras(torch.eye(4)[None, None], torch.eye(3)[None, None], (2, 2)), TorchRenderer())
+    shown = SeenScene([], Cameras(torch.eye(4)[None, None], torch.eye(3)[None, None], (2, 2)), TorchRenderer())
     points = gaussians.means[0]
     ball = Sphere((0.1, 0.2, 0.3), 1.0).weights(gaussians, shown)[0]
     assert torch.equal(ball == 1, (points - torch.tensor([0.1, 0.2, 0.3])).norm(dim=1) <= 1)
@@ -133,13 +134,13 @@ def test_masks_of_photographs_reach_the_gaussians_that_show_in_them(tmp_path):
     mask = np.zeros((96, 128), np.uint8)
     mask[:, 64:] = 255
     Image.fromarray(mask).save(tmp_path / "one.png")
-    shown = Shown([SourceImage.unchanged("one", size)], cameras, TorchRenderer())
+    shown = SeenScene([covering("one", size, size)], cameras, TorchRenderer())
     weights = Photographs(tmp_path).weights(gaussians, shown)[0]
     assert weights.shape == (4,) and weights[:2].max() < 0.02 and weights[2:].min() > 0.98
     behind = replace(gaussians, means=gaussians.means * torch.tensor([1.0, 1.0, -1.0]))
     assert float(Photographs(tmp_path).weights(behind, shown).abs().max()) < 1e-5
     with pytest.raises(ValueError, match="no mask for the photograph two"):
-        Photographs(tmp_path).weights(gaussians, replace(shown, sources=[SourceImage.unchanged("two", size)]))
+        Photographs(tmp_path).weights(gaussians, replace(shown, sources=[covering("two", size, size)]))
 
 
 def test_a_mask_follows_the_photograph_that_is_made_straight(tmp_path):
@@ -150,8 +151,9 @@ def test_a_mask_follows_the_photograph_that_is_made_straight(tmp_path):
         path = tmp_path / f"{number}.png"
         Image.fromarray(pixels).resize((384, 336)).save(path)
         originals.append(Original(str(number), path, (336, 384), Image.fromarray(pixels), Image.Exif()))
-    posed = find_cameras(originals, short_side=84, multiple=14, progress=lambda _: None, keep=False)
-    assert isinstance(posed, FoundCameras) and len(posed.sources) == 4
+    find = StructureFromMotion(keep=False)
+    posed = find(originals, short_side=84, multiple=14, enlarge=True, on_progress=lambda _: None)
+    assert isinstance(posed, PosedViews) and len(posed.sources) == 4
     for view, source in enumerate(posed.sources):
         with Image.open(tmp_path / f"{source.name}.png") as mask:
             straight = to_tensor(source.of_view(mask))
@@ -194,10 +196,10 @@ def photographs(tmp_path_factory):
 
 def test_strength_zero_is_the_unstyled_scene_bit_for_bit_and_a_list_is_a_strip(photographs, tmp_path):
     words = ["views.short_side=56", "views.take=3", "video.frames=2", "video.scale=0.5"]
-    main("stylize", stylize, parser(), [str(photographs), "--text", "dots", "--strength", "0,0.5,1", "--out",
+    main("stylize", command, parser(), [str(photographs), "--text", "dots", "--strength", "0,0.5,1", "--out",
                                         str(tmp_path / "out"), *words])  # fmt: skip
     results = anystyle.stylize(photographs, "dots", views=VIEWS, video=VIDEO)
-    results.controlled.unstyled.save(tmp_path / "unstyled.ply")
+    results.restyler.unstyled.save(tmp_path / "unstyled.ply")
     results[0].gaussians.save(tmp_path / "styled.ply")
     folders = sorted(path for path in (tmp_path / "out").iterdir() if path.is_dir())
     assert [folder.name for folder in folders] == ["01-dots_strength-0", "02-dots_strength-0-5", "03-dots"]
@@ -217,7 +219,7 @@ def test_a_mask_and_preserved_colour_change_what_they_are_for(photographs):
     results = anystyle.stylize(photographs, "dots", model=stylizer, views=VIEWS, controls=controls)
     full, none, preserved, plain = (result.gaussians for result in results)
     assert torch.equal(full.harmonics, plain.harmonics)
-    assert torch.equal(none.harmonics, results.controlled.unstyled.harmonics)
+    assert torch.equal(none.harmonics, results.restyler.unstyled.harmonics)
     assert not torch.equal(preserved.harmonics, plain.harmonics)
     with pytest.raises(ValueError, match="is a text"):
         anystyle.stylize(photographs, "dots", model=stylizer, views=VIEWS, controls=Controls(scale=2.0))

@@ -12,6 +12,7 @@ from anystyle.contracts import Loss, Metric
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.testing import inputs
+from anystyle.testing.toy.correspondence import ToyCorrespondence
 from elsewhere import There, elsewhere, sent
 
 ASKS_FOR_VALUES = (
@@ -58,7 +59,7 @@ def test_encoding_and_restyling():
 def test_losses(name):
     given = inputs.stylization()
     try:
-        loss = build(Loss, name, style_encoder=inputs.runtime()["style_encoder"])
+        loss = build(Loss, name, style_encoder=inputs.style_encoder())
     except FileNotFoundError as error:
         pytest.skip(str(error)[:80])
     assert followed(lambda: loss.to("meta")(given.to("meta"))).is_meta
@@ -67,8 +68,8 @@ def test_losses(name):
 @pytest.mark.parametrize("name", catalog().names("metric"))
 def test_metrics(name):
     """They look at values, which tensors of the meta device lack; those of ``elsewhere`` have some."""
-    given, runtime = inputs.comparison(), inputs.runtime()
-    metric = build(Metric, name, style_encoder=runtime["style_encoder"], correspondence=runtime["correspondence"])
+    given = inputs.comparison()
+    metric = build(Metric, name, style_encoder=inputs.style_encoder(), correspondence=ToyCorrespondence())
     with torch.no_grad(), elsewhere() as device:
         sent(metric)
         for key, value in metric.metric_state.items():

@@ -1,41 +1,138 @@
-"""The program that damages inputs, small: that it runs, and that every ending it draws is a good one."""
+"""Damaged inputs end a command in one line, and faults while it works lose nothing.
 
+``FUZZ_INPUTS=50000 FUZZ_SEED=1`` sets how many inputs are damaged, and which.
+"""
+
+import hashlib
 import json
-import subprocess
-import sys
-from pathlib import Path
+import os
+import random
+import shutil
+import signal
+import time
 
 import pytest
 
-from fuzz.kept import KEPT
+import forked
+from fuzz_inputs import MUTATORS, REGRESSIONS, picture, write
+from training_cases import RECONSTRUCTION
 
-FOLDER = Path(__file__).parent
-
-
-def test_what_once_ended_badly_ends_well():
-    done = subprocess.run(
-        [sys.executable, "-W", "ignore", "-m", "fuzz", "--kept", "--seconds", "600"],
-        cwd=FOLDER,
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert sum(line.endswith(": fine ") for line in done.stdout.splitlines()) == len(KEPT)
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")]
 
 
-@pytest.mark.slow
-def test_works_that_meet_faults_lose_nothing(tmp_path):
-    words = ["-m", "faults", "--kills", "12", "--others", "0", "--seed", "3", "--keep", str(tmp_path)]
-    done = subprocess.run([sys.executable, "-W", "ignore", *words], cwd=FOLDER, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    rows = [json.loads(line) for line in (tmp_path / "trials-3.jsonl").read_text().splitlines()]
-    assert len(rows) == 12 and not any(row["problem"] for row in rows)
+@pytest.fixture(scope="module")
+def cases(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("seeds")
+    cases = write(folder)
+    forked.warm()
+    return folder, cases
 
 
-@pytest.mark.slow
-def test_a_few_damaged_inputs_end_well(tmp_path):
-    words = ["-m", "fuzz", "--inputs", "20", "--seed", "2", "--keep", str(tmp_path)]
-    done = subprocess.run([sys.executable, "-W", "ignore", *words], cwd=FOLDER, capture_output=True, text=True)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.splitlines()[-1].endswith("{'fine': 20}")
-    assert list(tmp_path.iterdir()) == []
+def state(folder):
+    """Every file with a hash of its content, locks and bytecode excepted."""
+    files = (path for path in folder.rglob("*") if path.is_file() and path.name != ".lock" and path.suffix != ".pyc")
+    return {str(path.relative_to(folder)): hashlib.md5(path.read_bytes()).hexdigest() for path in files}
+
+
+def problem(case, folder):
+    """How a command ends badly; empty if it ends well, or in one line and without leaving anything."""
+    before, output = state(folder), folder.with_suffix(".txt")
+    code = forked.ended(forked.start(case.words, folder, output, dict(case.environment)), 120)
+    text = output.read_text(errors="replace")
+    if code not in (0, 1, 2) or "Traceback (most recent call last)" in text:
+        return f"ends with {code}: {text[-600:]}"
+    if code == 2 and not any(line.startswith("anystyle: error: ") for line in text.splitlines()):
+        return f"says nothing: {text[-600:]}"
+    return f"leaves {state(folder).items() ^ before.items()}" if code == 2 and state(folder) != before else ""
+
+
+def copied(seeds, name, tmp_path):
+    shutil.rmtree(tmp_path / "case", ignore_errors=True)
+    return shutil.copytree(seeds / name, tmp_path / "case")
+
+
+def test_valid_inputs_are_read(cases, tmp_path):
+    seeds, known = cases
+    for name, case in known.items():
+        folder = copied(seeds, name, tmp_path)
+        assert problem(case, folder) == "", name
+        assert "anystyle: error" not in folder.with_suffix(".txt").read_text(), name
+
+
+@pytest.mark.parametrize(("name", "file", "content"), REGRESSIONS)
+def test_inputs_that_once_ended_badly_end_well(cases, tmp_path, name, file, content):
+    folder = copied(cases[0], name, tmp_path)
+    (folder / file).write_bytes(content)
+    assert problem(cases[1][name], folder) == ""
+
+
+def test_damaged_inputs_end_well(cases, tmp_path):
+    seeds, known = cases
+    problems = []
+    for number in range(int(os.environ.get("FUZZ_INPUTS", "300"))):
+        draw = random.Random(f"{os.environ.get('FUZZ_SEED', '0')} {number}")
+        name = draw.choice(list(known))
+        folder = copied(seeds, name, tmp_path)
+        path = folder / draw.choice(known[name].files)
+        mutate = draw.choice(MUTATORS)
+        path.write_bytes(mutate(draw, path.read_bytes(), path.suffix))
+        if found := problem(known[name], folder):
+            shutil.copytree(folder, tmp_path / f"kept-{number}")
+            problems.append(f"{number} {name} {path.name} {mutate.__name__}: {found}")
+    assert not problems, "\n".join(problems)
+
+
+# Faults
+
+
+def train(folder):
+    words = [word for word in RECONSTRUCTION if "max_steps" not in word]
+    more = ("checkpoint.every_steps=1", "average=0.9", "export.half=false", "trainer.max_steps=12")
+    return ("train", *words, *more), folder / "runs" / "test"
+
+
+def evaluate(folder):
+    for scene in range(6):
+        for frame in range(2):
+            picture(folder / "content" / f"s{scene}" / f"{frame}.png", scene, (320, 240))
+            picture(folder / "stylized" / f"s{scene}" / f"ink_{frame}.png", 9 + scene, (320, 240))
+    picture(folder / "style" / "ink.png")
+    words = ["evaluate", "--content", "content", "--style", "style", "--stylized", "stylized", "--out", "out"]
+    return (*words, "metric=[psnr,ssim,color_match]"), folder / "out"
+
+
+def results(out):
+    """Hashes of weights and pictures, and figures without times."""
+    hashes = {name: digest for name, digest in state(out).items() if name.endswith((".safetensors", ".png", ".csv"))}
+    figures = json.loads((out / "metrics.json").read_text())
+    return {name: digest for name, digest in hashes.items() if "log" not in name and "spread" not in name} | {
+        name: figure for name, figure in figures.items() if name not in ("provenance", "train/seconds")
+    }
+
+
+@pytest.mark.parametrize("prepare", [train, evaluate])
+def test_a_killed_run_is_continued_to_the_same_result(tmp_path, prepare):
+    forked.warm()
+    folders = {}
+    for name in ("whole", "killed", "terminated"):
+        (tmp_path / name).mkdir()
+        folders[name] = (tmp_path / name, *prepare(tmp_path / name))
+
+    def begin(name):
+        folder, words, _ = folders[name]
+        return forked.start(words, folder, folder.with_suffix(".txt"), {"ANYSTYLE_CACHE": "cache"})
+
+    start = time.monotonic()
+    assert forked.ended(begin("whole"), 300) == 0, (tmp_path / "whole.txt").read_text()
+    seconds, expected = time.monotonic() - start, results(folders["whole"][2])
+    draw = random.Random(0)
+    for name, number in (("killed", signal.SIGKILL), ("terminated", signal.SIGTERM)):
+        for _ in range(3):
+            child = begin(name)
+            time.sleep(draw.uniform(0, seconds))
+            os.kill(child, number)
+            assert forked.ended(child, 60) in (0, -number, 128 + number)
+        output = (tmp_path / f"{name}.txt").read_text()
+        assert "Traceback" not in output, output
+        assert forked.ended(begin(name), 300) == 0, (tmp_path / f"{name}.txt").read_text()
+        assert results(folders[name][2]) == expected

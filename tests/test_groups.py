@@ -9,8 +9,8 @@ import torch
 from anystyle.geometry import harmonics
 from anystyle.geometry.rotations import matrix_from_wxyz
 from anystyle.geometry.similarity import Similarity
-from anystyle.inference.groups import encode_groups, split
-from anystyle.inference.known_cameras import with_cameras
+from anystyle.pipeline.cameras import with_cameras
+from anystyle.pipeline.groups import encode_groups, split
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.types import Gaussians, Geometry, Scene, Views
 

@@ -23,12 +23,11 @@ def test_cells_keep_their_aspect_and_stand_in_their_places():
 
 
 def test_words_are_wrapped_and_endless_ones_end_in_an_ellipsis():
-    font = ImageFont.load_default(size=15)
-    lines = wrap("thick swirling strokes in deep blue " * 40, font, 150, max_lines=3).split("\n")
+    lines = wrap("thick swirling strokes in deep blue " * 40, 15, 150, max_lines=3).split("\n")
     assert len(lines) == 3 and lines[-1].endswith("…")
-    assert all(font.getlength(line) <= 150 for line in lines)
-    assert wrap("a\nb", font, 150, max_lines=2) == "a b"
-    assert wrap("x" * 500, font, 100, max_lines=1).endswith("…")
+    assert all(ImageFont.load_default(size=15).getlength(line) <= 150 for line in lines)
+    assert wrap("a\nb", 15, 150, max_lines=2) == "a b"
+    assert wrap("x" * 500, 15, 100, max_lines=1).endswith("…")
 
 
 def test_ragged_rows_are_refused():

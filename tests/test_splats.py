@@ -10,18 +10,21 @@ from plyfile import PlyData, PlyElement
 
 import anystyle
 from anystyle.commands._compose import main
-from anystyle.commands.stylize import parser, stylize
-from anystyle.inference import memory, splats
-from anystyle.inference.encoding import encode_splat
-from anystyle.inference.export import export
-from anystyle.inference.options import SplatOptions, ViewOptions
-from anystyle.inference.stages import Stages
+from anystyle.commands.benchmark import sampled_peak
+from anystyle.commands.stylize import command, parser
 from anystyle.io import ply
-from anystyle.reconstructions.colors import fit_colors
-from anystyle.renderers.cpu.renderer import CpuRenderer
+from anystyle.methods.branch import Branch
+from anystyle.methods.colors import fit_colors
+from anystyle.pipeline import memory, splats
+from anystyle.pipeline.encode import encode_saved
+from anystyle.pipeline.export import export
+from anystyle.pipeline.options import SplatOptions, ViewOptions
+from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.stages import Stages
 from anystyle.types import Gaussians
+from anystyle_cpu_renderer.renderer import CpuRenderer
+from known_scene import photographed_wall, rig, wall
 from methods.worlds import painting
-from reconstructions.scenes import photographed_wall, rig, wall
 
 RENDERER = CpuRenderer(background=(0.0, 0.0, 0.0))
 COLORS = ("f_dc", "f_rest")
@@ -69,8 +72,8 @@ def test_the_command_gives_the_file_back_with_other_colours(file, tmp_path, keep
     from anystyle.io.sheet import to_pil
 
     to_pil(painting().image[0]).save(style)
-    words = ["video.frames=2", "views.short_side=40", "splat.cameras=3", f"keep_harmonics={keep}"]
-    main("stylize", stylize, parser(), [str(file), "--image", str(style), "--out", str(tmp_path / "out"), *words])
+    words = ["video.frames=2", "views.short_side=40", "splat.cameras=3", f"method.keep_harmonics={keep}"]
+    main("stylize", command, parser(), [str(file), "--image", str(style), "--out", str(tmp_path / "out"), *words])
     before = PlyData.read(file)["vertex"].data
     after = PlyData.read(tmp_path / "out" / "scene.ply")["vertex"].data
     assert len(after) == len(before)
@@ -90,11 +93,9 @@ def test_a_file_in_other_axes_is_seen_upright_and_comes_back_in_ours(tmp_path):
     for up in ("opencv", "z"):
         export(glossy(), tmp_path / f"{up}.ply", "ply", up=up)
         options = SplatOptions(cameras=2, up=up)
-        encoded[up] = encode_splat(
-            tmp_path / f"{up}.ply", stylizer, ViewOptions(short_side=28), options, stages=Stages()
-        )
+        encoded[up] = encode_saved(tmp_path / f"{up}.ply", stylizer, ViewOptions(short_side=28), options, Stages())
     torch.testing.assert_close(encoded["z"].views.images, encoded["opencv"].views.images, rtol=0, atol=2e-3)
-    torch.testing.assert_close(encoded["z"].unstyled().means, glossy().means, rtol=0, atol=1e-5)
+    torch.testing.assert_close(Restyler(encoded["z"], Branch()).unstyled.means, glossy().means, rtol=0, atol=1e-5)
     assert encoded["opencv"].splat is not None and encoded["z"].splat is None
     with pytest.raises(ValueError, match="choose one of opencv, y, z"):
         SplatOptions(up="x")
@@ -164,8 +165,8 @@ def test_what_it_takes_is_what_was_told():
     cameras = splats.around(scene, views, 64)
     targets = torch.rand(views, 3, 64, 64, generator=generator)
     fit_colors(scene, cameras, targets, RENDERER, steps=0)  # compiled before
-    idle = memory.sampled_peak(lambda: None)
-    used = memory.sampled_peak(lambda: fit_colors(scene, cameras, targets, RENDERER, steps=1)) - idle
+    idle = sampled_peak(lambda: None)
+    used = sampled_peak(lambda: fit_colors(scene, cameras, targets, RENDERER, steps=1)) - idle
     assert used < splats.memory_needed(count, views)
 
 

@@ -8,9 +8,9 @@ from anystyle.registry.compose import compose
 
 LIBRARIES = (
     *("torch", "lightning", "hydra", "torchmetrics", "kornia", "scipy.optimize", "scipy.stats", "matplotlib.pyplot"),
-    *("anystyle.inference.assemble", "anystyle.training.run", "anystyle.training.stylization"),
-    *("anystyle.evaluation.runner", "anystyle.evaluation.plots", "anystyle.testing.run", "anystyle.renderers.cpu"),
-    *("anystyle.io.video", "anystyle.study.analysis"),
+    *("anystyle.pipeline.load", "anystyle.training.run", "anystyle.training.stylization"),
+    *("anystyle.evaluation.judge", "anystyle.evaluation.plots", "anystyle.testing.run", "anystyle_cpu_renderer"),
+    *("anystyle.io.video", "anystyle_study.analysis"),
 )
 
 for name in LIBRARIES:

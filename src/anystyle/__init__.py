@@ -12,21 +12,32 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from anystyle import api, types
-    from anystyle.api import load, stylize
-    from anystyle.inference import weights
+    from anystyle import types
+    from anystyle.pipeline import weights
+    from anystyle.pipeline.controls import Controls
+    from anystyle.pipeline.load import load
+    from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
+    from anystyle.pipeline.styles import Mixture
+    from anystyle.pipeline.stylize import stylize
     from anystyle.registry.build import build
     from anystyle.registry.catalog import catalog, plugin
     from anystyle.stylizer import Stylizer
 
-_MODULES = {"api": "anystyle.api", "types": "anystyle.types", "weights": "anystyle.inference.weights"}
+_MODULES = {"types": "anystyle.types", "weights": "anystyle.pipeline.weights"}
 _HOMES = {
+    "Controls": "anystyle.pipeline.controls",
+    "ExportOptions": "anystyle.pipeline.options",
+    "Mixture": "anystyle.pipeline.styles",
+    "PoseOptions": "anystyle.pipeline.options",
+    "SplatOptions": "anystyle.pipeline.options",
     "Stylizer": "anystyle.stylizer",
+    "VideoOptions": "anystyle.pipeline.options",
+    "ViewOptions": "anystyle.pipeline.options",
     "build": "anystyle.registry.build",
     "catalog": "anystyle.registry.catalog",
-    "load": "anystyle.api",
+    "load": "anystyle.pipeline.load",
     "plugin": "anystyle.registry.catalog",
-    "stylize": "anystyle.api",
+    "stylize": "anystyle.pipeline.stylize",
 }
 
 
@@ -48,4 +59,20 @@ def __dir__() -> list[str]:
     return sorted({*globals(), *__all__})
 
 
-__all__ = ["Stylizer", "api", "build", "catalog", "load", "plugin", "stylize", "types", "weights"]
+__all__ = [
+    "Controls",
+    "ExportOptions",
+    "Mixture",
+    "PoseOptions",
+    "SplatOptions",
+    "Stylizer",
+    "VideoOptions",
+    "ViewOptions",
+    "build",
+    "catalog",
+    "load",
+    "plugin",
+    "stylize",
+    "types",
+    "weights",
+]

@@ -1,4 +1,4 @@
-"""``anystyle COMMAND ...``: find the command and become it; nothing else is imported."""
+"""``anystyle COMMAND ...``: find the command and run it; nothing else is imported."""
 
 import ast
 import runpy
@@ -9,13 +9,11 @@ from anystyle.paths import PACKAGE
 
 COMMANDS = (
     "stylize",
-    "view",
     "export",
     "train",
     "data",
     "report",
     "evaluate",
-    "study",
     "plugins",
     "weights",
     "benchmark",
@@ -36,15 +34,18 @@ def available() -> dict[str, str]:
     """Every command with the first line that describes it, none of them imported."""
     described: dict[str, str] = {}
     for name in COMMANDS:
-        file = PACKAGE / "commands" / f"{name}.py"
-        if file.is_file():
-            text = ast.get_docstring(ast.parse(file.read_bytes())) or ""
-            described[name] = text.partition("\n")[0]
+        text = ast.get_docstring(ast.parse((PACKAGE / "commands" / f"{name}.py").read_bytes())) or ""
+        described[name] = text.partition("\n")[0]
+    from anystyle.registry.catalog import catalog
+    from anystyle.registry.source_docs import peek
+
+    for name in catalog().names("command"):
+        described[name] = peek(catalog().find("command", name)).description
     return described
 
 
 def main() -> None:
-    """Run one command as the program ``python -m anystyle.commands.COMMAND``.
+    """Run one command: one of the core as the program ``python -m anystyle.commands.COMMAND``, or a plugin.
 
     A training that starts itself again for each device then finds its way back to the same command.
     """
@@ -61,19 +62,27 @@ def main() -> None:
         from anystyle.commands._run import run
 
         run(lambda: complete(available(), rest))
-    elif first not in COMMANDS or first not in available():
-        from anystyle.commands._run import run
-
-        run(lambda: _unknown(first))
-    else:
+    elif first in COMMANDS:
         sys.argv = [sys.argv[0], *rest]
         try:
             runpy.run_module(f"anystyle.commands.{first}", run_name="__main__", alter_sys=True)
         except KeyboardInterrupt:  # while the command's imports were under way
             sys.exit(130)
+    else:
+        from anystyle.commands._run import run
+
+        run(lambda: _of_plugin(first, rest))
 
 
-def _unknown(word: str) -> None:
+def _of_plugin(word: str, rest: list[str]) -> None:
+    """Run the command that a plugin package adds."""
+    from anystyle.registry.build import build
+    from anystyle.registry.catalog import catalog
+    from anystyle.registry.socket import Command
+
+    if word in catalog().names("command"):
+        build(Command, word)(rest)
+        return
     known = list(available())
     what = "flag" if word.startswith("-") else "command"
     raise UserError(f"no {what} is named '{word}'.{did_you_mean(word, known)} Commands: {', '.join(known)}")

@@ -4,11 +4,14 @@ import copy
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
-from torch import nn
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Injector
-from anystyle.perception.sources import Source
+from anystyle.geometry.texturing import single_view_colors
 from anystyle.types import Attributes, Scene, Site, StyleEmbedding, Tokens, contiguous
+from anystyle.vision.weights import Source
 
 ATTRIBUTES = ("opacity", "scale", "rotation", "color")
 COLOR = "color"
@@ -18,9 +21,7 @@ COLOR = "color"
 def sites_of(backbone: Backbone, sh_degree: int = 0) -> tuple[Site, ...]:
     """Where style may enter, in the order of the computation: the backbone's own sites, then :data:`COLOR`.
 
-    Args:
-        backbone: The network that is styled.
-        sh_degree: Of the styled colours; at ``COLOR`` a token is a pixel, with its coefficients up to this degree.
+    At ``COLOR`` a token is a pixel, with its colour coefficients up to ``sh_degree``.
     """
     return (*backbone.sites, Site(COLOR, 3 * (sh_degree + 1) ** 2))
 
@@ -40,12 +41,9 @@ class StyleBranch(nn.Module):
         styled: The attributes taken from this branch, of ``opacity, scale, rotation, color``; the paper styles
             rotation and colour, its ablation "all geometry" all four.
         sh_degree: Degree of the styled colours; the published weights use the constant coefficient alone.
-        one_view: Whether each place takes its styled colour from one view, so that strokes of views which were painted
-            one by one do not average out; see :func:`anystyle.geometry.texturing.from_one_view`. For injectors that
-            paint pictures: with it a style that changes nothing does repaint the scene.
-
-    Raises:
-        ValueError: An attribute is unknown, or named twice.
+        single_view: Each surface point takes its styled colour from one view, so that strokes that were painted view
+            by view do not average out; see :func:`anystyle.geometry.texturing.single_view_colors`. For injectors that
+            paint pictures: with it even a style that changes nothing repaints the scene.
     """
 
     def __init__(
@@ -56,7 +54,7 @@ class StyleBranch(nn.Module):
         make_injector: Callable[[Site], Injector],
         styled: Sequence[str] = ("rotation", "color"),
         sh_degree: int = 0,
-        one_view: bool = False,
+        single_view: bool = False,
     ) -> None:
         super().__init__()
         unknown = [name for name in styled if name not in ATTRIBUTES]
@@ -65,9 +63,7 @@ class StyleBranch(nn.Module):
         chosen = {site.name for site in sites}
         in_aggregator = any(site.name in chosen for site in backbone.aggregator.sites)
         in_head = any(site.name in chosen for site in backbone.gaussian_head.sites)
-        self.styled = tuple(styled)
-        self.sh_degree = sh_degree
-        self.one_view = one_view
+        self.styled, self.sh_degree, self.single_view = tuple(styled), sh_degree, single_view
         self.aggregator = copy.deepcopy(backbone.aggregator).requires_grad_() if in_aggregator else None
         self.gaussian_head = (
             copy.deepcopy(backbone.gaussian_head).requires_grad_() if in_aggregator or in_head else None
@@ -91,8 +87,21 @@ class StyleBranch(nn.Module):
             features = scene.features if self.aggregator is None else contiguous(self.aggregator(scene.stem, inject))
             attributes = self.gaussian_head(features, scene.views.images, inject)
         attributes = attributes.with_degree(self.sh_degree)
-        if COLOR not in self.injectors:
-            return attributes
-        color = attributes.color  # B V H W 3 K
-        pixels = Tokens(color.flatten(4).flatten(2, 3), grid=(color.shape[2], color.shape[3]))
-        return replace(attributes, color=inject(COLOR, pixels).data.reshape(color.shape))
+        if COLOR in self.injectors:
+            color = attributes.color  # B V H W 3 K
+            pixels = Tokens(color.flatten(4).flatten(2, 3), grid=(color.shape[2], color.shape[3]))
+            attributes = replace(attributes, color=inject(COLOR, pixels).data.reshape(color.shape))
+        if self.single_view and scene.gaussians is None:
+            attributes = replace(attributes, color=_single_view(scene, attributes.color))
+        return attributes
+
+
+def _single_view(scene: Scene, color: Float[Tensor, "B V H W 3 K"]) -> Float[Tensor, "B V H W 3 K"]:
+    """Single-view texturing of the pixels' colours; fused pixels are one point."""
+    if scene.clusters is None:
+        points = scene.geometry.points()
+    else:
+        points = scene.clusters.means.take_along_dim(scene.clusters.index[..., None], dim=1)
+    points = points.view(*color.shape[:4], 3)
+    with torch.autocast(color.device.type, enabled=False):  # positions need all their bits
+        return single_view_colors(color.flatten(4), points, scene.cameras).view_as(color)

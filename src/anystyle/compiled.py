@@ -16,11 +16,7 @@ CONTRACT = frozenset({"contract", "nsz"})
 def compiled(function: Callable[..., Any], *, fastmath: Collection[str] = ()) -> Callable[..., Any]:
     """Compile a kernel on its first call, without the interpreter's lock and with C's division.
 
-    The machine code is kept on disk, unless no folder for it can be written.
-
-    Args:
-        function: What numba can compile.
-        fastmath: LLVM's flags for what floating-point arithmetic may be rewritten.
+    The machine code is kept on disk if a folder for it can be written; ``fastmath`` are flags of LLVM.
     """
     function = inspect.unwrap(function)  # tests check annotations by wrappers, which numba cannot compile
     options: dict[str, Any] = {"nogil": True, "error_model": "numpy", "fastmath": set(fastmath)}

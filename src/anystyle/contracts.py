@@ -2,12 +2,12 @@
 
 Each class here is a socket: a plugin inherits from it, implements the abstract methods and is listed in one line of
 TOML. ``anystyle.testing`` holds each contract as plain functions; ``anystyle plugins check`` runs them, on an instance
-built with the options of :meth:`~anystyle.registry.socket.Socket.example`, the defaults unless overridden. The user
-study's socket, :class:`anystyle.study.contract.StudyTest`, needs no torch and lives with the study.
+built with the options of :meth:`~anystyle.registry.socket.Socket.example`, the defaults unless overridden.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, final
 
@@ -16,8 +16,8 @@ import torchmetrics
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.perception.sources import Source
-from anystyle.published import Published, PublishedEncoder
+from anystyle.errors import UserError
+from anystyle.published import Published
 from anystyle.registry.socket import Socket
 from anystyle.types import (
     Attributes,
@@ -30,17 +30,22 @@ from anystyle.types import (
     Gaussians,
     Geometry,
     Inject,
+    OnProgress,
+    Reconstructed,
     Renders,
     Scene,
     Site,
     Style,
+    StyledScene,
     Stylization,
     TextMatch,
     Tokens,
     Views,
     contiguous,
+    no_progress,
     untouched,
 )
+from anystyle.vision.weights import Source
 
 
 class Embedder(nn.Module, ABC):
@@ -134,6 +139,17 @@ class Backbone(Socket, nn.Module, ABC):
         return Scene(views, stem, features, geometry, attributes, clusters)
 
     @final
+    def load_reference(self, state: Mapping[str, Tensor]) -> None:
+        """Load published weights: a state dict, with or without the prefixes of its file; parts it lacks stay.
+
+        Raises:
+            UserError: They do not fit, or no published weights of this network are known.
+        """
+        if self.published is None:
+            raise UserError(f"no published weights of a {type(self).__name__} are known")
+        self.published.load("backbone", self, state)
+
+    @final
     def freeze(self) -> "Backbone":
         """Stop learning for good: no gradients, and ``eval`` mode whatever is asked for."""
         self.frozen = True
@@ -159,8 +175,6 @@ class StyleEncoder(Socket, nn.Module, ABC):
     """Whether it embeds any text; where not, only the neutral prompt, and others raise a ValueError."""
     sources: tuple[Source, ...] = ()
     """The published weights that the constructor filled it with, where it does."""
-    published: ClassVar[PublishedEncoder | None] = None
-    """How checkpoints in the original layout load, where there are any."""
 
     @abstractmethod
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
@@ -173,6 +187,14 @@ class StyleEncoder(Socket, nn.Module, ABC):
         Raises:
             ValueError: A text is empty or longer than the encoder reads.
         """
+
+    def load_published(self, state: Mapping[str, Tensor]) -> None:
+        """Load weights under their publishers' names, strictly; on the meta device it takes the tensors themselves.
+
+        Raises:
+            UserError: They do not fit, or no published weights of this encoder are known.
+        """
+        raise UserError(f"no published weights of a {type(self).__name__} are known; give a file of ours, or null")
 
     def match_text(self, text: str) -> TextMatch | None:
         """What it knows that comes nearest to a text, and the words it does not know; ``None`` if it cannot say."""
@@ -209,9 +231,50 @@ class Placement(Socket, ABC):
 class Renderer(Socket, ABC):
     """A differentiable 3DGS rasteriser."""
 
+    devices: ClassVar[tuple[str, ...]] = ()
+    """The types of device that it runs on, as in ``torch.device.type``; empty for any."""
+    priority: ClassVar[int] = 0
+    """``renderer=auto`` takes the renderer of the highest priority among those that run on the tensors' device, of
+    equal ones the first by name, and gives it the options ``background, near, far, eps2d``. 0: never taken; 1: plain
+    PyTorch; 10: the kernels that come with anystyle."""
+
     @abstractmethod
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
         """Render every camera of every scene, differentiable in the Gaussians and the camera poses."""
+
+
+class Reconstruction(Socket, ABC):
+    """From the views of one scene to the scene that is styled; run once per scene."""
+
+    needs_cameras: ClassVar[bool] = False
+    """Whether views must come with cameras. One that does takes all views at once; others may get them in groups."""
+
+    short_side: int | None = None
+    """Shorter side in pixels that it is best given views at; smaller photographs stay as they are. ``None`` is the
+    backbone's resolution."""
+
+    @abstractmethod
+    def __call__(
+        self,
+        views: Views,
+        encode: Callable[[Views], Scene],
+        renderer: Renderer,
+        *,
+        points: Sequence[Float[Tensor, "_ 3"]] | None = None,
+        on_progress: OnProgress = no_progress,
+    ) -> Reconstructed:
+        """Reconstruct one scene, in the frame of its cameras where these are known.
+
+        Args:
+            views: A batch of one; with cameras if they are needed.
+            encode: Encodes views in the backbone's single pass.
+            renderer: Differentiable; the one that will show the scene.
+            points: For each view, sparse points in world space that it shows, where some are known.
+            on_progress: Called every few seconds.
+
+        Raises:
+            UserError: The views do not suffice, or lack cameras.
+        """
 
 
 class Loss(Socket, nn.Module, ABC):
@@ -318,6 +381,28 @@ class StyleSource(Socket, ABC):
     @abstractmethod
     def read(self, style: int) -> Style:
         """One style as a batch of one, on the CPU."""
+
+
+class Format(Socket, ABC):
+    """A file format of Gaussian scenes; its name is the suffix of the files."""
+
+    up: ClassVar[str] = "opencv"
+    """Axes that readers of the format expect: ``opencv``, ``y`` or ``z`` up."""
+    has_notes: ClassVar[bool] = False
+    """Whether a file has room for :attr:`~anystyle.types.StyledScene.notes`."""
+
+    @abstractmethod
+    def write(self, scene: StyledScene, path: Path) -> None:
+        """Write a scene, whole or not at all.
+
+        Args:
+            scene: In the axes of :attr:`up` unless others were asked for; every Gaussian is visible. A format with room
+                for one style takes the last.
+            path: The file.
+
+        Raises:
+            UserError: The format cannot hold the scene.
+        """
 
 
 @torch.no_grad()

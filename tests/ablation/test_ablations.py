@@ -1,7 +1,5 @@
 """The rows of the ablation table: what each changes, and sweeps over them as people type them."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -70,6 +68,7 @@ def test_objective_of_each_row(experiment, ablation):
     config = compose("train", [f"experiment={experiment}", f"ablation={ablation}", "cache=null", "name=x", "out=x"])
     assert set(objective(config)) == TERMS[experiment].get(ablation, TERMS[experiment]["base"])
     assert (config.training.text_ratio == 0) is (ablation == "no_text")
+    assert ablation != "no_text" or not config.training.preview_texts
     styled = ["opacity", "scale", "rotation", "color"] if ablation == "all_geometry" else ["rotation", "color"]
     assert list(config.branch.styled) == styled
 
@@ -77,12 +76,6 @@ def test_objective_of_each_row(experiment, ablation):
 def test_distillation_replaces_the_terms_of_the_tiny_recipe():
     config = compose("train", ["experiment=tiny_ablation", "ablation=distillation", "cache=null", "name=x", "out=x"])
     assert set(objective(config)) == {"teacher", "depth_consistency", "checkerboard"}
-
-
-def test_what_is_left_out_must_be_a_loss():
-    config = compose("train", ["experiment=tiny_style", "without=[clip_directoinal]", "name=x", "out=x"])
-    with pytest.raises(UserError, match=r"no loss is named 'clip_directoinal'\. Did you mean 'clip_directional'"):
-        objective(config)
 
 
 def test_one_term_is_left_out_by_its_name_alone():
@@ -118,7 +111,7 @@ def test_the_table_trains_in_one_command_and_again_does_only_what_is_missing(cap
 
 
 def test_a_job_that_fails_leaves_the_others_and_the_sweep_says_so():
-    with pytest.raises(ValueError, match=r"training\.text_ratio is 7\.0; give a share between 0 and 1"):
+    with pytest.raises(ValueError, match=r"training\.text_ratio is 7\.0; give a fraction between 0 and 1"):
         multirun("training.text_ratio=0.5,7,0")
     assert [weights_of(job).is_file() for job in range(3)] == [True, False, True]
 
@@ -157,25 +150,3 @@ def test_a_sweep_over_what_does_not_exist_trains_nothing(word, told):
     assert told in message or told.replace(": ", " ") in message, message
     assert "\n" not in message
     assert not list(Path().rglob("*.safetensors"))
-
-
-@pytest.mark.parametrize(
-    ("launcher", "rows"),
-    [
-        pytest.param(("hydra/launcher=joblib", "hydra.launcher.n_jobs=2"), ("base", "no_style_loss"), id="joblib"),
-        pytest.param(("hydra/launcher=submitit_local", "hydra.launcher.timeout_min=10"), ("base",), id="submitit"),
-    ],
-)
-def test_launchers_leave_what_one_process_leaves(launcher, rows, tmp_path):
-    pytest.importorskip("hydra_plugins.hydra_joblib_launcher.joblib_launcher")
-    pytest.importorskip("hydra_plugins.hydra_submitit_launcher.submitit_launcher")
-    words = (*FEW_STEPS, "trainer.max_steps=1", f"ablation={','.join(rows)}", *launcher)
-    # Jobs are processes of their own: what launches them must be the program, not this one.
-    done = subprocess.run(
-        [sys.executable, "-m", "anystyle", "train", "-m", *words], cwd=tmp_path, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    branches = [load_file(weights_of(job)) for job in range(len(rows))]
-    for branch in branches[1:]:
-        assert branch.keys() == branches[0].keys()
-        assert any(not branch[key].equal(branches[0][key]) for key in branch)

@@ -1,6 +1,5 @@
 """What people give by mistake to a published network: each ends in one line, status 2, and leaves nothing."""
 
-import json
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +10,9 @@ from PIL import Image
 from safetensors.torch import save_file
 
 from anystyle.commands._compose import main
-from anystyle.commands.stylize import parser, stylize
-from anystyle.inference import memory
-from anystyle.inference.weights import reference_config
+from anystyle.commands.stylize import command, parser
+from anystyle.pipeline import memory
+from anystyle.pipeline.weights import reference_config
 from anystyle.registry.compose import override
 from weights_cases import small_checkpoint, training_checkpoint
 
@@ -52,7 +51,7 @@ def words(photographs: Path, tmp_path: Path) -> list[str]:
 def refused(capsys: pytest.CaptureFixture[str], words: list[str], *more: str) -> str:
     """The one line that a command ends in; nothing is left behind."""
     with pytest.raises(SystemExit) as caught:
-        main("stylize", stylize, parser(), [*words, *more])
+        main("stylize", command, parser(), [*words, *more])
     assert caught.value.code == 2
     told = capsys.readouterr()
     lines = [line for line in told.err.splitlines() if not line.endswith("…")]
@@ -90,21 +89,6 @@ def test_sizes_that_are_no_multiples_where_nothing_is_resized(
     assert "are 70x50 pixels, and sides must be multiples of 14" in told
     assert "have 2 sizes (70x50, 70x56)" in refused(capsys, [str(tmp_path / "0.png"), *given])
     assert "with views.resize=false; give one of them" in refused(capsys, [*words, "views.resize=false"])
-
-
-def test_poses_that_do_not_match_the_images(
-    words: list[str], photographs: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    frame = {"file_path": "0.png", "transform_matrix": np.eye(4).tolist()}
-    for told, size in (
-        ("1 of 2 photographs have no stored camera", (70, 56)),
-        ("pixels, and the photograph", (99, 20)),
-    ):
-        content = {"fl_x": 60.0, "w": size[0], "h": size[1], "frames": [frame]}
-        (photographs / "transforms.json").write_text(json.dumps(content))
-        assert told in refused(capsys, words, "poses=known")
-    (photographs / "transforms.json").unlink()
-    assert "no cameras are stored" in refused(capsys, words, "poses=known")
 
 
 def test_more_views_than_memory_allows(

@@ -4,9 +4,6 @@ import csv
 import json
 import math
 import shutil
-import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +13,6 @@ from PIL import Image
 
 from anystyle.commands import evaluate as command
 from anystyle.commands import plugins_new
-from anystyle.evaluation import resume
-from anystyle.evaluation.runner import judge_row
 from anystyle.evaluation.tables import STAND_IN
 from anystyle.registry.compose import compose
 from evaluation_cases import folders, picture
@@ -81,51 +76,6 @@ def test_folders_of_any_method(tmp_path, capsys):
         assert sheet.width > 4 * 160
 
 
-def test_the_same_again_computes_nothing_anew(tmp_path, monkeypatch):
-    given = flags(*folders(tmp_path / "in"))
-    run(*given, *TOY, "--out", "out")
-    before = metrics("out")
-    monkeypatch.setattr("anystyle.evaluation.resume.judge_row", None)
-    run(*given, *TOY, "--out", "out")
-    again = metrics("out")
-    for found in (before, again):
-        del found["provenance"]
-    assert again == before
-
-
-KILLED = """
-import os, signal, sys
-from anystyle.commands import evaluate
-from anystyle.evaluation import resume
-
-judged, judge = [], resume.judge_row
-def dying(*given):
-    judged.append(given[0])
-    if len(judged) == 4:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return judge(*given)
-resume.judge_row = dying
-evaluate.main(sys.argv[1:])
-"""
-
-
-def test_a_killed_evaluation_ends_with_the_same_figures(tmp_path, monkeypatch):
-    """`kill -9` in the second scene: what was judged is neither lost nor judged again."""
-    words = [str(word) for word in (*flags(*folders(tmp_path / "in")), *TOY)]
-    run(*words, "--out", "whole")
-    ended = subprocess.run([sys.executable, "-c", KILLED, *words, "--out", "out"], capture_output=True, check=False)
-    assert ended.returncode == -signal.SIGKILL, ended.stderr.decode()
-    assert not Path("out/metrics.json").exists()
-    judged = []
-    monkeypatch.setattr(resume, "judge_row", lambda *given: judged.append(given[0]) or judge_row(*given))
-    run(*words, "--out", "out")
-    assert len(judged) == 1
-    whole, again = metrics("whole"), metrics("out")
-    del whole["provenance"], again["provenance"]
-    assert again == whole
-    assert Path("out/metrics.csv").read_bytes() == Path("whole/metrics.csv").read_bytes()
-
-
 def test_a_model_on_a_protocol_resumes_and_is_bound_to_its_configuration(tmp_path, capsys):
     words = [
         "protocol=paper_image", "protocol.num_styles=2", "protocol.num_scenes=1", "protocol.frames=2",
@@ -162,7 +112,7 @@ def test_figures_of_stand_in_networks_say_so_in_every_table(tmp_path, capsys):
 
 
 def test_a_trained_run_is_judged_with_its_own_weights(tmp_path):
-    from anystyle.inference.assemble import weights_file
+    from anystyle.pipeline.load import weights_file
 
     for number in range(2):
         folder = tmp_path / "sweep" / str(number)
@@ -220,3 +170,15 @@ def test_two_evaluations_do_not_share_a_folder(tmp_path, capsys):
     Path("out").mkdir()
     with folder_lock(Path("out"), "taken"):
         assert "another evaluation is at work in out" in fails(capsys, *given, *TOY, "--out", "out")
+
+
+def test_folders_compose_no_model_and_a_style_encoder_where_one_is_named(tmp_path, capsys):
+    given = flags(*folders(tmp_path / "in", scenes=("one",), styles=("a",), frames=1))
+    run(*given, *TOY, "--out", "out")
+    assert not {"backbone", "model", "placement", "style_encoder"} & metrics("out")["provenance"]["config"].keys()
+    assert "metric=clip_style needs a style encoder; add style_encoder=NAME" in fails(
+        capsys, *given, "metric=[clip_style]", "--out", "other"
+    )
+    words = ["metric=[clip_style]", "style_encoder=tiny", "weights.style_encoder=tiny_style_encoder"]
+    run(*given, *words, "--out", "style")
+    assert -1 <= metrics("style")["clip_style"] <= 1

@@ -10,7 +10,7 @@ import anystyle.registry.catalog as module
 from anystyle.commands.plugins import main
 from anystyle.contracts import Placement
 from anystyle.registry.builtin import BUILTIN, KINDS
-from anystyle.registry.catalog import Plugin, PluginError, catalog, plugin
+from anystyle.registry.catalog import PluginError, catalog, plugin
 from anystyle.registry.schema import options
 from anystyle.registry.source_docs import peek
 
@@ -57,10 +57,6 @@ def shown(capsys, *words: str) -> str:
     return capsys.readouterr().out
 
 
-def test_list_is_the_overview(capsys):
-    assert shown(capsys, "list") == shown(capsys)
-
-
 def test_overview_names_everything(capsys):
     text = shown(capsys)
     for kind, row in KINDS.items():
@@ -87,25 +83,9 @@ def test_a_plugin_is_shown_in_full(capsys, folder):
     assert "  placement.root: str  (must be given)" in text
 
 
-def test_of_many_the_name_is_part_of_the_key(capsys):
-    assert "  loss.style.weight: float = " in shown(capsys, "loss", "style")
-
-
 def test_one_that_cannot_be_imported(folder):
     with pytest.raises(PluginError, match=r"cannot be imported: RuntimeError: imported \(model\.py, line 2\)$"):
         main(["placement", "acme"])
-
-
-def test_two_of_one_name_are_both_listed(capsys, tmp_path, monkeypatch):
-    for name in ("one", "two"):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "pyproject.toml").write_text(
-            '[project.entry-points."anystyle.placement"]\ntwice = "somewhere:Else"\n'
-        )
-    monkeypatch.setenv("ANYSTYLE_PLUGINS", str(tmp_path))
-    text = shown(capsys, "placement")
-    assert str(tmp_path / "one") in text and str(tmp_path / "two") in text
-    assert "declared more than once" in text
 
 
 def test_problems_are_told_once(tmp_path):
@@ -120,10 +100,6 @@ def test_problems_are_told_once(tmp_path):
     assert done.returncode == 0
     assert done.stderr.startswith(f"ignored: {tmp_path}/bad/pyproject.toml cannot be read: ")
     assert done.stderr.count("\n") == 1
-
-
-def test_presets_are_listed(capsys):
-    assert "anysplat_tiny" in shown(capsys, "backbone").partition("Presets:")[2]
 
 
 def test_a_class_of_this_process(monkeypatch, capsys):
@@ -147,10 +123,3 @@ def test_source_and_signature_agree():
             assert summary.description and not summary.description.startswith("("), row
             written = [text.partition(":")[0] for text in summary.options]
             assert written == [option.name for option in options(row)], row
-
-
-def test_peek_says_what_is_wrong(tmp_path):
-    (tmp_path / "broken_of_a_test.py").write_text("class Broken(:\n")
-    row = Plugin("placement", "broken", "broken_of_a_test:Broken", "here", root=tmp_path)
-    assert peek(row).description.startswith("(cannot be read: invalid syntax")
-    assert peek(Plugin("placement", "x", "no_such_package_at_all:X", "there")).description.startswith("(cannot be read")

@@ -1,6 +1,5 @@
 """`anystyle plugins check` on bad plugins: each ends in a finding of its own, in plain words."""
 
-import json
 import os
 import subprocess
 import sys
@@ -10,14 +9,21 @@ from textwrap import dedent
 import pytest
 
 from anystyle.commands import plugins_check
-from anystyle.errors import UserError
 
-TOY = "from anystyle.testing.toy.backbone import *\nfrom dataclasses import replace\nimport torch\n"
+IMPORTS = """
+from dataclasses import replace
+import torch
+from torch import nn
+from anystyle.contracts import Placement, Renderer
+from anystyle.testing.toy.backbone import *
+from anystyle.testing.toy.injector import ToyInjector
+from anystyle.testing.toy.placement import ToyPlacement
+"""
 HEAD = """
 class Head(ToyGeometryHead):
-    def forward(self, features, size):
-        given = super().forward(features, size)
-        return {result}
+    def forward(self, features, images):
+        given = super().forward(features, images)
+        return replace(given, {field})
 
 class Mine(ToyBackbone):
     "A backbone."
@@ -29,288 +35,110 @@ class Mine(ToyBackbone):
     def example(cls, folder):
         return {{}}
 """
+PLACEMENT = """
+class Mine(ToyPlacement):
+    "A placement."
+    {body}
+"""
 
 BAD = {
-    "unannotated": (
-        "placement",
-        """
-        from anystyle.contracts import Placement
-        class Mine(Placement):
-            "A placement."
-            def __init__(self, *, depth=3): ...
-            def select(self, sites): return tuple(sites)
-        """,
-        ["options can be checked"],
-        "does not annotate 'depth'",
-    ),
-    "keywords": (
-        "placement",
-        """
-        from anystyle.contracts import Placement
-        class Mine(Placement):
-            "A placement."
-            def __init__(self, **options): ...
-            def select(self, sites): return tuple(sites)
-        """,
-        ["options can be checked"],
-        "takes '**options'",
-    ),
-    "wrong_base": (
-        "backbone",
-        "import torch\nclass Mine(torch.nn.Module):\n    'No backbone.'\n",
-        ["class can be imported"],
-        "must inherit from anystyle.contracts.Backbone",
-    ),
-    "import_error": (
-        "backbone",
-        "import torch\nfrom does_not_exist import Trunk\nclass Mine: ...\n",
-        ["class can be imported"],
-        "No module named 'does_not_exist'",
-    ),
-    "syntax_error": (
-        "backbone",
-        "class Mine(:\n",
-        ["class can be imported"],
-        "invalid syntax",
-    ),
-    "no_such_class": (
-        "backbone",
-        "class Yours: ...\n",
-        ["class can be imported"],
-        "has no attribute 'Mine'",
-    ),
-    "abstract": (
-        "renderer",
-        "from anystyle.contracts import Renderer\nclass Mine(Renderer):\n    'A renderer.'\n",
-        ["every method is there"],
-        "Mine lacks __call__",
-    ),
-    "undescribed": (
-        "placement",
-        """
-        from anystyle.contracts import Placement
-        class Mine(Placement):
-            def select(self, sites):
-                if not sites: raise ValueError("no site is left")
-                return tuple(sites)
-        """,
-        ["first line describes it"],
-        "Mine without a docstring",
-    ),
-    "strange_example": (
-        "placement",
-        """
-        from anystyle.testing.toy.placement import *
-        class Mine(ToyPlacement):
-            "A placement."
-            @classmethod
-            def example(cls, folder): return {"num_site": 3}
-        """,
-        ["example fits the options"],
-        "'num_site'",
-    ),
+    # ruff: noqa: E501
+    "abstract": ("renderer", "class Mine(Renderer):\n    'A renderer.'\n", "Mine lacks __call__"),
+    "undescribed": ("placement", "class Mine(ToyPlacement): ...\n", "Mine without a docstring"),
     "broken_constructor": (
         "placement",
-        """
-        from anystyle.testing.toy.placement import *
-        class Mine(ToyPlacement):
-            "A placement."
-            def __init__(self, *, num_sites: int = 2) -> None:
-                raise RuntimeError("no such file: sites.json")
-        """,
-        ["selects sites of the backbone"],
-        "Mine() ended in RuntimeError: no such file: sites.json (",
+        PLACEMENT.format(body="def __init__(self): raise RuntimeError('no such file: sites.json')"),
+        "RuntimeError: no such file: sites.json (bad_broken_constructor.py, line ",
     ),
     "needs_a_package": (
         "placement",
-        """
-        from anystyle.testing.toy.placement import *
-        class Mine(ToyPlacement):
-            "A placement."
-            def __init__(self, *, num_sites: int = 2) -> None:
-                raise ImportError('this placement needs foo: pip install "acme[foo]"')
-        """,
-        [],
-        'not checked (it cannot be checked here: this placement needs foo: pip install "acme[foo]")',
+        PLACEMENT.format(body="def __init__(self): raise ImportError('it needs foo: pip install \"acme[foo]\"')"),
+        'it cannot be checked here: it needs foo: pip install "acme[foo]"',
     ),
     "full_size": (
         "backbone",
-        TOY
-        + """
-class Mine(ToyBackbone):
-    "A backbone."
-    def __init__(self, *, dim: int = 4096) -> None:
-        super().__init__(dim=dim, depth=24, patch_size=14)
-    @classmethod
-    def example(cls, folder):
-        return {}
-""",
-        ["all five parts are there"],
+        "class Mine(ToyBackbone):\n    'A backbone.'\n    def __init__(self, *, dim: int = 1024) -> None:\n"
+        "        super().__init__(dim=dim, depth=24, patch_size=14)\n"
+        "    example = classmethod(lambda cls, folder: {})\n",
         "a network of more than 32,000,000 parameters",
-    ),
-    "wrong_shape": (
-        "backbone",
-        TOY + HEAD.format(result="replace(given, depth=given.depth[:, :, None])"),
-        ["encodes two views"],
-        "Geometry.depth is float32 of shape [1, 2, 1, 12, 12]",
-    ),
-    "wrong_dtype": (
-        "backbone",
-        TOY + HEAD.format(result="replace(given, depth=given.depth.int())"),
-        ["encodes two views"],
-        "Geometry.depth is int32 of shape [1, 2, 12, 12]",
     ),
     "half_precision": (
         "backbone",
-        TOY + HEAD.format(result="replace(given, confidence=given.confidence.half())"),
-        ["dtypes are kept"],
-        "`geometry.confidence` is float16 of shape [1, 2, 12, 12]",
-    ),
-    "no_numbers": (
-        "backbone",
-        TOY + HEAD.format(result="replace(given, confidence=given.confidence * float('nan'))"),
-        ["numbers are finite"],
-        "288 of the 288 numbers of `geometry` (confidence) are NaN or infinite",
-    ),
-    "one_view": (
-        "backbone",
-        TOY + HEAD.format(result="replace(given, depth=given.depth + given.depth.flatten(2)[:, 1, :1, None, None])"),
-        ["encodes a single view"],
-        "`encode` of 1 scene(s), 1 view(s) of 12x12 pixels ended in IndexError",
-    ),
-    "many_scenes": (
-        "backbone",
-        TOY + HEAD.format(result="replace(given, depth=given.depth + 0.3 * given.depth.mean(0))"),
-        ["encodes several scenes at once"],
-        "`geometry` of scene 0 of a batch of two against the same scene alone (depth)",
-    ),
-    "not_square": (
-        "backbone",
-        TOY + HEAD.format(result="replace(given, depth=given.depth + 0 * given.depth.mT)"),
-        ["encodes every shape"],
-        "`encode` of 1 scene(s), 2 view(s) of 8x12 pixels ended in RuntimeError",
+        HEAD.format(field="confidence=given.confidence.half()"),
+        "`0.confidence` is torch.float16",
     ),
     "not_the_identity": (
         "injector",
-        """
-        from anystyle.testing.toy.injector import *
-        class Mine(ToyInjector):
-            "An injector."
-            def __init__(self, *, dim: int, style_dim: int) -> None:
-                super().__init__(dim=dim, style_dim=style_dim)
-                nn.init.normal_(self.scale.weight, std=1e-3)
-        """,
-        ["changes nothing at birth"],
-        "tokens after an untrained injector (seed 0, 0 special tokens)",
+        "class Mine(ToyInjector):\n    'An injector.'\n    def __init__(self, *, dim: int, style_dim: int) -> None:\n"
+        "        super().__init__(dim=dim, style_dim=style_dim)\n        nn.init.normal_(self.scale.weight, std=1e-3)\n",
+        "tokens after an untrained injector (0 special tokens)",
     ),
-}
-
-RUN = """
-import contextlib, io, json, sys
-from anystyle.commands import plugins_check
-found = {}
-for kind, name in json.loads(sys.argv[1]):
-    out = io.StringIO()
-    with contextlib.redirect_stdout(out):
-        status = plugins_check.main([kind, name])
-    found[name] = {"status": status, "text": out.getvalue()}
-json.dump(found, sys.stdout)
-"""
+}  # fmt: skip
 
 
-def _write(root: Path, name: str, kind: str, code: str, plugin: str | None = None) -> None:
+def write(root: Path, name: str, kind: str, code: str, plugin: str | None = None) -> None:
     folder = root / name
     folder.mkdir()
-    (folder / f"bad_{name}.py").write_text(dedent(code))
+    (folder / f"bad_{name}.py").write_text(IMPORTS + dedent(code))
     line = f'{plugin or name} = "bad_{name}:Mine"'
     (folder / "pyproject.toml").write_text(f'[project.entry-points."anystyle.{kind}"]\n{line}\n')
 
 
+RUN = """
+import sys
+from anystyle.commands import plugins_check
+for kind, name in zip(sys.argv[1::2], sys.argv[2::2]):
+    print("=", name, plugins_check.main([kind, name]))
+"""
+
+
 @pytest.fixture(scope="module")
-def found(tmp_path_factory) -> dict[str, dict]:
-    """The report on each bad plugin. In a process of its own: there, as for users, nothing else checks types."""
+def reports(tmp_path_factory) -> dict[str, tuple[str, str]]:
+    """The report on each bad plugin and its status, from a process in which nothing else checks types."""
     root = tmp_path_factory.mktemp("bad")
-    for name, (kind, code, _, _) in BAD.items():
-        _write(root, name, kind, code)
-    _write(root, "twins_one", "placement", BAD["undescribed"][1], plugin="twins")
-    _write(root, "twins_other", "placement", BAD["undescribed"][1], plugin="twins")
-    asked = [(kind, name) for name, (kind, *_) in BAD.items()] + [("placement", "twins")]
+    for name, (kind, code, _) in BAD.items():
+        write(root, name, kind, code)
+    words = [word for name, (kind, *_) in BAD.items() for word in (kind, name)]
     environment = {**os.environ, "ANYSTYLE_PLUGINS": str(root)}
-    done = subprocess.run(
-        [sys.executable, "-c", RUN, json.dumps(asked)], env=environment, capture_output=True, text=True
-    )
+    done = subprocess.run([sys.executable, "-c", RUN, *words], env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    return json.loads(done.stdout)
+    reports: dict[str, tuple[str, str]] = {}
+    lines: list[str] = []
+    for line in done.stdout.splitlines():
+        if line.startswith("= "):
+            _, name, status = line.split()
+            reports[name] = (status, "\n".join(lines))
+            lines = []
+        else:
+            lines.append(line)
+    return reports
 
 
 @pytest.mark.parametrize("name", BAD)
-def test_bad_plugin_has_a_finding_of_its_own(name, found):
-    kind, _, broken, told = BAD[name]
-    text = found[name]["text"]
-    assert found[name]["status"] == 1
+def test_bad_plugin_has_a_finding_of_its_own(name, reports):
+    kind, _, told = BAD[name]
+    status, text = reports[name]
+    assert status == "2"
     assert text.startswith(f"{kind} '{name}' (bad_{name}:Mine, declared by ")
-    assert [line.removeprefix("BROKEN  ") for line in text.splitlines() if line.startswith("BROKEN")] == broken
     assert told in " ".join(text.split())
-    for word in ("given", "expected", "change"):
-        assert sum(line.startswith(f"  {word} ") for line in text.splitlines()) == len(broken)
 
 
-def test_two_plugins_of_one_name(found):
-    text = " ".join(found["twins"]["text"].split())
-    assert found["twins"]["status"] == 1
-    assert "BROKEN name is declared once given 2 declarations: placement 'twins' (bad_twins_one:Mine" in text
-    assert "rename one of them in its pyproject.toml" in text
-
-
-def test_nothing_is_checked_after_what_is_needed(found):
-    text = found["wrong_base"]["text"]
-    assert text.rstrip().splitlines()[-1].startswith("1 promise kept, 1 broken, ")
-    assert "not checked (needs what 'class can be imported' promises)" in text
-
-
-def test_hints_show_the_promise_and_code_that_keeps_it(tmp_path, monkeypatch, capsys):
-    _write(tmp_path, "hinted", "placement", BAD["undescribed"][1].replace("tuple(sites)", "list(sites)"))
-    monkeypatch.setenv("ANYSTYLE_PLUGINS", str(tmp_path))
-    monkeypatch.setattr("sys.path", list(sys.path))
-    assert plugins_check.main(["placement", "hinted"]) == 1
-    plain = capsys.readouterr().out
-    assert plugins_check.main(["placement", "hinted", "--fix-hints"]) == 1
-    hinted = capsys.readouterr().out
-    assert "  promise   " not in plain
-    assert "  promise   It selects at least one of a usual backbone's sites" in hinted
-    assert "bad_hinted.py, line 3" in " ".join(hinted.split())
-    assert "class ToyPlacement(Placement):" in hinted
-    assert len(hinted) > 2 * len(plain)
+def test_nothing_is_checked_after_what_is_needed(reports):
+    assert reports["abstract"][1].splitlines()[-1].startswith("0 promises kept, 1 broken, 8 not checked, in ")
 
 
 def test_a_good_plugin_ends_with_0(capsys):
     assert plugins_check.main(["placement", "head"]) == 0
-    shown = capsys.readouterr().out
-    assert shown.startswith("placement 'head' (anystyle.placements.head:Head, declared by anystyle)\n")
-    assert "BROKEN" not in shown
-    assert "promises kept, in" in shown
-
-
-@pytest.mark.parametrize(
-    ("words", "told"),
-    [
-        (["placement", "haed"], "no placement is named 'haed'. Did you mean 'head'?"),
-        (["placements", "head"], "no kind of plugin is named 'placements'. Did you mean 'placement'?"),
-        (["placement"], "the following arguments are required: NAME"),
-        (["placement", "head", "--fix-hint"], "Did you mean '--fix-hints'?"),
-    ],
-)
-def test_what_is_asked_for_must_exist(words, told):
-    with pytest.raises(UserError) as caught:
-        plugins_check.main(words)
-    assert told in str(caught.value)
-    assert "\n" not in str(caught.value)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "placement 'head' (anystyle.placements.head:Head, declared by anystyle)"
+    assert all(line.startswith("ok       ") for line in lines[1:-1])
+    assert lines[-1].startswith(f"{len(lines) - 2} promises kept, in ")
 
 
 def test_exit_statuses_reach_the_shell(tmp_path, program):
-    _write(tmp_path, "wordless", "placement", BAD["undescribed"][1])
+    write(tmp_path, "wordless", "placement", BAD["undescribed"][1])
     environment = {**os.environ, "ANYSTYLE_PLUGINS": str(tmp_path)}
-    for name, status in (("wordless", 1), ("nobody", 2)):
+    for name, status in (("wordless", 2), ("nobody", 2)):
         done = program(["plugins", "check", "placement", name], folder=tmp_path, environment=environment)
         assert done.status == status, done.out + done.err
         assert "Traceback" not in done.err

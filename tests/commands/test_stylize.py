@@ -8,7 +8,7 @@ from PIL import Image
 from plyfile import PlyData
 
 from anystyle.commands._compose import main
-from anystyle.commands.stylize import parser, stylize
+from anystyle.commands.stylize import command, parser
 from anystyle.io.video import write_video
 from anystyle.stylizer import Stylizer
 
@@ -16,7 +16,7 @@ SMALL = ["video.frames=3", "video.scale=0.5", "views.take=3", "views.short_side=
 
 
 def run(*words):
-    main("stylize", stylize, parser(), [str(word) for word in words])
+    main("stylize", command, parser(), [str(word) for word in words])
 
 
 def fails(capsys, *words):
@@ -138,7 +138,7 @@ def test_bad_input_ends_in_one_line_and_leaves_nothing(photographs, tmp_path, ca
 
 
 def test_a_truncated_weights_file_and_one_of_another_part(photographs, tmp_path, capsys):
-    from anystyle.inference.assemble import weights_file
+    from anystyle.pipeline.load import weights_file
 
     whole = weights_file("tiny_branch").read_bytes()
     (tmp_path / "half.safetensors").write_bytes(whole[: len(whole) // 2])

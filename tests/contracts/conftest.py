@@ -8,8 +8,8 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from anystyle.perception import NETWORKS, weights
 from anystyle.testing.run import one_thread
+from anystyle.vision import NETWORKS, weights
 
 
 @pytest.fixture(autouse=True)

@@ -1,7 +1,5 @@
 """A backbone in a folder outside the project, added by ANYSTYLE_PLUGINS alone."""
 
-import re
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +7,6 @@ from pathlib import Path
 import pytest
 from omegaconf import OmegaConf
 
-from anystyle.commands import plugins, plugins_check
 from anystyle.commands.plugins_new import write
 from anystyle.contracts import Backbone
 from anystyle.errors import UserError
@@ -28,16 +25,6 @@ def outside(tmp_path: Path, monkeypatch) -> Iterator[Path]:
     sys.modules.pop("anystyle_outside", None)
 
 
-def test_it_is_listed(outside, capsys):
-    plugins.main(["backbone"])
-    shown = capsys.readouterr().out
-    assert "outside" in shown
-    assert "A reconstruction network of a few thousand parameters." in shown
-    assert "dim: int = 24" in shown
-    plugins.main(["backbone", "outside"])
-    assert "backbone.patch_size: int = 8" in capsys.readouterr().out
-
-
 def test_it_is_composed_with_typed_options_and_built(outside):
     config = compose("stylize", ["backbone=outside", "backbone.dim=16"])
     assert OmegaConf.to_container(config.backbone) == {
@@ -53,19 +40,3 @@ def test_it_is_composed_with_typed_options_and_built(outside):
         compose("stylize", ["backbone=outside", "backbone.depth=deep"])
     with pytest.raises(UserError, match="Did you mean 'depth'"):
         compose("stylize", ["backbone=outside", "backbone.dpeth=3"])
-
-
-def test_it_is_checked(outside, capsys):
-    assert plugins_check.main(["backbone", "outside"]) == 0
-    shown = capsys.readouterr().out
-    assert shown.splitlines()[0].startswith("backbone 'outside' (anystyle_outside:Outside, declared by ")
-    assert re.fullmatch(r"\d+ promises kept, in [\d.]+ s", shown.rstrip().splitlines()[-1])
-
-
-def test_the_program_finds_it_from_another_folder(outside):
-    done = subprocess.run(
-        [sys.executable, "-m", "anystyle", "plugins"], capture_output=True, text=True, cwd=outside.parent
-    )
-    assert done.returncode == 0, done.stderr
-    (row,) = [line for line in done.stdout.splitlines() if line.startswith("backbone ")]
-    assert "outside" in row

@@ -5,7 +5,7 @@ import json
 import pytest
 from PIL import Image
 
-from anystyle.data.captioning import LONGEST, caption_folder, tidy, transformers_captioner
+from anystyle.data.captioning import caption_folder, transformers_captioner
 from anystyle.data.style_folder import FolderStyles
 from anystyle.data.wikiart import DESCRIPTIONS, WikiArtStyles
 
@@ -63,12 +63,6 @@ def test_a_model_that_answers_amiss_is_refused(paintings, tmp_path):
         caption_folder(paintings, lambda pictures, prompt: [], out=tmp_path / "c.jsonl", batch=9)
     with pytest.raises(ValueError, match="no pictures below"):
         caption_folder(paintings / "none", Shades(), out=tmp_path / "c.jsonl")
-
-
-def test_descriptions_are_one_short_line():
-    assert tidy(" a;\n b ") == "a, b"
-    long = tidy("word " * 100)
-    assert len(long) <= LONGEST and long.endswith("word.")
 
 
 def test_the_extra_is_named_where_the_library_is_missing(monkeypatch):

@@ -93,12 +93,6 @@ def test_scannet_is_found_where_it_keeps_its_photographs_and_cameras(tmp_path):
             FolderScenes(**options | {"cameras": cameras}).read(1, [0])
 
 
-def test_a_resolution_is_found_without_an_index(dl3dv):
-    (dl3dv / "train_index.json").unlink()
-    report = check(dl3dv / "1K")
-    assert (report.scenes, report.images) == (2, 7) and report.use.endswith("scenes.images=images_8")
-
-
 def test_clips_are_counted_by_their_chunks(tmp_path):
     buffer = io.BytesIO()
     Image.linear_gradient("L").resize((48, 27)).save(buffer, "PNG")

@@ -9,7 +9,6 @@ from PIL import Image
 from anystyle.data.folder import read_views
 from anystyle.io import video
 from anystyle.io.video import read_frames, write_video
-from real_data import real
 
 
 def save(path, width=64, height=48, shade=100):
@@ -104,25 +103,11 @@ def test_equal_names_are_told_apart(tmp_path):
     assert read(tmp_path / "a", tmp_path / "b")[0].names == ("1", "1_2", "1_3")
 
 
-def test_a_single_grey_view_is_enough(tmp_path):
-    Image.new("L", (30, 20), 77).save(tmp_path / "a.png")
-    views, _ = read(tmp_path)
-    assert views.images.shape[:3] == (1, 1, 3)
-    assert (views.images * 255).round().unique().tolist() == [77.0]
-
-
 def test_many_photographs_are_thinned_evenly(tmp_path):
     for number in range(20):
         save(tmp_path / f"{number}.png", shade=number)
     _, sources = read(tmp_path, max_views=4)
     assert [source.name for source in sources] == ["0", "6", "13", "19"]
-
-
-def test_patterns_and_single_files(tmp_path):
-    save(tmp_path / "a1.png")
-    save(tmp_path / "b1.png")
-    assert len(read(tmp_path / "a*.png")[1]) == 1
-    assert len(read(tmp_path / "b1.png")[1]) == 1
 
 
 def test_a_video_gives_evenly_spaced_frames(tmp_path):
@@ -156,16 +141,6 @@ def test_long_videos_are_read_by_their_key_frames_where_these_are_enough(tmp_pat
     numbers = [number for number, _ in read_frames(tmp_path / "a.mp4", 5)]
     assert [number // 20 for number in numbers] == [0, 1, 2, 3, 4]
     assert (gop == 1000) or all(number % 10 == 0 for number in numbers)
-
-
-@pytest.mark.parametrize(("name", "frames"), [("llff_fortress", 5), ("re10k_1eca36ec55b88fe4", 2)])
-def test_real_videos_give_distinct_frames_in_order(name, frames):
-    views, sources = read(real(f"videos/{name}.mp4"), max_views=5)
-    numbers = [int(source.name.rpartition("_")[2]) for source in sources]
-    assert numbers == sorted(set(numbers)) and len(numbers) == frames
-    assert min(views.size) == 32
-    assert views.images.std() > 0.05
-    assert (views.images[0, 0] - views.images[0, -1]).abs().mean() > 0.01
 
 
 def test_bad_inputs_end_in_one_line(tmp_path):

@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 from anystyle.data.folder import read_views
-from anystyle.inference.known_cameras import from_files, from_views
+from anystyle.pipeline.cameras import from_files, from_views
 from anystyle.types import Cameras
 
 

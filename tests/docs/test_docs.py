@@ -18,7 +18,7 @@ from omegaconf.errors import OmegaConfBaseException
 from anystyle.__main__ import available
 from anystyle.commands._flags import parse, split
 from anystyle.commands.plugins_new import write
-from anystyle.registry.builtin import KINDS
+from anystyle.registry.catalog import kinds
 from anystyle.registry.compose import compose
 
 ROOT = Path(__file__).parents[2]
@@ -106,7 +106,8 @@ def test_files_and_variables_exist(page):
     text = FENCE.sub("", _text(page))
     for name in set(re.findall(r"`((?:src|conf|docs|tests|notebooks)/[\w./]*)`", text)):
         assert (ROOT / name).exists(), f"{page.name} speaks of {name}"
-    sources = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "src").rglob("*.py"))
+    files = [*(ROOT / "src").rglob("*.py"), *ROOT.glob("plugins/*/anystyle_*/**/*.py")]
+    sources = "".join(path.read_text(encoding="utf-8") for path in files)
     for name in set(re.findall(r"\bANYSTYLE_\w+", _text(page))) - {"ANYSTYLE_TEST_DATA"}:
         assert name in sources, f"{page.name} speaks of {name}, which nothing reads"
 
@@ -150,6 +151,12 @@ def test_command_is_understood(page, line):
         words = words[words.index("-m") + 1 :]
     command, *rest = words[1:]
     assert command in available(), f"{page} shows a command that does not exist: {line}"
+    if command == "study":
+        split(importlib.import_module(f"anystyle_study.commands.{rest[0]}").parser(), rest[1:])
+        return
+    if command == "view":
+        split(importlib.import_module("anystyle_viewer.command").parser(), rest)
+        return
     module = importlib.import_module(f"anystyle.commands.{command}")
     if command in COMPOSED:
         _compose(command, module, rest)
@@ -183,20 +190,28 @@ def _compose(command, module, words):
 
 
 def _plain(command, module, words):
-    """Words of a command, or of one of its sub-commands, which has a module or a parser of its own."""
-    names = [form.format(command, *words) for form in ("{}_{}", "_{}_{}")] if words else []
-    homes = [f"anystyle.commands.{name}" for name in names if name.isidentifier()]
-    below = next((home for home in homes if importlib.util.find_spec(home)), None)
-    if below:
-        # What a study's flags leave are overrides of its configuration.
+    """Words of a command, or of a sub-command, which has a module of its own or shares that of the command."""
+    below = f"anystyle.commands.{command}_{words[0]}" if words and words[0].isidentifier() else module.__name__
+    if importlib.util.find_spec(below) and below != module.__name__:
         split(importlib.import_module(below).parser(), words[1:])
-    elif words and hasattr(module, f"{words[0]}_parser"):
-        parse(getattr(module, f"{words[0]}_parser")(), words[1:])
-    else:
-        if command in ("benchmark", "view"):
+    elif hasattr(module, "parser"):
+        if command == "benchmark":
             words = [word for word in words if "=" not in word]  # overrides
         given = parse(module.parser(), words[1:] if words[:1] == ["list"] else words)
-        assert command != "plugins" or not words or words[0] in KINDS, given
+        assert command != "plugins" or not words or words[0] in kinds(), given
+    else:
+        with pytest.MonkeyPatch.context() as patch, pytest.raises(_ParsedError):
+            patch.setattr(module, "parse", _parse_only)
+            module.main(words)
+
+
+class _ParsedError(Exception):
+    pass
+
+
+def _parse_only(parser, words):
+    parse(parser, words)
+    raise _ParsedError
 
 
 def test_what_is_wrong_is_found(tmp_path):

@@ -37,6 +37,10 @@ def test_every_page_is_built_and_found_in_the_navigation(tmp_path):
             assert (tmp_path / "site" / page / "index.html").is_file()
             assert f'href="{page}/"' in navigation, page
     assert 'class="mermaid"' in (tmp_path / "site" / "design" / "index.html").read_text()
+    assert (
+        "anystyle.contracts.Backbone.encode"
+        in (tmp_path / "site" / "reference" / "contracts" / "index.html").read_text()
+    )
     # What lies outside of the pages is named by its path.
     assert "01_stylize (<code>notebooks/01_stylize.py</code>)" in first
     assert not (tmp_path / "site" / "site").exists()
@@ -45,6 +49,7 @@ def test_every_page_is_built_and_found_in_the_navigation(tmp_path):
 @pytest.mark.parametrize("link", ["[a](nowhere.md)", "[a](design.md#nowhere)", "[a](../nowhere.py)"])
 def test_a_broken_link_is_refused(link, tmp_path):
     shutil.copytree(ROOT / "docs", tmp_path / "docs")
+    (tmp_path / "src").symlink_to(ROOT / "src")
     with (tmp_path / "docs" / "index.md").open("a", encoding="utf-8") as file:
         file.write(f"\n{link}\n")
     done = build(tmp_path, tmp_path / "site")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from anystyle.evaluation.folders import Reader, pair, write_cameras
+from anystyle.evaluation.comparisons import Reader, write_cameras
+from anystyle.evaluation.pairing import pair
 from anystyle.testing.inputs import cameras
 from evaluation_cases import folders, picture
 
@@ -29,14 +30,6 @@ def test_scenes_styles_and_frames(tmp_path):
     assert (read.scenes, read.styles) == (("two",), ("a",))
 
 
-def test_photographs_of_a_scene_are_decoded_once(tmp_path):
-    first, second, other, _ = pair(*folders(tmp_path)).cells
-    reader = Reader()
-    kept = reader(first).content
-    assert reader(second).content is kept
-    assert reader(other).content is not kept
-
-
 def test_one_flat_folder(tmp_path):
     for frame in range(2):
         picture(tmp_path / "content" / f"{frame}.png", 1)
@@ -55,13 +48,6 @@ def test_triples_of_equal_names(tmp_path):
     assert cells[1].reference.name == "01_0.jpg" and cells[1].content[1].name == "01_1.jpg"
 
 
-def test_single_pictures_of_equal_names(tmp_path):
-    for kind in ("content", "style", "stylized"):
-        picture(tmp_path / kind / "boat.png", 4)
-    (cell,) = pair(tmp_path / "content", tmp_path / "style", tmp_path / "stylized").cells
-    assert (cell.style, cell.frames) == ("boat", ("boat",))
-
-
 def test_what_has_no_partner_is_listed(tmp_path):
     content, style, stylized = folders(tmp_path)
     picture(stylized / "one" / "a_7.png", 0)
@@ -74,14 +60,6 @@ def test_what_has_no_partner_is_listed(tmp_path):
     for name in ("one/a_7 (no content 7)", "one/c_0 (no style c)", "three/d_9 (no content 9, no style d)"):
         assert name in told
     assert "\n" not in told
-
-
-def test_a_long_list_is_cut(tmp_path):
-    content, style, stylized = folders(tmp_path)
-    for number in range(20):
-        picture(stylized / "one" / f"a_{100 + number}.png", 0)
-    with pytest.raises(ValueError, match=r"20 of 32 .* and 12 more$"):
-        pair(content, style, stylized)
 
 
 def test_what_belongs_to_nothing_is_told(tmp_path, caplog):
@@ -147,11 +125,3 @@ def test_depth_and_cameras(tmp_path):
     (tmp_path / "depth" / "one" / "1.npy").unlink()
     with pytest.raises(ValueError, match=r"2 of 6 .*one/a_1 \(no depth 1\)"):
         pair(*known, tmp_path / "depth")
-
-
-def test_pickled_depth_is_refused(tmp_path):
-    known = folders(tmp_path, scenes=("one",), styles=("a",), frames=1)
-    (tmp_path / "depth" / "one").mkdir(parents=True)
-    np.save(tmp_path / "depth" / "one" / "0.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    with pytest.raises(ValueError, match="no array of finite depth"):
-        Reader()(pair(*known, tmp_path / "depth").cells[0])

@@ -1,19 +1,17 @@
 """The published protocol: what is written, in which variant, and that nothing is made twice."""
 
-import json
-
 import numpy as np
 import pytest
 import torch
 from PIL import Image
 
 from anystyle.contracts import StyleSource
+from anystyle.evaluation.model_renders import ModelRenders as Paper
 from anystyle.evaluation.model_renders import middle_square
-from anystyle.evaluation.protocols.paper import Paper
-from anystyle.testing.inputs import cameras, images
-from anystyle.testing.protocol import _parts
+from anystyle.testing.inputs import images
+from anystyle.testing.protocol import runtime
 from anystyle.testing.toy.scenes import ToyScenes
-from anystyle.types import Style, Views
+from anystyle.types import Style
 from evaluation_cases import Mean
 
 
@@ -23,7 +21,7 @@ def silent(stage, done, total):
 
 @pytest.fixture
 def parts():
-    parts = _parts()
+    parts = runtime()
     return parts | {"metrics": {"mean": Mean()}, "scenes": ToyScenes(num_scenes=2, views=4, size=(32, 40))}
 
 
@@ -79,15 +77,6 @@ def test_the_reference_truncates_into_jpeg_and_the_corrected_rounds_into_png(par
         assert image.quantization[0][:4] == [8, 6, 5, 8]
 
 
-def test_the_reference_shows_all_views_and_the_corrected_those_that_are_judged(parts, tmp_path, monkeypatch):
-    shown = []
-    original = parts["stylizer"].encode
-    monkeypatch.setattr(parts["stylizer"], "encode", lambda views: shown.append(views.images.shape) or original(views))
-    for variant in ("reference", "corrected"):
-        Paper(**parts, num_styles=1, num_scenes=1, frames=2, variant=variant).run(tmp_path / variant, silent)
-    assert [tuple(shape) for shape in shown] == [(1, 4, 3, 32, 32), (1, 2, 3, 32, 32)]
-
-
 def test_nothing_is_rendered_or_judged_twice(parts, tmp_path, monkeypatch):
     restyle = Counted(parts["stylizer"], monkeypatch, "restyle")
     encode = Counted(parts["stylizer"], monkeypatch, "encode")
@@ -114,15 +103,6 @@ def test_an_interrupted_run_goes_on_where_it_was(parts, tmp_path, monkeypatch):
     assert restyle.calls == 4 + 3
     fresh = Paper(**parts, num_styles=3, frames=2).run(tmp_path / "fresh", silent)
     assert found.figures == fresh.figures and [row.figures for row in found.rows] == [row.figures for row in fresh.rows]
-
-
-def test_texts_and_images_guide(parts, tmp_path, monkeypatch):
-    asked = []
-    original = parts["stylizer"].embed
-    monkeypatch.setattr(parts["stylizer"], "embed", lambda **given: asked.append(sorted(given)) or original(**given))
-    for guide in ("image", "text"):
-        Paper(**parts, num_styles=1, num_scenes=1, frames=1, guide=guide).run(tmp_path / guide, silent)
-    assert asked == [["image"], ["text"]]
 
 
 def test_styles_that_lack_what_is_needed(parts, tmp_path):
@@ -176,26 +156,3 @@ def test_a_model_that_gives_no_numbers_is_found_out(parts, tmp_path, monkeypatch
     with pytest.raises(ValueError, match="render of wall_0000 in style 00 holds NaN"):
         Paper(**parts, num_styles=1, num_scenes=1, frames=1).run(tmp_path, silent)
     assert not (tmp_path / "images" / "stylized").exists()
-
-
-def test_the_middle_square_shows_the_same_rays():
-    seen = cameras(1, 2, (20, 31))
-    views = Views(images=torch.rand(1, 2, 3, 20, 31), cameras=seen, depth=torch.rand(1, 2, 20, 31))
-    cut = middle_square(views)
-    assert cut.size == cut.cameras.size == (20, 20)
-    left = 5
-    assert torch.equal(cut.images, views.images[..., left : left + 20])
-    assert torch.equal(cut.depth, views.depth[..., left : left + 20])
-    # The pixel that was at (column 11, row 3) is at (6, 3) now, on the same ray.
-    for before, after in zip(
-        torch.linalg.solve(seen.intrinsics, torch.tensor([11.5, 3.5, 1.0]).expand(1, 2, 3)).flatten(),
-        torch.linalg.solve(cut.cameras.intrinsics, torch.tensor([6.5, 3.5, 1.0]).expand(1, 2, 3)).flatten(),
-        strict=True,
-    ):
-        assert float(before) == pytest.approx(float(after), abs=1e-6)
-
-
-def test_times_are_kept_with_the_renders(parts, tmp_path):
-    Paper(**parts, num_styles=1, num_scenes=1, frames=1).run(tmp_path, silent)
-    mark = tmp_path / "images" / "stylized" / "wall_0000" / ".00"
-    assert json.loads(mark.read_text())["seconds"] > 0

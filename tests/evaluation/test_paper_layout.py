@@ -9,10 +9,10 @@ from anystyle.commands import data, report
 from anystyle.commands._run import run
 from anystyle.errors import UserError
 from anystyle.evaluation import record
-from anystyle.evaluation.folders import pair
-from anystyle.evaluation.layout import NUM_FRAMES, NUM_STYLES, SCENES, Layout
+from anystyle.evaluation.pairing import pair
+from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle.evaluation.protocols.tables import Tables
-from anystyle.testing.protocol import _parts
+from anystyle.testing.protocol import runtime
 from evaluation_cases import Mean, picture
 
 TEXTS = "".join(f'{{"image": "{style:02d}.png", "text": "style {style}"}}\n' for style in range(NUM_STYLES))
@@ -42,7 +42,7 @@ def root(tmp_path):
 
 
 def tables(folder, **options):
-    parts = {name: part for name, part in _parts().items() if name == "stylizer"} | {"metrics": {"mean": Mean()}}
+    parts = {name: part for name, part in runtime().items() if name == "stylizer"} | {"metrics": {"mean": Mean()}}
     parts |= {"metrics": options.pop("metrics")} if "metrics" in options else {}
     known = {"scene_names": ["Train", "Garden"], "num_styles": 2, "frames": 3, "size": 16}
     return Tables(**parts, **known | {"root": str(folder)} | options)
@@ -70,12 +70,6 @@ def test_rows_of_a_table_are_reported_beside_the_papers(root, tmp_path, capsys):
     assert "0.7843" in rows[-2]
 
 
-def test_photographs_are_cut_to_the_size_of_the_renders(root, tmp_path):
-    tables(root, guides=[], photographs=0).run(tmp_path, silent)
-    assert sorted(path.name for path in (tmp_path / "content").iterdir()) == ["16x16", "8x8"]
-    assert len(list((tmp_path / "content" / "8x8" / "Train").iterdir())) == 3
-
-
 def test_the_layout_is_checked_before_anything_is_computed(root, capsys):
     (root / "content" / "Train" / "00003.png").unlink()
     (root / "content" / "Train" / "00002.png").unlink()
@@ -88,7 +82,7 @@ def test_the_layout_is_checked_before_anything_is_computed(root, capsys):
     with pytest.raises(ValueError, match="methods/ARF: there is no such folder"):
         tables(root, methods=["ARF"])
     with pytest.raises(UserError, match="not complete for the paper's tables: content/Train: 2 photographs"):
-        data.check_command(data.check_parser().parse_args([str(root)]))
+        data.main(["check", str(root)])
     shown = capsys.readouterr().out
     assert "methods   Styl3R, Stylos" in shown and "content/M60: 0 photographs, fewer than 16" in shown
 
@@ -115,7 +109,7 @@ def test_a_table_takes_the_metrics_of_its_figures(root):
 
 
 def test_the_defaults_are_the_papers():
-    layout = Layout(Path())
+    layout = PaperFolder(Path())
     assert (layout.scene_names, layout.num_styles, layout.frames) == (("Train", "Truck", "M60", "Garden"), 50, 16)
 
 

@@ -7,8 +7,9 @@ from collections import Counter
 import pytest
 
 from anystyle.commands import report as command
-from anystyle.evaluation import published, record
-from anystyle.evaluation.contract import Evaluation
+from anystyle.evaluation import published_figures as published
+from anystyle.evaluation import record
+from anystyle.evaluation.base import Evaluation
 from real_data import ROOT
 
 TRANSCRIPT = ROOT.parent / "reference" / "paper_tables.json"
@@ -79,31 +80,6 @@ def test_the_bundled_tables_are_whole():
     assert (seconds["StyleGaussian"], seconds["AnyStyle (image)"], seconds["Stylos"]) == (9900, 0.07, 0.05)
 
 
-def test_art_fid_is_recomputed_for_every_row_of_table_2():
-    parts: dict[tuple[str, str], dict[str, float]] = {}
-    for item in published.load():
-        if item.source == PAPER and item.table in ("table_2", "table_5", "table_6"):
-            parts.setdefault((item.known_as, item.scene), {})[item.figure] = item.value
-    gaps = {
-        key: published.art_fid(row["lpips"], row["fid"]) / row["art_fid"] - 1
-        for key, row in parts.items()
-        if "art_fid" in row
-    }
-    assert len(gaps) == 40  # ten rows, four scenes
-    apart = {key for key, gap in gaps.items() if abs(gap) > 2e-3}
-    assert apart == {("Styl3R", scene) for scene in ("Train", "Truck", "M60", "Garden")}
-    assert all(0.24 < gaps[key] < 0.29 for key in apart)
-
-
-def test_the_base_of_the_ablation_is_the_head_variant():
-    rows: dict[str, dict[tuple[str, str], float]] = {}
-    for item in published.load():
-        if item.table in ("table_2", "table_3") and item.figure != "time_s":
-            rows.setdefault(item.method, {})[item.scene, item.figure] = item.value
-    for guide in ("image", "text"):
-        assert rows[f"AnyStyle ({guide}), Head: base config"] == rows[f"AnyStyle ({guide}), Head"]
-
-
 def test_ours_stand_below_the_papers_rows_and_what_does_not_add_up_is_said(tmp_path, capsys):
     groups = {"scene Train": {"art_score": 1.5, "art_fid": 30.25}, "scene garden": {"art_fid": 31.5}}
     found = Evaluation({"art_fid": 30.9}, 4, groups=groups, times={"time_s": 2.5})
@@ -119,8 +95,3 @@ def test_ours_stand_below_the_papers_rows_and_what_does_not_add_up_is_said(tmp_p
     for said in ("Train 27.74, not 34.69", "Three of its marks", "M60 24.16 and 24.34", "wall time of one pass"):
         assert said in shown, said
     assert (tmp_path / "table_2.tex").is_file() and (tmp_path / "table_2.md").is_file()
-
-
-def test_a_table_of_the_paper_is_not_filtered(tmp_path):
-    with pytest.raises(ValueError, match="--paper prints a table as it is"):
-        command.main(["--paper", "table_2", "--figures", "art_fid"])

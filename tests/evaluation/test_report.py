@@ -7,8 +7,10 @@ import pytest
 from PIL import Image
 from scipy import stats
 
-from anystyle.evaluation import published, record, report, runs
-from anystyle.evaluation.contract import Evaluation
+from anystyle.evaluation import published_figures as published
+from anystyle.evaluation import record, runs
+from anystyle.evaluation import run_table as report
+from anystyle.evaluation.base import Evaluation
 from anystyle.evaluation.tables import STAND_IN
 
 
@@ -86,13 +88,6 @@ def test_seeds_of_one_variant_are_one_row_with_an_interval(tmp_path):
     assert "3 seeds" in made.notes[-1]
 
 
-def test_a_seed_that_failed_is_said(tmp_path):
-    job(tmp_path / "0", "ablation=base", "seed=0", figures={"art_fid": 10.0})
-    job(tmp_path / "1", "ablation=base", "seed=1")
-    (line,) = report.lines_of(runs.find(tmp_path))[0]
-    assert line.title == "base (1 of 2 seeds failed)"
-
-
 def test_figures_of_stand_ins_are_rows_of_their_own(tmp_path):
     folder = evaluation(tmp_path / "run", {"art_fid": 300.0, "psnr": 20.0}, stand_ins={"art_fid": "texture"})
     lines, _ = report.lines_of(runs.find(folder))
@@ -160,14 +155,6 @@ def test_scenes_are_columns_in_the_order_of_the_paper(tmp_path):
     assert made.rows[0][2:] == ("9", "20", "10", "21")
     with pytest.raises(ValueError, match="no run has the figure 'nothing'; there are art_fid, art_score, lpips"):
         report.figures_of(lines, ["nothing"])
-
-
-def test_figures_of_texts_and_of_images_come_first_where_the_papers_own_do(tmp_path):
-    folder = evaluation(
-        tmp_path / "run", {"psnr": 1.0, "art_fid_image": 2.0, "art_fid_text": 3.0, "art_score_text": 4.0}
-    )
-    lines, _ = report.lines_of(runs.find(folder))
-    assert report.figures_of(lines) == ["art_score_text", "art_fid_image", "art_fid_text", "psnr"]
 
 
 def test_one_scene_stands_beside_the_published_one_of_its_name(tmp_path):

@@ -8,8 +8,8 @@ import math
 import pytest
 
 from anystyle.evaluation import record
-from anystyle.evaluation.contract import Evaluation, Row
-from anystyle.evaluation.tables import STAND_IN, Table, figures_table, number, tex
+from anystyle.evaluation.base import Evaluation, Row
+from anystyle.evaluation.tables import STAND_IN, Table, escape_latex, escape_markdown, number
 
 FOUND = Evaluation(
     figures={"art_fid": 30.125, "change": 0.25, "warp": math.nan},
@@ -74,12 +74,17 @@ def test_markdown_is_a_table_whatever_the_words():
 
 
 def test_latex_escapes_what_would_be_commands():
-    assert tex(r"50% a_b & {c} \d $e #f ~^ ↓ ↑") == (
+    assert escape_latex(r"50% a_b & {c} \d $e #f ~^ ↓ ↑") == (
         r"50\% a\_b \& \{c\} \textbackslash{}d \$e \#f \textasciitilde{}\textasciicircum{} $\downarrow$ $\uparrow$"
     )
     made = Table(("name", "x_y ↓"), (("a & b", "1"),)).latex()
     assert r"name & x\_y $\downarrow$ \\" in made and r"a \& b & 1 \\" in made
     assert made.count(r"\begin{") == made.count(r"\end{") == 2
+
+
+def test_markdown_shows_texts_literally_and_leaves_plain_ones_alone():
+    assert escape_markdown("<b> & *x* `y` [a](b) _it_ \\") == r"&lt;b&gt; &amp; \*x\* \`y\` [a\](b) \_it\_ \\"
+    assert escape_markdown("warp_rmse ↓ (1 + 2) [1] a=[b,c]") == "warp_rmse ↓ (1 + 2) [1] a=[b,c]"
 
 
 def test_words_stand_at_the_left_and_figures_at_the_right():
@@ -88,21 +93,10 @@ def test_words_stand_at_the_left_and_figures_at_the_right():
     assert r"\begin{tabular}{lrl}" in made.latex() and "``all''" in made.latex()
 
 
-def test_csv_is_what_a_reader_reads():
-    made = Table(("a", "b"), (("x,y", 'say "z"'),))
-    assert list(csv.reader(io.StringIO(made.csv()))) == [["a", "b"], ["x,y", 'say "z"']]
-
-
 def test_numbers_in_four_digits():
     assert [number(value) for value in (0.0, 12.3456, 0.070123, 1234.5, 123456.0, 2e-5, -3.14159, None, math.nan)] == [
         "0", "12.35", "0.07012", "1234", "1.23e+05", "2.00e-05", "-3.142", "–", "–"
     ]  # fmt: skip
-
-
-def test_figures_that_a_group_lacks_are_dashes():
-    made = figures_table({"all": {"a": 1.0, "b": 2.0}, "base": {"a": 3.0}}, {}, {})
-    assert made.columns == ("figure", "all", "base")
-    assert made.rows == (("a", "1", "3"), ("b", "2", "–"))
 
 
 def test_no_spreadsheet_takes_a_text_for_a_formula():

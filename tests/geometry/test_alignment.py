@@ -52,22 +52,6 @@ def test_wrong_matches_and_noisy_depth_do_little_harm():
     assert errors[1].max() < 1.0 and errors[1].max() < errors[0].min() / 2
 
 
-def test_the_motion_teaches_the_matches():
-    matches, rotation, _ = matched(count=12)
-    ray = (matches.target_ray + 0.01 * torch.randn_like(matches.target_ray)).requires_grad_()
-    target = torch.cat([ray, torch.ones_like(ray[..., :1])], -1) * matches.target[..., 2:]
-
-    def error(ray):
-        target = torch.cat([ray, torch.ones_like(ray[..., :1])], -1) * matches.target[..., 2:]
-        found = align(matches._replace(target=target, target_ray=ray), scale=1.0, steps=6)
-        return (found.rotation - torch.tensor(rotation)).square().sum()
-
-    before = error(ray)
-    (gradient,) = torch.autograd.grad(before, ray)
-    assert error((ray - 0.05 * gradient / gradient.norm() * 0.1).detach()) < before
-    assert target.shape == matches.target.shape
-
-
 @pytest.mark.parametrize("views", [0, 1])
 def test_no_pair_and_no_weight_stay_finite(views):
     matches, _, _ = matched(views=views)

@@ -9,7 +9,6 @@ from torch.nn.functional import normalize
 from anystyle.geometry.harmonics import (
     basis,
     colors,
-    constant_from_rgb,
     degree_of,
     rgb_from_constant,
     rotate,
@@ -51,11 +50,6 @@ def test_colors() -> None:
     assert (expected == 0).any()
     torch.testing.assert_close(colors(harmonics, rays), expected)
     torch.testing.assert_close(colors(harmonics[:, :1], rays), rgb_from_constant(harmonics[:, 0]).clamp_min(0))
-
-
-def test_constants() -> None:
-    rgb = torch.rand(5, 3, generator=torch.Generator().manual_seed(2))
-    torch.testing.assert_close(rgb_from_constant(constant_from_rgb(rgb)), rgb)
 
 
 @pytest.mark.parametrize("degree", [0, 1, 4])

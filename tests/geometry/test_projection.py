@@ -4,7 +4,6 @@ import torch
 from torch import Tensor
 
 from anystyle.geometry.projection import FRUSTUM_MARGIN, MIN_ALPHA, Splats, covariances, project
-from anystyle.geometry.rotations import matrix_from_wxyz
 from renderers.scenes import cameras, gaussians
 
 SIZE = (30, 40)
@@ -24,13 +23,6 @@ def projected(distance: float) -> tuple[Splats, Tensor, Tensor, Tensor, Tensor]:
 
 def pinhole(point: Tensor, intrinsics: Tensor) -> Tensor:
     return (intrinsics @ (point / point[2]))[:2]
-
-
-def test_covariances() -> None:
-    scene = gaussians(1, 20, dtype=torch.float64)
-    rotation = matrix_from_wxyz(scene.rotations)
-    expected = rotation @ torch.diag_embed(scene.scales**2) @ rotation.mT
-    torch.testing.assert_close(covariances(scene.rotations, scene.scales), expected)
 
 
 def test_splats_are_the_linear_image() -> None:

@@ -6,14 +6,12 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from anystyle.geometry.rotations import (
-    cross_matrix,
     matrix_from_vector,
     matrix_from_wxyz,
     multiply,
     nearest_rotation,
     wxyz_from_matrix,
     wxyz_from_xyzw,
-    xyzw_from_wxyz,
 )
 
 
@@ -28,12 +26,6 @@ def wxyz(rotation: Rotation) -> torch.Tensor:
 def test_matrices() -> None:
     expected = torch.from_numpy(rotations(50).as_matrix())
     torch.testing.assert_close(matrix_from_wxyz(3.7 * wxyz(rotations(50))), expected)
-
-
-def test_orders_of_components() -> None:
-    quaternion = torch.tensor([1.0, 2.0, 3.0, 4.0])
-    assert xyzw_from_wxyz(quaternion).tolist() == [2.0, 3.0, 4.0, 1.0]
-    assert wxyz_from_xyzw(xyzw_from_wxyz(quaternion)).tolist() == quaternion.tolist()
 
 
 def test_the_zero_quaternion_is_the_identity() -> None:
@@ -68,12 +60,6 @@ def test_matrices_of_rotation_vectors() -> None:
     vectors = np.concatenate([rotations(30).as_rotvec(), np.zeros((1, 3)), [[1e-9, 0, 0]]])
     expected = torch.from_numpy(Rotation.from_rotvec(vectors).as_matrix())
     torch.testing.assert_close(matrix_from_vector(torch.from_numpy(vectors)), expected)
-
-
-def test_cross_matrices() -> None:
-    left, right = torch.randn(2, 10, 3, dtype=torch.float64)
-    expected = torch.linalg.cross(left, right)
-    torch.testing.assert_close((cross_matrix(left) @ right[..., None])[..., 0], expected)
 
 
 def test_the_nearest_rotation_is_the_one_of_scipy() -> None:

@@ -2,7 +2,7 @@
 
 import torch
 
-from anystyle.geometry.texturing import from_one_view
+from anystyle.geometry.texturing import single_view_colors
 from anystyle.types import Cameras
 
 HEIGHT, WIDTH, DEPTH = 8, 12, 2.0
@@ -22,7 +22,7 @@ def plane():
 
 def test_the_view_at_the_origin_paints_what_it_sees_and_others_the_rest():
     color, points, cameras = plane()
-    painted = from_one_view(color, points, cameras)
+    painted = single_view_colors(color, points, cameras)
     torch.testing.assert_close(painted[:, 1], color[:, 1], rtol=0, atol=1e-5)
     torch.testing.assert_close(painted[:, 0, :, 2:], color[:, 1, :, :-2], rtol=0, atol=1e-5)
     torch.testing.assert_close(painted[:, 2, :, :-3], color[:, 1, :, 3:], rtol=0, atol=1e-5)
@@ -33,7 +33,7 @@ def test_the_view_at_the_origin_paints_what_it_sees_and_others_the_rest():
 def test_a_view_does_not_paint_through_what_stands_before_a_point():
     color, points, cameras = plane()
     points[:, 1] *= 0.5  # What the middle view shows is nearer: it does not see the plane.
-    painted = from_one_view(color, points, cameras)
+    painted = single_view_colors(color, points, cameras)
     torch.testing.assert_close(painted[:, 0], color[:, 0], rtol=0, atol=1e-5)
 
 
@@ -41,9 +41,9 @@ def test_the_order_of_views_does_not_matter_and_gradients_go_to_the_views_that_p
     color, points, cameras = plane()
     color.requires_grad_()
     order = [2, 0, 1]
-    painted = from_one_view(color, points, cameras)
+    painted = single_view_colors(color, points, cameras)
     torch.testing.assert_close(
-        from_one_view(color[:, order], points[:, order], cameras.select(order)), painted[:, order]
+        single_view_colors(color[:, order], points[:, order], cameras.select(order)), painted[:, order]
     )
     painted.sum().backward()
     assert color.grad is not None

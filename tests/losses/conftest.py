@@ -1,6 +1,6 @@
 import pytest
 
-from anystyle.perception import weights
+from anystyle.vision import weights
 from style_cases import filled_vgg_file
 
 

@@ -4,9 +4,9 @@ import pytest
 import torch
 from PIL import Image
 
-from anystyle.inference.assemble import method_named
 from anystyle.io.sheet import to_pil
 from anystyle.methods.projection import stylized_views
+from anystyle.pipeline.load import load_model
 from methods.worlds import method, painting, run, scene, stylizer
 
 
@@ -41,4 +41,4 @@ def test_what_cannot_be_used_is_said(tmp_path):
         run(method("method=projection", f"method.images={tmp_path}"))
     with pytest.raises(ValueError, match=r"method\.steps"):
         method("method=projection", "method.steps=-1")
-    assert method_named("projection", stylizer().style_encoder).steps == 8
+    assert load_model(stylizer(), method="projection").method.steps == 8

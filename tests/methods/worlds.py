@@ -5,11 +5,11 @@ from functools import cache
 import torch
 
 import anystyle
-from anystyle.inference.assemble import make_method
-from anystyle.reconstructions.colors import colors_alone
+from anystyle.methods.colors import colors_alone
+from anystyle.pipeline.load import make_method
 from anystyle.registry.compose import compose
 from anystyle.types import Geometry, Style, Views
-from reconstructions.scenes import photographed_wall, wall
+from known_scene import photographed_wall, wall
 
 
 @cache
@@ -27,7 +27,7 @@ def scene():
     cameras = cameras.resized((48, 48))
     views = Views(images[None], cameras)
     geometry = Geometry(cameras, depth, torch.ones_like(depth))
-    return replace(colors_alone(views, cameras), geometry=geometry, gaussians=wall())
+    return replace(colors_alone(replace(views, cameras=cameras)), geometry=geometry, gaussians=wall())
 
 
 def painting():

@@ -12,7 +12,8 @@ import torch
 from anystyle.registry.builtin import BUILTIN
 from anystyle.registry.catalog import catalog
 from anystyle.testing.inputs import comparison
-from anystyle.testing.run import subject
+from anystyle.testing.metric import build
+from anystyle.testing.subject import subject
 from training_processes import forking
 
 METRICS = sorted(BUILTIN["metric"])
@@ -22,7 +23,7 @@ ROWS = 3
 def made(name, folder):
     """A metric of its own, on stand-ins."""
     cls = catalog().find("metric", name).load()
-    return subject("metric", cls, cls.example(Path(folder))).build()
+    return build(subject("metric", cls, cls.example(Path(folder))))
 
 
 def rows():

@@ -5,8 +5,7 @@ import torch
 import torch.nn.functional as F
 from scipy.spatial.distance import cdist
 
-from anystyle.nn.reference_view import in_order, is_reference, reference_first, reference_view
-from anystyle.types import Tokens
+from anystyle.nn.reference_view import in_order, reference_first, reference_view
 from oracle import hashed
 
 IMAGES = hashed(2, (2, 5, 3, 16, 24))
@@ -52,18 +51,6 @@ def test_the_central_one_is_nearest_to_all_others():
     # A camera that moves along a line sees most of what the others see from its middle.
     line = torch.arange(5.0).view(1, 5, 1, 1, 1).expand(1, 5, 3, 8, 8) / 5
     assert reference_view(line[:, [4, 0, 2, 1, 3]], TOKENS[:1], "central").tolist() == [2]
-
-
-def test_of_two_as_near_the_darker_one_is_central():
-    pair = torch.stack([torch.full((3, 9, 9), 0.6), torch.full((3, 9, 9), 0.2)])
-    assert reference_view(pair[None], TOKENS[:1, :2], "central").tolist() == [1]
-    assert reference_view(pair.flip(0)[None], TOKENS[:1, :2], "central").tolist() == [0]
-
-
-def test_a_view_is_known_as_the_reference():
-    tokens = Tokens(hashed(1, (2, 4, 3, 2)), (1, 3), reference=torch.tensor([2, 0]))
-    assert is_reference(tokens).nonzero().tolist() == [[0, 2], [1, 0]]
-    assert is_reference(Tokens(tokens.data, (1, 3))).nonzero().tolist() == [[0, 0], [1, 0]]
 
 
 def test_the_others_stay_in_order_and_can_be_put_back():

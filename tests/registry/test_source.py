@@ -17,11 +17,11 @@ from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import choices
 from anystyle.registry.packages import groups, package_presets
 from anystyle.registry.source import PluginSource, register
+from anystyle.registry.untrusted import check_saved
 
 PLACEMENTS = """
 from typing import Literal
 from anystyle.contracts import Placement
-from anystyle.errors import UserError
 class Deep(Placement):
     def __init__(self, *, depth: int = 2, attention: Literal["sdpa", "math"] = "sdpa") -> None:
         self.depth, self.attention = depth, attention
@@ -30,6 +30,7 @@ class Deep(Placement):
 """
 LOSSES = """
 from anystyle.contracts import Loss
+from anystyle.registry.untrusted import check_saved
 class One(Loss):
     def __init__(self, *, weight: float = 1.0, layers: tuple[int, ...] = (1, 2)) -> None:
         super().__init__()
@@ -120,10 +121,21 @@ def test_two_of_one_name_are_told_when_chosen(composed, plugin_folder):
 
 
 def test_a_target_of_ones_own_builds_nothing(composed):
-    with pytest.raises(UserError, match=r"placement\._target_ is 'os\.system', which is no plugin of the catalog"):
-        composed("placement._target_=os.system")
-    with pytest.raises(ValueError, match=r"_target_ 'os.system' is not a plugin"):
-        build(Placement, OmegaConf.create({"_target_": "os.system"}))
+    with pytest.raises(UserError, match=r"_target_ 'os.system' is not a plugin"):
+        build(Placement, composed("placement._target_=os.system").placement)
+
+
+@pytest.mark.parametrize(
+    ("saved", "message"),
+    [
+        ({"branch": {"_target_": "os.system"}}, r"file: branch\._target_ is 'os\.system', which no plugin"),
+        ({"branch": [{"sh_degree": "${oc.env:HOME}"}]}, r"file: branch\.0\.sh_degree is .* no interpolations"),
+    ],
+)
+def test_a_saved_configuration_is_checked_before_anything_is_built(saved, message):
+    check_saved({"placement": {"_target_": catalog().find("placement", "head").path}, "branch": [1, "a"]}, "file")
+    with pytest.raises(UserError, match=message):
+        check_saved(saved, "file")
 
 
 def test_source_lists_the_catalog(composed):

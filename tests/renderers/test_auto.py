@@ -1,27 +1,65 @@
-"""The renderer that goes where the tensors are."""
+"""The renderer that chooses another by the device."""
 
 import pytest
 import torch
 
-from anystyle.renderers.auto import AutoRenderer
-from anystyle.renderers.cpu.renderer import CpuRenderer
+from anystyle.contracts import Renderer
+from anystyle.registry import catalog as registry
+from anystyle.registry.catalog import Plugin, PluginError, catalog, plugin
+from anystyle.renderers.auto import AutoRenderer, best_renderer
 from anystyle.renderers.torch import TorchRenderer
+from anystyle_cpu_renderer.renderer import CpuRenderer
 from renderers.scenes import cameras, gaussians
 
 
-def test_on_the_cpu() -> None:
+@pytest.fixture
+def undecided(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(registry, "_OWN", {})
+    best_renderer.cache_clear()
+    yield
+    best_renderer.cache_clear()
+
+
+def test_it_renders_with_the_options_given() -> None:
     scene, views = gaussians(1, 100, 1), cameras(1, 2, (20, 30))
     options = {"background": (0.1, 0.2, 0.3), "near": 2.5, "far": 3.6, "eps2d": 0.5}
     assert torch.equal(AutoRenderer(**options)(scene, views).color, CpuRenderer(**options)(scene, views).color)
 
 
-def test_elsewhere_it_needs_no_kernels() -> None:
-    """A device without kernels of its own gets the renderer in plain PyTorch, which alone takes such tensors."""
-    scene, views = gaussians(1, 5).to("meta"), cameras(1, 1, (4, 4)).to("meta")
-    with pytest.raises(RuntimeError) as expected:  # a meta tensor has no number of visible Gaussians
-        TorchRenderer()(scene, views)
-    with pytest.raises(type(expected.value)):
-        AutoRenderer()(scene, views)
+def test_devices_without_kernels_get_plain_pytorch() -> None:
+    assert [best_renderer(device) for device in ("cpu", "cuda", "mps")] == ["cpu", "gsplat", "torch"]
+
+
+def test_a_renderer_of_higher_priority_is_chosen_on_its_devices(undecided: None) -> None:
+    class Mine(TorchRenderer):
+        devices = ("cpu", "mps")
+        priority = 11
+
+    plugin("renderer", "mine")(Mine)
+    assert [best_renderer(device) for device in ("cpu", "cuda", "mps")] == ["mine", "gsplat", "mine"]
+    scene, views = gaussians(1, 20), cameras(1, 1, (8, 8))
+    assert torch.equal(AutoRenderer()(scene, views).color, TorchRenderer()(scene, views).color)
+
+
+def test_a_renderer_that_sets_no_priority_or_cannot_be_imported_is_not_chosen(
+    undecided: None, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    class Mine(TorchRenderer):
+        devices = ("cpu",)
+        priority = 0
+
+    plugin("renderer", "a_mine")(Mine)
+    load = Plugin.load
+
+    def broken(self: Plugin) -> type:
+        if self.name == "gsplat":
+            raise PluginError("it cannot be imported")
+        return load(self)
+
+    monkeypatch.setattr(Plugin, "load", broken)
+    assert best_renderer("cpu") == "cpu" and best_renderer("cuda") == "torch"
+    assert "renderer=auto skips gsplat" in caplog.text
+    assert issubclass(catalog().find("renderer", "a_mine").load(), Renderer)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="gsplat needs a CUDA device")

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from anystyle.geometry.harmonics import constant_from_rgb
-from anystyle.renderers.cpu.renderer import CpuRenderer
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
+from anystyle_cpu_renderer.renderer import CpuRenderer
 from oracle import assert_matches, golden, hashed
 
 GOLDEN = golden("golden_render")

@@ -14,10 +14,10 @@ from torch import Tensor
 
 from anystyle.geometry.harmonics import rotate
 from anystyle.geometry.rotations import matrix_from_wxyz, multiply
-from anystyle.renderers.cpu.renderer import CpuRenderer
 from anystyle.renderers.gsplat import GsplatRenderer
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians, Renders
+from anystyle_cpu_renderer.renderer import CpuRenderer
 from renderers.scenes import cameras, gaussians
 
 cuda = pytest.param(
@@ -354,9 +354,9 @@ def test_refuses(renderer: Any, change: Callable[..., tuple[Gaussians, Cameras]]
 
 def test_refuses_other_devices() -> None:
     scene, views = gaussians(1, 10), cameras(1, 1, (4, 4))
-    with pytest.raises(ValueError, match="renderer=torch"):
+    with pytest.raises(ValueError, match="CpuRenderer runs on cpu, and the tensors are on meta"):
         CpuRenderer()(scene.to("meta"), views.to("meta"))
-    with pytest.raises(ValueError, match="renderer=cpu"):
+    with pytest.raises(ValueError, match="renderer=auto"):
         GsplatRenderer()(scene, views)
     with pytest.raises(ValueError, match="near is 0"):
         CpuRenderer(near=0.0)(scene, views)
@@ -368,9 +368,9 @@ def test_memory_is_bounded(number: int, size: int, views: int) -> None:
     """Forward and backward of a large scene stay under 2 GB, everything in the process included."""
     script = f"""
 import resource, sys
-sys.path.insert(0, {str(Path(__file__).parents[1])!r})
+sys.path[:0] = {[str(Path(__file__).parents[1]), *sys.path]!r}
 from renderers.scenes import cameras, gaussians
-from anystyle.renderers.cpu.renderer import CpuRenderer
+from anystyle_cpu_renderer.renderer import CpuRenderer
 scene = gaussians(1, {number}).map(lambda tensor: tensor.requires_grad_())
 CpuRenderer()(scene, cameras(1, {views}, ({size}, {size}))).color.mean().backward()
 print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)

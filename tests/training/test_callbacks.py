@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import nn
 
-from anystyle.training.callbacks import Average, LastCheckpoint, StepSeed
+from anystyle.training.callbacks import MovingAverage, RunCheckpoint, StepSeed
 from anystyle.training.optim import decayed_groups, learning_rate, scheduled, trainable
 from anystyle.training.safeguards import SkipOutliers, gradient_norm
 
@@ -48,7 +48,7 @@ def test_a_steps_randomness_depends_on_seed_step_and_rank_alone():
 
 def test_the_average_is_the_one_of_its_definition():
     module = Module()
-    average, expected, decay = Average(0.9), None, 0.9
+    average, expected, decay = MovingAverage(0.9), None, 0.9
     for step, value in enumerate([1.0, 3.0, -2.0, 5.0], start=1):
         module.weight.data.fill_(value)
         average.on_train_batch_end(at(step), module, None, None, 0)
@@ -59,13 +59,13 @@ def test_the_average_is_the_one_of_its_definition():
     assert module.weight.item() == pytest.approx(expected)
     average.swap(module)
     assert module.weight.item() == 5.0
-    again = Average(0.9)
+    again = MovingAverage(0.9)
     again.load_state_dict(average.state_dict())
     assert torch.equal(again.weights["weight"], average.weights["weight"])
 
 
 def test_a_checkpoint_is_written_between_steps_and_once_a_step(tmp_path):
-    keeper, steps = LastCheckpoint(tmp_path / "last.ckpt", every_steps=2), []
+    keeper, steps = RunCheckpoint(tmp_path / "last.ckpt", every_steps=2), []
     trainer = at()
     trainer.callback_metrics = {}
     trainer.strategy.reduce_boolean_decision.side_effect = lambda decision, all: decision

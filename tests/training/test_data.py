@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from anystyle.contracts import SceneSource
-from anystyle.training.cache import CachedScenes
 from anystyle.training.data import StepLoader
+from anystyle.training.scene_cache import CachedScenes
 from anystyle.types import Cameras, Views
 from oracle import hashed
 
@@ -17,8 +17,8 @@ from oracle import hashed
 class Counted(SceneSource):
     """Scenes that count how often they are made."""
 
-    def __init__(self, *, size: int = 12, depth: bool = True, odd: bool = False) -> None:
-        self.size, self.depth, self.odd, self.made = size, depth, odd, 0
+    def __init__(self, *, size: int = 12) -> None:
+        self.size, self.made = size, 0
 
     def __len__(self) -> int:
         return 3
@@ -27,14 +27,14 @@ class Counted(SceneSource):
         return f"scene-{scene}"
 
     def num_views(self, scene: int) -> int:
-        return 5 if self.odd and scene == 2 else 4
+        return 4
 
     def read(self, scene, views) -> Views:
         self.made += 1
         count, size = self.num_views(scene), self.size
         images = (hashed(scene + 1, (1, count, 3, size, size)) * 255).round() / 255
         cameras = Cameras(hashed(9, (1, count, 4, 4)), hashed(8, (1, count, 3, 3)), (size, size))
-        depth = hashed(7, (1, count, size, size), 0.5, 8) if self.depth else None
+        depth = hashed(7, (1, count, size, size), 0.5, 8)
         return Views(images=images, cameras=cameras, depth=depth).select(list(views))
 
 
@@ -61,14 +61,6 @@ def test_a_cache_of_another_source_is_refused(tmp_path):
     CachedScenes(Counted(), tmp_path)
     with pytest.raises(ValueError, match="made by another scene source"):
         CachedScenes(Counted(size=16), tmp_path)
-
-
-def test_only_equal_scenes_with_cameras_and_depth_can_be_kept(tmp_path):
-    with pytest.raises(ValueError, match="cameras and depth can be cached"):
-        CachedScenes(Counted(depth=False), tmp_path / "a")
-    cached = CachedScenes(Counted(odd=True), tmp_path / "b")
-    with pytest.raises(ValueError, match=r"scene-2 has 5 views .* cache=null"):
-        cached.read(2, [0])
 
 
 class Steps:

@@ -27,7 +27,7 @@ def whole(tmp_path):
 def test_a_finished_run_that_is_repeated_changes_nothing(whole):
     before = state(whole)
     begun = []
-    outcome = train(configuration(WORDS, whole), whole, lambda: begun.append(True))
+    outcome = train(configuration(WORDS, whole), whole, begun.append)
     assert outcome.finished and outcome.steps == 4 and "train/loss" in outcome.metrics and not begun
     assert state(whole) == before
     (whole / "metrics.json").unlink()
@@ -38,7 +38,7 @@ def test_a_finished_run_that_is_repeated_changes_nothing(whole):
 def test_a_refused_run_changes_nothing(whole):
     before, begun = state(whole), []
     with pytest.raises(ValueError, match="another configuration"):
-        train(configuration((*WORDS, "seed=77"), whole), whole, lambda: begun.append(True))
+        train(configuration((*WORDS, "seed=77"), whole), whole, begun.append)
     assert state(whole) == before and not begun
 
 
@@ -58,7 +58,7 @@ def test_a_damaged_state_falls_back_to_the_one_before_and_says_so(whole, caplog,
     (whole / "metrics.json").unlink()
     outcome = train(configuration(WORDS, whole), whole)
     assert outcome.steps == 4 and (whole / "backbone.safetensors").read_bytes() == weights
-    (line,) = [record.message for record in caplog.records if "goes on from previous.ckpt" in record.message]
+    (line,) = [record.message for record in caplog.records if "resuming from previous.ckpt" in record.message]
     assert "last.ckpt" in line and "\n" not in line
 
 

@@ -12,9 +12,9 @@ import pytest
 
 from anystyle.registry.compose import compose
 from anystyle.training import pipeline
-from anystyle.training.pipeline import WEIGHTS, Stage, forwarded, stages_of, train_pipeline
+from anystyle.training.pipeline import WEIGHTS, train_pipeline
 
-STAGES = (Stage("first", "backbone", "tiny_backbone"), Stage("second", "branch", "tiny_branch"))
+PIPELINE = {"first": {"backbone": "tiny_backbone"}, "second": {"branch": "tiny_branch"}}
 
 
 def test_each_training_finds_the_weights_made_before_it(tmp_path: Path) -> None:
@@ -30,38 +30,29 @@ def test_each_training_finds_the_weights_made_before_it(tmp_path: Path) -> None:
         (run / f"{part}.safetensors").write_bytes(experiment.encode())
         return 0
 
-    made = train_pipeline(STAGES, ["seed=3"], tmp_path, launch=launch)
+    made = train_pipeline(PIPELINE, ["experiment=tiny_all", "+name=x", "out=there", "seed=3"], tmp_path, launch=launch)
     assert [path.name for path in made] == ["tiny_backbone.safetensors", "tiny_branch.safetensors"]
     assert made[1].read_bytes() == b"second" and made[0].parent == tmp_path / WEIGHTS
     assert [words[0] for words, _ in seen] == ["experiment=first", "experiment=second"]
-    assert all(words[-1] == "seed=3" for words, _ in seen)
+    # Its own words are not passed on.
+    assert all(words[3:] == ["seed=3"] for words, _ in seen)
     assert [known for _, known in seen] == [[], ["tiny_backbone.safetensors"]]
 
 
 def test_a_training_that_fails_or_leaves_nothing_stops_the_pipeline(tmp_path: Path) -> None:
     for status in (2, 0):
-        with pytest.raises(ValueError, match="experiment=first; the same command goes on from there"):
-            train_pipeline(STAGES, [], tmp_path, launch=lambda words, environment, status=status: status)
+        with pytest.raises(ValueError, match="experiment=first; the same command resumes there"):
+            train_pipeline(PIPELINE, [], tmp_path, launch=lambda words, environment, status=status: status)
     assert not list((tmp_path / WEIGHTS).iterdir())
 
 
-def test_words_of_the_pipeline_itself_are_not_passed_on() -> None:
-    words = ["experiment=tiny_all", "+name=x", "out=there", "debug=smoke", "trainer.max_steps=2"]
-    assert forwarded(words) == ["debug=smoke", "trainer.max_steps=2"]
-
-
-def test_the_recipe_names_experiments_and_weights_that_there_are() -> None:
-    stages = stages_of(compose("train", ["experiment=tiny_all", "name=x", "out=y"]).pipeline)
-    assert [stage.experiment for stage in stages] == [
-        "tiny_perceptual",
-        "tiny_embedding",
-        "tiny_reconstruction",
-        "tiny_style",
-    ]
-    for stage in stages:
-        compose("train", [f"experiment={stage.experiment}", "name=x", "out=y"])
+def test_the_recipe_names_experiments_and_weights_that_there_are(tmp_path: Path) -> None:
+    pipeline = compose("train", ["experiment=tiny_all", "name=x", "out=y"]).pipeline
+    assert [*pipeline] == ["tiny_perceptual", "tiny_embedding", "tiny_reconstruction", "tiny_style"]
+    for experiment in pipeline:
+        compose("train", [f"experiment={experiment}", "name=x", "out=y"])
     with pytest.raises(ValueError, match="give one part and the name of its weights"):
-        stages_of({"tiny_style": {"branch": "nothing"}})
+        train_pipeline({"tiny_style": {"branch": "nothing"}}, [], tmp_path)
 
 
 def test_a_signal_reaches_the_training_which_saves_before_the_pipeline_ends(tmp_path: Path, monkeypatch) -> None:
@@ -84,6 +75,6 @@ def test_a_signal_reaches_the_training_which_saves_before_the_pipeline_ends(tmp_
 
     before = signal.getsignal(signal.SIGTERM)
     threading.Thread(target=stop, daemon=True).start()
-    with pytest.raises(ValueError, match="stopped in experiment=first; the same command goes on"):
-        train_pipeline(STAGES, [], tmp_path / "out")
+    with pytest.raises(ValueError, match="stopped in experiment=first; the same command resumes"):
+        train_pipeline(PIPELINE, [], tmp_path / "out")
     assert (tmp_path / "saved").exists() and signal.getsignal(signal.SIGTERM) is before

@@ -89,7 +89,7 @@ def test_killed_at_random_moments_a_run_ends_with_the_same_weights(tmp_path, kil
     finish(start(words, out))
     one, two = branch(whole), branch(out)
     assert all(torch.equal(one[key], two[key]) for key in one)
-    assert not list(out.glob(".last-*"))
+    assert not list(out.glob(".partial-*"))
 
 
 def test_a_full_disk_keeps_the_last_good_checkpoint_and_says_so_in_one_line(tmp_path):
@@ -101,7 +101,7 @@ def test_a_full_disk_keeps_the_last_good_checkpoint_and_says_so_in_one_line(tmp_
     full = start(more, tmp_path, largest=len(good) // 2)
     full.join()
     assert full.exitcode == 2
-    assert (tmp_path / "last.ckpt").read_bytes() == good and not list(tmp_path.glob(".last-*"))
+    assert (tmp_path / "last.ckpt").read_bytes() == good and not list(tmp_path.glob(".partial-*"))
     told = [line for line in said(tmp_path).splitlines() if line.startswith("anystyle: error:")]
     assert len(told) == 1 and "Traceback" not in said(tmp_path)
     assert "the checkpoint of step 4 cannot be written" in told[0] and "the last one stays" in told[0], told

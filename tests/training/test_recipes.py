@@ -5,17 +5,13 @@ from dataclasses import replace
 import pytest
 import torch
 from omegaconf import OmegaConf
-from PIL import Image
 
 from anystyle.contracts import neutral_embedding
-from anystyle.data.images import read_square
-from anystyle.data.wikiart import WikiArtStyles
 from anystyle.losses.content import Content
 from anystyle.losses.style import StyleLoss
 from anystyle.registry.compose import compose
 from anystyle.training.collate import blurred_views
 from anystyle.training.run import make_data, make_training
-from anystyle.training.stylization import branch_groups
 from anystyle.types import Style, Views
 from oracle import hashed
 from training_cases import STYLIZATION, configuration
@@ -85,29 +81,11 @@ def test_the_recipes_differ_in_nothing_else():
     assert changed == set(DIFFERENCES)
 
 
-def test_the_head_variant_has_the_content_weight_of_the_paper_in_both():
-    assert [recipe(name, "paper_head").loss.content.weight for name in ("paper", "published")] == [0.05, 0.05]
-
-
 def parts(tmp_path, *overrides):
     config = configuration((*STYLIZATION, *overrides), tmp_path)
     torch.manual_seed(0)
     training = make_training(config)
     return training, make_data(config, training).train
-
-
-def test_the_aggregators_injectors_may_learn_at_a_rate_of_their_own(tmp_path):
-    training, _ = parts(tmp_path, "placement=full")
-    groups = branch_groups(training.stylizer, lr=1e-4, aggregator_rate=0.3, injector_rate=1.0)
-    rates = {group["name"]: group["lr"] for group in groups}
-    assert rates == {
-        "head": 1e-4, "head injectors": 1e-4, "aggregator": pytest.approx(3e-5), "aggregator injectors": 1e-4
-    }  # fmt: skip
-    injectors = {id(p) for name, part in training.stylizer.branch.injectors.items() for p in part.parameters()
-                 if name.startswith("aggregator/")}  # fmt: skip
-    assert {id(p) for p in groups[-1]["params"]} == injectors
-    count = sum(p.numel() for group in groups for p in group["params"])
-    assert count == sum(p.numel() for p in training.stylizer.branch.parameters())
 
 
 def test_the_unstyled_render_may_stand_for_the_photograph(tmp_path):
@@ -142,11 +120,6 @@ def test_without_texts_no_text_reaches_the_encoder(tmp_path, monkeypatch):
     assert not any(training.is_text_step(step) for step in range(100))
 
 
-def test_the_ablation_without_text_shows_no_text_either():
-    config = compose("train", ["experiment=paper_head", "ablation=no_text", "name=x", "out=x"])
-    assert (config.training.text_ratio, list(config.training.preview_texts)) == (0.0, [])
-
-
 def test_images_may_be_kept_from_losses_on_text_steps(tmp_path):
     training, source = parts(tmp_path, "training.text_ratio=1", "training.text_step_images=false")
     batch = source.batch(0)
@@ -171,20 +144,6 @@ def styled(tmp_path):
     training, source = parts(tmp_path)
     batch = source.batch(0)
     return training.stylize(batch, training.embed(batch.style, 0))
-
-
-def test_styles_are_cut_at_random_as_the_row_says(tmp_path):
-    (tmp_path / "Op_Art").mkdir()
-    Image.linear_gradient("L").rotate(90).resize((80, 16)).convert("RGB").save(tmp_path / "Op_Art" / "a.png")
-    source = WikiArtStyles(root=str(tmp_path), size=16, crop="random")
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(1)
-        first, other = source.read(0).image, source.read(0).image
-        torch.manual_seed(1)
-        again = source.read(0).image
-    assert torch.equal(first, again) and not torch.equal(first, other)
-    middle = WikiArtStyles(root=str(tmp_path), size=16).read(0).image
-    assert torch.equal(middle, read_square(tmp_path / "Op_Art" / "a.png", 16))
 
 
 def test_shrinking_and_enlarging_blurs_and_keeps_the_size(tmp_path):

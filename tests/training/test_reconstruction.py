@@ -39,10 +39,3 @@ def test_renders_from_predicted_cameras_are_those_from_true_ones_where_both_agre
         float(right["predicted_render"].detach()), rel=1e-3
     )
     assert training.weights["predicted_render"] == 2 * training.weights["render"]
-
-
-def test_without_a_weight_nothing_is_drawn_from_predicted_cameras(training, monkeypatch):
-    monkeypatch.setattr(training, "predicted_camera_weight", 0.0)
-    views = canonical(ProceduralScenes(size=28, num_scenes=1).read(0, [0, 1]), 2)
-    scene = training.backbone.encode(views)
-    assert set(training.render_losses(scene.features, scene.geometry, views, [0])) == {"render", "ssim"}

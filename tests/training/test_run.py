@@ -103,11 +103,11 @@ def test_a_checkpoint_of_nobody_knows_what_is_not_continued(uninterrupted, tmp_p
 
 
 def test_two_runs_do_not_share_a_folder(tmp_path):
-    with module.alone(tmp_path):
+    with module.exclusive(tmp_path):
         with pytest.raises(ValueError, match=r"another run is at work in .*; wait for its end"):
             train(configuration(RECONSTRUCTION, tmp_path), tmp_path)
         assert [path.name for path in tmp_path.iterdir()] == [".lock"]
-    with module.alone(tmp_path):
+    with module.exclusive(tmp_path):
         pass
 
 

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from anystyle.perception import weights
+from anystyle.errors import UserError
+from anystyle.vision import weights
 
 hub = pytest.importorskip("huggingface_hub", reason='needs the extra: pip install "anystyle[hub]"')
 
@@ -32,6 +33,6 @@ def test_files_in_the_cache_are_found(cache: Path) -> None:
 
 
 def test_a_download_without_a_network_says_what_to_do(cache: Path) -> None:
-    with pytest.raises(OSError, match=r"cannot be fetched \(.*\); try again, or get it from https://") as caught:
+    with pytest.raises(UserError, match=r"cannot be fetched \(.*\); try again, or get it from https://") as caught:
         weights.download("longclip_b32")
     assert "\n" not in str(caught.value)

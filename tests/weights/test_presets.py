@@ -10,8 +10,8 @@ from safetensors.torch import save_file
 
 import anystyle
 import full_size
-from anystyle.inference.assemble import assemble, build_and_load
-from anystyle.inference.weights import load_reference, reference_config
+from anystyle.pipeline.load import assemble, build_and_load
+from anystyle.pipeline.weights import load_reference, reference_config
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose, override
 from anystyle.stylizer import Stylizer
@@ -150,14 +150,3 @@ def test_half_precision_is_near_full_precision(precision: str, inputs: tuple[Vie
     assert types["geometry_head"] == torch.float32
     low = torch.bfloat16 if precision == "bf16" else torch.float32
     assert types["gaussian_head"] == next(stylizer.branch.parameters()).dtype == low
-
-
-def test_unknown_precisions_are_refused() -> None:
-    with pytest.raises(ValueError, match="precision is 'fp16'; choose from fp32, bf16, reference"):
-        load_reference(small_checkpoint(None), overrides=["precision=fp16"])
-
-
-def test_sizes_that_are_no_multiple_of_the_patch_are_refused() -> None:
-    stylizer = load_reference(small_checkpoint("head"))
-    with pytest.raises(ValueError, match=r"images are 50x70 pixels; both sides must be multiples of 14: resize them"):
-        stylizer.encode(Views(torch.zeros(1, 1, 3, 50, 70)))

@@ -7,7 +7,7 @@ import torch
 from safetensors.torch import save_file
 from torch import Tensor
 
-from anystyle.inference.assemble import assemble
+from anystyle.pipeline.load import assemble
 from anystyle.registry.compose import compose, override
 from weights_cases import small_checkpoint
 

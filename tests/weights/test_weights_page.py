@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from anystyle.perception import weights
+from anystyle.vision import weights
 from weights_cases import training_checkpoint
 
 PAGE = Path(__file__).parents[2] / "docs" / "weights.md"

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from anystyle import contracts
 from anystyle.geometry.clusters import fuse, voxel_clusters
+from anystyle.geometry.harmonics import damping
 from anystyle.geometry.rotations import wxyz_from_xyzw
 from anystyle.types import Attributes, Clusters, Gaussians, Geometry
 
@@ -16,17 +17,9 @@ from anystyle.types import Attributes, Clusters, Gaussians, Geometry
 class Adapter(contracts.Adapter):
     """Fuses the pixels of a voxel by their confidence, ahead of any activation, as published.
 
-    Args:
-        sh_degree: Of the backbone's harmonics.
-        sh_mode: ``reference``: harmonics of degree d > 0 are damped by ``0.1 * 0.25 ** d``, and a lone constant
-            coefficient is spread over all coefficients by the same factors, a side effect of the published code that
-            its weights were trained with: a fixed gain of 0.94 to 1.11 that depends on the direction. ``dc_only``:
-            damped alike, but a lone constant coefficient stays alone.
-        pixel_center: Where in its pixel a point is seen; the published weights were trained with 0.
-        fuse: Whether pixels are fused; otherwise each is a Gaussian.
-        voxel_size: Side of a voxel, in world units.
-        scale_unit: World units of scale a unit of softplus.
-        scale_max: Largest scale, in world units.
+    Harmonics of degree d > 0 are damped by ``0.1 * 0.25 ** d``. With ``sh_mode=reference`` a lone constant coefficient
+    is also spread over all coefficients by these factors, a side effect of the published code that its weights were
+    trained with: a fixed gain of 0.94 to 1.11 that depends on the direction. With ``dc_only`` it stays alone.
     """
 
     def __init__(
@@ -41,19 +34,15 @@ class Adapter(contracts.Adapter):
         scale_max: float,
     ) -> None:
         super().__init__()
-        self.sh_degree = sh_degree
-        self.sh_mode = sh_mode
-        self.pixel_center = pixel_center
-        self.fuse = fuse
-        self.voxel_size = voxel_size
+        self.sh_degree, self.sh_mode, self.pixel_center = sh_degree, sh_mode, pixel_center
+        self.fuse, self.voxel_size = fuse, voxel_size
         self.scale_unit, self.scale_max = scale_unit, scale_max
 
     def cluster(self, geometry: Geometry, attributes: Attributes) -> Clusters | None:
         """Pixels that share a voxel become one Gaussian."""
         if not self.fuse:
             return None
-        if attributes.confidence is None:
-            raise ValueError("the attributes have no confidence to weigh pixels with; set fuse=false")
+        assert attributes.confidence is not None
         points = self._points(geometry)
         return voxel_clusters(points, attributes.confidence.flatten(1).to(points.dtype), self.voxel_size)
 
@@ -80,10 +69,10 @@ class Adapter(contracts.Adapter):
 
     def harmonics(self, color: Float[Tensor, "B N 3 K"]) -> Float[Tensor, "B N L 3"]:
         """Damped coefficients, coefficient-major; see ``sh_mode``."""
-        damping = color.new_tensor(sh_damping(self.sh_degree))
+        factors = color.new_tensor(damping(self.sh_degree))
         coefficients = color.shape[-1]
         spread = self.sh_mode == "reference" and coefficients == 1
-        return (color * (damping if spread else damping[:coefficients])).mT
+        return (color * (factors if spread else factors[:coefficients])).mT
 
     def _points(self, geometry: Geometry) -> Float[Tensor, "B M 3"]:
         with torch.autocast(geometry.depth.device.type, enabled=False):
@@ -92,8 +81,3 @@ class Adapter(contracts.Adapter):
     def _gather(self, values: Float[Tensor, "B V H W C"], clusters: Clusters | None) -> Float[Tensor, "B N C"]:
         flat = values.flatten(1, 3).float()
         return flat if clusters is None else fuse(flat, clusters)
-
-
-def sh_damping(degree: int) -> list[float]:
-    """A factor for each coefficient up to ``degree``: 1, and ``0.1 * 0.25 ** d`` for degree d > 0."""
-    return [1.0] + [0.1 * 0.25**d for d in range(1, degree + 1) for _ in range(2 * d + 1)]

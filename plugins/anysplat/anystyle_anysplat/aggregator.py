@@ -51,7 +51,7 @@ class Aggregator(contracts.Aggregator):
     def sites(self) -> tuple[Site, ...]:
         """``aggregator/<layer>`` for every layer."""
         return tuple(
-            Site(_site(layer), self.dim, tapped=layer == 0 or layer in self.taps)
+            Site(f"aggregator/{layer}", self.dim, tapped=layer == 0 or layer in self.taps)
             for layer in range(len(self.frame_blocks))
         )
 
@@ -64,7 +64,7 @@ class Aggregator(contracts.Aggregator):
         features: dict[int, Tokens] = {}
         tokens = stem
         for layer, (frame_block, global_block) in enumerate(zip(self.frame_blocks, self.global_blocks, strict=True)):
-            tokens = inject(_site(layer), tokens)
+            tokens = inject(f"aggregator/{layer}", tokens)
             batch, _, count, _ = tokens.data.shape
             framed = self._run(frame_block, tokens.data.flatten(0, 1), within)  # BV P C
             joint = self._run(global_block, framed.unflatten(0, (batch, views)).flatten(1, 2), across)  # B VP C
@@ -77,7 +77,3 @@ class Aggregator(contracts.Aggregator):
 
     def _run(self, block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary) -> Float[Tensor, "M L C"]:
         return run(block, x, angles, recompute=self.checkpointing and self.training)
-
-
-def _site(layer: int) -> str:
-    return f"aggregator/{layer}"

@@ -1,14 +1,14 @@
 """The network: five parts, and every option that its weights fix."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from torch import Tensor
-
 from anystyle import contracts
+from anystyle.errors import UserError
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.dpt import Dpt
+from anystyle.nn.heads import check_options
 from anystyle.nn.reference_view import Strategy
 from anystyle.published import Published
 from anystyle_anysplat.adapter import Adapter
@@ -63,14 +63,14 @@ class AnySplat(contracts.Backbone):
         voxel_size: Side of a voxel, in world units.
         scale_unit: World units of a Gaussian's scale a unit of softplus.
         scale_max: Largest scale, in world units.
-        chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; a matter of memory alone.
+        chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; it changes memory alone.
         checkpointing: Whether training recomputes blocks of the aggregator to save memory.
         init: ``published``: initial values as DINOv2's, VGGT's and AnySplat's; ``scratch``: values from which
             photographs are reproduced on a plane at depth 1, for training without pretrained weights (see
             :mod:`anystyle_anysplat.scratch`). The computation is the same.
 
     Raises:
-        ValueError: Options contradict each other.
+        UserError: Options contradict each other.
     """
 
     published: ClassVar[Published | None] = Checkpoints()
@@ -139,7 +139,11 @@ class AnySplat(contracts.Backbone):
         init: Literal["published", "scratch"] = "published",
     ) -> None:
         super().__init__()
-        _check(dim=dim, heads=heads, depth=depth, camera_heads=camera_heads, taps=taps, chunk=chunk)
+        check_options(dim=dim, heads=heads, taps=taps, first=0, depth=depth, chunk=chunk)
+        if 2 * dim % camera_heads:
+            raise UserError(
+                f"camera_heads is {camera_heads}, which does not divide the camera head's {2 * dim} channels"
+            )
         self.patch_size, self.resolution = patch_size, resolution
         self.embedder = Embedder(
             embed=embed,
@@ -197,24 +201,3 @@ class AnySplat(contracts.Backbone):
         )
         if init == "scratch":
             start_from_scratch(self, focal_epsilon=focal_epsilon, scale_unit=scale_unit)
-
-    def load_reference(self, state: Mapping[str, Tensor]) -> None:
-        """Load the published weights: the state dict of AnySplat's file, or of an AnyStyle checkpoint.
-
-        Raises:
-            ValueError: They do not fit; up to five missing, unexpected and misshapen keys are named.
-        """
-        Checkpoints().load_backbone(self, state)
-
-
-def _check(*, dim: int, heads: int, depth: int, camera_heads: int, taps: Sequence[int], chunk: int) -> None:
-    if chunk < 1:
-        raise ValueError(f"chunk is {chunk}; at least 1 view is decoded at a time")
-    if dim % (4 * heads):
-        raise ValueError(f"dim {dim} with {heads} heads; the channels of a head must be a multiple of 4")
-    if 2 * dim % camera_heads:
-        raise ValueError(f"camera_heads is {camera_heads}, which does not divide the camera head's {2 * dim} channels")
-    if len(taps) != 4 or list(taps) != sorted(set(taps)) or taps[0] < 0 or taps[-1] != depth - 1:
-        raise ValueError(
-            f"taps are {list(taps)}; give four layers in rising order, of which the last is depth - 1 = {depth - 1}"
-        )

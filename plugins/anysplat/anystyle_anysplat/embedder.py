@@ -106,11 +106,7 @@ class Embedder(contracts.Embedder):
         nn.init.normal_(self.register_token, std=1e-6)
 
     def forward(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
-        """Embed sRGB images in [0, 1].
-
-        Raises:
-            ValueError: A side is no multiple of the patch size.
-        """
+        """Embed sRGB images in [0, 1]."""
         batch, views = images.shape[:2]
         grid = grid_of(images, self.patch_size)
         pixels = normalised(images.to(self.camera_token.dtype))

@@ -3,14 +3,17 @@
 import logging
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
+from functools import partial
 from typing import Literal
 
 from torch import Tensor, nn
 
+from anystyle.errors import UserError
+from anystyle.injectors.zero_conv import ZeroConv
+from anystyle.io.checkpoint import fill
 from anystyle.nn.published import checked_parts, dpt_rules, length, load_renamed, numbers, renamed
 from anystyle.published import Published
-from anystyle.types import Site
 
 _log = logging.getLogger(__name__)
 
@@ -70,11 +73,6 @@ class Checkpoints(Published):
     """AnySplat's file, AnyStyle's checkpoints and VGGT's file."""
 
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """See :meth:`Published.without_prefix`.
-
-        Raises:
-            ValueError: A key has none of the files' prefixes.
-        """
         bare: dict[str, Tensor] = {}
         for key, tensor in state.items():
             bare[next((key.removeprefix(prefix) for prefix in PREFIXES if key.startswith(prefix)), key)] = tensor
@@ -86,77 +84,123 @@ class Checkpoints(Published):
         )
         return bare
 
-    def complete(self, state: Mapping[str, Tensor]) -> bool:
-        """Whether a state dict holds all of AnySplat; VGGT's lacks the Gaussian head."""
-        return any(name.startswith(GAUSSIANS) for name in self.without_prefix(state))
-
-    def options(self, state: Mapping[str, Tensor]) -> dict[str, object]:
-        return options_of(self.without_prefix(state))
-
-    def placement(self, state: Mapping[str, Tensor]) -> Literal["head", "full"] | None:
-        """The placement that a checkpoint's style branch was trained with; ``None`` if it holds no style branch."""
+    def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:
         names = self.without_prefix(state)
-        if any(name.startswith("aggregator_injection.") for name in names):
-            return "full"
-        return "head" if any(name.startswith("gaussian_param_head_style.") for name in names) else None
+        options = options_of(names)
+        config = {f"backbone.{name}": value for name, value in options.items()}
+        placement = _placement(names)
+        config |= {"placement": placement} if placement else {"branch.sh_degree": options.get("sh_degree", 0)}
+        if any(name.startswith(TEXT_ADAPTER) for name in names):
+            config["style_encoder.text_adapter"] = True
+        return config
 
-    def injector_options(self, state: Mapping[str, Tensor], sites: Sequence[Site]) -> dict[str, dict[str, int]]:
-        """Widths of the injectors in a checkpoint, by site; empty without a style branch."""
+    def parts(self, state: Mapping[str, Tensor]) -> dict[str, bool]:
+        """VGGT's file lacks the Gaussian head; AnyStyle's add a text adapter to the style encoder."""
         names = self.without_prefix(state)
-        layers = sorted(int(site.name.rpartition("/")[2]) for site in sites if site.name.startswith("aggregator/"))
-        options: dict[str, dict[str, int]] = {}
-        for site in sites:
-            weight = names.get(_branch_name(f"injectors.{site.name}.fc.0.weight", layers))
-            if weight is not None and weight.dim() == 2:
-                options[site.name] = {"hidden": weight.shape[0], "style_dim": weight.shape[1]}
-        return options
+        parts = {"backbone": any(name.startswith(GAUSSIANS) for name in names)}
+        if _placement(names) is not None:
+            parts["branch"] = True
+        if any(name.startswith(TEXT_ADAPTER) for name in names):
+            parts["style_encoder"] = False
+        return parts
 
-    def text_adapter(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The text adapter of an AnyStyle checkpoint, keys ``mlp.…``; empty for AnySplat's file."""
-        names = self.without_prefix(state)
-        return {name.removeprefix(TEXT_ADAPTER): names[name] for name in names if name.startswith(TEXT_ADAPTER)}
+    def load(self, part: str, module: nn.Module, state: Mapping[str, Tensor]) -> None:
+        """Load a part from any of the files.
 
-    def load_backbone(self, backbone: nn.Module, state: Mapping[str, Tensor]) -> None:
-        """Load AnySplat's weights from any of the files into a backbone of the same options.
-
-        Of VGGT's file, which is an initialisation, the Gaussian head stays as it is, and the log says so.
-
-        Raises:
-            ValueError: Keys or shapes differ; up to five of each kind of difference are named.
+        Of VGGT's file, which is an initialisation, the Gaussian head stays as it is, and the log says so. A branch has
+        ``zero_conv`` injectors, which take the widths of the checkpoint's.
         """
-        names, what = backbone_names(backbone.state_dict()), "backbone"
-        given = {
-            name: tensor
-            for name, tensor in self.without_prefix(state).items()
-            if name.startswith(BACKBONE_PARTS) and name not in UNUSED
-        }
-        untouched: list[str] = []  # keys that stay as they are
-        if not self.complete(state):
-            what = "backbone's part that VGGT initialises"
-            untouched = [key for key, name in names.items() if name.startswith(GAUSSIANS)]
-            names = {key: name for key, name in names.items() if key not in untouched}
-        load_renamed(backbone, given, names, what=what, layout=LAYOUT)
-        if untouched:
-            _log.warning(
-                "VGGT's file initialises %d of the backbone's %d tensors; left as they were: the %d of its Gaussian "
-                "head (%s, …)",
-                *(len(names), len(names) + len(untouched), len(untouched), ", ".join(untouched[:5])),
-            )
-
-    def load_branch(self, branch: nn.Module, state: Mapping[str, Tensor]) -> None:
-        """Load the style branch of an AnyStyle checkpoint into one of the same placement, with ``zero_conv`` injectors.
-
-        Raises:
-            ValueError: Keys or shapes differ; up to five of each kind of difference are named.
-        """
-        names = branch_names(branch.state_dict())
-        given = {name: tensor for name, tensor in self.without_prefix(state).items() if name.startswith(BRANCH_PARTS)}
-        trained = self.placement(state)
-        what = "style branch" if trained else "style branch, and holds none of its own"
-        layout = f"{LAYOUT}; it was trained with placement={trained}" if trained else LAYOUT
-        load_renamed(branch, given, names, what=what, layout=layout)
+        names = self.without_prefix(state)
+        if part == "backbone":
+            _load_backbone(module, names)
+        elif part == "branch":
+            _load_branch(module, names)
+        else:
+            _load_text_adapter(module, names)
 
 
+def _placement(names: Mapping[str, Tensor]) -> Literal["head", "full"] | None:
+    """The placement that a checkpoint's style branch was trained with; ``None`` if it holds no style branch."""
+    if any(name.startswith("aggregator_injection.") for name in names):
+        return "full"
+    return "head" if any(name.startswith("gaussian_param_head_style.") for name in names) else None
+
+
+def _load_backbone(backbone: nn.Module, state: Mapping[str, Tensor]) -> None:
+    names, what = backbone_names(backbone.state_dict()), "backbone"
+    given = {name: tensor for name, tensor in state.items() if name.startswith(BACKBONE_PARTS) and name not in UNUSED}
+    untouched: list[str] = []  # keys that stay as they are
+    if not any(name.startswith(GAUSSIANS) for name in state):
+        what = "backbone's part that VGGT initialises"
+        untouched = [key for key, name in names.items() if name.startswith(GAUSSIANS)]
+        names = {key: name for key, name in names.items() if key not in untouched}
+    load_renamed(backbone, given, names, what=what, layout=LAYOUT)
+    if untouched:
+        _log.warning(
+            "VGGT's file initialises %d of the backbone's %d tensors; left as they were: the %d of its Gaussian "
+            "head (%s, …)",
+            *(len(names), len(names) + len(untouched), len(untouched), ", ".join(untouched[:5])),
+        )
+
+
+def _load_branch(branch: nn.Module, state: Mapping[str, Tensor]) -> None:
+    names = branch_names(branch.state_dict())
+    given = {name: tensor for name, tensor in state.items() if name.startswith(BRANCH_PARTS)}
+    injectors = branch.get_submodule("injectors")
+    for site, injector in injectors.named_children():
+        weight = state.get(names.get(f"injectors.{site}.fc.0.weight", ""))
+        if isinstance(injector, ZeroConv) and weight is not None and weight.dim() == 2:
+            injectors.register_module(site, _with_hidden(injector, weight))
+    trained = _placement(state)
+    what = "style branch" if trained else "style branch, and holds none of its own"
+    layout = f"{LAYOUT}; it was trained with placement={trained}" if trained else LAYOUT
+    load_renamed(branch, given, names, what=what, layout=layout)
+
+
+def _with_hidden(injector: ZeroConv, weight: Tensor) -> ZeroConv:
+    """An injector of the same options whose first layer has the shape of ``weight``."""
+    first, projection = injector.get_submodule("fc.0").get_parameter("weight"), injector.zero_proj
+    hidden, style_dim = weight.shape
+    _check_style_dim(style_dim, first.shape[1])
+    if hidden == first.shape[0]:
+        return injector
+    with first.device:
+        resized = ZeroConv(
+            dim=projection.in_features,
+            style_dim=style_dim,
+            hidden=hidden,
+            gain=injector.gain,
+            special_tokens=injector.special_tokens,
+        )
+    return resized.to(first.dtype)
+
+
+def _check_style_dim(trained: int, given: int) -> None:
+    if trained != given:
+        raise UserError(
+            f"the style branch was trained with embeddings of {trained} numbers, and the style encoder's have {given}; "
+            "choose the encoder it was trained with (style_encoder=long_clip)"
+        )
+
+
+def _load_text_adapter(encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
+    given = {name.removeprefix(TEXT_ADAPTER): state[name] for name in state if name.startswith(TEXT_ADAPTER)}
+    adapter = getattr(encoder, "adapter", None)
+    expected = adapter.state_dict() if isinstance(adapter, nn.Module) else {}
+    first = given.get("mlp.0.weight")
+    if first is not None:
+        _check_style_dim(first.shape[-1], getattr(encoder, "dim", 0))
+    if {key: tensor.shape for key, tensor in expected.items()} != {key: tensor.shape for key, tensor in given.items()}:
+        raise UserError(
+            f"the checkpoint's text adapter has the tensors {sorted(given) or 'none'}, and the style encoder's "
+            f"{sorted(expected) or 'none'}; choose style_encoder=long_clip "
+            f"style_encoder.text_adapter={str(bool(given)).lower()}"
+        )
+    if isinstance(adapter, nn.Module):
+        fill(adapter, given)
+
+
+_length = partial(length, publisher="AnySplat's or AnyStyle's")
 PUBLISHED_TAPS = (4, 11, 17, 23)
 PUBLISHED_DEPTH = 24
 
@@ -166,12 +210,6 @@ def options_of(names: Mapping[str, Tensor]) -> dict[str, object]:
 
     Which layers heads read cannot be seen: they are taken at the published fraction of the depth, rounded up. Heads of
     the camera head cannot either: there are as many as in the aggregator, as published.
-
-    Args:
-        names: Tensors under published names, without prefixes.
-
-    Raises:
-        ValueError: A tensor is missing, or is no weight of such a network.
     """
     dim = _length(names, "aggregator.camera_token", 3)
     patches = "aggregator.patch_embed."
@@ -213,10 +251,6 @@ def _decoder(names: Mapping[str, Tensor], part: str, option: str) -> dict[str, o
         f"{option}_channels": tuple(_length(names, f"{part}projects.{level}.weight", 0) for level in range(4)),
         f"{option}_hidden": _length(names, f"{part}scratch.output_conv2.0.weight", 0),
     }
-
-
-def _length(names: Mapping[str, Tensor], name: str, axis: int) -> int:
-    return length(names, name, axis, publisher="AnySplat's or AnyStyle's")
 
 
 def _count(names: Mapping[str, Tensor], prefix: str) -> int:

@@ -1,4 +1,4 @@
-"""The later blocks of the trunk: within each view and across all views by turns."""
+"""The later blocks of the trunk: attention alternates between each view and all views."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -14,7 +14,7 @@ from anystyle.types import Features, Inject, Site, Tokens, untouched
 
 
 class Aggregator(contracts.Aggregator):
-    """Blocks of which the odd ones, counted over the whole trunk, see all views, and the even ones a view each.
+    """Blocks that attend across all views where their index in the trunk is odd, and within each view where it is even.
 
     Style may enter ahead of every block, on the residual stream. Marked as tapped are the first block and, for each
     layer that heads read, the local block whose output is the first half of what they read, so that style is in both
@@ -44,7 +44,7 @@ class Aggregator(contracts.Aggregator):
         self.taps = tuple(taps)
         self.rope_base = rope_base
         self.checkpointing = checkpointing
-        # By their places in the trunk, which is what checkpoints call them.
+        # By their index in the trunk, as checkpoints name them.
         self.blocks = nn.ModuleDict(
             {
                 str(layer): Block(
@@ -60,7 +60,9 @@ class Aggregator(contracts.Aggregator):
     def sites(self) -> tuple[Site, ...]:
         """``aggregator/<block>``, ahead of every block."""
         tapped = {self.start, *(max(self.start, layer - layer % 2) for layer in self.taps)}
-        return tuple(Site(_site(layer), self.dim, tapped=layer in tapped) for layer in range(self.start, self.depth))
+        return tuple(
+            Site(f"aggregator/{layer}", self.dim, tapped=layer in tapped) for layer in range(self.start, self.depth)
+        )
 
     def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
         """Turn the stem into tapped features."""
@@ -73,7 +75,7 @@ class Aggregator(contracts.Aggregator):
         tokens, local = stem, stem.data
         features: dict[int, Tokens] = {}
         for layer in range(self.start, self.depth):
-            tokens, block = inject(_site(layer), tokens), self.blocks[str(layer)]
+            tokens, block = inject(f"aggregator/{layer}", tokens), self.blocks[str(layer)]
             if layer % 2:
                 joint = self._run(block, tokens.data.flatten(1, 2), across)  # B VP C
                 tokens = tokens.with_data(joint.unflatten(1, (views, -1)))
@@ -93,10 +95,6 @@ class Aggregator(contracts.Aggregator):
         return run(block, x, angles, recompute=self.checkpointing and self.training)
 
 
-def _site(layer: int) -> str:
-    return f"aggregator/{layer}"
-
-
 def flat_positions(grid: tuple[int, int]) -> Float[Tensor, "L 2"]:
-    """What the published network uses across views: the leading token at (0, 0), every patch at (1, 1)."""
+    """Positions across views, as published: the leading token at (0, 0), every patch at (1, 1)."""
     return grid_positions(grid).clamp_max(1)

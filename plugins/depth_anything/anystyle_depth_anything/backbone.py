@@ -1,13 +1,13 @@
 """The network: five parts, and every option that its weights fix."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from torch import Tensor
-
 from anystyle import contracts
+from anystyle.errors import UserError
 from anystyle.nn.aligner import Aligner
+from anystyle.nn.heads import check_options
 from anystyle.nn.reference_view import Strategy
 from anystyle.published import Published
 from anystyle_depth_anything.adapter import Adapter
@@ -44,7 +44,7 @@ class DepthAnything(contracts.Backbone):
         taps: The four layers that the heads read; the last is the trunk's last.
         camera_encoder_depth: Blocks of the encoder of known cameras; at 0 there is none.
         camera_encoder_heads: Its attention heads.
-        rays: Whether the geometry head has the chain that tells rays.
+        rays: Whether the geometry head has a decoder of rays.
         poses: ``regressed`` from camera tokens, as published, or ``aligned`` by matching points with the reference's,
             which a network of a few million parameters can learn (see :class:`anystyle.nn.aligner.Aligner`).
         depth_features: Channels of the depth head's decoder.
@@ -52,18 +52,20 @@ class DepthAnything(contracts.Backbone):
         gaussian_features: Channels of the Gaussian head's decoder.
         gaussian_channels: Channels of its four levels.
         sh_degree: Of its harmonics.
-        depth_along: How the adapter reads depth; see :class:`anystyle_depth_anything.adapter.Adapter`.
-        rotations: How it reads quaternions.
+        depth_along: ``ray``: depth is the distance along the pixel's ray, as the published weights were trained;
+            ``z``: along the camera's axis.
+        rotations: ``published``: the entries of quaternions are permuted in world space, a side effect of the published
+            code that its weights were trained with; ``camera``: they are xyzw in the camera's axes.
         scale_min: Least scale of a Gaussian, in tenths of the sum of a pixel's sides at its depth.
         scale_max: Largest scale, in the same unit.
-        chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; a matter of memory alone.
+        chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; it changes memory alone.
         checkpointing: Whether training recomputes blocks of the aggregator to save memory.
         init: ``published``: initial values as DINOv2's; ``scratch``: values from which photographs are reproduced on
             a plane at depth 1, for training without pretrained weights (see
             :func:`anystyle_depth_anything.scratch.start_from_scratch`). The computation is the same.
 
     Raises:
-        ValueError: Options contradict each other.
+        UserError: Options contradict each other.
     """
 
     published: ClassVar[Published | None] = Checkpoints()
@@ -124,13 +126,13 @@ class DepthAnything(contracts.Backbone):
         init: Literal["published", "scratch"] = "published",
     ) -> None:
         super().__init__()
-        _check(dim=dim, heads=heads, depth=depth, alternate_from=alternate_from, taps=taps)
+        if not 1 <= alternate_from < depth:
+            raise UserError(f"alternate_from is {alternate_from}; give a block from 1 to depth - 1 = {depth - 1}")
+        check_options(dim=dim, heads=heads, taps=taps, first=alternate_from, depth=depth, chunk=chunk)
         if init == "scratch" and gaussian_features < 24:
-            raise ValueError(f"gaussian_features is {gaussian_features}; init=scratch needs 24, for three colours")
+            raise UserError(f"gaussian_features is {gaussian_features}; init=scratch needs 24, for three colours")
         if camera_encoder_depth and dim % camera_encoder_heads:
-            raise ValueError(f"camera_encoder_heads is {camera_encoder_heads}, which does not divide {dim} channels")
-        if chunk < 1:
-            raise ValueError(f"chunk is {chunk}; at least 1 view is decoded at a time")
+            raise UserError(f"camera_encoder_heads is {camera_encoder_heads}, which does not divide {dim} channels")
         self.patch_size = patch_size
         self.resolution = resolution
         self.embedder = Embedder(
@@ -180,25 +182,3 @@ class DepthAnything(contracts.Backbone):
         if init == "scratch":
             start_from_scratch(self.embedder, self.geometry_head)
             start_gaussians(self.gaussian_head, scale_min=scale_min, scale_max=scale_max)
-
-    def load_reference(self, state: Mapping[str, Tensor]) -> None:
-        """Load the published weights: the state dict of a checkpoint, with or without the prefixes of its file.
-
-        Where a checkpoint has no Gaussian head, ours stays as it is: train it.
-
-        Raises:
-            ValueError: They do not fit; up to five missing, unexpected and misshapen keys are named.
-        """
-        Checkpoints().load_backbone(self, state)
-
-
-def _check(*, dim: int, heads: int, depth: int, alternate_from: int, taps: Sequence[int]) -> None:
-    if dim % (4 * heads):
-        raise ValueError(f"dim {dim} with {heads} heads; the channels of a head must be a multiple of 4")
-    if not 1 <= alternate_from < depth:
-        raise ValueError(f"alternate_from is {alternate_from}; give a block from 1 to depth - 1 = {depth - 1}")
-    if len(taps) != 4 or list(taps) != sorted(set(taps)) or taps[0] < alternate_from or taps[-1] != depth - 1:
-        raise ValueError(
-            f"taps are {list(taps)}; give four layers in rising order, from alternate_from = {alternate_from} on, of "
-            f"which the last is depth - 1 = {depth - 1}"
-        )

@@ -37,11 +37,7 @@ class CameraEncoder(nn.Module):
         self.trunk_norm = nn.LayerNorm(dim)
 
     def forward(self, cameras: Cameras) -> Float[Tensor, "B V C"]:
-        """One token a view.
-
-        Args:
-            cameras: In the frame of the first view, at a scale where their median distance from it is 1.
-        """
+        """One token a view."""
         x = self.token_norm(self.pose_branch(encode_pose(cameras).to(self.token_norm.weight.dtype)))
         for block in self.trunk:
             x = block(x)

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
+from anystyle.errors import UserError
 from anystyle.nn.attention import Block, start_as_dino
 from anystyle.nn.pixels import grid_of, normalised
 from anystyle.nn.reference_view import Strategy, is_reference, reference_view
@@ -59,16 +60,7 @@ class Embedder(contracts.Embedder):
         start_as_dino(self.blocks)
 
     def forward(self, images: Float[Tensor, "B V 3 H W"], cameras: Cameras | None = None) -> Tokens:
-        """Embed sRGB images in [0, 1].
-
-        Args:
-            images: As in the contract.
-            cameras: Known ones, as :class:`~anystyle_depth_anything.cameras.CameraEncoder` reads them; the first view
-                is then the reference.
-
-        Raises:
-            ValueError: A side is no multiple of the patch size, or cameras are given and there is no encoder of them.
-        """
+        """Embed sRGB images in [0, 1]."""
         tokens = self.patches(images)
         for block in self.blocks[:-1]:
             tokens = self._local(block, tokens)
@@ -79,11 +71,7 @@ class Embedder(contracts.Embedder):
         return tokens.with_data(torch.cat([camera[:, :, None], tokens.patches], dim=2))
 
     def patches(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
-        """Class token and patches, with positions added.
-
-        Raises:
-            ValueError: A side is no multiple of the patch size.
-        """
+        """Class token and patches, with positions added."""
         batch, views = images.shape[:2]
         grid = grid_of(images, self.patch_size)
         patches = self.proj(normalised(images.to(self.proj.weight.dtype)).flatten(0, 1)).flatten(2).mT
@@ -108,6 +96,6 @@ class Embedder(contracts.Embedder):
         if cameras is None:
             return self.camera_token[0][1 - is_reference(tokens).long()]
         if self.camera_encoder is None:
-            raise ValueError("cameras are given, but this network has no encoder of them; set camera_encoder_depth")
+            raise UserError("cameras are given, but this network has no encoder of them; set camera_encoder_depth")
         with torch.autocast(self.camera_token.device.type, enabled=False):
             return self.camera_encoder(cameras)

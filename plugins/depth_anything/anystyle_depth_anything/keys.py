@@ -7,10 +7,12 @@ is published for this network.
 
 import re
 from collections.abc import Iterable, Mapping
+from functools import partial
 from math import isqrt
 
 from torch import Tensor, nn
 
+from anystyle.errors import UserError
 from anystyle.nn.published import checked_parts, dpt_rules, length, load_renamed, numbers, renamed
 from anystyle.published import Published
 
@@ -49,11 +51,6 @@ class Checkpoints(Published):
     """The files of Depth Anything 3 that see several views."""
 
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """See :meth:`Published.without_prefix`.
-
-        Raises:
-            ValueError: It is of another network.
-        """
         bare = {key.removeprefix("model."): tensor for key, tensor in state.items()}
         if any(name.startswith("da3.") for name in bare):
             bare = {name.removeprefix("da3."): bare[name] for name in bare if not name.startswith("da3_metric.")}
@@ -65,32 +62,34 @@ class Checkpoints(Published):
             "DA3NESTED-GIANT-LARGE",
         )
         if "backbone.pretrained.camera_token" not in bare:
-            raise ValueError(
+            raise UserError(
                 "the checkpoint has no camera tokens: it is of a size that sees one view alone (metric, mono) and "
                 "makes no scene; give the file of depth-anything/DA3-SMALL, DA3-BASE, DA3-LARGE or DA3-GIANT"
             )
         return bare
 
-    def complete(self, state: Mapping[str, Tensor]) -> bool:
-        """Whether a state dict holds the whole network; most sizes are published without a Gaussian head."""
-        return any(name.startswith(GAUSSIANS) for name in self.without_prefix(state))
+    def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:
+        options = options_of(self.without_prefix(state))
+        return {f"backbone.{name}": value for name, value in options.items()} | {
+            "branch.sh_degree": options.get("sh_degree", 0)
+        }
 
-    def options(self, state: Mapping[str, Tensor]) -> dict[str, object]:
-        return options_of(self.without_prefix(state))
+    def parts(self, state: Mapping[str, Tensor]) -> dict[str, bool]:
+        """Most sizes are published without a Gaussian head."""
+        return {"backbone": any(name.startswith(GAUSSIANS) for name in self.without_prefix(state))}
 
-    def load_backbone(self, backbone: nn.Module, state: Mapping[str, Tensor]) -> None:
-        """Load a checkpoint into a backbone of the same options; without a Gaussian head in it, ours stays as it is.
-
-        Raises:
-            ValueError: Keys or shapes differ; up to five of each kind of difference are named.
-        """
+    def load(self, part: str, module: nn.Module, state: Mapping[str, Tensor]) -> None:
+        """Load a checkpoint into a backbone of the same options; without a Gaussian head in it, ours stays as it is."""
+        if part != "backbone":
+            raise UserError("the checkpoint holds no style branch; give one that anystyle trained, or null")
         given = {name: tensor for name, tensor in self.without_prefix(state).items() if not UNUSED.match(name)}
-        names = backbone_names(backbone.state_dict())
-        if not self.complete(state):
+        names = backbone_names(module.state_dict())
+        if not any(name.startswith(GAUSSIANS) for name in given):
             names = {key: name for key, name in names.items() if not name.startswith(GAUSSIANS)}
-        load_renamed(backbone, given, names, what="backbone", layout=LAYOUT)
+        load_renamed(module, given, names, what="backbone", layout=LAYOUT)
 
 
+_length = partial(length, publisher="Depth Anything 3's")
 TAPS = {12: (5, 7, 9, 11), 24: (11, 15, 19, 23), 40: (19, 27, 33, 39)}
 """The layers that heads read, by the published depth of the trunk: shapes do not tell them."""
 
@@ -99,9 +98,6 @@ def options_of(state: Mapping[str, Tensor]) -> dict[str, object]:
     """Options of the backbone, as far as shapes tell.
 
     Without a Gaussian head in it, they are of a network whose head is like the depth head and not yet trained.
-
-    Raises:
-        ValueError: Tensors are missing that sizes are read off.
     """
     return _trunk(state) | _decoder(state, "head", "depth") | _gaussians(state)
 
@@ -145,7 +141,3 @@ def _gaussians(state: Mapping[str, Tensor]) -> dict[str, object]:
         return _decoder(state, "head", "gaussian") | untrained
     degree = isqrt((_length(state, outputs, 0) - 11) // 3) - 1
     return {"sh_degree": degree} | _decoder(state, "gs_head", "gaussian")
-
-
-def _length(state: Mapping[str, Tensor], name: str, axis: int) -> int:
-    return length(state, name, axis, publisher="Depth Anything 3's")

@@ -17,7 +17,7 @@ class Descriptions:
 
     @cached_property
     def texts(self) -> list[str]:
-        """All of them."""
+        """The lines of :data:`FILE`."""
         return FILE.read_text(encoding="utf-8").splitlines()
 
     @cached_property
@@ -34,9 +34,8 @@ class Descriptions:
 
         def cosine(index: int) -> float:
             vector = vectors[index]
-            return sum(vector[feature] * self._rarity[feature] for feature in features & vector.keys()) / max(
-                norm, 1e-9
-            )
+            shared = sum(vector[feature] * self._rarity[feature] for feature in features & vector.keys())
+            return shared / max(norm, 1e-9)
 
         best = max(range(len(vectors)), key=cosine)
         unknown = tuple(word for word in dict.fromkeys(clean(text)) if word not in self.words)

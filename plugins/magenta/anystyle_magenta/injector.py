@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Injector
+from anystyle.errors import UserError
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.types import Tokens
 from anystyle_magenta.prediction import STYLE_DIM
@@ -30,10 +31,10 @@ class MagentaInjector(Injector):
         gate: What ``gate`` starts as: 0 is the identity, from which a branch learns; 1 stylizes without any learning.
         pretrained: Whether the network starts from Magenta's weights (``anystyle weights list magenta_transform``).
             One that starts from scratch takes any sites and any embedding.
-        chunk: Views convolved at a time; a matter of memory alone.
+        chunk: Views convolved at a time, which changes memory alone.
 
     Raises:
-        ValueError: The site or the embedding is not what the published weights are for, or a size is too small.
+        UserError: The site or the embedding is not what the published weights are for, or a size is too small.
         FileNotFoundError: The package with the weights is not installed.
     """
 
@@ -49,12 +50,12 @@ class MagentaInjector(Injector):
     ) -> None:
         super().__init__()
         if working_size < MIN_SIDE or chunk < 1:
-            raise ValueError(
+            raise UserError(
                 f"injector.working_size={working_size} and chunk={chunk} leave nothing to stylize; give at least "
                 f"{MIN_SIDE} and 1"
             )
         if pretrained and (dim, style_dim) != (3, STYLE_DIM):
-            raise ValueError(
+            raise UserError(
                 f"injector=magenta stylizes colours, 3 channels, by the {STYLE_DIM} numbers of style_encoder=magenta; "
                 f"the site has {dim} channels and the style {style_dim} numbers; choose placement=color, or "
                 "injector.pretrained=false"
@@ -67,13 +68,12 @@ class MagentaInjector(Injector):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """From scratch, so that it fits any site, and small."""
         return {"pretrained": False, "working_size": 16}
 
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
         """Stylize the patches; special tokens stay."""
         patches = tokens.patches  # B V (H W) C
-        # What rgb_from_constant and constant_from_rgb say of 3 channels, for any number.
+        # As rgb_from_constant and constant_from_rgb, for any number of channels.
         images = (patches * CONSTANT + 0.5).clamp(0, 1).mT.unflatten(-1, tokens.grid)
         stylized = stylize_images(
             self.network,

@@ -35,43 +35,32 @@ class Convolution(NamedTuple):
     bias: Tensor
 
 
-class _Node(NamedTuple):
-    operator: str
-    inputs: list[str]
-    outputs: list[str]
-
-
 def read_convolutions(content: bytes) -> dict[str, Convolution]:
     """The convolutions of a graph whose weights and biases pass through ``DequantizeLinear``, by their outputs' names.
 
     Quantised values are ``scale * (integer - zero point)``, per tensor or per output channel.
-
-    Raises:
-        ValueError: The file is truncated, or not such a graph.
     """
     try:
         graph = _bytes(content, GRAPH)[0]
         nodes = [_node(message) for message in _bytes(graph, NODE)]
         initializers = dict(_tensor(message) for message in _bytes(graph, INITIALIZER))
         constants = {
-            node.outputs[0]: _dequantized(*(initializers[name] for name in node.inputs))
-            for node in nodes
-            if node.operator == "DequantizeLinear" and node.inputs[0] in initializers
+            outputs[0]: _dequantized(*(initializers[name] for name in inputs))
+            for (operator,), inputs, outputs in nodes
+            if operator == "DequantizeLinear" and inputs[0] in initializers
         }
         return {
-            node.outputs[0]: Convolution(*(torch.from_numpy(constants[name]) for name in node.inputs[1:]))
-            for node in nodes
-            if node.operator == "Conv"
+            outputs[0]: Convolution(*(torch.from_numpy(constants[name]) for name in inputs[1:]))
+            for (operator,), inputs, outputs in nodes
+            if operator == "Conv"
         }
     except (IndexError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"no int8 ONNX graph, or a truncated one ({type(error).__name__}: {error})") from None
 
 
-def _node(message: memoryview) -> _Node:
-    inputs, outputs, operator = (
-        [bytes(value).decode() for value in _bytes(message, field)] for field in (INPUT, OUTPUT, OPERATOR)
-    )
-    return _Node(operator[0], inputs, outputs)
+def _node(message: memoryview) -> list[list[str]]:
+    """The operator, alone in a list, the inputs and the outputs."""
+    return [[bytes(value).decode() for value in _bytes(message, field)] for field in (OPERATOR, INPUT, OUTPUT)]
 
 
 def _tensor(message: memoryview) -> tuple[str, np.ndarray]:

@@ -5,19 +5,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 STYLE_DIM = 100
-"""Numbers that a style is."""
+"""Length of a style vector."""
 SIDE = 256
 """Sides in pixels of the pictures that the network was trained on."""
 
 BLOCKS = (
-    (1, 16, 1, 1),
-    (6, 24, 2, 2),
-    (6, 32, 3, 2),
-    (6, 64, 4, 2),
-    (6, 96, 3, 1),
-    (6, 160, 3, 2),
-    (6, 320, 1, 1),
-)
+    (1, 16, 1, 1), (6, 24, 2, 2), (6, 32, 3, 2), (6, 64, 4, 2), (6, 96, 3, 1), (6, 160, 3, 2), (6, 320, 1, 1),
+)  # fmt: skip
 """Expansion, channels, number of blocks and first stride of each stage (Sandler et al. 2018, table 2)."""
 
 
@@ -56,7 +50,6 @@ class ConvReLU6(nn.Module):
         self.padding = (before, after, before, after)
 
     def forward(self, x: Float[Tensor, "M C h w"]) -> Float[Tensor, "M D _ _"]:
-        """Convolve."""
         return F.relu6(self.conv(F.pad(x, self.padding)))
 
 
@@ -72,6 +65,5 @@ class InvertedResidual(nn.Module):
         self.residual = stride == 1 and inputs == outputs
 
     def forward(self, x: Float[Tensor, "M C h w"]) -> Float[Tensor, "M D _ _"]:
-        """Transform, and add the input where shapes allow."""
         y = self.project(self.depthwise(self.expand(x)))
         return x + y if self.residual else y

@@ -1,7 +1,4 @@
-"""Weights to the networks: Magenta's published ones from the package they travel in, and the bundled text tower's.
-
-Reading Magenta's takes a few hundredths of a second, so that nothing of them is kept in a cache.
-"""
+"""Loading weights: Magenta's published ones, from the Python package that holds them, and the bundled text tower's."""
 
 import hashlib
 from collections.abc import Iterator
@@ -10,9 +7,10 @@ from pathlib import Path
 import torch
 from torch import nn
 
+from anystyle.errors import UserError
 from anystyle.io.checkpoint import load_part
-from anystyle.perception import weights
-from anystyle.perception.sources import Source, published
+from anystyle.vision import weights
+from anystyle.vision.weights import Source, published
 from anystyle_magenta.onnx_file import Convolution, read_convolutions
 from anystyle_magenta.prediction import StylePrediction
 from anystyle_magenta.text_tower import TextTower
@@ -23,15 +21,7 @@ PREDICTION, TRANSFER, TEXT = "magenta_predict", "magenta_transform", "magenta_te
 
 
 def load_prediction(network: StylePrediction, path: str | Path | None = None) -> Source:
-    """Fill the style prediction network from a file, or from where :func:`anystyle.perception.weights.find` looks.
-
-    Returns:
-        Where the weights come from.
-
-    Raises:
-        FileNotFoundError: The package is not installed.
-        ValueError: The file is not the published one.
-    """
+    """Fill the style prediction network from a file, or from where :func:`anystyle.vision.weights.find` looks."""
     convolutions, source = _read(PREDICTION, path)
     layers = [layer for layer in network.modules() if isinstance(layer, nn.Conv2d | nn.Linear)]
     # The graph lists its convolutions in the order of the computation, as the network does.
@@ -57,12 +47,11 @@ def load_text_tower(tower: TextTower, path: str | Path | None = None) -> Source:
 
 
 def _read(name: str, path: str | Path | None) -> tuple[dict[str, Convolution], Source]:
-    file = weights.find(name, path)
+    file, row = weights.find(name, path), weights.row(name)
     content = file.read_bytes()
     digest = hashlib.sha256(content).hexdigest()
-    row = weights.row(name)
     if digest != row.sha256:
-        raise ValueError(
+        raise UserError(
             f"{file} is not the published file: its SHA-256 is {digest[:12]}… instead of {str(row.sha256)[:12]}…; "
             f"get {row.file} from {row.source}"
         )
@@ -74,18 +63,16 @@ def _transfer_layers(network: StyleTransfer) -> Iterator[tuple[nn.Conv2d | nn.Li
     for index, conv in enumerate(network.contract, start=1):
         assert isinstance(conv, nn.Conv2d)
         yield conv, f"transformer/contract/conv{index}/Relu_prequant"
+    styled: list[tuple[nn.Module, str]] = []
     for index, block in enumerate(network.residual, start=1):
         for part, layer in enumerate(block.children(), start=1):
-            yield from _styled_layers(layer, f"transformer/residual/residual{index}/conv{part}")
-    for index, layer in enumerate(network.expand, start=1):
-        yield from _styled_layers(layer, f"transformer/expand/conv{index}/conv")
-
-
-def _styled_layers(layer: nn.Module, name: str) -> Iterator[tuple[nn.Conv2d | nn.Linear, str]]:
-    assert isinstance(layer, StyledConv)
-    yield layer.conv, f"{name}/Conv2D_prequant"
-    yield layer.shift, f"style_params/{name}/StyleNorm/Conv/BiasAdd_prequant"
-    yield layer.scale, f"style_params/{name}/StyleNorm/Conv_1/BiasAdd_prequant"
+            styled.append((layer, f"transformer/residual/residual{index}/conv{part}"))
+    styled += [(layer, f"transformer/expand/conv{index}/conv") for index, layer in enumerate(network.expand, start=1)]
+    for layer, name in styled:
+        assert isinstance(layer, StyledConv)
+        yield layer.conv, f"{name}/Conv2D_prequant"
+        yield layer.shift, f"style_params/{name}/StyleNorm/Conv/BiasAdd_prequant"
+        yield layer.scale, f"style_params/{name}/StyleNorm/Conv_1/BiasAdd_prequant"
 
 
 @torch.no_grad()

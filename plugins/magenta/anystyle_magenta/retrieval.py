@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.metrics.style_retrieval import Retrieval
-from anystyle.perception.sources import checksums
+from anystyle.vision.weights import checksums
 from anystyle_magenta.prediction import StylePrediction
 from anystyle_magenta.pretrained import load_prediction
 from anystyle_magenta.style_encoder import centre_square
@@ -16,7 +16,7 @@ from anystyle_magenta.style_encoder import centre_square
 class MagentaRetrieval(Retrieval):
     """:class:`~anystyle.metrics.style_retrieval.Retrieval` by the 100 numbers of Magenta's prediction network.
 
-    A judge of what was trained with EfficientNet-Lite0, and none of ``model=painter`` or of what was distilled from it.
+    An independent judge of models trained with EfficientNet-Lite0, but not of ``model=painter``, which uses it.
     """
 
     better: ClassVar[Mapping[str, str]] = {"magenta_retrieval": "higher", "magenta_retrieval_gray": "higher"}
@@ -28,5 +28,4 @@ class MagentaRetrieval(Retrieval):
         self.network.requires_grad_(False)
 
     def describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """See :meth:`anystyle.metrics.style_retrieval.Retrieval.describe`."""
         return self.network(centre_square(images))

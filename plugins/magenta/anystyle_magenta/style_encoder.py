@@ -15,18 +15,18 @@ from anystyle_magenta.text_tower import TextTower
 
 
 class MagentaEncoder(StyleEncoder):
-    """Magenta's style prediction network, and a text tower that learnt what it sees in pictures with captions.
+    """Magenta's style prediction network, and a text tower that predicts its vectors from captions.
 
-    Its vectors are not of unit norm: lengths mean something to the style transfer network. They may be mixed linearly.
-    The text tower is no part of Magenta. It knows a few hundred words for colours, patterns, media, things and manners;
-    :meth:`match_text` says which words of a text it does not know.
+    Its vectors are not of unit norm, since the style transfer network depends on their lengths; they may be mixed
+    linearly. The text tower is not Magenta's. It knows a few hundred words for colours, patterns, media, things and
+    manners; :meth:`match_text` says which words of a text it does not know.
 
     Args:
         pretrained: Whether the networks have their weights (``anystyle weights list magenta_predict magenta_text``).
 
     Raises:
         FileNotFoundError: The package with Magenta's weights is not installed.
-        ValueError: The package holds another file than the published one.
+        UserError: The package holds another file than the published one.
     """
 
     unit_norm: bool = False
@@ -42,20 +42,19 @@ class MagentaEncoder(StyleEncoder):
             self.sources = (load_prediction(self.network), load_text_tower(self.text_tower))
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """See :meth:`StyleEncoder.embed_images`; the square in the middle is seen at 256 pixels a side."""
+        """Embeddings of the square in the middle of images, resized to 256 pixels a side; differentiable."""
         return self.network(centre_square(images))
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        """See :meth:`StyleEncoder.embed_texts`."""
         return self.text_tower(texts)
 
     def match_text(self, text: str) -> TextMatch:
-        """See :meth:`StyleEncoder.match_text`; similarity is that of the words' spelling, from 0 to 1."""
+        """The nearest known description; similarity is that of the words' spelling, from 0 to 1."""
         return self.descriptions.match(text)
 
 
 def centre_square(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 256 256"]:
-    """The square in the middle, brought to the size that the network was trained with."""
+    """The square in the middle, resized to the size that the network was trained with."""
     height, width = images.shape[-2:]
     side = min(height, width)
     top, left = (height - side) // 2, (width - side) // 2

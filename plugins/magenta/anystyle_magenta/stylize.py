@@ -27,10 +27,10 @@ def stylize_images(
         network: See :func:`anystyle_magenta.pretrained.load_transfer`.
         images: sRGB in [0, 1].
         style: A vector a row.
-        working_size: The shorter side in pixels that the network sees. Its strokes are so many pixels wide whatever
-            it sees, so that a smaller size has broader ones. ``None``: as the images are.
+        working_size: The shorter side in pixels that the network sees. Strokes have a fixed width in
+            its pixels, so that a smaller size has broader ones. ``None``: as the images are.
         joint: Whether the views of a row share the statistics of the normalisations, as parts of one picture do.
-        chunk: Views convolved at a time; a matter of memory alone.
+        chunk: Views convolved at a time, which changes memory alone.
 
     Returns:
         sRGB in [0, 1], as large as the images.

@@ -8,8 +8,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
-from anystyle.perception.features import Frozen, freeze
 from anystyle.types import Stylization
+from anystyle.vision.features import Frozen, freeze
 from anystyle_magenta.prediction import StylePrediction
 from anystyle_magenta.pretrained import load_prediction, load_transfer
 from anystyle_magenta.style_encoder import centre_square
@@ -31,15 +31,12 @@ class Teacher(Loss):
     """Come near the photographs as Magenta's networks stylize them: ``mean |I - T| + edges * mean |dI - dT|``.
 
     ``T`` are the photographs of a scene, stylized together by the style image, ``d`` differences of neighbouring
-    pixels, down and across. What the style enters as does not matter; a text alone adds nothing.
+    pixels, down and across. Styles without an image add nothing.
 
     Args:
-        working_size: The shorter side in pixels at which the teacher sees the photographs.
+        working_size: Shorter side in pixels at which the teacher sees the photographs.
         edges: The factor above.
         weight: In the objective.
-
-    Raises:
-        FileNotFoundError: The package with the weights is not installed.
     """
 
     def __init__(self, *, working_size: int = 224, edges: float = 1.0, weight: float = 10.0) -> None:
@@ -49,11 +46,9 @@ class Teacher(Loss):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """On small pictures."""
         return {"working_size": 32}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         renders, image, given = result.renders.color, result.style.image, result.style.has_image
         if image is None:
             return renders.new_zeros(())
@@ -66,7 +61,7 @@ class Teacher(Loss):
     def stylized(
         self, photographs: Float[Tensor, "B V 3 H W"], style: Float[Tensor, "B 3 h w"]
     ) -> Float[Tensor, "B V 3 H W"]:
-        """What is to be learnt; all in sRGB in [0, 1]."""
+        """The target of the loss; all images are sRGB in [0, 1]."""
         vectors = self.painter.prediction(centre_square(style))
         return stylize_images(self.painter.transfer, photographs, vectors, working_size=self.working_size, joint=True)
 

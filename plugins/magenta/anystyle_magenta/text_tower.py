@@ -15,12 +15,6 @@ class TextTower(nn.Module):
 
     Hashed words and their letter triples are pooled to the mean and the maximum of their vectors, and a small network
     turns these into coordinates on the principal axes of style vectors.
-
-    Args:
-        width: Channels of a word.
-        hidden: Channels of the network.
-        buckets: Rows of the table of hashed words.
-        max_words: The longest text it reads.
     """
 
     mean: Tensor
@@ -35,11 +29,7 @@ class TextTower(nn.Module):
         self.register_buffer("axes", torch.eye(STYLE_DIM))
 
     def forward(self, texts: Sequence[str]) -> Float[Tensor, "M 100"]:
-        """Style vectors of texts.
-
-        Raises:
-            ValueError: A text holds no word, or more than ``max_words``.
-        """
+        """Style vectors of texts."""
         words, present = self.table.read(texts, self.max_words)
         count = present.sum(1, keepdim=True)
         mean = (words * present[..., None]).sum(1) / count.sqrt()

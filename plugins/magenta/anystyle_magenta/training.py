@@ -1,6 +1,6 @@
 """Training the text tower: captions to the style vectors that the prediction network sees in their pictures."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,8 +11,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import SceneSource, StyleSource
+from anystyle.errors import UserError
 from anystyle.nn.words import with_made_up_word
-from anystyle.training.contract import Training, required
+from anystyle.training.base import Training, required
 from anystyle.training.optim import decayed_adamw
 from anystyle.training.sampling import generator
 from anystyle.types import Value
@@ -34,18 +35,7 @@ class CaptionBatch(Value):
 
 
 class CaptionBatches:
-    """Batches of captions; a picture's style vector is computed when it is first drawn, and the picture forgotten.
-
-    Args:
-        styles: Pictures with captions.
-        encoder: Gives their style vectors.
-        seed: Of every choice.
-        batch_size: Captions a step over all processes.
-        pool: Draw from the first so many styles; ``None`` means all.
-
-    Raises:
-        ValueError: There are fewer styles than a batch takes.
-    """
+    """Batches of captions; a picture's style vector is computed when it is first drawn, and the picture forgotten."""
 
     def __init__(
         self, styles: StyleSource, encoder: MagentaEncoder, *, seed: int, batch_size: int, pool: int | None
@@ -53,7 +43,7 @@ class CaptionBatches:
         self.styles, self.encoder, self.seed, self.batch_size = styles, encoder, seed, batch_size
         self.pool = len(styles) if pool is None else min(pool, len(styles))
         if self.pool < batch_size:
-            raise ValueError(f"a batch of {batch_size} needs as many styles, and there are {self.pool}")
+            raise UserError(f"a batch of {batch_size} needs as many styles, and there are {self.pool}")
         self._known: dict[int, tuple[str, Tensor]] = {}
 
     def batch(self, step: int, rank: int = 0, world: int = 1) -> CaptionBatch:
@@ -62,24 +52,20 @@ class CaptionBatches:
         return self.read(rows.tolist())
 
     @torch.no_grad()
-    def read(self, rows: "list[int] | range") -> CaptionBatch:
-        """Captions and vectors of some styles.
-
-        Raises:
-            ValueError: A style has no picture or no caption.
-        """
+    def read(self, rows: Sequence[int]) -> CaptionBatch:
+        """Captions and vectors of some styles."""
         for row in rows:
             if row not in self._known:
                 style = self.styles.read(row)
                 if style.image is None or not style.text or not style.text[0]:
-                    raise ValueError(f"style {row} lacks a picture or a caption; use styles=captioned")
+                    raise UserError(f"style {row} lacks a picture or a caption; use styles=captioned")
                 self._known[row] = style.text[0], self.encoder.embed_images(style.image)[0]
         texts, vectors = zip(*(self._known[row] for row in rows), strict=True)
         return CaptionBatch(texts, torch.stack(vectors))
 
 
 class CaptionTraining(Training):
-    """Predict style vectors from captions, in the least squares of their numbers.
+    """Predict style vectors from captions, with the squared error.
 
     Args:
         style_encoder: Whose prediction network gives the targets; its text tower is trained from scratch.
@@ -117,15 +103,12 @@ class CaptionTraining(Training):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """A few captions."""
         return {"batch_size": 4, "pool": 8, "axes_on": 8, "warmup": 1}
 
     def exports(self) -> Mapping[str, nn.Module]:
-        """The text tower."""
         return {"text_tower": self.tower}
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> CaptionBatches:
-        """Captions with the style vectors of their pictures."""
         self.source = CaptionBatches(
             required(styles, "styles"), self.encoder, seed=seed, batch_size=self.batch_size, pool=self.pool
         )
@@ -140,14 +123,14 @@ class CaptionTraining(Training):
             self.variance.copy_(examples.vectors.var(0).sum())
 
     def training_step(self, batch: CaptionBatch, step: int) -> Tensor:
-        """The squared error as a share of the variance."""
+        """The squared error as a fraction of the variance."""
         predicted = self.tower([with_made_up_word(text, self.noise_words) for text in batch.texts])
         loss = (predicted - batch.vectors).square().sum(1).mean() / self.variance
         self.log("train/loss", loss, batch_size=len(batch.texts), prog_bar=True)
         return loss
 
     def validation_step(self, batch: CaptionBatch, step: int) -> None:
-        """Log how often a caption's nearest picture in the batch is its own, and the share of variance missed."""
+        """Log how often a caption's nearest picture in the batch is its own, and the relative error."""
         predicted = self.tower(batch.texts)
         figures = {f"recall_at_{k}": recall(predicted, batch.vectors, k) for k in (1, 5)}
         centred = batch.vectors - self.tower.mean

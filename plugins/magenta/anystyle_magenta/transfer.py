@@ -24,10 +24,6 @@ class StyleTransfer(nn.Module):
     Ghiasi et al. 2017 (arXiv:1705.06830, section 2.1 and table 2), in the widths that Magenta publishes for phones.
     Statistics of a normalisation are taken over all views of a row: the views of a scene are stylized as one picture,
     and a picture that is a row of its own as published.
-
-    Args:
-        channels: Of the images.
-        style_dim: Numbers that a style is.
     """
 
     def __init__(self, *, channels: int = 3, style_dim: int = STYLE_DIM) -> None:
@@ -52,16 +48,7 @@ class StyleTransfer(nn.Module):
     def forward(
         self, images: Float[Tensor, "B V C H W"], style: Float[Tensor, "B D"], chunk: int | None = None
     ) -> Float[Tensor, "B V C H W"]:
-        """Stylize.
-
-        Args:
-            images: sRGB in [0, 1], sides multiples of 4 and at least 8.
-            style: A vector a row.
-            chunk: Views convolved at a time, which bounds memory and changes results by rounding alone; ``None``: all.
-
-        Returns:
-            sRGB in (0, 1).
-        """
+        """Stylize sRGB images in [0, 1], of sides of 8 or more that are multiples of 4, ``chunk`` at a time."""
         chunks: Sequence[Tensor] = images.split(chunk or images.shape[1], dim=1)
         for conv in self.contract:
             chunks = [_view_by_view(conv, x).relu() for x in chunks]
@@ -81,7 +68,6 @@ class Residual(nn.Module):
         self.second = StyledConv(channels, channels, 3, style_dim)
 
     def forward(self, chunks: Sequence[Tensor], style: Float[Tensor, "B D"]) -> list[Tensor]:
-        """Transform maps ``B v C h w`` of some views at a time."""
         hidden = [x.relu() for x in self.first(chunks, style)]
         return [x + y for x, y in zip(chunks, self.second(hidden, style), strict=True)]
 
@@ -89,7 +75,7 @@ class Residual(nn.Module):
 class StyledConv(nn.Module):
     """A convolution and a conditional instance normalisation (Dumoulin et al. 2017, arXiv:1610.07629, Eq. 5).
 
-    The convolution has no bias, for the normalisation would take it away again.
+    The convolution has no bias, which the normalisation would remove.
     """
 
     def __init__(self, inputs: int, outputs: int, kernel: int, style_dim: int, *, upsampling: int = 1) -> None:

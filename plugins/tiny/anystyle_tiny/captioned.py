@@ -10,11 +10,11 @@ from torch import Tensor
 
 from anystyle.contracts import StyleSource
 from anystyle.data.style_folder import FolderStyles
+from anystyle.errors import UserError
 from anystyle.types import Style
-from anystyle_tiny.procedural.captions import WORDS, join_names
+from anystyle_tiny.procedural.captions import COLORS, WORDS, join_names
 from anystyle_tiny.procedural.layout import Draw
 from anystyle_tiny.procedural.painting import BRUSHWORK
-from anystyle_tiny.procedural.palettes import COLORS
 from anystyle_tiny.procedural.patterns import PATTERNS
 from anystyle_tiny.procedural.phrases import PHOTO_TEXTS, draw_phrase
 from anystyle_tiny.procedural.styles import SPLITS, ProceduralStyles, StyleTraits, draw_palette, paint_style
@@ -42,7 +42,7 @@ class CaptionedPictures(StyleSource):
             they have a caption only if it is in the folder, and all that have one are in every split.
 
     Raises:
-        ValueError: A number is out of range, or a folder has no images.
+        UserError: A number is out of range, or a folder has no images.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class CaptionedPictures(StyleSource):
         retouch: bool = True,
     ) -> None:
         if not 0 <= pictures <= 1:
-            raise ValueError(f"styles.pictures={pictures}: give a number from 0 to 1")
+            raise UserError(f"styles.pictures={pictures}: give a number from 0 to 1")
         self.procedural = ProceduralStyles(size=size, num_styles=num_styles, seed=seed, split=split)
         self.photographs = None if photographs is None else FolderStyles(root=photographs, size=size)
         self.paintings = None if paintings is None else FolderStyles(root=paintings, size=size)
@@ -115,12 +115,7 @@ def _untouched(draw: Draw, folder: FolderStyles) -> tuple[str, Float[Tensor, "1 
 
 
 def gradient_map(image: Float[Tensor, "1 3 H W"], palette: Float[Tensor, "K 3"]) -> Float[Tensor, "1 3 H W"]:
-    """A picture whose darkest pixels have the darkest colour of a palette, the lightest the lightest one.
-
-    Args:
-        image: sRGB in [0, 1].
-        palette: sRGB; between its colours, in the order of their luma, colours are interpolated by rank.
-    """
+    """A picture whose darkest pixels have the darkest colour of a palette, the lightest the lightest one."""
     order = rgb_to_grayscale(palette.T[None, :, :, None]).flatten().argsort()
     knots = palette[order]
     luma = rgb_to_grayscale(image).flatten()

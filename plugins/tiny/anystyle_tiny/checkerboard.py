@@ -1,9 +1,10 @@
-"""Checkerboard: what repeats with the patches of a network is no stroke."""
+"""Checkerboard: penalise artefacts that repeat with the patches of a network."""
 
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
+from anystyle.errors import UserError
 from anystyle.types import Stylization
 
 
@@ -23,12 +24,12 @@ class Checkerboard(Loss):
     def __init__(self, *, period: int = 14, weight: float = 40.0) -> None:
         super().__init__()
         if period < 2:
-            raise ValueError(f"loss.checkerboard.period is {period}; give the side of a patch, 2 pixels or more")
+            raise UserError(f"loss.checkerboard.period is {period}; give the side of a patch, 2 pixels or more")
         self.period = period
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`; what is left of a last, partial patch is not seen."""
+        # A last, partial patch is left out.
         change = (result.renders.color - result.views.images).flatten(0, 1)
         rows, columns = (side // self.period for side in change.shape[-2:])
         whole = change[..., : rows * self.period, : columns * self.period]

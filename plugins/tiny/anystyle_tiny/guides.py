@@ -1,31 +1,32 @@
 """A model on scenes and styles, every style given as its text and as its image: how variants are set side by side."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import torch
-from torch import Tensor
 
 from anystyle.contracts import Metric, SceneSource, StyleSource
-from anystyle.evaluation import resume
-from anystyle.evaluation.contract import Evaluation, Progress, Protocol, Row, required
-from anystyle.evaluation.runner import SceneFigures, aggregate, judge_scene, mean
+from anystyle.errors import UserError
+from anystyle.evaluation import judge
+from anystyle.evaluation.base import Evaluation, Progress, Protocol, Row, required
+from anystyle.evaluation.judge import SceneFigures, aggregate, judge_scene, mean
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import to_pil
 from anystyle.stylizer import Stylizer
-from anystyle.types import Comparison, Scene, Style, StyleEmbedding, Views
+from anystyle.types import Comparison, Scene, Style, Views
 
 GUIDES = ("text", "image")
 DEPTH_CHANGE = "depth_change"
 
 
-class Guides(Protocol):
+class TextAndImage(Protocol):
     """Stylize every scene in every style, once by its text and once by its image, and judge the renders themselves.
 
-    Every figure is given twice, with ``_text`` and ``_image`` behind its name. Metrics see the depth that the stylized
-    scene has, so that a style that moves or hides Gaussians shows in it. Beside those of the metrics there is
+    Every figure is given twice, with ``_text`` and ``_image`` behind its name. Metrics see the depth of the
+    stylized scene, so that a style that moves or hides Gaussians changes it. Beside those of the metrics there is
     ``depth_change``: the mean absolute difference of the logarithms of the depth of styled and unstyled renders.
 
     Args:
@@ -35,7 +36,7 @@ class Guides(Protocol):
         num_views: Of each scene, the first so many are seen and judged.
 
     Raises:
-        ValueError: A number is below 1, or a source is not configured.
+        UserError: A number is below 1, or a source is not configured.
     """
 
     @classmethod
@@ -55,7 +56,7 @@ class Guides(Protocol):
     ) -> None:
         for name, value in (("num_scenes", num_scenes), ("num_styles", num_styles), ("num_views", num_views)):
             if value < 1:
-                raise ValueError(f"{name}={value}: give at least 1")
+                raise UserError(f"{name}={value}: give at least 1")
         self.stylizer = stylizer
         self.metrics = dict(metrics)
         self.scenes, self.styles = required(scenes, "scenes"), required(styles, "styles")
@@ -65,126 +66,102 @@ class Guides(Protocol):
     def run(self, out: Path, progress: Progress) -> Evaluation:
         options = {name: getattr(self, name) for name in ("num_scenes", "num_styles", "num_views")}
         figures: dict[str, dict[str, dict[str, SceneFigures]]] = {guide: {} for guide in GUIDES}
-        done, total = 0, len(GUIDES) * self.num_scenes
-        for scene in range(self.num_scenes):
-            name = self.scenes.name(scene)
-            for guide in GUIDES:
-                progress("scenes", done, total)
-                figures[guide][name] = _OneScene(self, scene, guide).figures(out, str(options))
-                done += 1
-        progress("scenes", total, total)
-        images = self.num_styles * sum(len(self.shown(scene)) for scene in range(self.num_scenes))
-        return _together({guide: aggregate(scenes, n=images) for guide, scenes in figures.items()}).with_facts(
-            **options
-        )
+        runs = [(scene, guide) for scene in range(self.num_scenes) for guide in GUIDES]
+        for done, (scene, guide) in enumerate(runs):
+            progress("scenes", done, len(runs))
+            figures[guide][self.scenes.name(scene)] = self._judge(scene, guide, out, str(options))
+        progress("scenes", len(runs), len(runs))
+        images = self.num_styles * sum(len(self._views(scene)) for scene in range(self.num_scenes))
+        evaluations = {guide: aggregate(scenes, n=images) for guide, scenes in figures.items()}
+        return _together(evaluations).with_facts(**options)
 
-    def shown(self, scene: int) -> range:
-        """The views of a scene that are judged."""
+    def _views(self, scene: int) -> range:
         return range(min(self.num_views, self.scenes.num_views(scene)))
 
-    @cached_property
-    def all_styles(self) -> tuple[Style, ...]:
-        """The styles, in order.
-
-        Raises:
-            ValueError: One lacks its image or its text.
-        """
-        read = tuple(self.styles.read(index).to(self.stylizer.device) for index in range(self.num_styles))
-        for index, style in enumerate(read):
-            if style.image is None or not (style.text and style.text[0].strip()):
-                raise ValueError(f"style {index} lacks its image or its text; this protocol gives each style as both")
-        return read
-
-    def embed(self, style: Style, guide: str) -> StyleEmbedding:
-        """A style as its text or as its image."""
-        return self.stylizer.embed(text=style.text) if guide == "text" else self.stylizer.embed(image=style.image)
-
-
-class _OneScene:
-    """One scene in all styles, given in one way; encoded and rendered when the first figure is missing."""
-
-    def __init__(self, protocol: Guides, index: int, guide: str) -> None:
-        self.protocol, self.index, self.guide = protocol, index, guide
-        self.name = protocol.scenes.name(index)
-
-    def figures(self, out: Path, digest: str) -> dict[str, SceneFigures]:
-        """What the metrics and the protocol say, as far as it is not known from files."""
+    def _judge(self, scene: int, guide: str, out: Path, digest: str) -> dict[str, SceneFigures]:
+        """Figures of one scene in all styles; it is encoded and rendered only if one of them is not on disk."""
         figures: dict[str, SceneFigures] = {}
-        for name in (*self.protocol.metrics, DEPTH_CHANGE):
-            file = resume.figures_file(out, name, f"{self.name}-{self.guide}")
-            stored = resume.read_figures(file, digest)
+        encoded: Scene | None = None
+        comparisons: list[Comparison] = []
+        for name in (*self.metrics, DEPTH_CHANGE):
+            file = judge.figures_file(out, name, f"{self.scenes.name(scene)}-{guide}")
+            stored = judge.read_figures(file, digest)
             if stored is None:
-                stored = self._depth_change(out) if name == DEPTH_CHANGE else self._judged(name)
-                resume.write_figures(file, digest, stored)
+                encoded = encoded or self._encode(scene)
+                comparisons = comparisons or self._stylize(scene, encoded, guide)
+                if name == DEPTH_CHANGE and guide == GUIDES[0]:
+                    _write_pictures(out / "images", comparisons)
+                stored = (
+                    self._depth_change(encoded, comparisons)
+                    if name == DEPTH_CHANGE
+                    else judge_scene({name: self.metrics[name]}, comparisons)[name]
+                )
+                judge.write_figures(file, digest, stored)
             figures[name] = stored
         return figures
 
-    def _judged(self, name: str) -> SceneFigures:
-        return judge_scene({name: self.protocol.metrics[name]}, self.comparisons)[name]
+    @torch.no_grad()
+    def _encode(self, index: int) -> Scene:
+        views = self.scenes.read(index, self._views(index))
+        # The photographs alone: cameras and depth are the model's to predict.
+        return self.stylizer.encode(Views(images=views.images.to(self.stylizer.device)))
+
+    @cached_property
+    def _all_styles(self) -> tuple[Style, ...]:
+        read = tuple(self.styles.read(index).to(self.stylizer.device) for index in range(self.num_styles))
+        for index, style in enumerate(read):
+            if style.image is None or not (style.text and style.text[0].strip()):
+                raise UserError(f"style {index} lacks its image or its text; this protocol gives each style as both")
+        return read
 
     @torch.no_grad()
-    def _depth_change(self, out: Path) -> SceneFigures:
-        protocol, styles = self.protocol, {}
-        renders = protocol.stylizer.render(protocol.stylizer.unstyled(self.scene), self.scene.cameras)
+    def _stylize(self, index: int, scene: Scene, guide: str) -> list[Comparison]:
+        """Renders in every style beside the photographs."""
+        images, name = scene.views.images, self.scenes.name(index)
+        plain = Comparison(images, images, cameras=scene.cameras, scenes=(name,))
+        comparisons, stylizer = [], self.stylizer
+        for number, style in enumerate(self._all_styles):
+            embedding = stylizer.embed(text=style.text) if guide == "text" else stylizer.embed(image=style.image)
+            renders = stylizer.render(stylizer.restyle(scene, embedding), scene.cameras)
+            depth = renders.depth / renders.alpha.clamp_min(1e-6)
+            stylized = renders.color.clamp(0, 1)
+            comparisons.append(replace(plain, stylized=stylized, style=style, depth=depth, styles=(f"{number:02d}",)))
+        return comparisons
+
+    @torch.no_grad()
+    def _depth_change(self, scene: Scene, comparisons: Sequence[Comparison]) -> SceneFigures:
+        renders = self.stylizer.render(self.stylizer.unstyled(scene), scene.cameras)
         unstyled = (renders.depth / renders.alpha.clamp_min(1e-6))[0]
-        for comparison in self.comparisons:
+        styles = {}
+        for comparison in comparisons:
             assert comparison.depth is not None
             change = (comparison.depth[0].clamp_min(1e-6) / unstyled.clamp_min(1e-6)).log().abs().mean()
             styles[comparison.styles[0]] = {DEPTH_CHANGE: float(change)}
-            if self.guide == GUIDES[0]:
-                self._keep(out / "images", comparison)
         overall = mean([row[DEPTH_CHANGE] for row in styles.values()])
         return SceneFigures({DEPTH_CHANGE: overall}, styles, {DEPTH_CHANGE: "lower"})
 
-    def _keep(self, images: Path, comparison: Comparison) -> None:
-        """Write the pictures that a report's sheet is made of: those of text-guided scenes."""
+
+def _write_pictures(images: Path, comparisons: Sequence[Comparison]) -> None:
+    """Write the pictures that a report's sheet is made of."""
+    for comparison in comparisons:
         (scene,), (style,) = comparison.scenes, comparison.styles
-        assert comparison.style is not None
-        assert comparison.style.image is not None
-        _write(images / "style" / f"{style}.png", comparison.style.image[0])
-        for view, image in enumerate(comparison.stylized[0]):
-            _write(images / "stylized" / scene / f"{style}_{view:03d}.png", image)
-
-    @cached_property
-    @torch.no_grad()
-    def scene(self) -> Scene:
-        """What the model makes of the photographs, of which it is told nothing else."""
-        protocol = self.protocol
-        views = protocol.scenes.read(self.index, protocol.shown(self.index))
-        patch = protocol.stylizer.backbone.patch_size
-        if any(side % patch for side in views.size):
-            raise ValueError(
-                f"the views of {self.name} are {views.size[1]}x{views.size[0]} pixels; this model needs sides that are "
-                f"multiples of {patch} (an option of the scenes)"
-            )
-        return protocol.stylizer.encode(Views(images=views.images.to(protocol.stylizer.device)))
-
-    @cached_property
-    def comparisons(self) -> Sequence[Comparison]:
-        """Its renders in every style beside its photographs."""
-        return list(self._compared())
-
-    @torch.no_grad()
-    def _compared(self) -> Iterator[Comparison]:
-        stylizer, scene = self.protocol.stylizer, self.scene
-        for index, style in enumerate(self.protocol.all_styles):
-            renders = stylizer.render(stylizer.restyle(scene, self.protocol.embed(style, self.guide)), scene.cameras)
-            yield Comparison(
-                content=scene.views.images,
-                stylized=renders.color.clamp(0, 1),
-                style=style,
-                cameras=scene.cameras,
-                depth=renders.depth / renders.alpha.clamp_min(1e-6),
-                scenes=(self.name,),
-                styles=(f"{index:02d}",),
-            )
+        assert comparison.style is not None and comparison.style.image is not None
+        files = [(images / "style" / f"{style}.png", comparison.style.image[0])]
+        folder = images / "stylized" / scene
+        files += [(folder / f"{style}_{view:03d}.png", image) for view, image in enumerate(comparison.stylized[0])]
+        for path, image in files:
+            with atomic_path(path) as temporary:
+                to_pil(image).save(temporary)
 
 
 def _together(evaluations: Mapping[str, Evaluation]) -> Evaluation:
     """The evaluations of all guides as one, each guide behind the names of its figures."""
 
-    def named(guide: str, figures: Mapping[str, float]) -> dict[str, float]:
+    def named(guide: str, figures: Mapping[str, Any]) -> dict[str, Any]:
         return {f"{name}_{guide}": value for name, value in figures.items()}
+
+    def merged(which: str) -> dict[str, Any]:
+        return {k: v for guide, each in evaluations.items() for k, v in named(guide, getattr(each, which)).items()}
 
     first = next(iter(evaluations.values()))
     groups: dict[str, dict[str, float]] = {}
@@ -198,16 +175,11 @@ def _together(evaluations: Mapping[str, Evaluation]) -> Evaluation:
         warned += each.provenance["warnings"]
     return replace(
         first,
-        figures={k: v for guide, each in evaluations.items() for k, v in named(guide, each.figures).items()},
+        figures=merged("figures"),
         n=sum(each.n for each in evaluations.values()),
-        better={f"{name}_{guide}": way for guide, each in evaluations.items() for name, way in each.better.items()},
-        stand_ins={f"{name}_{guide}": by for guide, each in evaluations.items() for name, by in each.stand_ins.items()},
+        better=merged("better"),
+        stand_ins=merged("stand_ins"),
         groups=groups,
         rows=tuple(Row(scene, style, figures) for (scene, style), figures in rows.items()),
         provenance={**first.provenance, "warnings": list(dict.fromkeys(warned)), "guides": list(evaluations)},
     )
-
-
-def _write(path: Path, image: Tensor) -> None:
-    with atomic_path(path) as temporary:
-        to_pil(image).save(temporary)

@@ -5,6 +5,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle.errors import UserError
 from anystyle.injectors.base import TokenInjector, zeroed
 
 
@@ -24,7 +25,7 @@ class HyperNetwork(TokenInjector):
         hidden: Width of the layers that make it.
 
     Raises:
-        ValueError: ``width`` or ``hidden`` is below 1.
+        UserError: ``width`` or ``hidden`` is below 1.
     """
 
     def __init__(
@@ -39,7 +40,7 @@ class HyperNetwork(TokenInjector):
     ) -> None:
         super().__init__(gain, special_tokens)
         if width < 1 or hidden < 1:
-            raise ValueError(f"injector.width={width} and hidden={hidden} leave no network; give at least 1 each")
+            raise UserError(f"injector.width={width} and hidden={hidden} leave no network; give at least 1 each")
         self.dim, self.width = dim, width
         self.fc = nn.Sequential(nn.Linear(style_dim, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU())
         self.down = nn.Linear(hidden, (2 * dim + 1) * width)

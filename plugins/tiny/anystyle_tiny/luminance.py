@@ -9,6 +9,7 @@ from kornia.color import rgb_to_grayscale
 from torch import Tensor
 
 from anystyle.contracts import Loss
+from anystyle.errors import UserError
 from anystyle.types import Stylization
 
 
@@ -30,9 +31,7 @@ class Luminance(Loss):
     ) -> None:
         super().__init__()
         if len(scales) != len(scale_weights):
-            raise ValueError(
-                f"there are {len(scales)} scales and {len(scale_weights)} weights; give one weight a scale"
-            )
+            raise UserError(f"there are {len(scales)} scales and {len(scale_weights)} weights; give one weight a scale")
         self.scales = tuple(scales)
         self.scale_weights = tuple(scale_weights)
         self.weight = weight

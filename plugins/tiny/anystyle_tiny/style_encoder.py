@@ -10,8 +10,8 @@ from torch import Tensor, nn
 
 from anystyle.contracts import StyleEncoder
 from anystyle.nn.words import WordTable
-from anystyle.perception.statistics import pooled_moments
-from anystyle.perception.texture import Texture
+from anystyle.vision.statistics import pooled_moments
+from anystyle.vision.vgg import Texture
 
 TAPS = ("relu1_2", "relu2_2", "relu3_2", "relu4_1")
 TAP_CHANNELS = (32, 64, 96, 128)
@@ -61,11 +61,11 @@ class Tiny(StyleEncoder):
         self.register_buffer("whitening", torch.eye(dim))
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """See :meth:`StyleEncoder.embed_images`; textures and colours are read off copies of 64 and 96 pixels."""
+        """Embeddings of sRGB images of any size; textures and colours are read off copies of 64 and 96 pixels."""
         return self.from_image_tower(self.image_tower(images))
 
     def from_image_tower(self, raw: Float[Tensor, "M D"]) -> Float[Tensor, "M D"]:
-        """The embeddings of images from what their tower says; in training the tower alone is of low precision."""
+        """Embeddings from the raw vectors of the image tower."""
         return self._whiten(raw, self.image_mean)
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
@@ -80,13 +80,7 @@ class Tiny(StyleEncoder):
 
     @torch.no_grad()
     def whiten(self, images: Float[Tensor, "N 3 H W"], texts: Sequence[str], *, floor: float = 0.02) -> None:
-        """Fix centres and whitening matrix from examples of both modalities.
-
-        Args:
-            images: Of styles; a few thousand.
-            texts: Of styles; a few thousand.
-            floor: Added to the covariance's eigenvalues, as a share of the largest: directions below it are noise.
-        """
+        """Fix centres and whitening matrix from examples of both modalities."""
         raw_images = torch.cat([self.image_tower(batch) for batch in images.split(256)])
         raw_texts = torch.cat([self.text_tower(texts[at : at + 256]) for at in range(0, len(texts), 256)])
         self.image_mean.copy_(raw_images.mean(0))
@@ -126,15 +120,7 @@ class ImageTower(nn.Module):
 
 
 class TextTower(nn.Module):
-    """From texts to raw vectors of unit norm.
-
-    Args:
-        dim: Of the vectors.
-        width: Channels within.
-        layers: Of the transformer.
-        buckets: Rows of the table of hashed words.
-        max_words: The longest text it reads.
-    """
+    """From texts to raw vectors of unit norm."""
 
     def __init__(self, dim: int, width: int, layers: int, buckets: int, max_words: int) -> None:
         super().__init__()
@@ -198,12 +184,7 @@ def shorter_side(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "
 
 
 def ramp(images: Float[Tensor, "B 3 h w"], knots: int) -> Float[Tensor, "B knots 3"]:
-    """The colours of each image from the dark to the light end of their first principal axis.
-
-    Args:
-        images: sRGB.
-        knots: Into so many parts of equal size the ordered pixels are split; each is averaged.
-    """
+    """The colours of each image from the dark to the light end of their first principal axis."""
     colors = images.flatten(2).mT
     centred = colors - colors.mean(1, keepdim=True)
     axis = torch.linalg.eigh(centred.mT @ centred).eigenvectors[..., -1:]  # B 3 1

@@ -16,10 +16,9 @@ from hydra.types import RunMode
 from omegaconf import DictConfig
 
 from anystyle import paths
-from anystyle.commands._flags import EPILOG, new_parser, split
+from anystyle.commands._flags import EPILOG, MODES, new_parser, split
 from anystyle.commands._run import run, wants_traceback, words_of
 from anystyle.errors import UserError
-from anystyle.registry import once
 from anystyle.registry.compose import VERSION_BASE, check_words, choices, override
 from anystyle.registry.packages import groups
 from anystyle.registry.source import register
@@ -58,13 +57,11 @@ def describe(parser: argparse.ArgumentParser) -> None:
 
 
 def launch(config_name: str, function: Callable[[DictConfig], Any], words: Sequence[str]) -> None:
-    """Hand words to Hydra, which composes the configuration and calls ``function``, maybe many times.
-
-    Raises:
-        Exception: What Hydra or ``function`` raises, as it is.
-    """
+    """Hand words to Hydra, which composes the configuration and calls ``function``, maybe many times."""
     register()
     check_words(words)
+    if len({word.partition("=")[0] for word in words} & {*MODES}) > 1:
+        raise UserError(f"give only one of {', '.join(MODES)}")
     failures: list[Exception] = []
 
     @functools.wraps(function)
@@ -77,7 +74,7 @@ def launch(config_name: str, function: Callable[[DictConfig], Any], words: Seque
             failures.append(error)
             return None
 
-    with _arguments(words), _raising(), once.looking():
+    with _arguments(words), _raising():
         hydra.main(version_base=VERSION_BASE, config_path=str(paths.CONF), config_name=config_name)(task)()
     if failures:
         raise failures[0]
@@ -97,6 +94,13 @@ def job_folder(out: str) -> Path:
     if not HydraConfig.initialized() or HydraConfig.get().mode is not RunMode.MULTIRUN:
         return Path(out)
     return Path(HydraConfig.get().runtime.output_dir)
+
+
+def checked_seed(seed: object) -> int:
+    """The configured seed."""
+    if not isinstance(seed, int) or not 0 <= seed < 1 << 63:
+        raise UserError(f"seed={seed}; give an integer of at least 0")
+    return seed
 
 
 @contextmanager

@@ -15,6 +15,8 @@ HYDRA: dict[str, int] = {
     "-sc": 0, "--shell-completion": 0, "--hydra-help": 0, "-i": 0, "--info": 0, "-r": 0, "--run": 0,
 }  # fmt: skip
 """Hydra's own flags, and how many words follow each."""
+MODES = ("--run", "--multirun", "--cfg", "--info", "--shell-completion", "-r", "-m", "-c", "-i", "-sc")
+"""Hydra's flags that exclude each other."""
 CONFIGURATIONS = ("job", "hydra", "all")
 
 EPILOG = """\
@@ -33,11 +35,7 @@ def new_parser(command: str, description: str | None = None, epilog: str | None 
 
 
 def subcommand(command: str, about: str | None, choices: Mapping[str, str], words: Sequence[str]) -> str | None:
-    """Which of a command's subcommands the first of the words is; ``None`` where help is asked for, which is printed.
-
-    Raises:
-        UserError: It is none of them.
-    """
+    """The subcommand that the first word names; ``None`` where help is asked for, which is printed."""
     if not words or words[0] in ("-h", "--help", "help"):
         rows = "\n".join(f"  {name:<8} {text}" for name, text in choices.items())
         more = f"anystyle {command} COMMAND --help says more."
@@ -59,9 +57,6 @@ def split(parser: argparse.ArgumentParser, words: Sequence[str]) -> tuple[argpar
 
     A word after a flag that takes a value is that value, whatever it looks like: ``--text "a=b"`` is a text. Words
     after ``--`` are inputs.
-
-    Raises:
-        UserError: A flag is unknown or lacks its value.
     """
     actions = parser._option_string_actions
     ours: list[str] = []
@@ -97,11 +92,7 @@ def split(parser: argparse.ArgumentParser, words: Sequence[str]) -> tuple[argpar
 
 
 def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
-    """Read words none of which is Hydra's.
-
-    Raises:
-        UserError: A flag is unknown or lacks its value, or a word is missing or too many.
-    """
+    """Read words none of which is Hydra's."""
 
     def fail(message: str) -> NoReturn:
         unknown = re.search(r"unrecognized arguments: (-\S+)", message)

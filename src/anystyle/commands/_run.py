@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Any, NoReturn
 
-from anystyle.errors import one_line
+from anystyle.errors import UserError, one_line
 
 FAILED, INTERRUPTED = 2, 130
 _FULL = ("ANYSTYLE_TRACEBACK", "HYDRA_FULL_ERROR")
@@ -17,7 +17,7 @@ def run(command: Callable[[], Any]) -> None:
     """Run a command and leave the process as people expect.
 
     An error of the user's ends in one line on the standard error stream and exit status 2, an interruption in 130. A
-    mistake of the program's shows its traceback, and so does every error where ``ANYSTYLE_TRACEBACK=1``.
+    bug shows its traceback, and so does every error where ``ANYSTYLE_TRACEBACK=1``.
     """
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _terminated)
@@ -34,6 +34,7 @@ def run(command: Callable[[], Any]) -> None:
     except Exception as error:
         text = message(error)
         if text is None or wants_traceback():
+            name_plugin(error)
             raise
         print(f"anystyle: error: {text}", file=sys.stderr)
         sys.exit(FAILED)
@@ -46,40 +47,41 @@ def _terminated(number: int, frame: object) -> NoReturn:
 
 
 def wants_traceback() -> bool:
-    """Whether the user asked for tracebacks of every error; ``ANYSTYLE_TRACEBACK=0`` has the last word."""
+    """Whether the user asked for tracebacks of every error; ``ANYSTYLE_TRACEBACK=0`` takes precedence."""
     return os.environ.get(_FULL[0]) != "0" and any(os.environ.get(name) == "1" for name in _FULL)
 
 
 def message(error: BaseException) -> str | None:
-    """What to tell the user in one line, or ``None`` where the program is to blame."""
+    """The one line for an error of the user's; ``None`` for a bug, whose traceback is shown."""
     if "omegaconf" in sys.modules:
         from anystyle.registry.compose import ERRORS, explain
 
         if isinstance(error, ERRORS):
             return explain(error)
-    if isinstance(error, OSError) and error.filename is not None and error.strerror:
-        return f"{error.filename}: {error.strerror}"
-    if isinstance(error, (ValueError, OSError)):
-        return one_line(error) or type(error).__name__
+    if isinstance(error, UserError):
+        return one_line(error)
+    if isinstance(error, OSError) and (error.strerror or error.filename is not None):
+        return ": ".join(str(part) for part in (error.filename, error.strerror) if part)
+    if isinstance(error, FileNotFoundError):
+        return one_line(error)
     if type(error) is ImportError and error.name is None:
         return one_line(error)  # raised by hand where an optional dependency is missing: it names the extra
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
         return f"out of memory: {one_line(error) or 'use fewer views or a smaller size'}"
-    return of_plugin(error)
+    return None
 
 
-def of_plugin(error: BaseException) -> str | None:
-    """What to tell of an error that went through the code of a plugin, which its contract may say more about."""
+def name_plugin(error: BaseException) -> None:
+    """Add a note to an error that came from the code of a third party's plugin: how to check its contract."""
     from anystyle.registry.catalog import catalog, location_in
 
     for plugin in catalog():
         location = "" if plugin.origin == "anystyle" else location_in(error, plugin.target.partition(":")[0])
         if location:
-            return (
-                f"{plugin} ended in {type(error).__name__}: {one_line(error)}{location}; `anystyle plugins check "
-                f"{plugin.kind} {plugin.name}` says what it has to keep, ANYSTYLE_TRACEBACK=1 shows the way there"
+            error.add_note(
+                f"{plugin}{location}; `anystyle plugins check {plugin.kind} {plugin.name}` checks its contract"
             )
-    return None
+            return
 
 
 def words_of(words: Sequence[str] | None) -> list[str]:

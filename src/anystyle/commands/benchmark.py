@@ -1,55 +1,41 @@
-"""What this machine does: encode, single pass, restyle, renderers and memory, in one table."""
+"""Measure this machine: encoding, single pass, restyling, renderers and memory, in one table."""
 
 import argparse
-import json
 import platform
+import re
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
-from importlib.util import find_spec
-from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
+import psutil
 import torch
 
 import anystyle
 from anystyle.commands._flags import new_parser, split
 from anystyle.commands._run import run, words_of
-from anystyle.documents import read_json
-from anystyle.inference import memory
-from anystyle.inference.assemble import default_device, make_method
-from anystyle.io.atomic import atomic_path
+from anystyle.errors import UserError
+from anystyle.io.atomic import write_json
+from anystyle.io.limits import free, gib
+from anystyle.pipeline.load import default_device, make_method
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
-from anystyle.stylizer import Stylizer
-from anystyle.types import Gaussians, Scene, Style, StyleEmbedding, Views
+from anystyle.types import Style, StyleEmbedding, Value, Views
 
-RENDERERS = ("cpu", "torch", "gsplat")
-MEASURE_MEMORY = "--memory-of"
 METHOD_WORDS = ("method=", "method.", "loss=", "loss.")
-ATTRIBUTES = ("means", "rotations", "scales", "opacities", "harmonics")
 
 
-@dataclass(frozen=True)
-class Measured:
-    """One row.
-
-    Args:
-        name: What was done.
-        seconds: Wall clock, the best of the repeats.
-        cpu_seconds: Of the process, in that repeat.
-        instead: What it stands beside, and how they compare.
-    """
+class Measured(NamedTuple):
+    """One row: what was run, seconds of wall clock and of the process in the fastest repeat, and a remark."""
 
     name: str
     seconds: float
     cpu_seconds: float
-    instead: str = ""
+    note: str = ""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -60,259 +46,188 @@ def parser() -> argparse.ArgumentParser:
         "that is measured beside the single pass; all as for stylize.",
     )
     flags.add_argument("--views", default="2,4,8", help="numbers of views (default: %(default)s)")
-    flags.add_argument("--size", default=None, metavar="HxW", help="of a view (default: the model's, square)")
-    flags.add_argument("--repeat", type=int, default=2, help="times, of which the best counts (default: %(default)s)")
-    flags.add_argument("--out", default="benchmark.json", help="the results; rows in it are not measured again")
-    flags.add_argument(MEASURE_MEMORY, type=int, default=None, help=argparse.SUPPRESS)
+    flags.add_argument("--size", metavar="HxW", help="of a view (default: the model's, square)")
+    flags.add_argument("--repeat", type=int, default=2, help="runs, of which the fastest counts (default: %(default)s)")
+    flags.add_argument("--out", default="benchmark.json", help="the results as JSON (default: %(default)s)")
+    flags.add_argument("--memory-of", type=int, help=argparse.SUPPRESS)
     return flags
 
 
-def timed(function: Callable[[], object], device: torch.device) -> tuple[float, float]:
+def timed(function: Callable[[], object]) -> tuple[float, float]:
     """Wall-clock and CPU seconds of one run."""
-    _wait(device)
-    wall, cpu = time.perf_counter(), time.process_time()
+
+    def clocks() -> tuple[float, float]:
+        if torch.cuda.is_available():
+            torch.cuda.synchronize()
+        return time.perf_counter(), time.process_time()
+
+    wall, cpu = clocks()
     function()
-    _wait(device)
-    return time.perf_counter() - wall, time.process_time() - cpu
+    end = clocks()
+    return end[0] - wall, end[1] - cpu
 
 
-def best(function: Callable[[], object], repeat: int, device: torch.device) -> tuple[float, float]:
-    """Wall-clock and CPU seconds of the fastest of some runs."""
-    return min(timed(function, device) for _ in range(repeat))
-
-
-def _wait(device: torch.device) -> None:
-    if device.type == "cuda":
-        torch.cuda.synchronize()
-
-
-@dataclass(frozen=True)
 class Case:
-    """A model with views to run on."""
+    """A model with random views and a random style, on a CUDA device if there is one."""
 
-    stylizer: Stylizer
-    views: Views
-    style: StyleEmbedding
+    def __init__(self, words: Sequence[str], num_views: int, size: tuple[int, int] | None) -> None:
+        model = next((word.partition("=")[2] for word in words if word.startswith("model=")), None)
+        self.device = default_device()
+        self.stylizer = anystyle.load(model, [word for word in words if not word.startswith("model=")]).to(self.device)
+        backbone = self.stylizer.backbone
+        side = backbone.resolution // backbone.patch_size * backbone.patch_size
+        generator = torch.Generator().manual_seed(0)
+        images = torch.rand(1, num_views, 3, *(size or (side, side)), generator=generator)
+        vector = torch.randn(1, self.stylizer.style_encoder.dim, generator=generator)
+        vector = torch.nn.functional.normalize(vector, dim=-1)
+        self.views = Views(images.to(self.device))
+        self.style = StyleEmbedding(vector, vector).to(self.device)
 
-    @property
-    def device(self) -> torch.device:
-        """Where it runs."""
-        return self.views.images.device
+    @torch.no_grad()
+    def passes(self, repeat: int) -> list[Measured]:
+        """Encode, restyle and single pass in turn, so that a slow moment of the machine affects all of them."""
+        latest: dict[str, Any] = {}
+        works: dict[str, Callable[[], object]] = {
+            "encode": lambda: self.stylizer.encode(self.views),
+            "restyle": lambda: self.stylizer.restyle(latest["encode"], self.style),
+            "single": lambda: self.stylizer(self.views, self.style),
+        }
+        times: dict[str, list[tuple[float, float]]] = {name: [] for name in works}
+        for _ in range(repeat):
+            for name, work in works.items():
+                latest.pop(name, None)
+                times[name].append(timed(lambda work=work, name=name: latest.update({name: work()})))
+        encode, restyle, single = (min(seconds) for seconds in times.values())
+        restyled, passed = (_tensors(latest[name]) for name in ("restyle", "single"))
+        same = all(torch.equal(one, other) for one, other in zip(restyled, passed, strict=True))
+        ratio = restyle[1] / max(single[1], 1e-9)
+        note = f"{ratio:.3f} of the single pass's CPU time; results {'equal' if same else 'DIFFER'}"
+        return [
+            Measured("encode", *encode, "once a scene"),
+            Measured("single pass", *single, "what the published code pays for every style"),
+            Measured("restyle", *restyle, note),
+        ]
 
-    def encode(self) -> Scene:
-        """Encode the views."""
-        return self.stylizer.encode(self.views)
+    def method(self, words: Sequence[str]) -> Measured:
+        """A method on the encoded scene, once, with an image of noise as the style."""
+        method = make_method(compose("stylize", list(words)), self.stylizer.style_encoder)
+        scene = self.stylizer.encode(self.views)
+        noise = torch.rand(1, 3, *scene.cameras.size, generator=torch.Generator().manual_seed(0))
+        style = Style(image=noise.to(self.device))
+        seconds = timed(lambda: method(self.stylizer, scene, style, self.style))
+        return Measured(" ".join(words), *seconds, "a style by this method, once the scene is encoded")
 
-    def restyle(self, scene: Scene) -> Gaussians:
-        """Style an encoded scene."""
-        with torch.no_grad():
-            return self.stylizer.restyle(scene, self.style)
-
-    def single_pass(self) -> Gaussians:
-        """All of it at once, as for one style."""
-        with torch.no_grad():
-            return self.stylizer(self.views, self.style)
-
-
-def load(words: Sequence[str], views: int, size: tuple[int, int] | None) -> Case:
-    """Build a model with random views and a random style, on a CUDA device if there is one."""
-    model = next((word.partition("=")[2] for word in words if word.startswith("model=")), None)
-    others = [word for word in words if not word.startswith("model=")]
-    device = default_device()
-    stylizer = anystyle.load(model, others).to(device)
-    backbone = stylizer.backbone
-    side = backbone.resolution // backbone.patch_size * backbone.patch_size
-    generator = torch.Generator().manual_seed(0)
-    images = torch.rand(1, views, 3, *(size or (side, side)), generator=generator)
-    vector = torch.nn.functional.normalize(torch.randn(1, stylizer.style_encoder.dim, generator=generator), dim=-1)
-    return Case(stylizer, Views(images.to(device)), StyleEmbedding(vector, vector).to(device))
-
-
-def passes(case: Case, repeat: int) -> list[Measured]:
-    """Encode, restyle and single pass, one after the other as often as asked for, so that a slow hour meets all."""
-    latest: dict[str, Any] = {}
-    times: dict[str, list[tuple[float, float]]] = {"encode": [], "restyle": [], "single": []}
-    works: dict[str, Callable[[], object]] = {
-        "encode": case.encode,
-        "restyle": lambda: case.restyle(latest["encode"]),
-        "single": case.single_pass,
-    }
-    for _ in range(repeat):
-        for name, work in works.items():
-            latest.pop(name, None)
-            times[name].append(timed(lambda work=work, name=name: latest.update({name: work()}), case.device))
-    encode, restyle, single = (min(seconds) for seconds in times.values())
-    same = all(torch.equal(getattr(latest["restyle"], name), getattr(latest["single"], name)) for name in ATTRIBUTES)
-    fraction = restyle[1] / max(single[1], 1e-9)
-    ratio = f"{fraction:.3f} of the single pass's CPU time; results {'equal' if same else 'DIFFER'}"
-    return [
-        Measured("encode", *encode, "once a scene"),
-        Measured("single pass", *single, "what the published code pays for every style"),
-        Measured("restyle", *restyle, ratio),
-    ]
-
-
-def methods(case: Case, words: Sequence[str]) -> list[Measured]:
-    """A method on the scene, once, with a picture of noise for a style."""
-    method = make_method(compose("stylize", list(words)), case.stylizer.style_encoder)
-    scene = case.encode()
-    style = Style(image=torch.rand(1, 3, *scene.cameras.size, generator=torch.Generator().manual_seed(0)))
-    style = style.to(case.device)
-    seconds = timed(lambda: method(case.stylizer, scene, style, case.style), case.device)
-    return [Measured(" ".join(words), *seconds, "a style by this method, once the scene is encoded")]
+    @torch.no_grad()
+    def renderers(self, repeat: int) -> list[Measured]:
+        """Every renderer of the catalog that runs on this machine, on one view of the scene."""
+        scene = self.stylizer.encode(self.views)
+        gaussians, camera = self.stylizer.restyle(scene, self.style), scene.cameras.select([0])
+        rows: list[Measured] = []
+        for name in catalog().names("renderer"):
+            renderer: Any = catalog().find("renderer", name).load()()
+            try:
+                renderer(gaussians, camera)
+            except (ImportError, ValueError) as error:  # not installed, or for another device
+                print(f"renderer {name} is left out: {error}", file=sys.stderr)
+                continue
+            seconds = min(timed(lambda renderer=renderer: renderer(gaussians, camera)) for _ in range(repeat))
+            first = rows[0].seconds if rows else seconds[0]
+            rows.append(Measured(f"render with {name}", *seconds, f"{seconds[0] / first:.1f} x the first renderer"))
+        return rows
 
 
-def renderers(case: Case, repeat: int) -> list[Measured]:
-    """Every renderer that this machine can run, on one view of the scene."""
-    scene = case.encode()
-    gaussians, camera = case.restyle(scene), scene.cameras.select([0])
-    rows: list[Measured] = []
-    for name in RENDERERS:
-        if name == "gsplat" and (find_spec("gsplat") is None or case.device.type != "cuda"):
-            continue
-        if name == "cpu" and case.device.type != "cpu":
-            continue
-        renderer: Any = catalog().find("renderer", name).load()()
-        with torch.no_grad():
-            renderer(gaussians, camera)
-            seconds = best(lambda draw=renderer: draw(gaussians, camera), repeat, case.device)
-        first = rows[0].seconds if rows else seconds[0]
-        rows.append(Measured(f"render with {name}", *seconds, f"{seconds[0] / first:.1f} x the first renderer"))
-    return rows
+def _tensors(value: Value) -> list[torch.Tensor]:
+    found: list[torch.Tensor] = []
+    value.map(lambda tensor: found.append(tensor) or tensor)
+    return found
 
 
-def peak_memory(words: Sequence[str], views: int, size: str | None) -> int:
-    """Peak bytes of a process that encodes and styles so many views once."""
-    command = [sys.executable, "-m", "anystyle.commands.benchmark", MEASURE_MEMORY, str(views), *words]
+def peak_memory(words: Sequence[str], num_views: int, size: str | None) -> int:
+    """Peak bytes of a process of its own that encodes and styles so many views once."""
+    command = [sys.executable, "-m", "anystyle.commands.benchmark", "--memory-of", str(num_views), *words]
     done = subprocess.run([*command, *(["--size", size] if size else [])], capture_output=True, text=True, check=False)
     if done.returncode:
-        raise ValueError(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else "out of memory")
+        raise UserError(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else "out of memory")
     return int(done.stdout.split()[-1])
 
 
-def own_peak(make: Callable[[], Case]) -> int:
-    """Peak bytes of building a case, encoding it and styling it once: of the graphics card, or of the process."""
+def sampled_peak(function: Callable[[], object]) -> int:
+    """The peak resident bytes of this process while a function runs; on Linux without pages of mapped files."""
+    process, ended, samples = psutil.Process(), threading.Event(), list[int]()
 
-    def work() -> None:
-        case = make()
-        case.restyle(case.encode())
+    def sample() -> None:
+        while not samples or not ended.wait(0.002):
+            usage = process.memory_info()
+            samples.append(usage.rss - getattr(usage, "shared", 0))
 
-    if torch.cuda.is_available():
-        work()
-        return torch.cuda.max_memory_allocated()
-    return memory.sampled_peak(work)
-
-
-def slope(peaks: Mapping[int, int]) -> float:
-    """Bytes a view, by least squares."""
-    return float(np.polyfit(list(peaks), list(peaks.values()), 1)[0]) if len(peaks) > 1 else 0.0
-
-
-def off_line(peaks: Mapping[int, int]) -> float:
-    """The most bytes that a peak lies beside the line through all of them."""
-    line = np.polyfit(list(peaks), list(peaks.values()), 1)
-    return float(np.abs(np.polyval(line, list(peaks)) - list(peaks.values())).max())
-
-
-class _Stored(msgspec.Struct):
-    setting: dict[str, Any]
-    rows: dict[str, list[dict[str, float | str | None]]]
-
-
-class Results:
-    """A JSON file of rows that is written after each, and read where an earlier run stopped."""
-
-    def __init__(self, path: Path, setting: Mapping[str, Any]) -> None:
-        self.path = path
-        self.content: dict[str, Any] = {"setting": dict(setting), "rows": {}}
-        if path.is_file():
-            stored: _Stored = read_json(path, _Stored, what="benchmark; remove it or give another --out")
-            if stored.setting == self.content["setting"]:
-                self.content = {"setting": stored.setting, "rows": stored.rows}
-
-    def get(self, group: str, measure: Callable[[], list[Measured]]) -> list[dict[str, Any]]:
-        """Rows of a group, measured now unless they are there."""
-        if group not in self.content["rows"]:
-            print(f"{group} …", file=sys.stderr, flush=True)
-            self.content["rows"][group] = [vars(row) for row in measure()]
-            with atomic_path(self.path) as temporary:
-                temporary.write_text(json.dumps(self.content, indent=2) + "\n")
-        return self.content["rows"][group]
+    thread = threading.Thread(target=sample)
+    thread.start()
+    try:
+        function()
+    finally:
+        ended.set()
+        thread.join()
+    return max(samples)
 
 
 def benchmark(words: Sequence[str]) -> None:
-    """Run the command."""
+    """Run ``anystyle benchmark``."""
     arguments, overrides = split(parser(), words)
-    size = _size(arguments.size)
+    matched = re.fullmatch(r"(\d+)x(\d+)", arguments.size or "0x0")
+    if matched is None:
+        raise UserError(f"--size takes height and width such as 224x448, not {arguments.size!r}")
+    size = (int(matched[1]), int(matched[2])) if arguments.size else None
     if arguments.memory_of is not None:
-        print(own_peak(lambda: load(overrides, arguments.memory_of, size)))
+
+        def single_pass() -> None:
+            case = Case(overrides, arguments.memory_of, size)
+            with torch.no_grad():
+                case.stylizer.restyle(case.stylizer.encode(case.views), case.style)
+
+        peak = sampled_peak(single_pass)
+        print(torch.cuda.max_memory_allocated() if torch.cuda.is_available() else peak)
         return
-    counts = _counts(arguments.views)
+    counts = [int(word) if word.strip().isdecimal() else 0 for word in arguments.views.split(",")]
+    if min(counts) < 1:
+        raise UserError(f"--views takes numbers of at least 1 such as 2,4,8, not {arguments.views!r}")
     if arguments.repeat < 1:
-        raise ValueError(f"--repeat is {arguments.repeat}; measure at least once")
+        raise UserError(f"--repeat is {arguments.repeat}; measure at least once")
+    of_method = [word for word in overrides if word.startswith(METHOD_WORDS)]
+    overrides = [word for word in overrides if word not in of_method]
+    case = Case(overrides, counts[0], size)
+    print(f"{counts[0]} views …", file=sys.stderr, flush=True)
+    rows = [*case.passes(arguments.repeat), *case.renderers(arguments.repeat)]
+    rows += [case.method(of_method)] if of_method else []
+    peaks: dict[int, int] = {}
+    for count in counts:
+        print(f"memory of {count} views …", file=sys.stderr, flush=True)
+        peaks[count] = peak_memory(overrides, count, arguments.size)
     setting = {
         "machine": platform.processor() or platform.machine(),
         "threads": torch.get_num_threads(),
         "versions": {name: version(name) for name in ("anystyle", "torch")},
-        "overrides": list(overrides),
+        "overrides": [*overrides, *of_method],
         "size": arguments.size,
-        "views": counts,
+        "views": counts[0],
         "repeat": arguments.repeat,
     }
-    chosen = [word for word in overrides if word.startswith(METHOD_WORDS)]
-    overrides = [word for word in overrides if word not in chosen]
-    results = Results(Path(arguments.out), setting)
-    label = f"{counts[0]} views"
-    measured = results.get(label, lambda: passes(load(overrides, counts[0], size), arguments.repeat))
-    rows = [row | {"name": f"{row['name']} ({label})"} for row in measured]
-    rows += results.get("renderers", lambda: renderers(load(overrides, counts[0], size), arguments.repeat))
-    if chosen:
-        rows += results.get("method", lambda: methods(load(overrides, counts[0], size), chosen))
-    peaks: dict[int, int] = {}
-    for count in counts:
-        label = f"memory of {count} views"
-
-        def measure(count: int = count) -> list[Measured]:
-            bytes_ = peak_memory(overrides, count, arguments.size)
-            return [Measured(f"peak memory of {count} views", 0.0, 0.0, str(bytes_))]
-
-        peaks[count] = int(results.get(label, measure)[0]["instead"])
-    print(table(rows, peaks))
-    print(f"in {arguments.out}")
+    stored = {"setting": setting, "rows": [row._asdict() for row in rows], "peaks": {str(n): peaks[n] for n in peaks}}
+    write_json(arguments.out, stored)
+    print(f"{counts[0]} views:\n\n{table(rows, peaks)}\nin {arguments.out}")
 
 
-def table(rows: Sequence[Mapping[str, Any]], peaks: Mapping[int, int]) -> str:
-    """The table that people read."""
-    lines = ["| what | seconds | CPU seconds | beside |", "|---|---|---|---|"]
-    lines += [f"| {row['name']} | {row['seconds']:.3f} | {row['cpu_seconds']:.3f} | {row['instead']} |" for row in rows]
+def table(rows: Sequence[Measured], peaks: Mapping[int, int]) -> str:
+    """The Markdown tables of times and of peak bytes by number of views."""
+    lines = ["| what | seconds | CPU seconds | note |", "|---|---|---|---|"]
+    lines += [f"| {row.name} | {row.seconds:.3f} | {row.cpu_seconds:.3f} | {row.note} |" for row in rows]
     lines += ["", "| views | peak memory |", "|---|---|"]
     lines += [f"| {views} | {size / 2**20:.0f} MiB |" for views, size in peaks.items()]
-    growth = f"\nMemory grows by {slope(peaks) / 2**20:.1f} MiB a view"
-    beside = f"; the measured peaks lie within {off_line(peaks) / 2**20:.1f} MiB of that line" if len(peaks) > 2 else ""
-    lines.append(f"{growth}{beside}.")
-    free = memory.available(torch.device("cpu"))
-    if free is not None:
-        lines.append(f"{free / 2**30:.1f} GiB are free on this machine.")
-    return "\n".join(lines)
-
-
-def _counts(text: str) -> list[int]:
-    try:
-        counts = [int(word) for word in text.split(",")]
-    except ValueError:
-        raise ValueError(f"--views takes numbers such as 2,4,8, not {text!r}") from None
-    if min(counts) < 1:
-        raise ValueError(f"--views takes numbers of at least 1, not {text}")
-    return counts
-
-
-def _size(text: str | None) -> tuple[int, int] | None:
-    if text is None:
-        return None
-    height, cross, width = text.partition("x")
-    if not (cross and height.isdigit() and width.isdigit()):
-        raise ValueError(f"--size takes height and width such as 224x448, not {text!r}")
-    return int(height), int(width)
+    if len(peaks) > 1:
+        counts, sizes = np.array(list(peaks)), np.array(list(peaks.values())) / 2**20
+        line = np.polyfit(counts, sizes, 1)
+        off = float(np.abs(np.polyval(line, counts) - sizes).max())
+        lines.append(f"\nMemory grows by {line[0]:.1f} MiB a view; the peaks are within {off:.1f} MiB of that line.")
+    return "\n".join([*lines, f"{gib(free())} are free on this machine."])
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""List the plugins, show one with its options, check one, or begin a new one."""
+"""List the plugins, show one with its options, check one, or write a new one."""
 
 import argparse
 import importlib
@@ -14,7 +14,7 @@ from anystyle import paths
 from anystyle.commands._flags import new_parser, parse
 from anystyle.commands._run import run, words_of
 from anystyle.registry.builtin import KINDS
-from anystyle.registry.catalog import Catalog, Plugin, catalog, kind_named
+from anystyle.registry.catalog import Catalog, Plugin, catalog, kind_named, kinds
 from anystyle.registry.packages import presets
 from anystyle.registry.source_docs import peek
 
@@ -27,9 +27,9 @@ def parser() -> argparse.ArgumentParser:
         "plugins",
         "Without arguments, or with list: every plugin by name. With a KIND: what each is, and its "
         "options. With a NAME: one plugin in full; only this imports it.",
-        epilog="anystyle plugins check KIND NAME runs a plugin's contract; anystyle plugins new KIND NAME begins one.",
+        epilog="anystyle plugins check KIND NAME checks a plugin; anystyle plugins new KIND NAME writes a new one.",
     )
-    words.add_argument("kind", nargs="?", help="one of: " + ", ".join(KINDS))
+    words.add_argument("kind", nargs="?", help="one of: " + ", ".join(kinds()))
     words.add_argument("name", nargs="?", help="a plugin of that kind")
     return words
 
@@ -54,16 +54,16 @@ def main(words: Sequence[str] | None = None) -> None:
 
 
 def width() -> int:
-    """How wide lines may be: the terminal, or 100 columns where there is none."""
+    """Columns of the output: those of the terminal, or 100 where there is none."""
     return max(60, shutil.get_terminal_size((100, 24)).columns) if sys.stdout.isatty() else 100
 
 
 def overview(known: Catalog) -> Iterator[str]:
     """Every kind with the names of its plugins."""
-    column = max(map(len, KINDS)) + 3
-    for kind, row in KINDS.items():
+    column = max(map(len, kinds())) + 3
+    for kind in kinds():
         names = ", ".join(known.names(kind)) or "-"
-        title = f"{kind}{'*' if row.many else ''}"
+        title = f"{kind}{'*' if kind in KINDS and KINDS[kind].many else ''}"
         yield from _hanging(f"{title:<{column}}", names)
     yield ""
     yield "* several at once, as in loss=[content,style]. More: anystyle plugins KIND [NAME]"
@@ -115,7 +115,7 @@ def in_full(plugin: Plugin) -> Iterator[str]:
         return
     yield "Options:"
     described = arguments(loaded)
-    prefix = f"{plugin.kind}.{plugin.name}" if KINDS[plugin.kind].many else plugin.kind
+    prefix = f"{plugin.kind}.{plugin.name}" if kind_named(plugin.kind).many else plugin.kind
     for option in known:
         default = "  (must be given)" if option.required else f" = {option.default!r}"
         yield f"  {prefix}.{option.name}: {_hint(option.hint)}{default}"
@@ -129,7 +129,7 @@ def _hint(hint: object) -> str:
 
 
 def arguments(function: object) -> dict[str, str]:
-    """What the ``Args`` of a docstring say, by argument; those of base classes speak where a class does not."""
+    """The ``Args`` of a docstring by argument; a base class's where a class does not describe one."""
     described: dict[str, str] = {}
     for owner in reversed(getattr(function, "__mro__", (function,))):
         section = re.search(r"^Args:\n((?:[ \t]+.*\n?|\n)*)", inspect.cleandoc(owner.__doc__ or ""), re.MULTILINE)

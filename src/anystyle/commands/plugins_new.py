@@ -1,13 +1,11 @@
 """Begin a plugin: a folder with a class that works, its declaration, a test and a README."""
 
 import argparse
-import ast
 import builtins
 import importlib.util
 import keyword
 import os
 import re
-import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,10 +15,10 @@ from anystyle.commands._run import run, words_of
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.registry.builtin import KINDS
-from anystyle.registry.catalog import VARIABLE, catalog, kind_named
+from anystyle.registry.catalog import VARIABLE, catalog, kind_named, kinds
 from anystyle.registry.packages import presets
+from anystyle.registry.source_docs import source_file
 
-TOYS = paths.PACKAGE / "testing" / "toy"
 TEMPLATES = paths.PACKAGE / "commands" / "templates"
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,39}")
 
@@ -29,11 +27,11 @@ def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle plugins new``."""
     words = new_parser(
         "plugins new",
-        "Write a folder with a plugin that works and keeps its contract: a class on trivial maths, the "
-        "line that declares it, a test and a README.",
+        "Write a folder with a small plugin that keeps its contract: a class, the line that declares it, a test "
+        "and a README.",
     )
-    words.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(KINDS))
-    words.add_argument("name", metavar="NAME", help="how configurations call it: a-z, 0-9 and '_'")
+    words.add_argument("kind", metavar="KIND", help="one of: " + ", ".join(kinds()))
+    words.add_argument("name", metavar="NAME", help="its name: a-z, 0-9 and '_'")
     words.add_argument("--into", metavar="DIR", type=Path, default=Path("plugins"), help="where (default: plugins)")
     return words
 
@@ -51,41 +49,36 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def write(kind: str, name: str, into: Path) -> Path:
-    """Write the folder of a new plugin, named after it, below ``into``, and return it.
-
-    Raises:
-        UserError: The kind is unknown, the name is taken or cannot be used, or the folder exists.
-    """
+    """Write the folder of a new plugin, named after it, below ``into``, and return it."""
     kind_named(kind)
     module = f"anystyle_{name}"
     _refuse(kind, name, module)
     folder = into / name
     if folder.exists():
         raise UserError(f"{folder} exists already; choose another NAME or --into DIR, nothing was written")
-    source = (TOYS / f"{kind}.py").read_text(encoding="utf-8")
+    source = _template(kind).read_text(encoding="utf-8")
     cls = _class_name(name, source)
-    words = kind.replace("_", " ")
-    article = "an" if words[0] in "aeiou" else "a"
-    many = KINDS[kind].many
-    facts = {
-        "project": module.replace("_", "-"),
-        "cls": cls,
-        "kind": kind,
-        "words": words,
-        "article": article,
-        "Article": article.capitalize(),
-        "name": name,
-        "module": module,
-        "choice": f"{kind}=[{name}]" if many else f"{kind}={name}",
-        "prefix": f"{kind}.{name}" if many else kind,
-        "variable": VARIABLE,
-    }
+    words = _with_article(kind)
+    facts = {"project": module.replace("_", "-"), "cls": cls, "kind": kind, "name": name, "module": module}
+    facts |= {"words": words, "Words": words[0].upper() + words[1:], "use": _use(kind, name), "variable": VARIABLE}
     with atomic_directory(folder) as temporary:
-        (temporary / f"{module}.py").write_text(_renamed(source, kind, cls), encoding="utf-8")
-        for name in ("pyproject.toml", "test.py", "README.md"):
-            text = (TEMPLATES / f"{name}.in").read_text(encoding="utf-8").format(**facts)
-            (temporary / name.replace("test.py", f"test_{module}.py")).write_text(text, encoding="utf-8")
+        (temporary / f"{module}.py").write_text(_renamed(source, kind, name, cls), encoding="utf-8")
+        for file in ("pyproject.toml", "test.py", "README.md"):
+            text = (TEMPLATES / f"{file}.in").read_text(encoding="utf-8").format(**facts)
+            (temporary / file.replace("test.py", f"test_{module}.py")).write_text(text, encoding="utf-8")
     return folder
+
+
+def _template(kind: str) -> Path:
+    """The source of the smallest plugin of a kind: ``testing/toy/KIND.py`` of the package that declares the kind."""
+    if kind in KINDS:
+        return paths.PACKAGE / "testing" / "toy" / f"{kind}.py"
+    row = catalog().find("kind", kind)
+    module = f"{row.target.replace(':', '.').partition('.')[0]}.testing.toy.{kind}"
+    file = source_file(module, row.root)
+    if file is None:
+        raise UserError(f"{row} has no module {module} that a new plugin could begin with; write the class by hand")
+    return file
 
 
 def _refuse(kind: str, name: str, module: str) -> None:
@@ -94,49 +87,45 @@ def _refuse(kind: str, name: str, module: str) -> None:
         raise UserError(
             f"'{name}' cannot name a plugin; use a-z, 0-9 and '_', beginning with a letter, such as my_{kind}"
         )
-    known = catalog()
-    if name in known.names(kind):
-        owners = ", ".join(row.origin for row in known.declarations(kind, name))
-        raise UserError(f"{kind} '{name}' is declared already by {owners}; choose another name")
+    for row in catalog():
+        if (row.kind, row.name) == (kind, name):
+            raise UserError(f"{kind} '{name}' is declared already by {row.origin}; choose another name")
+        if re.split("[.:]", row.target)[0] == module:
+            raise UserError(f"the module {module} belongs to {row}; choose another name")
     if name in presets(kind):
         raise UserError(f"'{name}' is a preset of {kind} already; choose another name")
-    taken = [row for row in known if row.target.partition(":")[0].partition(".")[0] == module]
-    if taken:
-        raise UserError(f"the module {module} belongs to {taken[0]}; choose another name")
     if importlib.util.find_spec(module) is not None:
         raise UserError(f"a module {module} is installed already; choose another name")
 
 
 def _class_name(name: str, source: str) -> str:
     camel = "".join(word.capitalize() for word in name.split("_"))
-    # A class called as what the module imports, such as a backbone named "embedder", would hide that; "true" is a word
-    # of the language's own.
+    # A backbone named "embedder" would hide the Embedder that the module imports; "True" is a keyword.
     taken = keyword.iskeyword(camel) or camel in vars(builtins) or re.search(rf"\b{camel}\b", source)
     return f"My{camel}" if taken else camel
 
 
-def _renamed(source: str, kind: str, cls: str) -> str:
-    """The toy's source as that of a plugin: other names, and the contract's own words on each method."""
+def _renamed(source: str, kind: str, name: str, cls: str) -> str:
+    """The source of the smallest plugin of a kind, with the names of the new one."""
     toy = "Toy" + "".join(word.capitalize() for word in kind.split("_"))
-    words = kind.replace("_", " ")
-    body = f'"""{cls}, {"an" if words[0] in "aeiou" else "a"} {words} for anystyle."""\n' + source.partition("\n")[2]
-    # In one pass: the plugin's own name may begin as the toys' do.
+    body = f'"""{cls}, {_with_article(kind)} for anystyle."""\n' + source.partition("\n")[2]
+    # In one pass: the name of the new class may begin with Toy, too.
     body = re.sub(r"\bToy[A-Z]\w*", lambda match: cls + ("" if match[0] == toy else match[0][3:]), body)
-    return re.sub(r'( *)"""See :meth:`(anystyle[\w.]+)`([^"]*)\."""', _documented, body)
+    return body.replace("anystyle toy", f"anystyle {name}").replace("# ruff: noqa: T201\n", "")
 
 
-def _documented(match: re.Match[str]) -> str:
-    indent, name, more = match[1], match[2], match[3]
-    *module, cls, method = name.split(".")
-    file = paths.PACKAGE.parent.joinpath(*module).with_suffix(".py")
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    owner = next(item for item in tree.body if isinstance(item, ast.ClassDef) and item.name == cls)
-    function = next(item for item in owner.body if isinstance(item, ast.FunctionDef) and item.name == method)
-    text = (ast.get_docstring(function) or "").strip()
-    if more:
-        text += "\n\n" + more.lstrip("; ").capitalize() + "."
-    lines = textwrap.indent(text, indent)[len(indent) :]
-    return f'{indent}"""{lines}"""' if "\n" not in text else f'{indent}"""{lines}\n{indent}"""'
+def _use(kind: str, name: str) -> str:
+    if kind == "command":
+        return f"Run it with `anystyle {name}`."
+    if kind == "format":
+        return f"Write it with `anystyle export SCENE --to {name} --out FILE`."
+    choice, prefix = (f"[{name}]", f"{kind}.{name}") if kind_named(kind).many else (name, kind)
+    return f"Choose it with `{kind}={choice}`, and set an option with `{prefix}.OPTION=VALUE`."
+
+
+def _with_article(kind: str) -> str:
+    words = kind.replace("_", " ")
+    return f"an {words}" if words[0] in "aeiou" else f"a {words}"
 
 
 def _listed() -> list[str]:

@@ -8,9 +8,10 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 from anystyle.contracts import Correspondence
+from anystyle.errors import UserError
 from anystyle.geometry.warp import cycle_visible
-from anystyle.perception.preprocess import gray
 from anystyle.types import Flow, Frames
+from anystyle.vision.preprocess import gray
 
 SMALLEST = 16
 
@@ -40,23 +41,21 @@ class DIS(Correspondence):
         return Flow(forward, cycle_visible(forward, self.displacement(target, source)))
 
     def displacement(self, source: Frames, target: Frames) -> Float[Tensor, "M 2 H W"]:
-        """See :meth:`anystyle.contracts.Correspondence.displacement`; half the cost of a flow with its cycle."""
+        """The flow alone, at half the cost of one with its visibility by cycle consistency."""
         height, width = source.images.shape[-2:]
         if source.images.shape != target.images.shape or min(height, width) < SMALLEST:
-            raise ValueError(
+            raise UserError(
                 f"dis got frames of {list(source.images.shape)} and {list(target.images.shape)}; it needs pairs of one "
                 f"size, at least {SMALLEST} pixels a side"
             )
-        return self._flows(_luma(source.images), _luma(target.images)).to(source.images)
-
-    def _flows(self, first: UInt8[np.ndarray, "M H W"], second: UInt8[np.ndarray, "M H W"]) -> Float[Tensor, "M 2 H W"]:
         import cv2
 
+        first, second = _luma(source.images), _luma(target.images)
         # A new search for each pair: one that is reused starts from the pair before.
         # OpenCV's own types ask for a flow to start from; none is right.
         searches: list[Any] = [cv2.DISOpticalFlow.create(self._preset) for _ in first]
         flows = [search.calc(*pair, None) for search, *pair in zip(searches, first, second, strict=True)]
-        return torch.from_numpy(np.stack(flows)).permute(0, 3, 1, 2).contiguous()
+        return torch.from_numpy(np.stack(flows)).permute(0, 3, 1, 2).contiguous().to(source.images)
 
 
 def _luma(images: Float[Tensor, "M 3 H W"]) -> UInt8[np.ndarray, "M H W"]:

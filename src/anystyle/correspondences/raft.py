@@ -10,12 +10,13 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from anystyle.contracts import Correspondence
+from anystyle.errors import UserError
 from anystyle.geometry.warp import cycle_visible
-from anystyle.perception import raft
-from anystyle.perception.feature_cache import CACHE
-from anystyle.perception.matching import match
-from anystyle.perception.sources import Source, Weights, locate, published
 from anystyle.types import Flow, Frames
+from anystyle.vision import raft
+from anystyle.vision.feature_cache import CACHE
+from anystyle.vision.matching import match
+from anystyle.vision.weights import Source, Weights, locate, published
 
 log = logging.getLogger(__name__)
 
@@ -46,7 +47,7 @@ class Raft(Correspondence):
         weights: Weights = "auto",
     ) -> None:
         if iterations < 1:
-            raise ValueError(f"raft.iterations is {iterations}; at least 1 is needed")
+            raise UserError(f"raft.iterations is {iterations}; at least 1 is needed")
         file = locate(checkpoint, weights)
         self.network = None if file is None else raft.load(checkpoint, file)
         source = Source(checkpoint, stand_in="window_matching") if file is None else published(checkpoint, file)
@@ -67,9 +68,9 @@ class Raft(Correspondence):
 
     @torch.no_grad()
     def displacement(self, source: Frames, target: Frames) -> Float[Tensor, "M 2 H W"]:
-        """See :meth:`anystyle.contracts.Correspondence.displacement`; half the cost of a flow with its cycle."""
+        """The flow alone, at half the cost of one with its visibility by cycle consistency."""
         if source.images.shape != target.images.shape:
-            raise ValueError(
+            raise UserError(
                 f"frames are {list(source.images.shape)} and {list(target.images.shape)}; flow needs pairs of one size"
             )
         height, width = source.images.shape[-2:]
@@ -87,7 +88,7 @@ class Raft(Correspondence):
         frames = torch.cat([source, target])
         features = CACHE.features(frames, ("raft", identity), lambda images: [network.describe(images)])[0].chunk(2)
         context = CACHE.features(source, ("raft context", identity), lambda images: list(network.context(images)))
-        return network.flow(features[0], features[1], raft.Context(*context), self.iterations)
+        return network.flow(features[0], features[1], context, self.iterations)
 
 
 def padded(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 h w"]:

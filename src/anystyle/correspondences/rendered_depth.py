@@ -1,8 +1,10 @@
 """Rendered depth: exact correspondences from the scene's own depth and cameras."""
 
 import torch
+from torch import Tensor
 
 from anystyle.contracts import Correspondence
+from anystyle.errors import UserError
 from anystyle.geometry.warp import depth_around, reproject
 from anystyle.types import Flow, Frames
 
@@ -18,27 +20,20 @@ class RenderedDepth(Correspondence):
 
     def __init__(self, *, tolerance: float = 0.02) -> None:
         if tolerance < 0:
-            raise ValueError(f"rendered_depth.tolerance is {tolerance}; it must not be negative")
+            raise UserError(f"rendered_depth.tolerance is {tolerance}; it must not be negative")
         self.tolerance = tolerance
 
     @torch.no_grad()
     def __call__(self, source: Frames, target: Frames) -> Flow:
-        known = (source.depth, source.intrinsics, source.world_from_camera)
-        there = (target.depth, target.intrinsics, target.world_from_camera)
-        (depth, intrinsics, pose), (other_depth, other_intrinsics, other_pose) = known, there
-        if (
-            depth is None
-            or intrinsics is None
-            or pose is None
-            or other_depth is None
-            or other_intrinsics is None
-            or other_pose is None
-        ):
-            raise ValueError(
-                "rendered_depth got frames without depth or cameras; give both, or choose correspondence=raft"
-            )
-        motion = torch.linalg.solve(other_pose, pose)
-        moved = reproject(depth, intrinsics, other_intrinsics, motion)
+        depth, intrinsics, pose = _known(source)
+        other_depth, other_intrinsics, other_pose = _known(target)
+        moved = reproject(depth, intrinsics, other_intrinsics, torch.linalg.solve(other_pose, pose))
         _, farthest = depth_around(other_depth, moved.displacement)
         seen = moved.inside & (moved.depth <= farthest * (1 + self.tolerance))
         return Flow(torch.where(moved.inside[:, None], moved.displacement, 0), seen)
+
+
+def _known(frames: Frames) -> tuple[Tensor, Tensor, Tensor]:
+    if frames.depth is None or frames.intrinsics is None or frames.world_from_camera is None:
+        raise UserError("rendered_depth got frames without depth or cameras; give both, or choose correspondence=raft")
+    return frames.depth, frames.intrinsics, frames.world_from_camera

@@ -1,88 +1,69 @@
-"""Captions of pictures: reading them, and making them with an image-to-text model."""
+"""Captions of images: reading them, and writing them with an image-to-text model."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Protocol, runtime_checkable
 
 import msgspec
 from PIL import Image
 
 from anystyle.data.images import SUFFIXES, open_image
-from anystyle.documents import parse_json, read_text
+from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
-
-_FORM = '{"image": "...", "text": "..."}'
-
-
-class _Entry(msgspec.Struct):
-    """A line of JSON Lines."""
-
-    image: str
-    text: str
-
-
-def read_captions(path: Path) -> dict[str, str]:
-    """Captions by image name, from JSON Lines or from lines ``name;text``.
-
-    Raises:
-        ValueError: The file cannot be read; the message names the line.
-    """
-    lines = read_text(path, what="file of captions").splitlines()
-    captions: dict[str, str] = {}
-    for number, line in enumerate(lines, start=1):
-        if not line.strip():
-            continue
-        if path.suffix.lower() in (".jsonl", ".json"):
-            entry: _Entry = parse_json(line, _Entry, source=f"line {number} of {path}", what=_FORM)
-            name, text = entry.image, entry.text
-        else:
-            name, separator, text = line.partition(";")
-            if not separator:
-                raise ValueError(f"line {number} of {path} has no semicolon; 'image;text' is expected")
-        captions[name.strip()] = text.strip()
-    return captions
-
+from anystyle.io.documents import parse_json, read_text
 
 PROMPT = (
     "Describe the artistic style of this painting in at most 300 characters: brushwork, palette, texture, composition. "
     "Say nothing of what it depicts."
 )
 DEFAULT_MODEL = "HuggingFaceTB/SmolVLM-Instruct"
-"""Part of the transformers library. MiniCPM-V 4.5, the paper's, is not: its page loads code from the hub and calls a
-method of its own, so its captions come from its page's script, and are read from a file here."""
+"""Part of the transformers library. The paper's MiniCPM-V 4.5 is not: its page loads code from the hub. Write its
+captions with the script on its page, and read the file here."""
 SIDE = 224
 LONGEST = 300
-"""Characters of a description; what is longer is cut at a word."""
+"""Characters of a caption; longer ones are cut at a word."""
+
+Captioner = Callable[[Sequence[Image.Image], str], Sequence[str]]
+"""From images and a prompt to one text for each image."""
 
 
-@runtime_checkable
-class Captioner(Protocol):
-    """Turns pictures into texts."""
+class _Line(msgspec.Struct):
+    image: str
+    text: str
 
-    def __call__(self, pictures: Sequence[Image.Image], prompt: str) -> Sequence[str]:
-        """One text for each picture; the prompt says what to describe."""
-        ...
+
+def read_captions(path: Path) -> dict[str, str]:
+    """Captions by image name, from JSON Lines or from lines ``name;text``."""
+    captions: dict[str, str] = {}
+    for number, line in enumerate(read_text(path, what="file of captions").splitlines(), start=1):
+        if not line.strip():
+            continue
+        where = f"line {number} of {path}"
+        if path.suffix.lower() in (".jsonl", ".json"):
+            entry: _Line = parse_json(line, _Line, source=where, what='{"image": "...", "text": "..."}')
+            name, text = entry.image, entry.text
+        else:
+            name, separator, text = line.partition(";")
+            if not separator:
+                raise UserError(f"{where} has no semicolon; 'image;text' is expected")
+        captions[name.strip()] = text.strip()
+    return captions
 
 
 def transformers_captioner(model: str, device: str) -> Captioner:
-    """A model, by its name on the hub or its folder, of transformers' ``image-text-to-text`` pipeline.
-
-    Raises:
-        ImportError: The library is not installed.
-    """
+    """A model of transformers' ``image-text-to-text`` pipeline, by its name on the hub or its folder."""
     try:
         from transformers import pipeline  # type: ignore[import-not-found]
     except ModuleNotFoundError:
         raise ImportError('captions need transformers; pip install "anystyle[captions]"') from None
     describe = pipeline("image-text-to-text", model=model, device=device)
 
-    def captions(pictures: Sequence[Image.Image], prompt: str) -> Sequence[str]:
-        asked = [
-            [{"role": "user", "content": [{"type": "image", "image": picture}, {"type": "text", "text": prompt}]}]
-            for picture in pictures
+    def captions(images: Sequence[Image.Image], prompt: str) -> Sequence[str]:
+        chats = [
+            [{"role": "user", "content": [{"type": "image", "image": image}, {"type": "text", "text": prompt}]}]
+            for image in images
         ]
-        return [output[0]["generated_text"] for output in describe(text=asked, return_full_text=False)]
+        return [output[0]["generated_text"] for output in describe(text=chats, return_full_text=False)]
 
     return captions
 
@@ -96,59 +77,43 @@ def caption_folder(
     batch: int = 8,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Mapping[str, str]:
-    """Describe every picture below a folder, and write the file of descriptions.
+    """Describe every image below a folder; the result is, for each image that could not be read, why.
 
-    The file, ``.jsonl`` for ``styles=folder`` or lines ``path;text`` for ``styles=wikiart``, grows with every batch,
-    and what it holds already is not asked again: a run that was interrupted goes on.
-
-    Returns:
-        What could not be read, and why.
-
-    Raises:
-        ValueError: There are no pictures, or the model does not answer each with one text.
+    The file, ``.jsonl`` for ``styles=folder`` or lines ``path;text`` for ``styles=wikiart``, grows with every batch;
+    captions in it are kept, so that an interrupted run is continued.
     """
-    names = sorted(
-        path.relative_to(root).as_posix()
-        for path in root.rglob("*")
-        if path.suffix.lower() in SUFFIXES and path.is_file()
-    )
+    names = sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if path.suffix.lower() in SUFFIXES)
     if not names:
-        raise ValueError(f"there are no pictures below {root}")
+        raise UserError(f"there are no pictures below {root}")
     texts = read_captions(out) if out.is_file() else {}
     left = [name for name in names if not texts.get(name)]
     failed: dict[str, str] = {}
     for start in range(0, len(left), batch):
-        pictures: dict[str, Image.Image] = {}
+        images: dict[str, Image.Image] = {}
         for name in left[start : start + batch]:
             try:
-                pictures[name] = open_image(root / name, longest=2 * SIDE).resize(
-                    (SIDE, SIDE), Image.Resampling.LANCZOS
-                )
-            except (ValueError, OSError) as error:
+                image = open_image(root / name, longest=2 * SIDE)
+                images[name] = image.resize((SIDE, SIDE), Image.Resampling.LANCZOS)
+            except (UserError, OSError) as error:
                 failed[name] = str(error)
-        if pictures:
-            answers = list(captioner(list(pictures.values()), prompt))
-            if len(answers) != len(pictures):
-                raise ValueError(f"the model gave {len(answers)} texts for {len(pictures)} pictures")
-            texts |= {name: tidy(text) for name, text in zip(pictures, answers, strict=True)}
+        if images:
+            answers = list(captioner(list(images.values()), prompt))
+            if len(answers) != len(images):
+                raise UserError(f"the model gave {len(answers)} texts for {len(images)} pictures")
+            texts |= {name: tidy(text) for name, text in zip(images, answers, strict=True)}
             _write(out, texts)
         progress(len(names) - len(left) + min(start + batch, len(left)), len(names))
     return failed
 
 
 def tidy(text: str) -> str:
-    """A description in one line without the separator of the file, no longer than :data:`LONGEST`."""
+    """A caption in one line without the file's separator, no longer than :data:`LONGEST`."""
     words = " ".join(text.replace(";", ",").split())
     return words if len(words) <= LONGEST else words[: LONGEST + 1].rpartition(" ")[0].rstrip(",.:") + "."
 
 
 def _write(out: Path, texts: Mapping[str, str]) -> None:
-    lines = out.suffix.lower() == ".jsonl"
-    with atomic_path(out) as temporary:
-        temporary.write_text(
-            "".join(
-                (json.dumps({"image": name, "text": text}, ensure_ascii=False) if lines else f"{name};{text}") + "\n"
-                for name, text in sorted(texts.items())
-            ),
-            encoding="utf-8",
-        )
+    with atomic_path(out) as temporary, temporary.open("w", encoding="utf-8") as file:
+        for name, text in sorted(texts.items()):
+            row = json.dumps({"image": name, "text": text}, ensure_ascii=False)
+            file.write(f"{row}\n" if out.suffix.lower() == ".jsonl" else f"{name};{text}\n")

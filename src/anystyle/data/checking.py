@@ -1,9 +1,10 @@
-"""What a folder of training data holds, and what in it is missing or broken."""
+"""What a folder of training data holds, and what in it is missing or damaged."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Literal, TypeVar
 
@@ -11,12 +12,14 @@ import numpy as np
 from PIL import Image
 
 from anystyle.data.captioning import read_captions
+from anystyle.data.folder import image_files
 from anystyle.data.images import SUFFIXES, image_size, listing, open_image
 from anystyle.data.poses import frame_names, read_poses
 from anystyle.data.re10k import Re10kScenes
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.wikiart import DESCRIPTIONS, TEST_FILES
-from anystyle.documents import read_json, read_text
+from anystyle.errors import UserError
+from anystyle.io.documents import read_json, read_text
 from anystyle.io.images import Picture
 
 P = TypeVar("P", Path, bytes)
@@ -32,45 +35,27 @@ IMAGE_FOLDERS: dict[str, str | None] = {
 
 @dataclass
 class Report:
-    """What a folder holds.
-
-    Args:
-        layout: How the folder was read.
-        use: The words that train on it.
-        scenes: How many scenes can be used; 0 for styles.
-        images: How many images can be decoded.
-        sizes: How many images have each width and height.
-        views: How many scenes have each number of views.
-        posed: How many images have a camera.
-        texts: How many images have a description.
-        problems: A line for each thing that is missing or broken.
-    """
+    """What a folder holds, and the words (``use``) that train on it."""
 
     layout: Layout
     use: str
-    scenes: int = 0
-    images: int = 0
-    sizes: Counter[tuple[int, int]] = field(default_factory=Counter)
-    views: Counter[int] = field(default_factory=Counter)
-    posed: int = 0
-    texts: int = 0
+    scenes: int = 0  # that can be used; 0 for styles
+    images: int = 0  # that can be decoded
+    sizes: Counter[tuple[int, int]] = field(default_factory=Counter)  # images of each width and height
+    views: Counter[int] = field(default_factory=Counter)  # scenes with each number of views
+    posed: int = 0  # images with a camera
+    texts: int = 0  # images with a description
     problems: list[str] = field(default_factory=list)
 
 
 def check(root: Path, *, layout: Layout | None = None, min_views: int = 2, decode: bool = True) -> Report:
     """Look at every file of a folder of scenes or styles.
 
-    Args:
-        root: The folder.
-        layout: How to read it; ``None`` finds out.
-        min_views: A scene with fewer is reported.
-        decode: Whether pixels are decoded, which finds files that end too early; else headers alone.
-
-    Raises:
-        ValueError: There is nothing to be found there.
+    The layout is recognised if none is given; scenes with fewer views than ``min_views`` are reported. Without
+    ``decode`` headers alone are read, and files that end too early are not found.
     """
     if not root.is_dir():
-        raise ValueError(f"there is no folder {root}")
+        raise UserError(f"there is no folder {root}")
     chosen = layout or guess(root)
     readers = {"scenes": _scenes, "re10k": _re10k, "styles": _styles, "wikiart": _wikiart}
     return readers[chosen](root, min_views, decode)
@@ -82,49 +67,32 @@ def guess(root: Path) -> Layout:
         return "re10k"
     if any((root / name).is_file() for name in (DESCRIPTIONS, TEST_FILES)):
         return "wikiart"
-    if (root / "captions.jsonl").is_file():
-        return "styles"
-    return "scenes"
+    return "styles" if (root / "captions.jsonl").is_file() else "scenes"
 
 
 def _scenes(root: Path, min_views: int, decode: bool) -> Report:
     index = "train_index.json" if (root / "train_index.json").is_file() else None
-    present = (
-        name for name in IMAGE_FOLDERS if (root / name).is_dir() or next(root.glob(f"*/{name}/"), None) is not None
-    )
-    images = next(present, None if index is None else _indexed(root, root / index)) or "images"
+    names: list[str] = [] if index is None else read_json(root / index, list[str], what="JSON list of folder names")
+    inside = [root, *(path for path in root.iterdir() if path.is_dir()), *(root / name for name in names)]
+    images = next((name for name in IMAGE_FOLDERS if any((path / name).is_dir() for path in inside)), "images")
     cameras = IMAGE_FOLDERS[images]
-    probe = FolderScenes(root=str(root), index=index, images=images, cameras=cameras)
-    report = Report("scenes", _words(root, images, cameras, index))
-    if index is not None:
-        names: list[str] = read_json(root / index, list[str], what="JSON list of folder names")
-        report.problems += [f"{name}: in {index}, and not there" for name in names if not (root / name).is_dir()]
-    for folder in probe.folders:
+    words = [f"scenes=folder scenes.root={root}"]
+    words += [] if images == "images" else [f"scenes.images={images}"]
+    words += [] if index is None else [f"scenes.index={index}"]
+    if cameras is not None:
+        words = [f"scenes=scannetpp scenes.root={root}"]
+    elif images != "images" and index is not None:
+        words = [f"scenes=dl3dv scenes.root={root}"] + ([] if images == "images_8" else [f"scenes.images={images}"])
+    report = Report("scenes", " ".join(words))
+    report.problems += [f"{name}: in {index}, and not there" for name in names if not (root / name).is_dir()]
+    for folder in FolderScenes(root=str(root), index=index, images=images, cameras=cameras).folders:
         _scene(folder, images, cameras, report, min_views, decode)
     return report
 
 
-def _words(root: Path, images: str, cameras: str | None, index: str | None) -> str:
-    if cameras is not None:
-        return f"scenes=scannetpp scenes.root={root}"
-    if images != "images" and index is not None:
-        return f"scenes=dl3dv scenes.root={root}" + ("" if images == "images_8" else f" scenes.images={images}")
-    words = [f"scenes=folder scenes.root={root}"]
-    words += [] if images == "images" else [f"scenes.images={images}"]
-    words += [] if index is None else [f"scenes.index={index}"]
-    return " ".join(words)
-
-
-def _indexed(root: Path, index: Path) -> str | None:
-    """Where the photographs of the first scene of an index lie that is there."""
-    folders = FolderScenes(root=str(root), index=index.name).folders
-    first = next((folder for folder in folders if folder.is_dir()), root)
-    return next((name for name in IMAGE_FOLDERS if (first / name).is_dir()), None)
-
-
 def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_views: int, decode: bool) -> None:
     inside = folder / images if (folder / images).is_dir() else folder
-    paths = sorted(path for path in inside.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
+    paths = image_files(inside)
     good = _look(paths, report, decode)
     try:
         stored = read_poses(folder, [path.name for path in paths], cameras) if paths else {}
@@ -142,11 +110,15 @@ def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_v
         report.problems.append(
             f"{folder}: {file.name} names {listing(absent, 5)}: {len(absent)} of {len(listed)} are not in {inside.name}"
         )
-    report.views[len(known)] += 1
     report.posed += len(known) if stored else 0
-    report.scenes += len(known) >= min_views
-    if len(known) < min_views:
-        report.problems.append(f"{folder}: {len(known)} views, fewer than {min_views}")
+    _count(report, str(folder), len(known), min_views)
+
+
+def _count(report: Report, scene: str, views: int, min_views: int) -> None:
+    report.views[views] += 1
+    report.scenes += views >= min_views
+    if views < min_views:
+        report.problems.append(f"{scene}: {views} views, fewer than {min_views}")
 
 
 def _re10k(root: Path, min_views: int, decode: bool) -> Report:
@@ -156,40 +128,32 @@ def _re10k(root: Path, min_views: int, decode: bool) -> Report:
             continue
         source = Re10kScenes(root=str(root), split=split)
         for scene in range(len(source)):
+            name = f"{split}/{source.name(scene)}"
             try:
                 frames = source.frames(scene)
             except ValueError as error:
-                report.problems.append(f"{split}/{source.name(scene)}: {error}")
+                report.problems.append(f"{name}: {error}")
                 continue
-            name = f"{split}/{source.name(scene)}"
-            titles = [f"{name}: frame {number}" for number in range(len(frames))]
-            good = len(_look(frames, report, decode, titles))
-            report.views[good] += 1
-            report.scenes += good >= min_views
+            good = len(_look(frames, report, decode, [f"{name}: frame {number}" for number in range(len(frames))]))
             report.posed += good
-            if good < min_views:
-                report.problems.append(f"{name}: {good} views, fewer than {min_views}")
+            _count(report, name, good, min_views)
     return report
 
 
 def _styles(root: Path, min_views: int, decode: bool) -> Report:
-    paths = sorted(path for path in root.iterdir() if path.suffix.lower() in SUFFIXES and path.is_file())
-    captions = root / "captions.jsonl"
     report = Report("styles", f"styles=folder styles.root={root}")
-    _described(paths, root, read_captions(captions) if captions.is_file() else {}, report, decode)
+    _described(image_files(root), root, root / "captions.jsonl", report, decode)
     return report
 
 
 def _wikiart(root: Path, min_views: int, decode: bool) -> Report:
     paths = sorted(path for path in root.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
-    file = root / DESCRIPTIONS
     report = Report("wikiart", f"styles=wikiart styles.root={root}")
-    if not file.is_file():
-        report.problems.append(f"{file} is not there: paintings are described by their folders")
-    _described(paths, root, read_captions(file) if file.is_file() else {}, report, decode)
+    if not (root / DESCRIPTIONS).is_file():
+        report.problems.append(f"{root / DESCRIPTIONS} is not there: paintings are described by their folders")
+    present = _described(paths, root, root / DESCRIPTIONS, report, decode)
     tests = root / TEST_FILES
     if tests.is_file():
-        present = {path.relative_to(root).as_posix() for path in paths}
         lines = [line.strip() for line in read_text(tests).splitlines() if line.strip()]
         report.problems += [f"{tests.name} names {line}, which is not there" for line in lines if line not in present]
     else:
@@ -197,18 +161,20 @@ def _wikiart(root: Path, min_views: int, decode: bool) -> Report:
     return report
 
 
-def _described(paths: Sequence[Path], root: Path, texts: dict[str, str], report: Report, decode: bool) -> None:
-    good = _look(paths, report, decode)
-    report.texts = sum(bool(texts.get(path.relative_to(root).as_posix())) for path in good)
+def _described(paths: Sequence[Path], root: Path, captions: Path, report: Report, decode: bool) -> set[str]:
+    """Check images against a file of captions; the result is the images' paths below the root."""
+    texts = read_captions(captions) if captions.is_file() else {}
+    report.texts = sum(bool(texts.get(path.relative_to(root).as_posix())) for path in _look(paths, report, decode))
     present = {path.relative_to(root).as_posix() for path in paths}
     report.problems += [f"{name} has a description and is not there" for name in texts if name not in present]
+    return present
 
 
 def _look(sources: Sequence[P], report: Report, decode: bool, titles: Sequence[str] | None = None) -> list[P]:
-    """Those images that can be read; the others are problems. Titles are what messages call bytes."""
+    """Those images that can be read; the others are problems. Titles name encoded bytes in messages."""
     good = []
     with ThreadPoolExecutor(4) as pool:
-        results = pool.map(_open if decode else _measure, sources, titles or [""] * len(sources))
+        results = pool.map(partial(_size, decode=decode), sources, titles or [""] * len(sources))
         for source, result in zip(sources, results, strict=True):
             if isinstance(result, str):
                 report.problems.append(result)
@@ -219,19 +185,14 @@ def _look(sources: Sequence[P], report: Report, decode: bool, titles: Sequence[s
     return good
 
 
-def _measure(source: Picture, title: str) -> tuple[int, int] | str:
+def _size(source: Picture, title: str, decode: bool) -> tuple[int, int] | str:
+    """Width and height of an image, or why it cannot be read."""
     try:
+        if decode:
+            open_image(source, title, longest=64)
         return image_size(source, title)
-    except (ValueError, OSError) as error:
+    except (UserError, OSError) as error:
         return str(error)
-
-
-def _open(source: Picture, title: str) -> tuple[int, int] | str:
-    try:
-        open_image(source, title, longest=64)
-    except (ValueError, OSError) as error:
-        return str(error)
-    return _measure(source, title)
 
 
 SAME = 10
@@ -239,36 +200,29 @@ SAME = 10
 
 
 def fingerprint(path: Path) -> int:
-    """256 bits: whether each of 16 x 16 parts of a picture is darker than its neighbour to the right.
-
-    Raises:
-        ValueError: It is no image, or a damaged one.
-    """
+    """256 bits: whether each of 16 x 16 parts of a picture is darker than its neighbour to the right."""
     small = open_image(path, longest=256).convert("L").resize((17, 16), Image.Resampling.LANCZOS)
     grey = np.asarray(small, dtype=np.int16)
     return int.from_bytes(np.packbits(grey[:, 1:] > grey[:, :-1]).tobytes(), "big")
 
 
 def same_pictures(paths: Iterable[Path], others: Iterable[Path]) -> Mapping[Path, Path]:
-    """For each file that shows what one of ``others`` shows, the first such one; unreadable files match nothing."""
-    known = [(print_, path) for path, print_ in _fingerprints(others)]
+    """For each file that shows the same as one of ``others``, the first such one; unreadable files match nothing."""
+    known = _fingerprints(others)
     matches: dict[Path, Path] = {}
-    for path, print_ in _fingerprints(paths):
-        match = next((other for known_print, other in known if (print_ ^ known_print).bit_count() <= SAME), None)
+    for path, bits in _fingerprints(paths):
+        match = next((other for other, other_bits in known if (bits ^ other_bits).bit_count() <= SAME), None)
         if match is not None:
             matches[path] = match
     return matches
 
 
 def _fingerprints(paths: Iterable[Path]) -> list[tuple[Path, int]]:
-    every = list(paths)
+    def found(path: Path) -> list[tuple[Path, int]]:
+        try:
+            return [(path, fingerprint(path))]
+        except (UserError, OSError):
+            return []
+
     with ThreadPoolExecutor(4) as pool:
-        prints = list(pool.map(_try, every))
-    return [(path, print_) for path, print_ in zip(every, prints, strict=True) if print_ is not None]
-
-
-def _try(path: Path) -> int | None:
-    try:
-        return fingerprint(path)
-    except (ValueError, OSError):
-        return None
+        return [pair for pairs in pool.map(found, paths) for pair in pairs]

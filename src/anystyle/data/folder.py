@@ -5,6 +5,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, count
 from pathlib import Path
 from typing import NamedTuple, NoReturn, TypeVar
 
@@ -13,10 +14,11 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.capacity import require
 from anystyle.data import images
+from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.io.images import Picture
+from anystyle.io.limits import require
 from anystyle.io.names import natural
 from anystyle.types import Cameras, Views
 
@@ -31,22 +33,16 @@ _log = logging.getLogger(__name__)
 class SourceImage:
     """Where a view comes from, and what part of the source it shows.
 
-    Args:
-        name: Of the file without suffix, or of the video with the frame's number.
-        size: Height and width of the upright source in pixels.
-        box: Left, top, right and bottom of what the view shows, in source pixels.
-        view_size: Height and width of the view in pixels.
-        path: The file, where the source is an image file.
-        straightened: Takes the lens's distortion out of an upright picture of the source, at any resolution; ``None``
-            where none was taken out.
+    Sizes are height and width in pixels.
     """
 
-    name: str
-    size: tuple[int, int]
-    box: tuple[float, float, float, float]
+    name: str  # of the file without suffix, or of the video with the frame's number
+    size: tuple[int, int]  # of the upright source
+    box: tuple[float, float, float, float]  # left, top, right and bottom of what the view shows, in source pixels
     view_size: tuple[int, int]
-    path: Path | None = None
+    path: Path | None = None  # where the source is an image file
     straightened: Callable[[Image.Image], Image.Image] | None = None
+    """Undistorts an upright picture of the source, at any resolution, where the source was undistorted."""
 
     def of_view(self, picture: Image.Image) -> Image.Image:
         """What the view shows of an upright picture of the source, such as a mask, at any resolution."""
@@ -55,11 +51,6 @@ class SourceImage:
         left, top, right, bottom = self.box
         size = (self.view_size[1], self.view_size[0])
         return straight.resize(size, box=(left * x, top * y, right * x, bottom * y))
-
-    @classmethod
-    def unchanged(cls, name: str, size: tuple[int, int]) -> "SourceImage":
-        """A view that is its source."""
-        return cls(name, size, (0.0, 0.0, float(size[1]), float(size[0])), size)
 
     def source_intrinsics(self, intrinsics: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
         """Intrinsics in pixels of the view as intrinsics in pixels of the source."""
@@ -91,16 +82,9 @@ def read_views(
         multiple: The patch size of the network.
         max_views: Of more photographs, evenly spaced ones are taken.
         enlarge: Whether smaller photographs are brought to ``short_side``, too.
-
-    Raises:
-        ValueError: Nothing can be read; the message says why.
     """
     shots, problems = _shots(inputs, max_views)
-    sizes = [shot.size for shot in shots]
-    if short_side is None:
-        size = own_size(sizes, multiple=multiple)
-    else:
-        size = common_size(sizes, short_side=short_side, multiple=multiple, enlarge=enlarge)
+    size = common_size([shot.size for shot in shots], short_side=short_side, multiple=multiple, enlarge=enlarge)
     room_for_views(len(shots), size)
 
     def covered(name: str, shot: _Shot) -> tuple[Image.Image, SourceImage]:
@@ -111,11 +95,7 @@ def read_views(
 
 
 def room_for_views(count: int, size: tuple[int, int]) -> None:
-    """Refuse views that memory does not hold, before a pixel of them is decoded.
-
-    Raises:
-        UserError: They are too many or too large.
-    """
+    """Refuse views that memory does not hold, before a pixel of them is decoded."""
     # Of bytes, of floating-point numbers, and stacked.
     require(
         count * size[0] * size[1] * 3 * (1 + 4 + 4),
@@ -134,14 +114,9 @@ def as_views(pictures: Sequence[tuple[Image.Image, SourceImage]], cameras: Camer
 
 
 class Original(NamedTuple):
-    """A photograph as it was taken, though maybe reduced.
+    """A photograph as it was taken, upright and maybe reduced, under a distinct name.
 
-    Args:
-        name: Distinct among all that were read.
-        path: The file; ``None`` for a frame of a video.
-        size: Height and width of the upright source in pixels.
-        picture: Upright, of the source or a reduced copy of it.
-        exif: What the camera wrote of itself.
+    The size is the source's height and width in pixels; frames of videos have neither a path nor EXIF data.
     """
 
     name: str
@@ -152,16 +127,7 @@ class Original(NamedTuple):
 
 
 def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> list[Original]:
-    """Read photographs each at its own size, for what needs the whole picture; see :func:`read_views`.
-
-    Args:
-        inputs: As for :func:`read_views`.
-        longest: Larger photographs may be reduced to no less than this longer side.
-        max_views: Of more photographs, evenly spaced ones are taken.
-
-    Raises:
-        ValueError: Nothing can be read.
-    """
+    """Read photographs as :func:`read_views` does, but whole, reduced to no less than the longer side ``longest``."""
     shots, problems = _shots(inputs, max_views)
 
     def original(name: str, shot: _Shot) -> Original:
@@ -175,11 +141,7 @@ def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> l
 
 
 def read_picture(source: Picture, name: str, size: tuple[int, int]) -> tuple[Image.Image, SourceImage]:
-    """An image file, or the bytes of one, as a view of ``size``, height and width: scaled to cover it and cut evenly.
-
-    Raises:
-        ValueError: It is no image, a damaged one, or too large.
-    """
+    """An image file, or the bytes of one, scaled to cover a view of ``size``, height and width, and cut evenly."""
     path = source if isinstance(source, Path) else None
     described = name if path is None else str(path)
     whole = images.image_size(source, described)
@@ -192,11 +154,10 @@ def read_picture(source: Picture, name: str, size: tuple[int, int]) -> tuple[Ima
 
 def covering(name: str, source: tuple[int, int], size: tuple[int, int]) -> SourceImage:
     """What a view of ``size`` shows of a source, both height and width: its middle, as large as fits."""
-    (source_height, source_width), (height, width) = source, size
-    scale = min(source_width / width, source_height / height)
-    shown = (scale * width, scale * height)
-    left, top = (source_width - shown[0]) / 2, (source_height - shown[1]) / 2
-    return SourceImage(name, source, (left, top, left + shown[0], top + shown[1]), size)
+    scale = min(source[1] / size[1], source[0] / size[0])
+    width, height = scale * size[1], scale * size[0]
+    left, top = (source[1] - width) / 2, (source[0] - height) / 2
+    return SourceImage(name, source, (left, top, left + width, top + height), size)
 
 
 def image_files(folder: Path) -> list[Path]:
@@ -207,16 +168,12 @@ def image_files(folder: Path) -> list[Path]:
 
 def distinct(names: Sequence[str], separator: str = "_") -> list[str]:
     """The same names, with a number behind those that occurred before, upper or lower case: ``1``, ``1_2``, ``1_3``."""
-    taken: set[str] = set()
-    result: list[str] = []
+    taken: dict[str, str] = {}
     for name in names:
-        candidate, number = name, 1
-        while candidate.casefold() in taken:
-            number += 1
-            candidate = f"{name}{separator}{number}"
-        taken.add(candidate.casefold())
-        result.append(candidate)
-    return result
+        numbered = (f"{name}{separator}{number}" for number in count(2))
+        candidate = next(one for one in chain([name], numbered) if one.casefold() not in taken)
+        taken[candidate.casefold()] = candidate
+    return list(taken.values())
 
 
 def evenly(items: Sequence[Path], count: int) -> list[Path]:
@@ -229,12 +186,14 @@ def evenly(items: Sequence[Path], count: int) -> list[Path]:
 
 
 def common_size(
-    sizes: Sequence[tuple[int, int]], *, short_side: int, multiple: int, enlarge: bool = True
+    sizes: Sequence[tuple[int, int]], *, short_side: int | None, multiple: int, enlarge: bool = True
 ) -> tuple[int, int]:
-    """Height and width that most photographs fit, from their widths and heights.
+    """Height and width that most photographs fit, from their widths and heights, maybe without enlarging them.
 
-    Without ``enlarge``, ``short_side`` is at most that of most photographs.
+    Without ``short_side`` it is the size that all have.
     """
+    if short_side is None:
+        return _own_size(sizes, multiple)
     # Of two that are as frequent the larger one, whichever comes first.
     (width, height), _ = max(Counter(sizes).items(), key=lambda size: (size[1], size[0]))
     aspect = min(max(width / height, 1 / MAX_ASPECT), MAX_ASPECT)
@@ -244,44 +203,34 @@ def common_size(
     return (short, long) if aspect >= 1 else (long, short)
 
 
-def own_size(sizes: Sequence[tuple[int, int]], *, multiple: int) -> tuple[int, int]:
-    """Height and width that all photographs have, from their widths and heights.
-
-    Raises:
-        ValueError: They differ, or are no multiples.
-    """
+def _own_size(sizes: Sequence[tuple[int, int]], multiple: int) -> tuple[int, int]:
     different = sorted(set(sizes))
     if len(different) > 1:
         shown = ", ".join(f"{width}x{height}" for width, height in different[:5])
-        raise ValueError(f"the photographs have {len(different)} sizes ({shown}); views.resize=true brings them to one")
+        raise UserError(f"the photographs have {len(different)} sizes ({shown}); views.resize=true brings them to one")
     width, height = different[0]
     if width % multiple or height % multiple:
-        raise ValueError(
+        raise UserError(
             f"the photographs are {width}x{height} pixels, and sides must be multiples of {multiple}: "
             "views.resize=true brings them to such a size"
         )
     return height, width
 
 
-def _find(inputs: Sequence[Path]) -> list[Path]:
-    known = images.SUFFIXES | video.SUFFIXES
-    paths: list[Path] = []
-    for item in inputs:
-        if item.is_dir():
-            # Captures with cameras keep their photographs in a folder of that name.
-            inside = image_files(item) or (image_files(item / "images") if (item / "images").is_dir() else [])
-            if not inside:
-                raise ValueError(f"there are no images in the folder {item}")
-            paths.extend(inside)
-        elif item.is_file():
-            paths.append(item)
-        else:
-            names = glob.glob(str(item))  # noqa: PTH207  (a pattern may be absolute)
-            matches = [Path(name) for name in names if Path(name).suffix.lower() in known]
-            if not matches:
-                raise ValueError(f"there is no folder, image or video {item}")
-            paths.extend(sorted(matches, key=lambda path: natural(str(path))))
-    return paths
+def _find(item: Path) -> list[Path]:
+    if item.is_dir():
+        # Captures with cameras keep their photographs in a folder of that name.
+        inside = image_files(item) or (image_files(item / "images") if (item / "images").is_dir() else [])
+        if not inside:
+            raise UserError(f"there are no images in the folder {item}")
+        return inside
+    if item.is_file():
+        return [item]
+    names = glob.glob(str(item))  # noqa: PTH207  (a pattern may be absolute)
+    matches = [Path(name) for name in names if Path(name).suffix.lower() in images.SUFFIXES | video.SUFFIXES]
+    if not matches:
+        raise UserError(f"there is no folder, image or video {item}")
+    return sorted(matches, key=lambda path: natural(str(path)))
 
 
 class _Shot(NamedTuple):
@@ -294,17 +243,28 @@ class _Shot(NamedTuple):
 
 
 def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]]:
-    """What can be read of inputs, and what is wrong with the rest."""
-    paths = _find(inputs)
-    thinned = evenly(paths, max_views)
-    if len(thinned) < len(paths):
-        _log.warning("%d of %d photographs are taken, evenly spaced; views.take sets how many", max_views, len(paths))
-    shots, problems = _open(thinned, max_views)
+    """The headers of photographs and the frames of videos, and what is wrong with the others."""
+    found = [path for item in inputs for path in _find(item)]
+    paths = evenly(found, max_views)
+    if len(paths) < len(found):
+        _log.warning("%d of %d photographs are taken, evenly spaced; views.take sets how many", max_views, len(found))
+    shots: list[_Shot] = []
+    problems: list[str] = []
+    frames_each = max(1, max_views // max(1, sum(path.suffix.lower() in video.SUFFIXES for path in paths)))
+    for path in paths:
+        try:
+            if path.suffix.lower() in video.SUFFIXES:
+                for number, frame in video.read_frames(path, frames_each):
+                    shots.append(_Shot(path, f"{path.stem}_{number:06d}", frame.size, frame))
+            else:
+                shots.append(_Shot(path, path.stem, images.image_size(path)))
+        except ValueError as error:
+            problems.append(str(error))
     return shots or _nothing(problems), problems
 
 
 def _each(shots: Sequence[_Shot], problems: list[str], read: Callable[[str, _Shot], _Read]) -> list[_Read]:
-    """What ``read`` makes of each photograph and its name; what cannot be read is left out, and the log says so."""
+    """The result of ``read`` for each photograph and its name; unreadable ones are logged and left out."""
     results: list[_Read] = []
     for name, shot in zip(distinct([shot.name for shot in shots]), shots, strict=True):
         try:
@@ -318,24 +278,7 @@ def _each(shots: Sequence[_Shot], problems: list[str], read: Callable[[str, _Sho
 
 def _nothing(problems: Sequence[str]) -> NoReturn:
     more = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
-    raise ValueError(f"no photograph can be read: {problems[0]}{more}")
-
-
-def _open(paths: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]]:
-    """The headers of photographs and the frames of videos, and what is wrong with the others."""
-    shots: list[_Shot] = []
-    problems: list[str] = []
-    frames_each = max(1, max_views // max(1, sum(path.suffix.lower() in video.SUFFIXES for path in paths)))
-    for path in paths:
-        try:
-            if path.suffix.lower() in video.SUFFIXES:
-                for number, frame in video.read_frames(path, frames_each):
-                    shots.append(_Shot(path, f"{path.stem}_{number:06d}", frame.size, frame))
-            else:
-                shots.append(_Shot(path, path.stem, images.image_size(path)))
-        except ValueError as error:
-            problems.append(str(error))
-    return shots, problems
+    raise UserError(f"no photograph can be read: {problems[0]}{more}")
 
 
 def cover(
@@ -343,9 +286,8 @@ def cover(
 ) -> tuple[Image.Image, SourceImage]:
     """A view of ``size`` from the middle of a picture, which may be a reduced copy of the source."""
     shown = covering(name, (source[1], source[0]), size)
-    box = shown.box
+    left, top, right, bottom = shown.box
     x, y = picture.width / source[0], picture.height / source[1]
     # Rounding may put the box a little outside of the picture, which the resampling refuses.
-    reduced = (box[0] * x, box[1] * y, min(box[2] * x, picture.width), min(box[3] * y, picture.height))
-    resized = picture.resize((size[1], size[0]), Image.Resampling.LANCZOS, box=reduced)
-    return resized, shown
+    box = (left * x, top * y, min(right * x, picture.width), min(bottom * y, picture.height))
+    return picture.resize((size[1], size[0]), Image.Resampling.LANCZOS, box=box), shown

@@ -13,33 +13,26 @@ from torch import Tensor
 
 from anystyle.io.images import Picture, decodable, opened
 
+logger = logging.getLogger(__name__)
+
 SUFFIXES = frozenset({".avif", ".bmp", ".gif", ".jfif", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp"})
 """File names that are taken for images in a folder."""
-
-
-_TRANSPOSED = frozenset({5, 6, 7, 8})
-"""Values of the EXIF orientation for which width and height change places."""
 
 
 def image_size(source: Picture, name: str = "") -> tuple[int, int]:
     """Width and height of the upright image, from its header alone; messages call bytes by ``name``.
 
     Raises:
-        ValueError: It is no image, a damaged one, or too large.
-        OSError: It cannot be read.
+        UserError: It is no image, a damaged one, or too large.
     """
     with opened(source, name) as image:
         width, height = image.size
-        return (height, width) if image.getexif().get(ExifTags.Base.Orientation) in _TRANSPOSED else (width, height)
+        transposed = image.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
+        return (height, width) if transposed else (width, height)
 
 
 def read_exif(path: Path) -> Image.Exif:
-    """What a camera wrote into an image file; empty where it wrote nothing.
-
-    Raises:
-        ValueError: It is no image, a damaged one, or too large.
-        OSError: It cannot be read.
-    """
+    """What a camera wrote into an image file; empty where it wrote nothing."""
     with opened(path) as image:
         return image.getexif()
 
@@ -51,13 +44,12 @@ def open_image(source: Picture, name: str = "", *, longest: int = 4096) -> Image
     while it is read, so that memory stays bounded.
 
     Args:
-        source: A file that Pillow opens, or the bytes of one.
-        name: What messages call bytes.
+        source: A file that Pillow opens, or the bytes of one, which messages call by ``name``.
+        name: Of bytes.
         longest: Images with a longer side are reduced to no less than this.
 
     Raises:
-        ValueError: It is no image, a damaged one, or too large.
-        OSError: It cannot be read.
+        UserError: It is no image, a damaged one, or too large.
     """
     with opened(source, name) as image:
         decodable(image, longest)
@@ -67,12 +59,7 @@ def open_image(source: Picture, name: str = "", *, longest: int = 4096) -> Image
 
 
 def read_image(path: Path, *, longest: int = 1024) -> Float[Tensor, "3 H W"]:
-    """Read an image as sRGB in [0, 1], reduced so that its longer side is at most ``longest``.
-
-    Raises:
-        ValueError: It is no image, a damaged one, or too large.
-        OSError: It cannot be read.
-    """
+    """Read an image as sRGB in [0, 1], reduced so that its longer side is at most ``longest``."""
     image = open_image(path, longest=longest)
     image.thumbnail((longest, longest), Image.Resampling.LANCZOS)
     return to_tensor(image)
@@ -105,17 +92,14 @@ def _to_rgb(image: Image.Image) -> Image.Image:
     return image.convert("RGB")
 
 
-logger = logging.getLogger(__name__)
-
-
 def readable(paths: Sequence[Path]) -> list[Path]:
     """Those files whose header is an image's; the log says how many are not, and which."""
     with ThreadPoolExecutor(8) as pool:
-        fine = list(pool.map(_opens, paths))
-    bad = [path for path, opens in zip(paths, fine, strict=True) if not opens]
+        fine = dict(zip(paths, pool.map(_opens, paths), strict=True))
+    bad = [path for path in paths if not fine[path]]
     if bad:
         logger.warning("%d of %d pictures cannot be read and are left out: %s", len(bad), len(paths), listing(bad))
-    return [path for path, opens in zip(paths, fine, strict=True) if opens]
+    return [path for path in paths if fine[path]]
 
 
 def listing(items: Sequence[object], most: int = 10) -> str:
@@ -133,11 +117,7 @@ def _opens(path: Path) -> bool:
 
 
 def read_square(path: Path, size: int, position: float = 0.5) -> Float[Tensor, "1 3 H W"]:
-    """A square of a picture, scaled to ``size`` pixels, from ``position`` along the longer side: 0.5 is its middle.
-
-    Raises:
-        ValueError: It is no image or a damaged one.
-    """
+    """A square of a picture, scaled to ``size`` pixels, from ``position`` along the longer side: 0.5 is its middle."""
     width, height = image_size(path)
     image = open_image(path, longest=2 * size * max(width, height) // min(width, height) + 1)
     side = min(image.size)

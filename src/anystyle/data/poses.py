@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from anystyle.data.folder import SourceImage
-from anystyle.documents import Positive, read_json
 from anystyle.errors import UserError
 from anystyle.io import colmap
 from anystyle.io.arrays import read_array
+from anystyle.io.documents import Positive, read_json
 from anystyle.types import Cameras
 
 _log = logging.getLogger(__name__)
@@ -29,13 +29,7 @@ _TRANSFORMS = "transforms.json of cameras"
 
 @dataclass(frozen=True)
 class StoredCamera:
-    """One camera in OpenCV axes.
-
-    Args:
-        world_from_camera: 4x4.
-        intrinsics: 3x3, in pixels of an image of ``size``.
-        size: Height and width of the image they were stored for.
-    """
+    """One camera in OpenCV axes: a 4x4 pose and 3x3 intrinsics in pixels of an image of ``size``, height and width."""
 
     world_from_camera: NDArray[np.float64]
     intrinsics: NDArray[np.float64]
@@ -59,14 +53,8 @@ def read_poses(folder: Path, images: Sequence[str], stored_in: str | None = None
 
     ``transforms.json`` and COLMAP's models name their images, which may lie in a folder of another resolution;
     ``poses_bounds.npy`` has one row an image in the order of their names. Lens distortion is not undone.
-
-    Args:
-        folder: Of the scene.
-        images: File names of its images, in order.
-        stored_in: The file with the cameras, or the folder of COLMAP's model, below ``folder``; ``None`` looks for one.
-
-    Raises:
-        ValueError: A file is damaged or does not fit the images, or is not where it was said to be.
+    ``stored_in`` is the file with the cameras, or the folder of COLMAP's model, below ``folder``; ``None`` looks for
+    one.
     """
     if stored_in is None:
         files = (folder / name for name in ("transforms.json", "poses_bounds.npy"))
@@ -78,16 +66,12 @@ def read_poses(folder: Path, images: Sequence[str], stored_in: str | None = None
     if path.is_dir() and colmap.find(path) is not None:
         return _named(_colmap(path), images, path)
     if not path.is_file():
-        raise ValueError(f"{path} is not there; cameras= names a file or a COLMAP model in the folder of every scene")
+        raise UserError(f"{path} is not there; cameras= names a file or a COLMAP model in the folder of every scene")
     return _llff(path, images) if path.suffix == ".npy" else _named(_transforms(path), images, path)
 
 
 def stored_cameras(folder: Path) -> dict[str, StoredCamera]:
-    """All cameras that ``transforms.json`` or a COLMAP model in a folder names, by file name; empty where none are.
-
-    Raises:
-        ValueError: A file is damaged.
-    """
+    """All cameras that ``transforms.json`` or a COLMAP model in a folder names, by file name; empty where none are."""
     path = folder / "transforms.json"
     if path.is_file():
         return _transforms(path)
@@ -100,7 +84,7 @@ def _named(stored: Mapping[str, StoredCamera], images: Sequence[str], path: Path
     pairs = [(name, stored.get(name, stored.get(PurePosixPath(name).stem))) for name in images]
     known = {name: camera for name, camera in pairs if camera is not None}
     if not known:
-        raise ValueError(f"{path} names none of the photographs beside it")
+        raise UserError(f"{path} names none of the photographs beside it")
     return known
 
 
@@ -109,7 +93,7 @@ def _colmap(folder: Path) -> dict[str, StoredCamera]:
     models = {camera.model for camera in model.cameras.values()}
     fisheye = sorted(name for name in models if "FISHEYE" in name or name == "FOV")
     if fisheye:
-        raise ValueError(f"{folder} has {fisheye[0]} cameras; undistort the images (colmap image_undistorter) first")
+        raise UserError(f"{folder} has {fisheye[0]} cameras; undistort the images (colmap image_undistorter) first")
     largest = max((abs(value) for camera in model.cameras.values() for value in camera.distortion), default=0.0)
     if largest > 1e-6:
         _log.warning("%s has distorted images (up to %.3g), which is not undone; undistort them first", folder, largest)
@@ -125,7 +109,7 @@ def _colmap(folder: Path) -> dict[str, StoredCamera]:
 
 
 class _Frame(msgspec.Struct):
-    """What ``transforms.json`` says of a frame, or of all of them."""
+    """The fields in ``transforms.json`` of a frame, or of all of them."""
 
     w: Annotated[float, msgspec.Meta(ge=1, le=MAX_SIDE)] | None = None
     h: Annotated[float, msgspec.Meta(ge=1, le=MAX_SIDE)] | None = None
@@ -138,35 +122,29 @@ class _Frame(msgspec.Struct):
     transform_matrix: list[list[float]] = []
 
     def camera(self, shared: "_Frame") -> StoredCamera:
-        """The camera of a frame; what it leaves out is that of all.
-
-        Raises:
-            ValueError: Its size, focal length or pose is not there, or the pose is none.
-        """
+        """The camera of a frame; values that it leaves out are the shared ones."""
         w, h, fx, fy, cx, cy, angle = (
             getattr(shared if getattr(self, name) is None else self, name)
             for name in ("w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x")
         )
         if w is None or h is None:
-            raise ValueError("there is no w and h, the size of the images")
+            raise UserError("there is no w and h, the size of the images")
         width, height = int(w), int(h)
         if fx is None and angle is None:
-            raise ValueError("there is no focal length: neither fl_x nor camera_angle_x")
+            raise UserError("there is no focal length: neither fl_x nor camera_angle_x")
         fx = 0.5 * width / math.tan(0.5 * angle) if fx is None else fx
         fy = fx if fy is None else fy
         cx, cy = width / 2 if cx is None else cx, height / 2 if cy is None else cy
         intrinsics = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], np.float64)
         rows = self.transform_matrix
         if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
-            raise ValueError(f"transform_matrix of {self.file_path[:80]!r} is no 4x4 matrix")
+            raise UserError(f"transform_matrix of {self.file_path[:80]!r} is no 4x4 matrix")
         # OpenGL's camera looks along -z with y up.
         pose = _rigid(np.array(rows, np.float64)[:3] @ np.diag([1.0, -1.0, -1.0, 1.0]))
         return StoredCamera(pose, intrinsics, (height, width))
 
 
 class _Transforms(_Frame, kw_only=True):
-    """The whole file."""
-
     frames: Annotated[list[_Frame], msgspec.Meta(max_length=100_000)]
 
 
@@ -179,11 +157,7 @@ def _transforms(path: Path) -> dict[str, StoredCamera]:
 
 
 def frame_names(path: Path) -> list[str]:
-    """The names of the images that a ``transforms.json`` has cameras of.
-
-    Raises:
-        ValueError: It is none.
-    """
+    """The names of the images that a ``transforms.json`` has cameras of."""
     content: _Transforms = read_json(path, _Transforms, what=_TRANSFORMS)
     return [PurePosixPath(frame.file_path).name for frame in content.frames]
 
@@ -191,33 +165,33 @@ def frame_names(path: Path) -> list[str]:
 def _llff(path: Path, images: Sequence[str]) -> dict[str, StoredCamera]:
     rows = read_array(path, what="array of poses, N x 17 numbers")
     if rows.ndim != 2 or rows.shape[1] != 17:
-        raise ValueError(f"{path} holds an array of shape {rows.shape}; N x 17 numbers are expected")
+        raise UserError(f"{path} holds an array of shape {rows.shape}; N x 17 numbers are expected")
     if len(rows) != len(images):
-        raise ValueError(f"{path} has {len(rows)} poses for {len(images)} images; remove images without a pose")
+        raise UserError(f"{path} has {len(rows)} poses for {len(images)} images; remove images without a pose")
     cameras = {}
     for name, row in zip(images, rows, strict=True):
         matrix = row[:15].reshape(3, 5)
         height, width, focal = matrix[:, 4]
         if not (1 <= height <= MAX_SIDE and 1 <= width <= MAX_SIDE and focal > 0):
-            raise ValueError(f"{path} has a camera of {width:g}x{height:g} pixels and focal length {focal:g}")
+            raise UserError(f"{path} has a camera of {width:g}x{height:g} pixels and focal length {focal:g}")
         # Stored axes are down, right, back.
         axes = np.stack([matrix[:, 1], matrix[:, 0], -matrix[:, 2], matrix[:, 3]], axis=1)
         intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
         try:
             cameras[name] = StoredCamera(_rigid(axes), intrinsics, (round(height), round(width)))
-        except ValueError as error:
-            raise ValueError(f"{path}: the pose of {name} is none ({error})") from None
+        except UserError as error:
+            raise UserError(f"{path}: the pose of {name} is none ({error})") from None
     return cameras
 
 
 def _rigid(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The nearest rigid motion of a 3x4 matrix, of which stored ones are some rounding away."""
+    """The nearest rigid motion of a stored 3x4 matrix."""
     if matrix.shape != (3, 4) or not np.isfinite(matrix).all():
-        raise ValueError("a pose is no finite 3x4 matrix")
+        raise UserError("a pose is no finite 3x4 matrix")
     u, _, vt = np.linalg.svd(matrix[:, :3])
     rotation = u @ vt
     if np.linalg.det(rotation) < 0 or np.abs(rotation - matrix[:, :3]).max() > 0.02:
-        raise ValueError("a pose has no rotation in it")
+        raise UserError("a pose has no rotation in it")
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = rotation, matrix[:, 3]
     return pose

@@ -13,12 +13,13 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.caching import LRUCache
 from anystyle.contracts import SceneSource
 from anystyle.data.folder import SourceImage, as_views, common_size, read_picture, room_for_views
 from anystyle.data.images import image_size
-from anystyle.documents import read_json
+from anystyle.errors import UserError
 from anystyle.io.arrays import read_tensors
+from anystyle.io.cache import LRUCache
+from anystyle.io.documents import read_json
 from anystyle.types import Cameras, Views
 
 
@@ -34,9 +35,6 @@ class Re10kScenes(SceneSource):
         split: Which of its sub-folders.
         short_side: Shorter side of the views in pixels.
         multiple: Sides are multiples of it.
-
-    Raises:
-        ValueError: The folder has no index, or a chunk is not of that form.
     """
 
     def __init__(
@@ -48,11 +46,14 @@ class Re10kScenes(SceneSource):
         multiple: int = 14,
     ) -> None:
         if short_side < 1 or multiple < 1:
-            raise ValueError(f"short_side={short_side} and multiple={multiple}: give at least 1")
+            raise UserError(f"short_side={short_side} and multiple={multiple}: give at least 1")
         self.folder = Path(root) / split
         self.short_side = short_side
         self.multiple = multiple
-        self.index = _read_index(self.folder / "index.json")
+        path, what = self.folder / "index.json", "JSON object from clips to chunk files"
+        self.index: dict[str, str] = read_json(path, dict[str, str], what=what)
+        if not self.index:
+            raise UserError(f"{path} is empty; a {what} is expected")
         self.keys = sorted(self.index)
         self._chunks: LRUCache[str, Mapping[str, Mapping[str, Any]]] = LRUCache(2)
 
@@ -71,13 +72,11 @@ class Re10kScenes(SceneSource):
         return len(self.keys)
 
     def name(self, scene: int) -> str:
-        """The clip's key."""
         if not 0 <= scene < len(self.keys):
-            raise ValueError(f"scene {scene}: there are {len(self.keys)}, counted from 0")
+            raise UserError(f"scene {scene}: there are {len(self.keys)}, counted from 0")
         return self.keys[scene]
 
     def num_views(self, scene: int) -> int:
-        """How many frames a clip has."""
         return len(self._clip(scene)["images"])
 
     def frames(self, scene: int) -> list[bytes]:
@@ -85,12 +84,9 @@ class Re10kScenes(SceneSource):
         return [frame.numpy().tobytes() for frame in self._clip(scene)["images"]]
 
     def read(self, scene: int, views: Sequence[int]) -> Views:
-        """Decode some frames, with their cameras."""
         clip, views = self._clip(scene), list(views)
         if not views or not all(0 <= view < len(clip["images"]) for view in views):
-            raise ValueError(
-                f"views {views} of {self.name(scene)}: give at least one of 0 to {len(clip['images']) - 1}"
-            )
+            raise UserError(f"views {views} of {self.name(scene)}: give at least one of 0 to {len(clip['images']) - 1}")
         pictures: list[tuple[Image.Image, SourceImage]] = []
         for view in views:
             frame = clip["images"][view].numpy().tobytes()
@@ -106,18 +102,18 @@ class Re10kScenes(SceneSource):
         chunk = self.index[key]
         clips = self._chunks.get(chunk, lambda: self._load(chunk))
         if key not in clips:
-            raise ValueError(f"{self.folder / chunk} does not hold the clip {key} that the index says it does")
+            raise UserError(f"{self.folder / chunk} does not hold the clip {key} that the index says it does")
         return clips[key]
 
     def _load(self, chunk: str) -> dict[str, Mapping[str, Any]]:
         path = self.folder / chunk
         if os.path.realpath(path.parent) != os.path.realpath(self.folder):
-            raise ValueError(f"{self.folder / 'index.json'} names {chunk}, which lies outside of its folder")
+            raise UserError(f"{self.folder / 'index.json'} names {chunk}, which lies outside of its folder")
         if not path.is_file():
-            raise ValueError(f"{path} is in the index and not there; download the chunk or take it out of the index")
+            raise UserError(f"{path} is in the index and not there; download the chunk or take it out of the index")
         clips = read_tensors(path, what="chunk of clips")
         if not isinstance(clips, list):
-            raise ValueError(f"{path} is no chunk of clips, which is a list")
+            raise UserError(f"{path} is no chunk of clips, which is a list")
         return {clip["key"]: clip for clip in clips if _is_clip(clip)}
 
 
@@ -126,32 +122,18 @@ def _is_clip(clip: Any) -> bool:
     if not isinstance(clip, dict) or not isinstance(clip.get("key"), str):
         return False
     cameras, images = clip.get("cameras"), clip.get("images")
-    return (
-        isinstance(cameras, Tensor)
-        and isinstance(images, list)
-        and cameras.shape == (len(images), 18)
-        and bool(cameras.isfinite().all())
-        and bool((cameras[:, :2] > 0).all())
-        and all(isinstance(frame, Tensor) and frame.dtype == torch.uint8 and frame.ndim == 1 for frame in images)
-    )
-
-
-def _read_index(path: Path) -> dict[str, str]:
-    what = "JSON object from clips to chunk files"
-    index: dict[str, str] = read_json(path, dict[str, str], what=what)
-    if not index:
-        raise ValueError(f"{path} is empty; a {what} is expected")
-    return index
+    if not isinstance(cameras, Tensor) or not isinstance(images, list) or cameras.shape != (len(images), 18):
+        return False
+    plausible = bool(cameras.isfinite().all() and (cameras[:, :2] > 0).all())
+    return plausible and all(isinstance(frame, Tensor) and frame.dtype == torch.uint8 for frame in images)
 
 
 def _cameras(rows: Float[Tensor, "V 18"], sources: Sequence[SourceImage]) -> Cameras:
     lenses = []
     for row, source in zip(rows, sources, strict=True):
         height, width = source.size
-        fx, fy, cx, cy = row[:4] * row.new_tensor([width, height, width, height])
-        zero, one = row.new_zeros(()), row.new_ones(())
-        lens = torch.stack([fx, zero, cx, zero, fy, cy, zero, zero, one]).reshape(3, 3)
-        lenses.append(source.view_intrinsics(lens))
+        fx, fy, cx, cy = (row[:4] * row.new_tensor([width, height, width, height])).tolist()
+        lenses.append(source.view_intrinsics(row.new_tensor([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])))
     bottom = rows.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(len(rows), 1, 4)
     world_from_camera = torch.linalg.inv(torch.cat([rows[:, 6:].reshape(-1, 3, 4), bottom], dim=1))
     return Cameras(world_from_camera.float()[None], torch.stack(lenses).float()[None], sources[0].view_size)

@@ -2,7 +2,6 @@
 
 import json
 import logging
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -10,12 +9,13 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from anystyle.caching import LRUCache
 from anystyle.contracts import SceneSource
-from anystyle.data.folder import SourceImage, as_views, common_size, image_files, read_picture, room_for_views
+from anystyle.data.folder import as_views, common_size, image_files, read_picture, room_for_views
 from anystyle.data.images import image_size, readable
 from anystyle.data.poses import StoredCamera, read_poses, view_camera
-from anystyle.documents import read_json
+from anystyle.errors import UserError
+from anystyle.io.cache import LRUCache
+from anystyle.io.documents import read_json
 from anystyle.io.names import natural
 from anystyle.types import Cameras, Views
 
@@ -23,11 +23,10 @@ logger = logging.getLogger(__name__)
 
 
 class Shots(NamedTuple):
-    """The images of a scene that can be used."""
+    """The images of a scene that can be used, with a camera each or none at all, and the views' height and width."""
 
-    paths: tuple[Path, ...]
-    cameras: tuple[StoredCamera, ...]
-    """One an image, or none at all."""
+    paths: Sequence[Path]
+    cameras: Sequence[StoredCamera]
     size: tuple[int, int]
 
 
@@ -48,9 +47,6 @@ class FolderScenes(SceneSource):
         index: A JSON list of scene folders below ``root``, such as DL3DV's ``train_index.json``; ``None`` takes all.
         short_side: Shorter side of the views in pixels.
         multiple: Sides are multiples of it.
-
-    Raises:
-        ValueError: There are no scenes there.
     """
 
     def __init__(
@@ -64,17 +60,14 @@ class FolderScenes(SceneSource):
         multiple: int = 14,
     ) -> None:
         if short_side < 1 or multiple < 1:
-            raise ValueError(f"short_side={short_side} and multiple={multiple}: give at least 1")
+            raise UserError(f"short_side={short_side} and multiple={multiple}: give at least 1")
         self.root = Path(root)
         if not self.root.is_dir():
-            raise ValueError(f"root={root}: there is no such folder of scenes")
-        self.images = images
-        self.cameras = cameras
-        self.short_side = short_side
-        self.multiple = multiple
+            raise UserError(f"root={root}: there is no such folder of scenes")
+        self.images, self.cameras, self.short_side, self.multiple = images, cameras, short_side, multiple
         self.folders = self._folders(index)
         if not self.folders:
-            raise ValueError(f"root={root}: no scene lies there; expected folders with photographs")
+            raise UserError(f"root={root}: no scene lies there; expected folders with photographs")
         self._cache: LRUCache[int, Shots] = LRUCache(256)
 
     @classmethod
@@ -94,28 +87,27 @@ class FolderScenes(SceneSource):
         return len(self.folders)
 
     def name(self, scene: int) -> str:
-        """The folder's path below ``root``."""
         folder = self._folder(scene)
         return self.root.resolve().name if folder == self.root else folder.relative_to(self.root).as_posix()
 
     def num_views(self, scene: int) -> int:
-        """How many photographs can be used."""
         return len(self._shots(scene).paths)
 
     def read(self, scene: int, views: Sequence[int]) -> Views:
-        """Decode some photographs, with their cameras where all have one."""
         shots = self._shots(scene)
         views = list(views)
         if not views or not all(0 <= view < len(shots.paths) for view in views):
-            raise ValueError(f"views {views} of {self.name(scene)}: give at least one of 0 to {len(shots.paths) - 1}")
+            raise UserError(f"views {views} of {self.name(scene)}: give at least one of 0 to {len(shots.paths) - 1}")
         room_for_views(len(views), shots.size)
         pictures = [read_picture(shots.paths[view], shots.paths[view].stem, shots.size) for view in views]
-        stored, sources = [shots.cameras[view] for view in views if shots.cameras], [source for _, source in pictures]
-        return as_views(pictures, _cameras(stored, sources) if stored else None)
+        if not shots.cameras:
+            return as_views(pictures)
+        cameras = [view_camera(shots.cameras[view], source) for view, (_, source) in zip(views, pictures, strict=True)]
+        return as_views(pictures, Cameras.cat(cameras, dim=1))
 
     def _folder(self, scene: int) -> Path:
         if not 0 <= scene < len(self.folders):
-            raise ValueError(f"scene {scene}: there are {len(self.folders)}, counted from 0")
+            raise UserError(f"scene {scene}: there are {len(self.folders)}, counted from 0")
         return self.folders[scene]
 
     def _folders(self, index: str | None) -> list[Path]:
@@ -128,23 +120,17 @@ class FolderScenes(SceneSource):
 
     def _listed(self, path: Path) -> list[Path]:
         names: list[str] = read_json(path, list[str], what="JSON list of folder names")
-        root = os.path.realpath(self.root)
-        folders = [self.root / name for name in names]
-        outside = [
-            name
-            for name, folder in zip(names, folders, strict=True)
-            if not os.path.realpath(folder).startswith(root + os.sep)
-        ]
-        if outside:
-            raise ValueError(f"index={path} names {outside[0]}, which lies outside of {self.root}")
+        root, folders = self.root.resolve(), [self.root / name for name in names]
+        for name, folder in zip(names, folders, strict=True):
+            if root not in folder.resolve().parents:
+                raise UserError(f"index={path} names {name}, which lies outside of {self.root}")
         present = [folder for folder in folders if folder.is_dir()]
         if len(present) < len(folders):
             logger.warning("%d of %d scenes of %s are not there", len(folders) - len(present), len(folders), path)
         return present
 
     def _photographs(self, folder: Path) -> list[Path]:
-        inside = folder / self.images if (folder / self.images).is_dir() else folder
-        return image_files(inside)
+        return image_files(folder / self.images if (folder / self.images).is_dir() else folder)
 
     def _shots(self, scene: int) -> Shots:
         return self._cache.get(scene, lambda: self._read_shots(self._folder(scene)))
@@ -152,7 +138,7 @@ class FolderScenes(SceneSource):
     def _read_shots(self, folder: Path) -> Shots:
         paths = self._photographs(folder)
         if not paths:
-            raise ValueError(f"there are no photographs in the scene {folder}")
+            raise UserError(f"there are no photographs in the scene {folder}")
         stored = read_poses(folder, [path.name for path in paths], self.cameras)
         if stored:
             known = [path for path in paths if path.name in stored]
@@ -161,11 +147,7 @@ class FolderScenes(SceneSource):
             paths = known
         paths = readable(paths)
         if not paths:
-            raise ValueError(f"none of the photographs of the scene {folder} can be read")
+            raise UserError(f"none of the photographs of the scene {folder} can be read")
         sizes = [image_size(path) for path in paths]
         size = common_size(sizes, short_side=self.short_side, multiple=self.multiple)
-        return Shots(tuple(paths), tuple(stored[path.name] for path in paths) if stored else (), size)
-
-
-def _cameras(stored: Sequence[StoredCamera], sources: Sequence[SourceImage]) -> Cameras:
-    return Cameras.cat([view_camera(*pair) for pair in zip(stored, sources, strict=True)], dim=1)
+        return Shots(paths, [stored[path.name] for path in paths] if stored else [], size)

@@ -9,6 +9,7 @@ from anystyle.contracts import StyleSource
 from anystyle.data.captioning import read_captions
 from anystyle.data.folder import image_files
 from anystyle.data.images import listing, read_square, readable
+from anystyle.errors import UserError
 from anystyle.types import Style
 
 logger = logging.getLogger(__name__)
@@ -24,20 +25,17 @@ class FolderStyles(StyleSource):
         root: A folder.
         size: Height and width in pixels.
         captions: A file in ``root``; ``None`` takes ``captions.jsonl`` where there is one.
-
-    Raises:
-        ValueError: There are no images, or the captions cannot be read.
     """
 
     def __init__(self, *, root: str = "styles", size: int = 256, captions: str | None = None) -> None:
         folder = Path(root)
         if not folder.is_dir():
-            raise ValueError(f"root={root}: there is no such folder of style images")
+            raise UserError(f"root={root}: there is no such folder of style images")
         if size < 1:
-            raise ValueError(f"size={size}: give at least 1")
+            raise UserError(f"size={size}: give at least 1")
         self.paths = readable(image_files(folder))
         if not self.paths:
-            raise ValueError(f"root={root}: there are no images in it")
+            raise UserError(f"root={root}: there are no images in it")
         self.size = size
         if captions is None:
             captions = "captions.jsonl" if (folder / "captions.jsonl").is_file() else ""
@@ -59,6 +57,6 @@ class FolderStyles(StyleSource):
 
     def read(self, style: int) -> Style:
         if not 0 <= style < len(self.paths):
-            raise ValueError(f"style {style}: there are {len(self.paths)}, counted from 0")
+            raise UserError(f"style {style}: there are {len(self.paths)}, counted from 0")
         path = self.paths[style]
         return Style(image=read_square(path, self.size), text=(self.captions.get(path.name, ""),), names=(path.stem,))

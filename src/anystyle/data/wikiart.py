@@ -11,7 +11,8 @@ from PIL import Image
 from anystyle.contracts import StyleSource
 from anystyle.data.captioning import read_captions
 from anystyle.data.images import listing, read_square, readable
-from anystyle.documents import read_text
+from anystyle.errors import UserError
+from anystyle.io.documents import read_text
 from anystyle.types import Style
 
 logger = logging.getLogger(__name__)
@@ -40,10 +41,6 @@ class WikiArtStyles(StyleSource):
         text_only: The most styles of text alone; they follow the paintings.
         size: Height and width in pixels.
         crop: Which square of a painting is taken: the ``centre``, or a ``random`` one at every reading, as published.
-
-    Raises:
-        ValueError: There are no paintings, a file that was named cannot be read, or ``files`` names a painting for
-            training that is kept for tests.
     """
 
     def __init__(
@@ -62,15 +59,21 @@ class WikiArtStyles(StyleSource):
         self.crop = crop
         self.root = Path(root)
         if not self.root.is_dir():
-            raise ValueError(f"root={root}: there is no such folder of paintings")
+            raise UserError(f"root={root}: there is no such folder of paintings")
         if size < 1 or text_only < 0:
-            raise ValueError(f"size={size} and text_only={text_only}: give at least 1 and 0")
+            raise UserError(f"size={size} and text_only={text_only}: give at least 1 and 0")
         self.size = size
-        self.descriptions = self._descriptions(descriptions)
-        listed = self._test_files(test_files)
+        path = self.root / DESCRIPTIONS if descriptions is None else Path(descriptions)
+        self.descriptions: dict[str, str] = {}
+        if descriptions is None and not path.is_file():
+            logger.warning("%s is not there: paintings are described by their folders", path)
+        else:
+            self.descriptions = {name: text for name, text in read_captions(path).items() if text}
+        path = self.root / TEST_FILES if test_files is None else Path(test_files)
+        listed = _lines(path, "test_files") if test_files is not None or path.is_file() else frozenset()
         held = frozenset().union(*(_lines(Path(name), "exclude") for name in exclude))
         if split == "test" and not listed:
-            raise ValueError(f"split=test needs a list of paintings; {self.root / TEST_FILES} is not there or empty")
+            raise UserError(f"split=test needs a list of paintings; {self.root / TEST_FILES} is not there or empty")
         walked = (path for path in self.root.rglob("*") if path.suffix.lower() in PAINTINGS and path.is_file())
         names = sorted(path.relative_to(self.root).as_posix() for path in walked)
         present = set(names)
@@ -79,7 +82,7 @@ class WikiArtStyles(StyleSource):
             allowed = _lines(Path(files), "files")
             kept = sorted(name for name in allowed if _named(name, held) or (name in listed and split == "train"))
             if kept:
-                raise ValueError(
+                raise UserError(
                     f"files={files} and the test lists have {len(kept)} paintings in common: {listing(kept, 5)}; take "
                     f"them out of files"
                 )
@@ -87,7 +90,7 @@ class WikiArtStyles(StyleSource):
         chosen = [name for name in chosen if not _named(name, held)]
         self.paths = readable([self.root / name for name in chosen])
         if not self.paths:
-            raise ValueError(f"root={root}: there are no paintings for split={split} in it")
+            raise UserError(f"root={root}: there are no paintings for split={split} in it")
         absent = [
             name for name in self.descriptions if name not in present and name not in listed and not _named(name, held)
         ]
@@ -105,33 +108,15 @@ class WikiArtStyles(StyleSource):
         return len(self.paths) + len(self.texts)
 
     def read(self, style: int) -> Style:
-        """One painting with its description, or a description alone."""
         if not 0 <= style < len(self):
-            raise ValueError(f"style {style}: there are {len(self)}, counted from 0")
+            raise UserError(f"style {style}: there are {len(self)}, counted from 0")
         if style >= len(self.paths):
             name = self.texts[style - len(self.paths)]
             return Style(text=(self.descriptions[name],), names=(Path(name).stem,))
         path = self.paths[style]
+        text = self.descriptions.get(path.relative_to(self.root).as_posix()) or path.parent.name.replace("_", " ")
         position = 0.5 if self.crop == "centre" else float(torch.rand(()))
-        return Style(image=read_square(path, self.size, position), text=(self.description(path),), names=(path.stem,))
-
-    def description(self, path: Path) -> str:
-        """What is written about a painting; the words of its folder's name where there is nothing."""
-        text = self.descriptions.get(path.relative_to(self.root).as_posix(), "")
-        return text or path.parent.name.replace("_", " ")
-
-    def _descriptions(self, named: str | None) -> dict[str, str]:
-        path = self.root / DESCRIPTIONS if named is None else Path(named)
-        if named is None and not path.is_file():
-            logger.warning("%s is not there: paintings are described by their folders", path)
-            return {}
-        return {name: text for name, text in read_captions(path).items() if text}
-
-    def _test_files(self, named: str | None) -> frozenset[str]:
-        path = self.root / TEST_FILES if named is None else Path(named)
-        if named is None and not path.is_file():
-            return frozenset()
-        return _lines(path, "test_files")
+        return Style(image=read_square(path, self.size, position), text=(text,), names=(path.stem,))
 
 
 def _lines(path: Path, option: str) -> frozenset[str]:

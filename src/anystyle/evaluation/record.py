@@ -1,6 +1,5 @@
 """The files of one evaluation: written by the command, read by the report."""
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -9,45 +8,33 @@ from typing import Any, Literal
 
 import msgspec
 
-from anystyle.documents import Count, Figure, as_number, fit, plain, read_json
-from anystyle.evaluation.contract import SCENE, Evaluation, Row
-from anystyle.evaluation.tables import STAND_IN, Table, figures_table
-from anystyle.io.atomic import atomic_path
+from anystyle.evaluation.base import SCENE, Evaluation, Row
+from anystyle.evaluation.tables import STAND_IN, Table, number, titled
+from anystyle.io.atomic import atomic_path, write_json
+from anystyle.io.documents import Count, Figure, as_number, fit, read_json
 
 FILE = "metrics.json"
 
 
 class _Facts(msgspec.Struct):
-    """The part of an evaluation's provenance that is read back; the rest is handed on."""
+    """The part of an evaluation's provenance that is read back."""
 
     n: Count = 0
     better: dict[str, Literal["higher", "lower"]] = {}
     stand_ins: dict[str, str] = {}
-    title: str = ""
-    variant: str | None = None
-    machine: str = ""
-    seconds: float = 0
-    protocol: str = ""
-    warnings: list[str] = []
     scenes: list[str] = []
 
 
 def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> Table:
     """Write ``metrics.json``, ``metrics.csv``, ``table.md`` and ``table.tex``, and return the table."""
-    evaluation = _with_times(evaluation.with_facts(**provenance))
-    stored = {
-        **evaluation.figures,
-        **evaluation.groups,
-        "provenance": {
-            **evaluation.provenance,
-            "n": evaluation.n,
-            "better": dict(evaluation.better),
-            "stand_ins": dict(evaluation.stand_ins),
-        },
-    }
+    evaluation = replace(
+        evaluation.with_facts(**provenance),
+        figures={**evaluation.figures, **evaluation.times},
+        better={**evaluation.better, **dict.fromkeys(evaluation.times, "lower")},
+    )
+    facts = {"n": evaluation.n, "better": dict(evaluation.better), "stand_ins": dict(evaluation.stand_ins)}
     table = summary(evaluation)
     texts = {
-        FILE: json.dumps(plain(stored), indent=2, ensure_ascii=False, allow_nan=False) + "\n",
         "metrics.csv": rows_table(evaluation.rows, evaluation.stand_ins).csv(),
         "table.md": table.markdown(),
         "table.tex": table.latex(),
@@ -55,15 +42,13 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> T
     for name, text in texts.items():
         with atomic_path(out / name) as temporary:
             temporary.write_text(text, encoding="utf-8")
+    stored = {**evaluation.figures, **evaluation.groups, "provenance": {**evaluation.provenance, **facts}}
+    write_json(out / FILE, stored)
     return table
 
 
 def read(folder: Path) -> Evaluation | None:
-    """The evaluation in a folder, without its rows; ``None`` where there is none.
-
-    Raises:
-        ValueError: There is one that cannot be read.
-    """
+    """The evaluation in a folder, without its rows; ``None`` where there is none."""
     path = folder / FILE
     if not path.is_file():
         return None
@@ -73,18 +58,14 @@ def read(folder: Path) -> Evaluation | None:
     what = "file of figures of an evaluation; evaluate again"
     provenance = stored.pop("provenance")
     facts: _Facts = fit(provenance, _Facts, source=str(path), what=what)
-    figures: dict[str, Figure | dict[str, Figure]] = fit(
-        stored, dict[str, Figure | dict[str, Figure]], source=str(path), what=what
-    )
+    shape = dict[str, Figure | dict[str, Figure]]
+    figures: dict[str, Figure | dict[str, Figure]] = fit(stored, shape, source=str(path), what=what)
+    groups = {name: value for name, value in figures.items() if isinstance(value, dict)}
     return Evaluation(
         figures={name: as_number(value) for name, value in figures.items() if not isinstance(value, dict)},
         n=facts.n,
         better=facts.better,
-        groups={
-            name: {key: as_number(item) for key, item in value.items()}
-            for name, value in figures.items()
-            if isinstance(value, dict)
-        },
+        groups={name: {key: as_number(item) for key, item in value.items()} for name, value in groups.items()},
         stand_ins=facts.stand_ins,
         provenance=provenance,
     )
@@ -95,28 +76,25 @@ def summary(evaluation: Evaluation) -> Table:
     provenance, groups = evaluation.provenance, evaluation.groups
     columns = {provenance.get("title", "all" if groups else "value"): evaluation.figures}
     columns |= {name.removeprefix(SCENE): group for name, group in groups.items()}
-    variant = f", {provenance['variant']}" if provenance.get("variant") else ""
     machine = provenance.get("machine", "an unknown machine")
     notes = [f"n = {evaluation.n}, {provenance.get('seconds', 0):.0f} s on {machine}."]
     if any(name.startswith(SCENE) for name in groups):
         notes.append("“all” is the mean of the scenes, each judged on its own.")
     if evaluation.stand_ins:
         notes.append(
-            f"{STAND_IN.capitalize()}: these figures come from networks that stand in for published ones, and agree "
-            "with no published figure."
+            f"{STAND_IN.capitalize()}: these figures come from networks that replace the published ones, and cannot be "
+            "compared with published figures."
         )
     notes += [f"Warning: {text}" for text in provenance.get("warnings", [])]
-    caption = f"{provenance.get('protocol', 'evaluation')}{variant}"
-    return figures_table(columns, evaluation.better, evaluation.stand_ins, caption=caption, notes=notes)
-
-
-def _with_times(evaluation: Evaluation) -> Evaluation:
-    """Measured seconds as figures, which they are in every table and file."""
-    return replace(
-        evaluation,
-        figures={**evaluation.figures, **evaluation.times},
-        better={**evaluation.better, **dict.fromkeys(evaluation.times, "lower")},
-    )
+    caption = ", ".join(filter(None, (provenance.get("protocol", "evaluation"), provenance.get("variant"))))
+    names = list(dict.fromkeys(name for figures in columns.values() for name in figures))
+    noted = bool(evaluation.stand_ins.keys() & set(names))
+    rows: list[tuple[str, ...]] = []
+    for name in names:
+        note = [f"{STAND_IN} ({network})" if (network := evaluation.stand_ins.get(name)) else ""] if noted else []
+        cells = (number(figures.get(name)) for figures in columns.values())
+        rows.append((titled(name, evaluation.better), *cells, *note))
+    return Table(("figure", *columns, *(["note"] if noted else [])), tuple(rows), caption, tuple(notes))
 
 
 def rows_table(rows: Sequence[Row], stand_ins: Mapping[str, str]) -> Table:
@@ -124,9 +102,8 @@ def rows_table(rows: Sequence[Row], stand_ins: Mapping[str, str]) -> Table:
     names = list(dict.fromkeys(name for row in rows for name in row.figures))
     from_stand_ins = [name for name in names if name in stand_ins]
     note = [f"{STAND_IN}: {' '.join(from_stand_ins)}"] if from_stand_ins else []
-    cells = [(row.scene, row.style, *(_full(row.figures.get(name)) for name in names), *note) for row in rows]
+    cells: list[tuple[str, ...]] = []
+    for row in rows:
+        values = [row.figures.get(name, math.nan) for name in names]
+        cells.append((row.scene, row.style, *("" if math.isnan(value) else repr(value) for value in values), *note))
     return Table(("scene", "style", *names, *(["note"] if note else [])), tuple(cells))
-
-
-def _full(value: float | None) -> str:
-    return "" if value is None or math.isnan(value) else repr(value)

@@ -1,27 +1,41 @@
-"""Tables as Markdown, CSV and LaTeX."""
+"""Tables as Markdown, CSV and LaTeX; the one writer of tables for evaluations, reports and user studies."""
 
 import csv
 import io
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 STAND_IN = "stand-in, not comparable"
 """The note on every figure that a stand-in network computed."""
 
 _ARROWS = {"higher": "↑", "lower": "↓"}
-_DIGITS = "0123456789-+.–"
+_NUMERIC = re.compile(r"[\d\[<+\-−–—∞.]")
+_MARKDOWN = re.compile(r"[\\`*|]|(?<![^\W_])_|_(?![^\W_])|\](?=[(\[:])|^#")
 _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
-    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "↑": r"$\uparrow$", "↓": r"$\downarrow$", "×": r"$\times$",
-    "–": "--", "±": r"$\pm$", "†": r"$\dagger$", "‡": r"$\ddagger$",
-    "“": "``", "”": "''",
+    "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": "$<$", ">": "$>$", "↑": r"$\uparrow$",
+    "↓": r"$\downarrow$", "×": r"$\times$", "±": r"$\pm$", "−": "$-$", "∞": r"$\infty$", "†": r"$\dagger$",
+    "‡": r"$\ddagger$", "–": "--", "—": "---", "“": "``", "”": "''",
 }  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Table:
-    """Texts in rows and columns, with a caption above and notes below."""
+    """Texts in rows and columns, with a caption above and notes below.
+
+    Columns of numbers, intervals and dashes are aligned right, others left. Every form escapes the texts.
+
+    Example:
+        >>> print(Table(("method", "PSNR"), (("head", "23.7"), ("full", "24.1"))).markdown())
+        | method | PSNR |
+        |--------|-----:|
+        | head   | 23.7 |
+        | full   | 24.1 |
+        <BLANKLINE>
+    """
 
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
@@ -30,56 +44,80 @@ class Table:
 
     def markdown(self) -> str:
         """As a table of GitHub's Markdown, with aligned columns."""
-        cells = [[_md(text) for text in row] for row in (self.columns, *self.rows)]
+        cells = [[escape_markdown(text) for text in row] for row in (self.columns, *self.rows)]
         widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
-        rows = [" | ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)) for row in cells]
-        lines = [f"| {row} |" for row in rows]
-        ends = [":" if number else "-" for number in self._numbers()]
-        rule = "|".join("-" * (width + 1) + end for width, end in zip(widths, ends, strict=True))
-        parts = [f"**{_md(self.caption)}**\n"] if self.caption else []
-        parts.append("\n".join([lines[0], f"|{rule}|", *lines[1:]]))
-        parts += [f"\n{_md(note)}" for note in self.notes]
-        return "\n".join(parts) + "\n"
+        lines = [f"| {' | '.join(map(str.ljust, row, widths))} |" for row in cells]
+        rules = ["-" * (width + 1) + "-:"[number] for width, number in zip(widths, self._numeric(), strict=True)]
+        caption = [f"**{escape_markdown(self.caption)}**\n"] if self.caption else []
+        notes = [f"\n{escape_markdown(note)}" for note in self.notes]
+        return "\n".join([*caption, lines[0], f"|{'|'.join(rules)}|", *lines[1:], *notes]) + "\n"
 
     def csv(self) -> str:
         """As comma-separated values, without caption and notes."""
         text = io.StringIO()
-        writer = csv.writer(text, lineterminator="\n")
-        writer.writerows([[_cell(text) for text in row] for row in (self.columns, *self.rows)])
+        rows = (map(escape_csv, row) for row in (self.columns, *self.rows))
+        csv.writer(text, lineterminator="\n").writerows(rows)
         return text.getvalue()
 
     def latex(self) -> str:
-        """As a ``tabular`` with booktabs' rules."""
-        body = [" & ".join(map(tex, row)) + r" \\" for row in self.rows]
-        lines = [
-            r"\begin{table}[t]",
-            r"\centering",
-            *([rf"\caption{{{tex(self.caption)}}}"] if self.caption else []),
-            rf"\begin{{tabular}}{{{''.join('r' if number else 'l' for number in self._numbers())}}}",
-            r"\toprule",
-            " & ".join(map(tex, self.columns)) + r" \\",
-            r"\midrule",
-            *body,
-            r"\bottomrule",
-            r"\end{tabular}",
-            *(rf"\par\smallskip\footnotesize {tex(note)}" for note in self.notes),
-            r"\end{table}",
-        ]
+        """As a floating table with its caption and notes; needs ``booktabs``."""
+        caption = [rf"\caption{{{escape_latex(self.caption)}}}"] if self.caption else []
+        notes = [rf"\par\smallskip\footnotesize {escape_latex(note)}" for note in self.notes]
+        lines = [r"\begin{table}[t]", r"\centering", *caption, self.tabular(), *notes, r"\end{table}"]
         return "\n".join(lines) + "\n"
 
-    def _numbers(self) -> list[bool]:
-        """For each column whether it holds numbers, which are aligned right; the first does not."""
-        columns = list(zip(*self.rows, strict=True)) if self.rows else [()] * len(self.columns)
-        return [index > 0 and all(not text or text[0] in _DIGITS for text in c) for index, c in enumerate(columns)]
+    def tabular(self) -> str:
+        """The LaTeX ``tabular`` alone; needs ``booktabs``."""
+        head, *body = [" & ".join(map(escape_latex, row)) + r" \\" for row in (self.columns, *self.rows)]
+        begin = rf"\begin{{tabular}}{{{''.join('lr'[number] for number in self._numeric())}}}"
+        return "\n".join([begin, r"\toprule", head, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"])
+
+    def write(self, folder: Path, name: str) -> list[str]:
+        """Write ``name.md``, ``name.csv`` and ``name.tex`` into a folder, and return these names."""
+        texts = {f"{name}.md": self.markdown(), f"{name}.csv": self.csv(), f"{name}.tex": self.latex()}
+        for file, text in texts.items():
+            (folder / file).write_text(text, encoding="utf-8")
+        return list(texts)
+
+    def _numeric(self) -> list[bool]:
+        """For each column but the first whether all of its texts are numbers or empty."""
+        return [
+            index > 0 and all(not row[index] or _NUMERIC.match(row[index]) for row in self.rows)
+            for index in range(len(self.columns))
+        ]
 
 
-def tex(text: str) -> str:
-    """A text with LaTeX's special characters escaped."""
-    return "".join(_LATEX.get(letter, letter) for letter in text)
+def escape_markdown(text: str) -> str:
+    """A text in one line that Markdown shows literally, also in a cell of a table."""
+    text = _MARKDOWN.sub(r"\\\g<0>", " ".join(text.split()))
+    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")
+
+
+def escape_latex(text: str) -> str:
+    """A text that LaTeX shows literally, with powers of ten (``2e-05``) and minus signs as mathematics."""
+    text = "".join(_LATEX.get(letter, letter) for letter in text)
+    text = re.sub(r"\b(\d(?:\.\d+)?)e\+?(-?)0*(\d+)\b", r"$\1 \\times 10^{\2\3}$", text)
+    return re.sub(r"(?<=[\s\[(])-(?=\d)|^-(?=\d)", "$-$", text)
+
+
+def escape_csv(text: str) -> str:
+    """A text that no spreadsheet takes for a formula: one that looks like it gets a leading apostrophe."""
+    try:
+        float(text)
+    except ValueError:
+        risky = text.startswith(("=", "+", "-", "@", "\t", "\r", "\n"))
+        # The writer does not quote a carriage return, after which readers begin a new row.
+        return ("'" * risky + text).replace("\r", " ")
+    return text
 
 
 def number(value: float | None) -> str:
-    """A value in four significant digits; a dash for none."""
+    """A value in four significant digits; a dash for ``None`` and ``nan``.
+
+    Example:
+        >>> number(23.71049), number(0.0000215), number(None)
+        ('23.71', '2.15e-05', '–')
+    """
     if value is None or math.isnan(value):
         return "–"
     if value == 0 or 1e-3 <= abs(value) < 1e5:
@@ -88,43 +126,5 @@ def number(value: float | None) -> str:
 
 
 def titled(name: str, better: Mapping[str, str]) -> str:
-    """A figure's name with an arrow in its better direction."""
+    """A figure's name with an arrow in its better direction (``higher`` or ``lower``)."""
     return f"{name} {_ARROWS[better[name]]}" if name in better else name
-
-
-def figures_table(
-    columns: Mapping[str, Mapping[str, float]],
-    better: Mapping[str, str],
-    stand_ins: Mapping[str, str],
-    *,
-    caption: str = "",
-    notes: Sequence[str] = (),
-) -> Table:
-    """A row for each figure, a column for each group of figures by its title; figures of stand-ins have a note."""
-    names = list(dict.fromkeys(name for figures in columns.values() for name in figures))
-    remarks = [f"{STAND_IN} ({stand_ins[name]})" if name in stand_ins else "" for name in names]
-    rows = [
-        (titled(name, better), *(number(figures.get(name)) for figures in columns.values()), remark)
-        for name, remark in zip(names, remarks, strict=True)
-    ]
-    titles = ("figure", *columns, "note")
-    if not any(remarks):
-        titles, rows = titles[:-1], [row[:-1] for row in rows]
-    return Table(titles, tuple(rows), caption, tuple(notes))
-
-
-def _md(text: str) -> str:
-    return text.replace("|", r"\|").replace("\n", " ")
-
-
-def _cell(text: str) -> str:
-    """A cell that no spreadsheet takes for a formula: a text that looks like one has an apostrophe before it.
-
-    A carriage return is a space: the writer leaves it bare, and readers begin a row, and maybe a formula, after it.
-    """
-    try:
-        float(text)
-    except ValueError:
-        risky = text.startswith(("=", "+", "-", "@", "\t", "\r", "\n"))
-        return ("'" * risky + text).replace("\r", " ")
-    return text

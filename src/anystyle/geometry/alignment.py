@@ -17,15 +17,7 @@ class Rigid(NamedTuple):
 
 
 class MatchedPoints(NamedTuple):
-    """The same points in the camera frames of two views.
-
-    Args:
-        source: In the source camera's frame.
-        target: In the target camera's frame.
-        source_ray: Image positions in the source view: x and y at z = 1.
-        target_ray: Likewise in the target view.
-        weight: Confidence of each match, at least 0.
-    """
+    """The same points in two cameras' frames, their image positions at z = 1, and the confidence of each match."""
 
     source: Float[Tensor, "M P 3"]
     target: Float[Tensor, "M P 3"]
@@ -47,8 +39,7 @@ def align(matches: MatchedPoints, *, scale: float, rounds: int = 3, steps: int =
     """The motion from source to target that explains the matches best, robustly.
 
     Kabsch rounds on the points, reweighted by their errors (Cauchy), come first; then Gauss-Newton steps on the
-    reprojection errors in both views, which weigh directions more than depths. The Kabsch rounds carry no gradient;
-    the steps are differentiable in the matches.
+    reprojection errors in both views, which weigh directions more than depths. Only the steps carry a gradient.
 
     Args:
         matches: At least three points each; a pair without weight stays where it is.
@@ -104,11 +95,8 @@ def _project(points: Float[Tensor, "M P 3"]) -> Float[Tensor, "M P 2"]:
 def _project_jacobian(points: Float[Tensor, "M P 3"]) -> Float[Tensor, "M P 2 3"]:
     inverse = 1 / points[..., 2].clamp_min(0.05)
     zero = torch.zeros_like(inverse)
-    rows = [
-        torch.stack([inverse, zero, -points[..., 0] * inverse.square()], dim=-1),
-        torch.stack([zero, inverse, -points[..., 1] * inverse.square()], dim=-1),
-    ]
-    return torch.stack(rows, dim=-2)
+    x, y = -points[..., 0] * inverse.square(), -points[..., 1] * inverse.square()
+    return torch.stack([inverse, zero, x, zero, inverse, y], dim=-1).unflatten(-1, (2, 3))
 
 
 def _motion_jacobian(points: Float[Tensor, "M P 3"]) -> Float[Tensor, "M P 3 6"]:

@@ -16,13 +16,9 @@ KEY_CAMERAS = 6
 
 
 def smooth_path(cameras: Cameras, frames: int) -> Cameras:
-    """A smooth flight of so many frames through the cameras of one scene, from the first to the last.
+    """A smooth flight through the cameras of one scene, from the first to the last; a single camera sways in a circle.
 
-    Positions are interpolated without overshoot, rotations with a continuous angular velocity. A single camera sways
-    on a small circle around its position.
-
-    Raises:
-        ValueError: There are several scenes, or no frame is asked for.
+    Positions are interpolated without overshoot, rotations with a continuous angular velocity.
     """
     if cameras.intrinsics.shape[0] != 1 or frames < 1:
         raise ValueError(f"a path needs one scene and at least 1 frame, not {cameras.intrinsics.shape[0]} and {frames}")
@@ -51,13 +47,7 @@ def smooth_path(cameras: Cameras, frames: int) -> Cameras:
 def look_at(
     eye: Float[Tensor, "*batch 3"], target: Float[Tensor, "*batch 3"], up: Float[Tensor, "3"] | None = None
 ) -> Float[Tensor, "*batch 4 4"]:
-    """World from camera of cameras at ``eye`` that look at ``target``; differentiable.
-
-    Args:
-        eye: Camera centres.
-        target: Points on the optical axes.
-        up: Direction that points up in the images, not along an optical axis; the world's -y by default.
-    """
+    """World from camera of cameras at ``eye`` that look at ``target``; ``up`` in the images is -y by default."""
     up = eye.new_tensor([0.0, -1.0, 0.0]) if up is None else up
     forward = torch.nn.functional.normalize(target - eye, dim=-1)
     right = torch.nn.functional.normalize(torch.linalg.cross(forward, up.expand_as(forward), dim=-1), dim=-1)
@@ -65,6 +55,32 @@ def look_at(
     top = torch.stack([right, down, forward, eye], dim=-1)
     bottom = eye.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*eye.shape[:-1], 1, 4)
     return torch.cat([top, bottom], dim=-2)
+
+
+def _sway(pose: np.ndarray, frames: int, radius: float = 0.06) -> np.ndarray:
+    """Once around a circle in the image plane, looking at what is straight ahead at unit distance."""
+    angle = np.linspace(0, 2 * np.pi, frames, endpoint=False)
+    local = np.tile(np.eye(4), (frames, 1, 1))
+    offset = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(frames)], axis=1)
+    local[:, :3, 3] = offset
+    angles = np.stack([np.arctan(offset[:, 1]), -np.arctan(offset[:, 0])], 1)
+    local[:, :3, :3] = Rotation.from_euler("xy", angles).as_matrix()
+    return pose @ local
+
+
+def looking_at(
+    means: Float[Tensor, "N 3"], opacities: Float[Tensor, " N"], size: tuple[int, int] = (600, 800)
+) -> Cameras:
+    """A camera that shows the middle of a scene, from where 3DGS's axes look: along z, y down."""
+    visible = means[opacities > 0.1]
+    points = visible if len(visible) else means
+    center = points.median(0).values
+    radius = (points - center).norm(dim=-1).quantile(0.8) if len(points) < 2**23 else points.std()
+    eye = center - torch.tensor([0.0, 0.0, 2.0]) * radius.clamp_min(1e-3)
+    height, width = size
+    focal = float(width)
+    intrinsics = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+    return Cameras(look_at(eye[None], center[None])[None], intrinsics[None, None], size)
 
 
 def orbit(cameras: Cameras, frames: int, *, degrees: float = 360.0, distance: float = 1.0) -> Cameras:
@@ -96,15 +112,3 @@ def orbit(cameras: Cameras, frames: int, *, degrees: float = 360.0, distance: fl
         intrinsics=cameras.intrinsics[:, middle, None].expand(1, frames, 3, 3),
         size=cameras.size,
     )
-
-
-def _sway(pose: np.ndarray, frames: int, radius: float = 0.06) -> np.ndarray:
-    """Once around a circle in the image plane, looking at what is straight ahead at unit distance."""
-    angle = np.linspace(0, 2 * np.pi, frames, endpoint=False)
-    local = np.tile(np.eye(4), (frames, 1, 1))
-    offset = radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(frames)], axis=1)
-    local[:, :3, 3] = offset
-    local[:, :3, :3] = Rotation.from_euler(
-        "xy", np.stack([np.arctan(offset[:, 1]), -np.arctan(offset[:, 0])], 1)
-    ).as_matrix()
-    return pose @ local

@@ -14,21 +14,14 @@ def voxel_clusters(points: Float[Tensor, "B M 3"], confidence: Float[Tensor, "B 
 
     Voxels lie around the multiples of ``voxel_size`` (ties to even) and are numbered in lexicographic order. A point's
     weight is ``exp(c - max c) / (sum exp(c - max c) + 1e-6)`` over its voxel, and the voxel's mean the weighted sum.
-    Differentiable in the points and confidences; the assignment is constant.
-
-    Returns:
-        Scenes padded to the same count; padding has mean 0 and no points.
-
-    Raises:
-        ValueError: A point is not finite, or the voxel size is not positive.
+    Differentiable in the points and confidences. Scenes are padded to one count; padding has mean 0 and no points.
     """
     if voxel_size <= 0:
         raise ValueError(f"voxel_size is {voxel_size}; it must be greater than 0")
     if not bool(points.isfinite().all()):
         raise ValueError("points to fuse are infinite or not a number; the predicted depth or cameras have diverged")
     cells = (points.detach() / voxel_size).round().long()
-    ranks = [lexicographic_ranks(scene) for scene in cells]
-    index = torch.stack(ranks)
+    index = torch.stack([lexicographic_ranks(scene) for scene in cells])
     counts = index.amax(dim=1) + 1
     size = int(counts.max())
     valid = torch.arange(size, device=points.device) < counts[:, None]

@@ -4,10 +4,10 @@ Coefficient ``l * l + l + m`` has degree ``l`` and order ``m`` in ``-l .. l``; t
 the real harmonics of mathematics, so that the three of degree 1 are ``-y, z, -x`` times 0.4886.
 """
 
+from functools import cache
 from math import factorial, isqrt, pi, sqrt
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -16,16 +16,15 @@ CONSTANT = 0.5 / sqrt(pi)
 
 
 def degree_of(coefficients: int) -> int:
-    """The degree of harmonics with a number of coefficients.
+    """The degree of harmonics with a number of coefficients, which must be a square.
 
-    Raises:
-        ValueError: The number is no square.
+    Example:
+        >>> degree_of(16)
+        3
     """
     degree = isqrt(max(coefficients, 1)) - 1
     if (degree + 1) ** 2 != coefficients:
-        raise ValueError(
-            f"{coefficients} spherical-harmonics coefficients; expected (degree + 1)², such as 1, 4, 9, 16 or 25"
-        )
+        raise ValueError(f"{coefficients} spherical-harmonics coefficients; expected (degree + 1)², such as 4, 9 or 16")
     return degree
 
 
@@ -75,7 +74,15 @@ def colors(harmonics: Float[Tensor, "*batch K 3"], directions: Float[Tensor, "*b
 
 
 def constant_from_rgb(rgb: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
-    """The coefficients of degree 0 that show a colour in [0, 1]."""
+    """The coefficients of degree 0 that show a colour in [0, 1].
+
+    Example:
+        >>> orange = constant_from_rgb(torch.tensor([1.0, 0.5, 0.0]))
+        >>> orange
+        tensor([ 1.7725,  0.0000, -1.7725])
+        >>> colors(orange[None], torch.tensor([0.0, 0.0, 1.0]))
+        tensor([1.0000, 0.5000, 0.0000])
+    """
     return (rgb - 0.5) / CONSTANT
 
 
@@ -84,24 +91,34 @@ def rgb_from_constant(constant: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*ba
     return constant * CONSTANT + 0.5
 
 
-def rotate(harmonics: Float[Tensor, "*batch K 3"], rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "*batch K 3"]:
-    """The coefficients of the same colours after a rotation of the world.
+def damping(degree: int) -> list[float]:
+    """AnySplat's factor for each coefficient up to ``degree``: 1, and ``0.1 * 0.25 ** d`` for degree d > 0."""
+    return [1.0] + [0.1 * 0.25**d for d in range(1, degree + 1) for _ in range(2 * d + 1)]
 
-    A rotation mixes harmonics of one degree; the matrix is the least-squares fit of their values at more directions
-    than there are coefficients.
-    """
-    degree = degree_of(harmonics.shape[-2])
-    directions = _spread(8 * (degree + 1) ** 2).to(harmonics.device)
-    rotated = basis(directions, degree)  # M K, float64
-    original = basis(directions @ rotation.double(), degree)  # in the axes of the world before the rotation
-    matrix = torch.linalg.lstsq(rotated, original).solution  # K K, block by block
+
+def rotate(harmonics: Float[Tensor, "*batch K 3"], rotation: Float[Tensor, "3 3"]) -> Float[Tensor, "*batch K 3"]:
+    """The coefficients of the same colours after a rotation of the world."""
+    matrix = rotation_matrices(rotation, degree_of(harmonics.shape[-2]))
     return torch.einsum("kj,...jc->...kc", matrix.to(harmonics.dtype), harmonics)
 
 
-def _spread(count: int) -> Float[Tensor, "M 3"]:
-    """Unit vectors spread over the sphere, on a Fibonacci spiral."""
-    index = torch.arange(count, dtype=torch.float64) + 0.5
+def rotation_matrices(rotations: Float[Tensor, "*batch 3 3"], degree: int) -> Float[Tensor, "*batch K K"]:
+    """Matrices that rotate coefficients; they mix harmonics of one degree.
+
+    They are the least-squares fit of the values of the harmonics at more directions than there are coefficients.
+    """
+    directions, inverse = (part.to(rotations.device) for part in _fit(degree))
+    original = basis(directions @ rotations.double(), degree)  # ... M K, in the axes before the rotation
+    degrees = torch.arange((degree + 1) ** 2, device=rotations.device).sqrt().floor()  # degree of each coefficient
+    return (inverse @ original * (degrees[:, None] == degrees)).to(rotations.dtype)
+
+
+@cache
+def _fit(degree: int) -> tuple[Float[Tensor, "M 3"], Float[Tensor, "K M"]]:
+    """Unit vectors on a Fibonacci spiral, and the pseudo-inverse of the harmonics there."""
+    count = 8 * (degree + 1) ** 2
+    index = torch.arange(count, dtype=torch.float64, device="cpu") + 0.5
     z = 1 - 2 * index / count
-    angle = index * (pi * (3 - sqrt(5)))
-    radius = (1 - z * z).sqrt()
-    return F.normalize(torch.stack([radius * angle.cos(), radius * angle.sin(), z], dim=-1), dim=-1)
+    angle, radius = index * (pi * (3 - 5**0.5)), (1 - z * z).sqrt()
+    directions = torch.stack([radius * angle.cos(), radius * angle.sin(), z], dim=-1)
+    return directions, torch.linalg.pinv(basis(directions, degree))

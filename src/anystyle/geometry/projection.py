@@ -53,18 +53,10 @@ def project(
     far: float,
     eps2d: float,
 ) -> Splats:
-    """Project the Gaussians that an image shows, differentiable in all tensors.
+    """Project the Gaussians between ``near`` and ``far`` that an image shows, differentiable in all tensors.
 
-    Args:
-        means: Centres in world space.
-        covariances: In world space.
-        opacities: In [0, 1].
-        camera_from_world: A rigid motion.
-        intrinsics: In pixels of an image of ``size``.
-        size: Height and width in pixels.
-        near: Gaussians with centres nearer than this are not seen.
-        far: Gaussians with centres farther than this are not seen.
-        eps2d: Added to the variances in the image, in pixels²: the low-pass filter of a pixel.
+    Means and covariances are in world space; ``size`` is height and width in pixels. ``eps2d`` is added to the
+    variances in the image, in pixels²: the low-pass filter of a pixel.
     """
     rotation, translation = camera_from_world[:3, :3], camera_from_world[:3, 3]
     local = means @ rotation.T + translation  # N 3, camera axes

@@ -20,7 +20,14 @@ def xyzw_from_wxyz(quaternions: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*ba
 
 
 def matrix_from_wxyz(quaternions: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
-    """Rotation matrices of quaternions of any norm; that of the zero quaternion is the identity."""
+    """Rotation matrices of quaternions of any norm; that of the zero quaternion is the identity.
+
+    Example:
+        >>> matrix_from_wxyz(torch.tensor([0.0, 1.0, 0.0, 0.0]))  # half a turn about x
+        tensor([[ 1.,  0.,  0.],
+                [ 0., -1.,  0.],
+                [ 0.,  0., -1.]])
+    """
     w, x, y, z = F.normalize(quaternions, dim=-1).unbind(-1)
     entries = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),

@@ -12,7 +12,16 @@ from anystyle.types import Gaussians
 
 
 class Similarity(NamedTuple):
-    """A change of frame ``x -> scale rotation x + translation``."""
+    """A change of frame ``x -> scale rotation x + translation``.
+
+    Example:
+        >>> double = Similarity(torch.tensor(2.0), torch.eye(3), torch.tensor([1.0, 0.0, 0.0]))
+        >>> moved = double.points(torch.tensor([1.0, 1.0, 1.0]))
+        >>> moved
+        tensor([3., 2., 2.])
+        >>> double.inverse().points(moved)
+        tensor([1., 1., 1.])
+    """
 
     scale: Float[Tensor, ""]
     rotation: Float[Tensor, "3 3"]
@@ -65,11 +74,7 @@ def similarity_of_cameras(source: Float[Tensor, "V 4 4"], target: Float[Tensor, 
 
     The rotation is the chordal mean of the views' rotations, since the positions of a few cameras on a line leave it
     open; scale and translation then have the least squared error of the positions. Cameras at one position keep their
-    scale.
-
-    Args:
-        source: World from camera in the old frame; at least one view.
-        target: World from camera in the new frame.
+    scale. ``source`` and ``target`` are world from camera in the old and new frame.
     """
     rotation = nearest_rotation((target[:, :3, :3] @ source[:, :3, :3].mT).mean(0))
     rotated, positions = source[:, :3, 3] @ rotation.mT, target[:, :3, 3]

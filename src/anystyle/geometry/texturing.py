@@ -8,24 +8,16 @@ from torch import Tensor
 from anystyle.types import Cameras
 
 
-def from_one_view(
+def single_view_colors(
     color: Float[Tensor, "B V H W C"], points: Float[Tensor, "B V H W 3"], cameras: Cameras, tolerance: float = 0.15
 ) -> Float[Tensor, "B V H W C"]:
     """Repaint points by the first view that sees them, so that views which were painted one by one agree.
 
     As surfaces are textured from photographs (Lempitsky and Ivanov, CVPR 2007), but with few and large patches: views
-    come in the order of their distance from the origin of the scene's frame, which bundled backbones lay into the view
-    that differs least from all others. Colours are interpolated bicubically and differentiable; which view paints a
-    point is constant. It takes about a projection of every point.
-
-    Args:
-        color: Of the pixels of each view.
-        points: What each pixel shows, in world space; pixels at one point get one colour.
-        cameras: Of the views, for images of H x W.
-        tolerance: A view sees a point whose distance along z is within this share of that of the pixel it falls on.
-
-    Returns:
-        The colours; those of points that no view sees are as they were.
+    come in the order of their distance from the origin of the scene's frame, where bundled backbones place the view
+    that differs least from all others. Colours are interpolated bicubically and differentiable; the choice of views is
+    constant. A view sees a point whose distance along z is within the ``tolerance`` of that of the pixel it falls on;
+    points that no view sees keep their colours.
     """
     rows = zip(color, points, cameras.world_from_camera, cameras.intrinsics, strict=True)
     return torch.stack([_repainted(*row, tolerance) for row in rows])

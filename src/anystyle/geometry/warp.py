@@ -33,12 +33,7 @@ def sample_at(image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"]) -
 
 
 class Splat(NamedTuple):
-    """A forward-warped image.
-
-    Args:
-        image: The weighted mean of the pixels splatted onto each pixel; 0 where there is none.
-        weight: The sum of their weights.
-    """
+    """A forward-warped image: the weighted mean of what falls onto each pixel, or 0, and the sum of weights."""
 
     image: Float[Tensor, "M C H W"]
     weight: Float[Tensor, "M 1 H W"]
@@ -80,11 +75,7 @@ def cycle_visible(
 ) -> Bool[Tensor, "M H W"]:
     """Where following the flow there and back returns to the start (Sundaram, Brox and Keutzer, ECCV 2010, Eq. 5).
 
-    Args:
-        forward: From the source to the target.
-        backward: From the target to the source.
-        relative: Allowed squared error for each squared pixel of displacement.
-        slack: Allowed squared error beside it, in squared pixels.
+    The allowed squared error is ``slack`` pixels² and ``relative`` times the squared displacements.
     """
     height, width = forward.shape[-2:]
     sampled = sample_at(backward, forward)
@@ -97,13 +88,7 @@ def cycle_visible(
 
 
 class Reprojected(NamedTuple):
-    """The points of a source view's pixels as the target's camera has them.
-
-    Args:
-        displacement: (x, y) in pixels, to be added to the source pixel.
-        depth: Along the target's z axis.
-        inside: Whether there is a point, in front of the target's camera and within its image.
-    """
+    """Displacements (x, y) of a source view's pixels into the target, depth there, and whether the target sees them."""
 
     displacement: Float[Tensor, "M 2 H W"]
     depth: Float[Tensor, "M H W"]

@@ -10,7 +10,7 @@ class AdaLN(TokenInjector):
     """Add tokens with other statistics: ``tokens + gate(z) * (norm(tokens) * (1 + scale(z)) + shift(z))``.
 
     The adaLN-Zero of Peebles and Xie, "Scalable Diffusion Models with Transformers", 2023 (arXiv:2212.09748, section
-    3.2): a layer norm without parameters of its own, scale, shift and gate predicted by one layer that is 0 at birth.
+    3.2): a layer norm without parameters of its own, scale, shift and gate predicted by one layer that starts at 0.
     There the gate stands behind a block; at a site no block is between, so it opens on the modulated tokens themselves.
     Unlike FiLM, what it adds does not depend on how large a token is.
 

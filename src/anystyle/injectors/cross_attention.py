@@ -4,6 +4,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from anystyle.errors import UserError
 from anystyle.injectors.base import TokenInjector, zeroed
 
 
@@ -14,7 +15,7 @@ class CrossAttention(TokenInjector):
     the patches of a style image. A site gives one vector, which may come from a text, so it is expanded into
     ``num_tokens`` style tokens by a learned map, as IP-Adapter does with an image's CLIP vector (Ye et al., 2023,
     arXiv:2308.06721, section 3.2.1). The same style can so do different things to different tokens, which a shift
-    cannot. The output projection is 0 at birth.
+    cannot. The output projection is 0 at initialisation.
 
     Args:
         num_tokens: Style tokens that the vector becomes; at least 2, for with one there is nothing to choose from.
@@ -22,7 +23,7 @@ class CrossAttention(TokenInjector):
         head_dim: Channels of each head.
 
     Raises:
-        ValueError: ``num_tokens`` is below 2, or there is no head or channel.
+        UserError: ``num_tokens`` is below 2, or there is no head or channel.
     """
 
     def __init__(
@@ -38,7 +39,7 @@ class CrossAttention(TokenInjector):
     ) -> None:
         super().__init__(gain, special_tokens)
         if num_tokens < 2 or heads < 1 or head_dim < 1:
-            raise ValueError(
+            raise UserError(
                 f"injector.num_tokens={num_tokens}, heads={heads} and head_dim={head_dim} leave nothing to attend to; "
                 "give at least 2, 1 and 1"
             )

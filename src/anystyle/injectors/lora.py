@@ -3,6 +3,7 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle.errors import UserError
 from anystyle.injectors.base import TokenInjector, zeroed
 
 
@@ -10,7 +11,7 @@ class LoRA(TokenInjector):
     """Change tokens within few directions: ``tokens + alpha / rank * up(strength(z) * down(tokens))``.
 
     Hu et al., "LoRA: Low-Rank Adaptation of Large Language Models", 2021 (arXiv:2106.09685, Eq. 3): ``down`` is random
-    and ``up`` is 0 at birth. There the pair is added to a weight matrix; here it stands at a site, which is the same
+    and ``up`` starts at 0. There the pair is added to a weight matrix; here it stands at a site, which is the same
     for the linear layers that read the tokens there: ``W (x + U S D x) = (W + (W U) S D) x``, an update of ``W`` of
     rank ``rank``. The style enters as the diagonal ``S = diag(strength(z))`` between the two, so that one pair of
     matrices is a family of updates, one a style. It multiplies: a token that is 0 stays 0.
@@ -23,7 +24,7 @@ class LoRA(TokenInjector):
         alpha: The update is scaled by ``alpha / rank``, so that another rank needs no other learning rate.
 
     Raises:
-        ValueError: ``rank`` is below 1.
+        UserError: ``rank`` is below 1.
     """
 
     def __init__(
@@ -38,7 +39,7 @@ class LoRA(TokenInjector):
     ) -> None:
         super().__init__(gain, special_tokens)
         if rank < 1:
-            raise ValueError(f"injector.rank is {rank}; give at least 1")
+            raise UserError(f"injector.rank is {rank}; give at least 1")
         rank = min(rank, dim)
         self.factor = alpha / rank
         self.strength = nn.Linear(style_dim, rank)

@@ -1,4 +1,4 @@
-"""The one door for pictures: which image files are decoded, and how large they may be."""
+"""Opening image files: which formats are decoded, and how large they may be."""
 
 import io
 import warnings
@@ -9,44 +9,29 @@ from pathlib import Path
 
 from PIL import Image, UnidentifiedImageError
 
-from anystyle.capacity import require
 from anystyle.errors import UserError, one_line
+from anystyle.io.limits import require
 
 MAX_PIXELS = 178_000_000
-"""What an image may hold for its header to be believed, as Pillow has it; only JPEG files of this size are decoded."""
+"""The largest image that is accepted, as in Pillow; only JPEG files of this size are decoded, reduced."""
 MAX_DECODED = 100_000_000
-"""Pixels that are decoded at most: with all copies that a conversion needs, about one gigabyte."""
-_DECODED = 8
-"""Bytes that a pixel takes while it is decoded: of 16 bits, or four channels, and a copy of them in other ones."""
+"""The most pixels that are decoded: with the copies of a conversion about one gigabyte."""
 
 Picture = Path | bytes
 """An image file, or the content of one."""
 
-_FORMATS = ("AVIF", "BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")
-
 
 @cache
 def formats() -> tuple[str, ...]:
-    """The formats that image files may have, whatever their names say: pass them to ``Image.open``.
-
-    Without them Pillow tries every decoder that it has; the one of EPS starts Ghostscript on the file.
-    """
+    """The formats that are decoded: of all that Pillow has, the decoder of EPS would start Ghostscript on a file."""
     Image.init()
-    return tuple(name for name in _FORMATS if name in Image.OPEN)  # AVIF is not in every build
+    known = ("AVIF", "BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")
+    return tuple(name for name in known if name in Image.OPEN)  # AVIF is not in every build
 
 
 @contextmanager
 def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
-    """An image whose header has been judged; all that decoders raise becomes one line that names the file.
-
-    Args:
-        source: A file, or the bytes of one.
-        name: What messages call bytes.
-
-    Raises:
-        ValueError: It is no image, a damaged one, or too large.
-        OSError: It cannot be read.
-    """
+    """Open an image and check its header; errors of decoders become a UserError that names the file."""
     what = name or str(source)
     if isinstance(source, Path) and not source.is_file():
         raise UserError(f"there is no image {source}")
@@ -57,39 +42,28 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
                 if image.width * image.height > MAX_PIXELS:
                     raise UserError(_too_large(image))
                 yield image
+    except UserError as error:
+        raise UserError(f"{what}: {error}") from None
     except Image.DecompressionBombError:
         raise UserError(f"{what} has too many pixels; at most {MAX_DECODED:,} are decoded") from None
     except UnidentifiedImageError:
         raise UserError(f"{what} is no image that can be read, whatever its name says") from None
-    except MemoryError:
-        raise
-    except UserError as error:
-        raise UserError(f"{what}: {error}") from None
-    except Exception as error:
-        # Decoders of damaged files raise nearly anything; what the system says of the file is passed on.
-        if isinstance(error, OSError) and error.errno is not None and error.filename is not None:
+    except Exception as error:  # decoders of damaged files raise nearly anything
+        if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.filename is not None):
             raise
         raise UserError(f"{what} is a damaged image ({one_line(error)[:200] or type(error).__name__})") from None
 
 
 def decodable(image: Image.Image, longest: int) -> None:
-    """Refuse an image that would take too much memory, or more than there is, before a pixel is decoded.
-
-    JPEG files are told to be decoded at a half, a quarter or an eighth, to no less than ``longest``.
-
-    Raises:
-        ValueError: It holds more than :data:`MAX_DECODED` pixels then, or takes more memory than is free.
-    """
-    before = _too_large(image)
+    """Refuse an image that takes too much memory; JPEG files are decoded at 1/2 to 1/8 size, not below ``longest``."""
+    too_large = _too_large(image)
     image.draft("RGB", (longest, longest))
-    if image.width * image.height > MAX_DECODED:
-        raise UserError(before)
     pixels = image.width * image.height
-    require(pixels * _DECODED, f"{image.width} x {image.height} pixels", "make the image smaller")
+    if pixels > MAX_DECODED:
+        raise UserError(too_large)
+    require(8 * pixels, f"{image.width} x {image.height} pixels", "make the image smaller")
 
 
 def _too_large(image: Image.Image) -> str:
-    return (
-        f"{image.width} x {image.height} pixels are too many; at most {MAX_DECODED:,} are decoded, more of JPEG files "
-        "alone; make it smaller"
-    )
+    limit = f"at most {MAX_DECODED:,} are decoded, more of JPEG files alone"
+    return f"{image.width} x {image.height} pixels are too many; {limit}; make it smaller"

@@ -11,17 +11,14 @@ from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
 
-from anystyle.capacity import require
-from anystyle.documents import regular
+from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
+from anystyle.io.documents import regular
+from anystyle.io.limits import require
 from anystyle.io.packing import smallest_three_to_wxyz
 
 MAX_DEGREE = 3
-"""What viewers read; higher coefficients are left out."""
-
-# Logits and logarithms stay finite: opacities of 0 and 1 and scales of 0 do occur.
-_OPACITY_MARGIN = 1e-6
-_SMALLEST_SCALE = 1e-12
+"""The highest degree of harmonics that viewers read; higher coefficients are not written."""
 
 
 class Splats(NamedTuple):
@@ -35,7 +32,7 @@ class Splats(NamedTuple):
 
 
 def write(splats: Splats, path: Path, notes: str = "") -> None:
-    """Write one scene, whole or not at all; notes, such as licences, become comments, a line each.
+    """Write one scene; each line of ``notes``, such as licences, becomes a comment.
 
     Every property is float32, in the order positions, normals (0), ``f_dc``, ``f_rest`` (colour-major), opacity
     (logit), scales (logarithm), rotation (unit quaternion wxyz). Gaussians of no opacity are left out.
@@ -44,14 +41,15 @@ def write(splats: Splats, path: Path, notes: str = "") -> None:
     means, rotations, scales, opacities, harmonics = (tensor[kept].detach().float().cpu() for tensor in splats)
     degree = min(_degree(harmonics.shape[1]), MAX_DEGREE)
     harmonics = harmonics[:, : (degree + 1) ** 2]
+    # Opacities of 0 and 1 and scales of 0 occur; the margins keep their logits and logarithms finite.
     columns = torch.cat(
         [
             means,
             torch.zeros_like(means),
             harmonics[:, 0],
             harmonics[:, 1:].mT.flatten(1),
-            torch.logit(opacities.clamp(_OPACITY_MARGIN, 1 - _OPACITY_MARGIN))[:, None],
-            scales.clamp_min(_SMALLEST_SCALE).log(),
+            torch.logit(opacities.clamp(1e-6, 1 - 1e-6))[:, None],
+            scales.clamp_min(1e-12).log(),
             torch.nn.functional.normalize(rotations, dim=-1),
         ],
         dim=1,
@@ -64,27 +62,16 @@ def write(splats: Splats, path: Path, notes: str = "") -> None:
 
 
 def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool:
-    """Write the Gaussians of a file with other colours; every other number keeps its bits, in its order.
-
-    Args:
-        source: The file that the Gaussians were read from.
-        harmonics: Of all of them; properties of higher degrees are left out.
-        path: Written whole or not at all.
-
-    Returns:
-        Whether that was done: a compressed file has no number for a colour alone.
-    """
+    """Copy a file with other colours, and without properties of higher degrees; False for a compressed file."""
     data = PlyData.read(source)
     if "chunk" in data:
         return False
     before = data["vertex"].data
     colors = np.concatenate([harmonics[:, 0].cpu(), harmonics[:, 1:].mT.flatten(1).cpu()], axis=1)  # N 3*K
     names = [f"f_dc_{index}" for index in range(3)] + [f"f_rest_{index}" for index in range(colors.shape[1] - 3)]
-    kept = [
-        (name, before.dtype[name]) for name in before.dtype.names if not name.startswith("f_rest_") or name in names
-    ]
-    after = np.empty(len(before), dtype=kept)
-    for name, _ in kept:
+    kept = [name for name in before.dtype.names if not name.startswith("f_rest_") or name in names]
+    after = np.empty(len(before), dtype=[(name, before.dtype[name]) for name in kept])
+    for name in kept:
         after[name] = colors[:, names.index(name)] if name in names else before[name]
     elements = [element for element in data.elements if element.name != "vertex"]
     with atomic_path(path) as temporary:
@@ -93,11 +80,7 @@ def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool
 
 
 def read(path: Path) -> Splats:
-    """Read a file of any degree of harmonics, as trainers write it, or compressed, as SuperSplat does.
-
-    Raises:
-        ValueError: It is no PLY file, a damaged one, or not one of Gaussians.
-    """
+    """Read a file of any degree of harmonics, as trainers write it, or compressed, as SuperSplat does."""
     regular(path, most=None, what="PLY file of Gaussians")
     require(3 * path.stat().st_size, str(path), "a scene of fewer Gaussians, or another machine")
     try:
@@ -105,19 +88,19 @@ def read(path: Path) -> Splats:
         vertices = data["vertex"].data
         columns = unpack(data) if "chunk" in data else {}
     except (PlyParseError, KeyError, ValueError) as error:
-        raise ValueError(f"{path} is no PLY file of Gaussians ({error})") from None
+        raise UserError(f"{path} is no PLY file of Gaussians ({error})") from None
     columns = columns or {name: vertices[name] for name in vertices.dtype.names or ()}
     present = columns.keys()
     rest = sum(name.startswith("f_rest_") for name in present)
     if rest % 3:
-        raise ValueError(f"{path} has {rest} properties f_rest_*; a multiple of three is expected")
+        raise UserError(f"{path} has {rest} properties f_rest_*; a multiple of three is expected")
     names = [name for name in _properties(_degree(rest // 3 + 1)) if name not in ("nx", "ny", "nz")]
     missing = [name for name in names if name not in present]
     if missing:
-        raise ValueError(f"{path} is a PLY file without the properties {', '.join(missing[:5])} of Gaussians")
+        raise UserError(f"{path} is a PLY file without the properties {', '.join(missing[:5])} of Gaussians")
     values = torch.from_numpy(np.stack([columns[name].astype(np.float32) for name in names], axis=1))
     if not bool(values.isfinite().all()):
-        raise ValueError(f"{path} has properties that are infinite or no numbers; export it again")
+        raise UserError(f"{path} has properties that are infinite or no numbers; export it again")
     means, constant, higher, opacity, scales, rotations = values.split([3, 3, rest, 1, 3, 4], dim=1)
     return Splats(
         means=means,
@@ -131,8 +114,8 @@ def read(path: Path) -> Splats:
 def _degree(coefficients: int) -> int:
     degree = isqrt(coefficients) - 1
     if (degree + 1) ** 2 != coefficients:
-        raise ValueError(
-            f"{coefficients} spherical-harmonics coefficients a colour; expected a square, such as 1, 4, 9, 16 or 25"
+        raise UserError(
+            f"{coefficients} spherical-harmonics coefficients a colour; expected a square, such as 4, 9 or 16"
         )
     return degree
 
@@ -147,22 +130,14 @@ def _properties(degree: int) -> list[str]:
 
 
 CHUNK = 256
-"""Gaussians that one row of bounds is for."""
-
-_CONSTANT = 0.5 / sqrt(np.pi)
-_BYTE_BOUNDS = 8.0
+"""Gaussians that share a row of bounds in a compressed file."""
 
 
 def unpack(data: PlyData) -> dict[str, Float[np.ndarray, " N"]]:
-    """The properties of an ordinary PLY file of Gaussians, by name.
-
-    Raises:
-        ValueError: Chunks are missing.
-        KeyError: Elements or properties are missing.
-    """
+    """The properties of a compressed file by their names in an uncompressed one."""
     vertex, chunk = data["vertex"].data, data["chunk"].data
     if len(chunk) * CHUNK < len(vertex):
-        raise ValueError(f"{len(chunk)} chunks for {len(vertex)} Gaussians; {CHUNK} a chunk are expected")
+        raise UserError(f"{len(chunk)} chunks for {len(vertex)} Gaussians; {CHUNK} a chunk are expected")
     rows = np.arange(len(vertex)) // CHUNK
 
     def between(values: NDArray[np.float64], name: str) -> NDArray[np.float64]:
@@ -170,31 +145,22 @@ def unpack(data: PlyData) -> dict[str, Float[np.ndarray, " N"]]:
         return low + (high - low) * values
 
     columns: dict[str, NDArray[np.float64]] = {}
-    for name, axis, values in zip("xyz", ("x", "y", "z"), _bits_11_10_11(vertex["packed_position"]), strict=True):
-        columns[name] = between(values, axis)
-    for index, values in enumerate(_bits_11_10_11(vertex["packed_scale"])):
-        columns[f"scale_{index}"] = between(values, f"scale_{'xyz'[index]}")
+    for index, axis in enumerate("xyz"):
+        shift, top = ((21, 2047), (11, 1023), (0, 2047))[index]  # 11, 10 and 11 bits
+        columns[axis] = between((vertex["packed_position"] >> shift & top) / top, axis)
+        columns[f"scale_{index}"] = between((vertex["packed_scale"] >> shift & top) / top, f"scale_{axis}")
     quaternions = smallest_three_to_wxyz(vertex["packed_rotation"])
     columns |= {f"rot_{index}": quaternions[:, index] for index in range(4)}
-    packed = vertex["packed_color"]
-    red, green, blue, alpha = ((packed >> shift & 255) / 255 for shift in (24, 16, 8, 0))
-    for index, (channel, values) in enumerate(zip("rgb", (red, green, blue), strict=True)):
+    *colors, alpha = ((vertex["packed_color"] >> shift & 255) / 255 for shift in (24, 16, 8, 0))
+    for index, (channel, values) in enumerate(zip("rgb", colors, strict=True)):
         bounded = between(values, channel) if f"min_{channel}" in (chunk.dtype.names or ()) else values
-        columns[f"f_dc_{index}"] = (bounded - 0.5) / _CONSTANT
+        columns[f"f_dc_{index}"] = (bounded - 0.5) / (0.5 / sqrt(np.pi))
     opacity = alpha.clip(1e-6, 1 - 1e-6)
     columns["opacity"] = np.log(opacity / (1 - opacity))
     if "sh" in data:
+        # Harmonics of higher degrees in [-4, 4]: 0 and 255 are the bounds, other bytes the centres of intervals.
         for name in data["sh"].data.dtype.names or ():
-            columns[name] = _coefficient(data["sh"].data[name])
+            packed = data["sh"].data[name]
+            middle = (packed.astype(np.float64) + 0.5) / 256
+            columns[name] = 8 * (np.select([packed == 0, packed == 255], [0.0, 1.0], middle) - 0.5)
     return {name: values.astype(np.float32) for name, values in columns.items()}
-
-
-def _bits_11_10_11(packed: NDArray[np.uint32]) -> tuple[NDArray[np.float64], ...]:
-    return (packed >> 21) / 2047, (packed >> 11 & 1023) / 1023, (packed & 2047) / 2047
-
-
-def _coefficient(packed: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Harmonics of degrees above 0 in [-4, 4]; the first and last byte are the bounds, others middles of intervals."""
-    middle = (packed.astype(np.float64) + 0.5) / 256
-    unit = np.where(packed == 0, 0.0, np.where(packed == 255, 1.0, middle))
-    return (unit - 0.5) * _BYTE_BOUNDS

@@ -1,7 +1,8 @@
-"""What losses have in common: the images they compare with, and features of a frozen network."""
+"""Shared by losses: the images that they compare with, and features of a frozen network."""
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Literal
 
 import torch
@@ -9,14 +10,15 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from anystyle import perception
+from anystyle import vision
 from anystyle.contracts import Loss
-from anystyle.perception.sources import Source
-from anystyle.types import Stylization
+from anystyle.errors import UserError
+from anystyle.types import Renders, Stylization
+from anystyle.vision.weights import Source
 
 
 def style_images(result: Stylization) -> tuple[Float[Tensor, "B 3 h w"], Bool[Tensor, " B"]] | None:
-    """The style images of a batch and which rows hold one; rows without are grey. ``None`` if none does."""
+    """The style images of a batch and which rows have one; rows without are grey. ``None`` if no row has."""
     image, given = result.style.image, result.style.has_image
     if image is None:
         return None
@@ -26,7 +28,7 @@ def style_images(result: Stylization) -> tuple[Float[Tensor, "B 3 h w"], Bool[Te
 
 
 def mean_where(values: Float[Tensor, " M"], given: Bool[Tensor, " M"]) -> Float[Tensor, ""]:
-    """The mean of the values that are given; 0 where none is."""
+    """The mean of the values where ``given``; 0 if none is."""
     return torch.where(given, values, 0).sum() / given.sum().clamp_min(1)
 
 
@@ -34,47 +36,54 @@ Reference = Literal["photograph", "render"]
 
 
 def reference_images(result: Stylization, reference: Reference) -> Float[Tensor, "B V 3 H W"]:
-    """The images before the change of style.
+    """The unstyled images of the views."""
+    return result.views.images if reference == "photograph" else unstyled_renders(result).color
 
-    Raises:
-        ValueError: The unstyled render is asked for, and there is none.
-    """
-    if reference == "photograph":
-        return result.views.images
+
+def unstyled_renders(result: Stylization) -> Renders:
+    """The renders of the unstyled scene, which ``reference=render`` compares with."""
     if result.unstyled is None:
-        raise ValueError("reference=render compares with the unstyled scene, of which this training makes no render")
-    return result.unstyled.color
+        raise UserError("reference=render compares with renders of the unstyled scene, and there are none")
+    return result.unstyled
+
+
+def resized(images: Float[Tensor, "M 3 H W"], side: int | None, mode: str, *, antialias: bool = False) -> Tensor:
+    """Images resized to a square; ``None`` leaves them as they are."""
+    if side is None or images.shape[-2:] == (side, side):
+        return images
+    return F.interpolate(images, size=(side, side), mode=mode, align_corners=False, antialias=antialias)
 
 
 class FeatureLoss(Loss):
-    """Reads features of some layers of a network; constructors of subclasses name the options.
+    """A loss on features of some layers of a network; constructors of subclasses name the options.
 
     Args:
-        network: A network of :func:`anystyle.perception.load`, or several to choose from; see
-            :func:`anystyle.perception.choose`.
+        network: A network of :func:`anystyle.vision.load`, or several to choose from; see
+            :func:`anystyle.vision.choose`.
         layers: Whose features.
-        size: Side of the square that images are resized to before; ``None`` leaves them as they are.
+        size: Side of the square that images are first resized to; ``None`` leaves them as they are.
         weight: In the objective.
     """
 
     def __init__(self, network: str, layers: Sequence[str], size: int | None, weight: float) -> None:
         super().__init__()
-        self._chosen = perception.choose(network, layers)
+        self._chosen = vision.choose(network, layers)
         self.network, self.layers = self._chosen.network, self._chosen.layers
         self.size = size
         self.weight = weight
 
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        return {"network": "texture", "layers": ("relu1_1", "relu2_1"), "size": 48}
+
     @property
     def source(self) -> Source:
-        """The weights that the features rest on, and what stands in for them."""
+        """The network of the features, and what it stands in for."""
         return self._chosen.source
 
     def features(self, images: Float[Tensor, "M 3 H W"]) -> list[Float[Tensor, "M _ _ _"]]:
-        """The features of sRGB images, their aspect not kept, as published."""
-        if self.size is not None and images.shape[-2:] != (self.size, self.size):
-            side = (self.size, self.size)
-            images = F.interpolate(images, size=side, mode="bilinear", align_corners=False, antialias=True)
-        return self.network(images, self.layers)
+        """The features of sRGB images, resized to a square without keeping their aspect, as published."""
+        return self.network(resized(images, self.size, "bilinear", antialias=True), self.layers)
 
 
 class StatisticsLoss(FeatureLoss):
@@ -83,10 +92,10 @@ class StatisticsLoss(FeatureLoss):
     A layer's distance is the sum over the K parts of the mean squared difference of their D numbers; layers are added.
 
     Args:
-        size: Side that renders and style images are squashed to; ``None`` keeps each as it is.
+        size: Side that renders and style images are resized to; ``None`` keeps each as it is.
         relative: Divide each view's distance by that of its photograph and take the square root, then average over
-            the layers: 1 means as far from the style as the photograph, 0 means there. Colour, which is quickly
-            matched, then no longer drowns the small differences that make a pattern.
+            the layers: 1 means as far from the style as the photograph, 0 means a match. Large differences of colour
+            then do not outweigh the small ones of patterns.
     """
 
     def __init__(self, network: str, layers: Sequence[str], size: int | None, relative: bool, weight: float) -> None:

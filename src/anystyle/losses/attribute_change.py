@@ -1,4 +1,4 @@
-"""Attribute change: Gaussians keep their sizes and opacities."""
+"""Attribute change: penalise changes of scales and opacities."""
 
 from jaxtyping import Float
 from torch import Tensor
@@ -8,10 +8,10 @@ from anystyle.types import Stylization
 
 
 class AttributeChange(Loss):
-    """Keep scales and opacities of a scene that has Gaussians of its own (StylizedGS, Zhang et al. 2024, section 3.3).
+    """Penalise changes of scales and opacities (StylizedGS, Zhang et al. 2024, section 3.3).
 
-    ``s mean |scale - scale^before| + o mean |opacity - opacity^before|``. Nothing where a backbone predicts the scene,
-    whose Gaussians are no part of it.
+    ``s mean |scale - scale^before| + o mean |opacity - opacity^before|``. Zero for
+    scenes predicted by a backbone, which hold no Gaussians.
 
     Args:
         scale_weight: ``s``; the default is ours.

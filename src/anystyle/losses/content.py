@@ -1,7 +1,6 @@
-"""Content: keep what the photographs show."""
+"""Content: keep the features of the photographs."""
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Literal
 
 import torch
@@ -10,8 +9,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.losses._features import FeatureLoss
-from anystyle.perception.eager_backward import eager_backward
 from anystyle.types import Stylization
+from anystyle.vision.eager_backward import eager_backward
 
 
 class Content(FeatureLoss):
@@ -20,8 +19,7 @@ class Content(FeatureLoss):
     ``sum_l mean (phi_l(render) - phi_l(photograph))^2``, or the sum of each view in place of its mean.
 
     Args:
-        layers: Which features.
-        size: Side that renders and photographs are squashed to; none keeps them as they are.
+        size: Side that renders and photographs are resized to; ``None`` keeps them as they are.
         reduction: ``mean`` over the features of a view, as published, or their ``sum``, as the equation is written.
         weight: In the objective; published as 0.05 for the head variant, 0.075 for the aggregator variant.
     """
@@ -37,10 +35,6 @@ class Content(FeatureLoss):
     ) -> None:
         super().__init__(network, layers, size, weight)
         self.reduction: Literal["mean", "sum"] = reduction
-
-    @classmethod
-    def example(cls, folder: Path) -> dict[str, object]:
-        return {"network": "texture", "layers": ("relu3_1", "relu4_1"), "size": 48}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         with torch.no_grad():

@@ -1,11 +1,11 @@
-"""Depth consistency: a styled scene keeps the shape of the scene."""
+"""Depth consistency: keep the geometry of the scene."""
 
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
-from anystyle.losses._features import Reference
+from anystyle.losses._features import Reference, unstyled_renders
 from anystyle.types import Stylization
 
 
@@ -27,10 +27,5 @@ class DepthConsistency(Loss):
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        if not self.needs_unstyled:
-            return F.mse_loss(result.renders.depth, result.scene.geometry.depth)
-        if result.unstyled is None:
-            raise ValueError(
-                "reference=render compares with the unstyled scene, of which this training makes no render"
-            )
-        return F.mse_loss(result.renders.depth, result.unstyled.depth)
+        before = unstyled_renders(result) if self.needs_unstyled else result.scene.geometry
+        return F.mse_loss(result.renders.depth, before.depth)

@@ -1,9 +1,10 @@
-"""Edge-aware smoothness: new edges cost where the photograph has none."""
+"""Edge-aware smoothness: penalise edges that the photograph does not have."""
 
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
+from anystyle.errors import UserError
 from anystyle.types import Stylization
 
 
@@ -11,8 +12,8 @@ class EdgeAwareSmoothness(Loss):
     """Prefer renders that change where the photographs do: ``mean |dx I| exp(-k |dx I^photograph|)``, across plus down.
 
     The first-order smoothness of Godard et al. 2017 (Eq. 2 there, on disparities), on colours: absolute differences of
-    neighbouring pixels, averaged over channels. A term on the distribution of colours alone is satisfied by stripes
-    that have nothing to do with the scene; this one makes them dear and leaves the scene's own edges free.
+    neighbouring pixels, averaged over channels. A term on the distribution of colours alone allows stripes
+    unrelated to the scene; this one penalises them, but not the edges of the scene.
 
     Args:
         sharpness: The ``k`` above, for differences of sRGB in [0, 1].
@@ -22,9 +23,8 @@ class EdgeAwareSmoothness(Loss):
     def __init__(self, *, sharpness: float = 20.0, weight: float = 1.0) -> None:
         super().__init__()
         if sharpness < 0:
-            raise ValueError(f"loss.edge_aware_smoothness.sharpness is {sharpness}; give 0 or more")
-        self.sharpness = sharpness
-        self.weight = weight
+            raise UserError(f"loss.edge_aware_smoothness.sharpness is {sharpness}; give 0 or more")
+        self.sharpness, self.weight = sharpness, weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         color, photograph = result.renders.color, result.views.images

@@ -1,13 +1,12 @@
-"""Gram: match how features occur together."""
+"""Gram: match the correlations of features."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.losses._features import StatisticsLoss
-from anystyle.perception.statistics import gram
+from anystyle.vision.statistics import gram
 
 
 class Gram(StatisticsLoss):
@@ -26,10 +25,6 @@ class Gram(StatisticsLoss):
         weight: float = 1.0,
     ) -> None:
         super().__init__(network, layers, size, relative, weight)
-
-    @classmethod
-    def example(cls, folder: Path) -> dict[str, object]:
-        return {"network": "texture", "layers": ("relu1_1", "relu2_1"), "size": 48}
 
     def statistics(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M K D"]:
         return gram(features).flatten(1)[:, None]

@@ -1,4 +1,4 @@
-"""Histogram: match the style image's colours."""
+"""Histogram: match the colours of the style image."""
 
 import torch
 from jaxtyping import Float
@@ -6,8 +6,8 @@ from torch import Tensor
 
 from anystyle.contracts import Loss
 from anystyle.losses._features import mean_where, style_images
-from anystyle.perception.statistics import hellinger, rgb_uv_histogram
 from anystyle.types import Stylization
+from anystyle.vision.statistics import hellinger, rgb_uv_histogram
 
 
 class Histogram(Loss):
@@ -23,9 +23,7 @@ class Histogram(Loss):
 
     def __init__(self, *, bins: int = 64, width: float = 0.02, weight: float = 1.0) -> None:
         super().__init__()
-        self.bins = bins
-        self.width = width
-        self.weight = weight
+        self.bins, self.width, self.weight = bins, width, weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         styles = style_images(result)

@@ -1,4 +1,4 @@
-"""NNFM: every feature of a render lies near one of the style image."""
+"""NNFM: match every feature of a render to its nearest of the style image."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -46,7 +46,7 @@ class NNFM(FeatureLoss):
         with torch.no_grad():
             targets = self._unit_features(image)
         distances = [
-            _nearest_distance(view, targets[scene])
+            (1 - (view * targets[scene][:, _nearest(view, targets[scene])]).sum(0)).mean()
             for scene in range(color.shape[0])
             for view in self._unit_features(color[scene])
         ]
@@ -54,10 +54,6 @@ class NNFM(FeatureLoss):
 
     def _unit_features(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M C S"]:
         return F.normalize(torch.cat(self.features(images), dim=1).flatten(2), dim=1, eps=1e-8)
-
-
-def _nearest_distance(features: Float[Tensor, "C S"], target: Float[Tensor, "C T"]) -> Float[Tensor, ""]:
-    return (1 - (features * target[:, _nearest(features, target)]).sum(0)).mean()
 
 
 @torch.no_grad()

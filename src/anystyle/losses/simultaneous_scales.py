@@ -1,17 +1,17 @@
 """Simultaneously optimised scales: Gram matrices, means and deviations at many sizes at once."""
 
 from collections.abc import Sequence
-from pathlib import Path
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.errors import UserError
 from anystyle.losses._features import FeatureLoss, mean_where, style_images
-from anystyle.perception.eager_backward import eager_backward
-from anystyle.perception.statistics import gram, mean_std
 from anystyle.types import Stylization
+from anystyle.vision.eager_backward import eager_backward
+from anystyle.vision.statistics import gram, mean_std
 
 
 class SimultaneousScales(FeatureLoss):
@@ -19,11 +19,11 @@ class SimultaneousScales(FeatureLoss):
 
     ``sum_s sum_l g / C_l^2 mean_ij (G_ij - G_ij^style)^2 + m (mean_c (mu - mu^style)^2 + mean_c (sigma -
     sigma^style)^2)``: Galerne et al. 2025; scale ``s`` halves render and style image ``s`` times. Features of a layer
-    are divided by their mean over the style image at that scale, as the network whose weights these are has
-    activations of mean 1.
+    are divided by their mean over the style image at that scale, because the published weights belong to a network
+    with activations of mean 1.
 
     Args:
-        scales: How many sizes; fewer where the smallest would be under 16 pixels.
+        scales: Number of sizes; fewer where the smallest would be under 16 pixels.
         gram_weight: ``g``; 1000 in SGSST, as in Gatys et al. 2017.
         moments_weight: ``m``; 10,000 in SGSST.
     """
@@ -41,12 +41,8 @@ class SimultaneousScales(FeatureLoss):
     ) -> None:
         super().__init__(network, layers, size, weight)
         if scales < 1:
-            raise ValueError(f"loss.simultaneous_scales.scales={scales}; give at least 1")
+            raise UserError(f"loss.simultaneous_scales.scales={scales}; give at least 1")
         self.scales, self.gram_weight, self.moments_weight = scales, gram_weight, moments_weight
-
-    @classmethod
-    def example(cls, folder: Path) -> dict[str, object]:
-        return {"network": "texture", "layers": ("relu1_1", "relu2_1"), "scales": 2}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         styles = style_images(result)
@@ -59,7 +55,7 @@ class SimultaneousScales(FeatureLoss):
         def distance(images: Tensor) -> Tensor:
             total = images.new_zeros(len(images))
             for scale in range(self.scales):
-                small, small_style = halved(images, scale), halved(style, scale)
+                small, small_style = (F.avg_pool2d(each, 2**scale) for each in (images, style))
                 if min(*small.shape[-2:], *small_style.shape[-2:]) < 16:
                     break
                 total = total + self._at_one_scale(small, small_style, num_views)
@@ -79,8 +75,3 @@ class SimultaneousScales(FeatureLoss):
             total = total + self.gram_weight / features.shape[1] ** 2 * terms[0]
             total = total + self.moments_weight * (terms[1] + terms[2])
         return total
-
-
-def halved(images: Float[Tensor, "M 3 H W"], times: int) -> Float[Tensor, "M 3 h w"]:
-    """Images at half the size, so many times over."""
-    return F.avg_pool2d(images, 2**times) if times else images

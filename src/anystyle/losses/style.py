@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from functools import partial
-from pathlib import Path
 from typing import Literal
 
 import torch
@@ -10,16 +9,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.losses._features import StatisticsLoss
-from anystyle.perception.eager_backward import eager_backward
-from anystyle.perception.statistics import mean_std
 from anystyle.types import Stylization
+from anystyle.vision.eager_backward import eager_backward
+from anystyle.vision.statistics import mean_std
 
 
 class StyleLoss(StatisticsLoss):
     """Match mean and deviation of VGG features of the style image (paper, equation 8; AdaIN, equation 13).
 
     ``sum_l mean_c (mu - mu_style)^2 + mean_c (sigma - sigma_style)^2`` over the stylized views, averaged over those
-    whose style has an image; a text alone adds nothing.
+    whose style has an image; styles of text alone add 0.
 
     Args:
         reduction: ``mean`` over channels, as published, or their ``sum``, as the equation is written.
@@ -38,13 +37,7 @@ class StyleLoss(StatisticsLoss):
         super().__init__(network, layers, size, relative, weight)
         self.reduction = reduction
 
-    @classmethod
-    def example(cls, folder: Path) -> dict[str, object]:
-        """The bundled network, on small pictures."""
-        return {"network": "texture", "size": 48}
-
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         return eager_backward(partial(self.distance, result), result.renders.color.flatten(0, 1))
 
     def statistics(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M K D"]:

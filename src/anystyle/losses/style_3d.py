@@ -1,4 +1,4 @@
-"""Style in 3D: match the statistics of features that views share in space."""
+"""Style in 3D: match the statistics of features fused over views."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,6 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.errors import UserError
 from anystyle.losses._features import FeatureLoss, mean_where, style_images
 from anystyle.types import Geometry, Stylization
 
@@ -17,15 +18,15 @@ class Style3D(FeatureLoss):
 
     Features of all rendered views are carried to the world points of their pixels, fused in voxels with a softmax of
     the backbone's confidence, and their statistics over the voxels compared with the style image's:
-    ``sum_l w_l (mean_c (mu - mu_style)^2 + mean_c (sigma - sigma_style)^2)`` with the ``w_l`` scaled to sum to 1. What
-    several views see alike counts once. A layer's voxels are larger by the ratio of the image's side to its own.
+    ``sum_l w_l (mean_c (mu - mu_style)^2 + mean_c (sigma - sigma_style)^2)`` with the ``w_l`` scaled to sum to 1. A
+    surface that several views see counts once. A layer's voxels are larger by the ratio of the image's side to its own.
 
     The points are those of the predicted geometry of the input views, so the renders must be of these views.
 
     Args:
         layer_weights: Weight of each layer.
         voxel_size: At the image's resolution, in the scene's units.
-        size: Side that the style image is squashed to; none keeps it as it is.
+        size: Side that the style image is resized to; ``None`` keeps it as it is.
     """
 
     def __init__(
@@ -39,7 +40,7 @@ class Style3D(FeatureLoss):
         weight: float = 1.0,
     ) -> None:
         if len(layer_weights) != len(layers):
-            raise ValueError(
+            raise UserError(
                 f"there are {len(layers)} layers and {len(layer_weights)} layer_weights; give one weight a layer"
             )
         super().__init__(network, layers, size, weight)
@@ -48,11 +49,9 @@ class Style3D(FeatureLoss):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """The bundled network, on small pictures."""
         return {"network": "texture", "layers": ("relu1_1", "relu2_1"), "layer_weights": (2.0, 1.0)}
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         styles = style_images(result)
         color = result.renders.color
         if styles is None:
@@ -64,14 +63,12 @@ class Style3D(FeatureLoss):
         total = color.new_zeros(())
         for layer_weight, target, maps in zip(self.layer_weights, targets, rendered, strict=True):
             fused = self._fuse(maps.unflatten(0, color.shape[:2]), result.scene.geometry)
-            distances = torch.stack(
-                [_distance(voxels, style.flatten(1)) for voxels, style in zip(fused, target, strict=True)]
-            )
+            pairs = zip(fused, target, strict=True)
+            distances = torch.stack([_distance(voxels, style.flatten(1)) for voxels, style in pairs])
             total = total + layer_weight * mean_where(distances, given)
         return total
 
     def _fuse(self, maps: Float[Tensor, "B V C h w"], geometry: Geometry) -> list[Float[Tensor, "C _"]]:
-        """Features of the voxels of each scene."""
         size = maps.shape[-2:]
         world = _resized(geometry.points().movedim(-1, 2), size, "nearest-exact")
         confidence = _resized(geometry.confidence[:, :, None], size, "bilinear")
@@ -79,12 +76,9 @@ class Style3D(FeatureLoss):
         side = self.voxel_size * (height * width / (size[0] * size[1])) ** 0.5
         return [
             fuse_in_voxels(
-                features.movedim(1, 0).flatten(1),
-                points.movedim(1, 0).flatten(1).mT,
-                trust.flatten(),
-                side,
+                features.movedim(1, 0).flatten(1), points.movedim(1, 0).flatten(1).mT, weights.flatten(), side
             )
-            for features, points, trust in zip(maps, world, confidence, strict=True)
+            for features, points, weights in zip(maps, world, confidence, strict=True)
         ]
 
 
@@ -106,7 +100,7 @@ def _distance(first: Tensor, second: Tensor) -> Tensor:
 
 
 def _moments(features: Float[Tensor, "C S"]) -> tuple[Float[Tensor, " C"], Float[Tensor, " C"]]:
-    # The published epsilon sits inside the root. A scene in a single voxel has no spread.
+    # The published epsilon is inside the root. A single voxel has no variance.
     correction = 1 if features.shape[1] > 1 else 0
     return features.mean(1), (features.var(1, correction=correction) + 1e-5).sqrt()
 

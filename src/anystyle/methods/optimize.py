@@ -1,48 +1,51 @@
-"""A scene optimised for one style: the loop that every per-scene method shares."""
+"""Optimisation of one scene for one style, the basis of every per-scene method."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal, get_args
 
 import torch.nn.functional as F
 
 from anystyle.contracts import Loss
+from anystyle.errors import UserError
 from anystyle.losses._features import FeatureLoss
-from anystyle.methods.contract import Method, Progress, silent
+from anystyle.methods.base import Method
+from anystyle.methods.loop import fingerprint, resume, write_state
 from anystyle.methods.scene_loop import SceneLoop, Schedule
-from anystyle.perception.sources import Source
-from anystyle.reconstructions.loop import fingerprint, resume, write_state
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, Style, StyleEmbedding
+from anystyle.types.progress import OnProgress, no_progress
+from anystyle.vision.weights import Source
 
 Recolor = Literal["none", "before", "after", "both"]
 
 
 class Optimize(Method):
-    """Move Gaussians down the gradient of a sum of losses of their renders, one view a step.
+    """Optimise Gaussians by gradient descent on a weighted sum of losses of their renders, one view a step.
 
     The losses are those of the configuration (``loss=[nnfm,content]``), each with its weight; presets of this method
-    name theirs. Colours become those of degree 0: a view-dependent colour can be styled in each view by itself.
+    name theirs. Colours are reduced to degree 0, because view-dependent ones could fit each view separately.
 
     Args:
-        num_steps: How many.
-        colors_lr: Learning rate of constant harmonics. What has a rate of 0 stays as it is, bit for bit.
+        num_steps: Optimisation steps.
+        colors_lr: Learning rate of constant harmonics. Parameters with a rate of 0 are not changed by one bit.
         opacities_lr: Of logits of opacities.
         scales_lr: Of logarithms of scales.
         rotations_lr: Of quaternions.
-        means_lr: Of centres, in mean scales of each Gaussian.
-        decay: What is left of the rates at the end; they fall exponentially.
-        needs_image: Whether the losses read the style's image, so that a text alone is refused.
-        recolor: Whether colours take the mean and the covariance of the style's, before, after, or both.
-        style_size: Shorter side in pixels that the style image is brought to; ``None`` is that of the views.
+        means_lr: Of centres, in units of each Gaussian's mean scale.
+        decay: Final rates as a fraction of the initial ones; the decay is exponential.
+        needs_image: Whether the losses need the style's image, so that a text alone is refused.
+        recolor: Whether to match the mean and the covariance of colours to the style's, before, after, or both.
+        style_size: Shorter side in pixels that the style image is resized to; ``None`` is that of the views.
         split_every: Steps between two splits of Gaussians; 0 splits none.
-        split_fraction: Of the Gaussians, those whose colours have the largest gradients are split each time.
+        split_fraction: Fraction of Gaussians split each time: those whose colours have the largest gradients.
         report_every: Steps between two reports of progress, with a thumbnail.
-        state: A folder to keep optimisations in as they go, and to resume them from.
+        keep_harmonics: Whether to keep harmonics above degree 0; they are dropped otherwise.
+        state: A folder of checkpoints, from which a stopped optimisation is resumed.
         seed: Of the order of views.
 
     Raises:
-        ValueError: There is no loss, or a number makes no sense.
+        UserError: There is no loss, or a number is out of range.
     """
 
     def __init__(
@@ -62,29 +65,32 @@ class Optimize(Method):
         split_every: int = 0,
         split_fraction: float = 0.05,
         report_every: int = 25,
+        keep_harmonics: bool = False,
         state: str | None = None,
         seed: int = 0,
     ) -> None:
         if not losses:
-            raise ValueError("method=optimize has nothing to minimise; give loss=[nnfm,content], or a preset of it")
+            raise UserError("method=optimize has no loss to minimise; give loss=[nnfm,content], or a preset of it")
         if num_steps < 1 or not 0 < decay <= 1 or not 0 <= split_fraction <= 1 or report_every < 1 or split_every < 0:
-            raise ValueError(
+            raise UserError(
                 f"method: num_steps={num_steps}, report_every={report_every}, split_every={split_every}, "
                 f"decay={decay}, split_fraction={split_fraction}; steps are at least 1, decay and fractions in [0, 1]"
             )
         if recolor not in get_args(Recolor):
-            raise ValueError(f"method.recolor={recolor}; choose one of {', '.join(get_args(Recolor))}")
+            raise UserError(f"method.recolor={recolor}; choose one of {', '.join(get_args(Recolor))}")
         given = {
             "offsets": means_lr, "scales": scales_lr, "rotations": rotations_lr, "opacities": opacities_lr,
             "colors": colors_lr,
         }  # fmt: skip
         rates = {name: rate for name, rate in given.items() if rate}
         if not rates or min(rates.values()) < 0:
-            raise ValueError(f"method: learning rates are {(*given.values(),)}; give one above 0, and none below")
+            raise UserError(f"method: learning rates are {(*given.values(),)}; give one above 0, and none below")
         self.losses = dict(losses)
         self.needs_image = needs_image or recolor != "none"
         self.recolor, self.style_size = recolor, style_size
-        self.schedule = Schedule(num_steps, rates, decay, split_every, split_fraction, report_every, seed)
+        self.schedule = Schedule(
+            num_steps, rates, decay, split_every, split_fraction, report_every, seed, keep_harmonics
+        )
         self.state = None if state is None else Path(state).expanduser()
 
     @classmethod
@@ -104,10 +110,10 @@ class Optimize(Method):
         style: Style,
         embedding: StyleEmbedding,
         *,
-        on_progress: Callable[[Progress], None] = silent,
+        on_progress: OnProgress = no_progress,
     ) -> Gaussians:
         if style.image is None and self.needs_image:
-            raise ValueError("this method reads a style's image, and this style has none; give --image, or method=clip")
+            raise UserError("this method needs a style image, and this style has none; give --image, or method=clip")
         loop = SceneLoop(stylizer, scene, self._sized(style, scene), embedding, self.losses, self.schedule)
         if self.recolor in ("before", "both"):
             loop.recolor_before()
@@ -128,7 +134,7 @@ class Optimize(Method):
         return loop.result(recolored=self.recolor in ("after", "both"))
 
     def _sized(self, style: Style, scene: Scene) -> Style:
-        """The style with its image as large as the views."""
+        """The style with its image resized as ``style_size`` says."""
         if style.image is None:
             return style
         factor = (self.style_size or min(scene.views.size)) / min(style.image.shape[-2:])

@@ -1,4 +1,4 @@
-"""The steps of one scene towards one style."""
+"""Optimisation steps of one scene for one style."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -10,39 +10,33 @@ from torch import Tensor
 
 from anystyle.contracts import Loss
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
-from anystyle.methods.contract import Progress
-from anystyle.reconstructions.gaussian_parameters import GaussianParameters
-from anystyle.reconstructions.loop import Loop
-from anystyle.reconstructions.order import canonical_order
+from anystyle.methods.gaussian_parameters import GaussianParameters
+from anystyle.methods.loop import Loop
+from anystyle.methods.order import canonical_order
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Renders, Scene, Style, StyleEmbedding, Stylization
+from anystyle.types.progress import OnProgress, Progress
 
 FLOOR = 1e-6
-"""Variances are at least this: a direction without any colour has no scale."""
+"""Least variance, so that the square root of a covariance is invertible."""
 
 
 class ColorMap(NamedTuple):
-    """``matrix c + offset`` of colours ``c``.
-
-    Args:
-        matrix: Positive square roots of covariances, so that hues turn as little as can be.
-        offset: Moves the mean.
-    """
+    """``matrix c + offset`` of colours ``c``; the matrix is of symmetric square roots, which change hues least."""
 
     matrix: Float[Tensor, "3 3"]
     offset: Float[Tensor, "3"]
 
     def __call__(self, colors: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
-        """The colours, not cut."""
         return colors @ self.matrix.T + self.offset
 
     def of_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 H W"]:
-        """The images, cut to [0, 1]."""
+        """The mapped images, clipped to [0, 1]."""
         return self(images.movedim(1, -1)).clamp(0, 1).movedim(-1, 1)
 
 
 def color_map(content: Float[Tensor, "M 3 H W"], style: Float[Tensor, "1 3 h w"]) -> ColorMap:
-    """The map that gives the pixels of all contents together the mean and the covariance of the style's.
+    """The map that matches mean and covariance of the pixels of all contents together to the style's.
 
     ``A = S_style^(1/2) S_content^(-1/2)`` and ``b = m_style - A m_content`` with means ``m`` and covariances ``S``.
     """
@@ -60,17 +54,7 @@ def _moments(images: Tensor) -> tuple[Float[Tensor, "3"], Float[Tensor, "3 3"]]:
 
 @dataclass(frozen=True)
 class Schedule:
-    """How Gaussians move.
-
-    Args:
-        num_steps: Steps of one view each.
-        rates: Learning rates at the start, by name of what moves.
-        decay: What is left of them at the end.
-        split_every: Steps between two splits; 0 for none.
-        split_fraction: Of the Gaussians, so many are split each time.
-        report_every: Steps between two reports.
-        seed: Of the order of views.
-    """
+    """Steps and initial learning rates of an optimisation; the rest is as :class:`Optimize` describes it."""
 
     num_steps: int
     rates: Mapping[str, float]
@@ -79,19 +63,11 @@ class Schedule:
     split_fraction: float
     report_every: int
     seed: int
+    keep_harmonics: bool
 
 
 class SceneLoop(Loop):
-    """An optimisation of one scene that can be stopped and taken up again between any two steps.
-
-    Args:
-        stylizer: Renders.
-        scene: A batch of one.
-        style: A batch of one, its image as large as losses are to see it.
-        embedding: Of the style.
-        losses: What is minimised, weighted.
-        schedule: How.
-    """
+    """An optimisation of one scene for one style, at the size of its image; can be resumed between any two steps."""
 
     def __init__(
         self,
@@ -110,7 +86,7 @@ class SceneLoop(Loop):
         self.views, self.cameras = scene.views, scene.cameras
         with torch.no_grad():
             given = stylizer.unstyled(scene)
-        self._begin(given if stylizer.keep_harmonics else replace(given, harmonics=given.harmonics[:, :, :1]))
+        self._begin(given if schedule.keep_harmonics else replace(given, harmonics=given.harmonics[:, :, :1]))
         self.unstyled: dict[int, Renders] = {}
 
     def _begin(self, gaussians: Gaussians) -> None:
@@ -119,7 +95,7 @@ class SceneLoop(Loop):
         self.gradients = torch.zeros_like(self.splats.units)
 
     def recolor_before(self) -> None:
-        """Give the photographs, and with them the Gaussians, the colours of the style: renders are linear in theirs."""
+        """Match the colours of photographs and Gaussians to the style's; renders are linear in colours."""
         assert self.style.image is not None
         mapped = color_map(self.views.images[0], self.style.image)
         self.views = replace(self.views, images=mapped.of_images(self.views.images[0])[None])
@@ -127,15 +103,13 @@ class SceneLoop(Loop):
 
     @property
     def last_step(self) -> int:
-        """The number of steps."""
         return self.schedule.num_steps
 
     def advance(self) -> float:
-        """Take one step, on one view, and return the loss before it."""
         schedule, view = self.schedule, self.next_view()
         fraction = self.step / schedule.num_steps
         self.splats.set_rates({name: rate * schedule.decay**fraction for name, rate in schedule.rates.items()})
-        # Losses that draw crops draw the same ones where a stopped run goes on.
+        # A resumed run must draw the same random crops.
         with torch.random.fork_rng(devices=[]), torch.enable_grad():
             torch.manual_seed(int(torch.randint(2**31, (), generator=self.generator)))
             loss = self.loss(view)
@@ -184,18 +158,17 @@ class SceneLoop(Loop):
         self.gradients = torch.zeros_like(self.splats.units)
 
     def look(self) -> None:
-        """Nothing is measured beside the loss."""
+        pass
 
-    def run(self, on_progress: Callable[[Progress], None], on_checkpoint: Callable[[], None] | None) -> None:
-        """Take all steps that are left."""
+    def run(self, on_progress: OnProgress, on_checkpoint: Callable[[], None] | None) -> None:
+        """Take all remaining steps."""
 
-        def tell(pace: float) -> None:
+        def report(pace: float) -> None:
             left = pace * (self.last_step - self.step)
             line = f"step {self.step} of {self.last_step}: loss {self.mean:.4g}, {len(self.splats)} Gaussians"
-            done = self.step / self.last_step
-            on_progress(Progress(f"{line}, {left:.0f} s left", self.thumbnail(), done))
+            on_progress(Progress(f"{line}, {left:.0f} s left", self.step / self.last_step, self.thumbnail()))
 
-        self.steps(tell, on_checkpoint)
+        self.steps(report, on_checkpoint)
 
     @torch.no_grad()
     def thumbnail(self) -> Tensor:
@@ -204,7 +177,7 @@ class SceneLoop(Loop):
 
     @torch.no_grad()
     def result(self, *, recolored: bool) -> Gaussians:
-        """The Gaussians as they are; recoloured so that their renders have the colours of the style."""
+        """The current Gaussians; if ``recolored``, with the colours of their renders matched to the style's."""
         gaussians = self.splats.gaussians().detach()
         if not recolored:
             return gaussians
@@ -220,14 +193,13 @@ class SceneLoop(Loop):
         }  # fmt: skip
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what :meth:`state_dict` gave."""
         super().load_state_dict(state)
         self.splats.load_state_dict(state["splats"])
         self.gradients, self.before = state["gradients"], Gaussians(**state["before"])
 
 
 def with_mapped_colors(gaussians: Gaussians, mapped: ColorMap) -> Gaussians:
-    """Gaussians whose constant colours are mapped and cut to [0, 1]; what depends on the direction is turned alike."""
+    """Gaussians with mapped constant colours, clipped to [0, 1]; higher harmonics are mapped by the matrix."""
     constant, higher = gaussians.harmonics[:, :, :1], gaussians.harmonics[:, :, 1:]
     constant = constant_from_rgb(mapped(rgb_from_constant(constant)).clamp(0, 1))
     return replace(gaussians, harmonics=torch.cat([constant, higher @ mapped.matrix.T], dim=2))

@@ -5,14 +5,21 @@ from collections.abc import Mapping
 from typing import ClassVar, Literal
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._networks import NetworkMetric, image_vectors, lpips_of_pairs, stacked
-from anystyle.metrics._pairs import Pairs, mean_per_row, pairs, with_style_images
-from anystyle.perception import embeddings, lpips
-from anystyle.perception.sources import Weights
+from anystyle.metrics._base import (
+    NetworkMetric,
+    image_vectors,
+    lpips_of_pairs,
+    mean_per_row,
+    pairs,
+    stacked,
+    with_style_images,
+)
 from anystyle.types import Comparison
+from anystyle.vision import embeddings, lpips
+from anystyle.vision.weights import Weights
 
 FID_SIZE = {"reference": 512, "corrected": 299}
 LPIPS_SIZE = 512
@@ -22,21 +29,17 @@ class ArtFID(NetworkMetric):
     """``(1 + LPIPS) (1 + FID)``: LPIPS to the photographs, FID to the style images (eval_artfid.py, of StyleID).
 
     FID is the Fréchet distance of features of an Inception network that was trained on paintings; a style image counts
-    as often as it has stylized views. ``fid_infinity`` extrapolates to endless images; ``art_fid`` is computed from it.
+    as often as it has stylized views. ``fid_infinity`` extrapolates to infinitely many images; ``art_fid`` uses it.
 
     Args:
         variant: ``reference``: 8 bits, the shorter side 512 for both networks, and ``fid_infinity`` from samples of
             5000 and more, so that with fewer images it is FID. ``corrected``: nothing rounded, 299 pixels for the
             Inception network as in its training, and a true extrapolation from the images there are; a warning where
             these are fewer than features.
+        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
     """
 
-    better: ClassVar[Mapping[str, str]] = {
-        "art_fid": "lower",
-        "fid": "lower",
-        "fid_infinity": "lower",
-        "lpips": "lower",
-    }
+    better: ClassVar[Mapping[str, str]] = dict.fromkeys(("art_fid", "fid", "fid_infinity", "lpips"), "lower")
     stylized: list[Tensor]
     style: list[Tensor]
     total: Tensor
@@ -58,9 +61,10 @@ class ArtFID(NetworkMetric):
 
     @torch.no_grad()
     def update(self, comparison: Comparison) -> None:
-        """See :meth:`anystyle.contracts.Metric.update`; rows without a style image are left out."""
         comparison, style = with_style_images(comparison)
-        distances = mean_per_row(comparison, self._distances)
+        distances = mean_per_row(
+            comparison, lambda batch: lpips_of_pairs(self.network, batch, size=LPIPS_SIZE, rounded=self.rounded)
+        )
         self.total += distances.sum()
         self.rows += distances.numel()
         self.stylized += [self._vectors(batch.preds) for batch in pairs(comparison)]
@@ -69,37 +73,29 @@ class ArtFID(NetworkMetric):
     def compute(self) -> dict[str, Tensor]:
         if int(self.rows) == 0:
             warnings.warn("art_fid: nothing to average; the figures are nan", stacklevel=2)
-        # 0 / 0 is the nan that is meant.
-        distance = (self.total / self.rows).float()
+        distance = (self.total / self.rows).float()  # nan where there is no row
         stylized, style = stacked(self.stylized), stacked(self.style)
         if len(stylized) < 2:
             if len(stylized) == 1:
                 warnings.warn("art_fid: one image alone has no covariance; the figure is nan", stacklevel=2)
             nan = torch.full_like(distance, float("nan"))
             return {"art_fid": nan, "fid": nan, "fid_infinity": nan, "lpips": distance}
-        self._warn_of_few(stylized, style)
-        fid = frechet_distance(stylized, style)
-        fid_infinity = frechet_infinity(
-            stylized, style, smallest=5000 if self.rounded else max(2, stylized.shape[0] // 2)
-        )
-        art_fid = (1 + distance) * (1 + fid_infinity)
-        return {"art_fid": art_fid.float(), "fid": fid.float(), "fid_infinity": fid_infinity.float(), "lpips": distance}
-
-    def _warn_of_few(self, stylized: Tensor, style: Tensor) -> None:
         num_images, dim = stylized.shape
         if style.unique(dim=0).shape[0] == 1:
             warnings.warn(
                 "art_fid: there is one style image only, whose features have no spread; FID measures the mean alone",
-                stacklevel=3,
+                stacklevel=2,
             )
         if not self.rounded and num_images < dim:
             warnings.warn(
                 f"art_fid: {num_images} images are fewer than the {dim} features; FID is biased upwards, see kid",
-                stacklevel=3,
+                stacklevel=2,
             )
-
-    def _distances(self, batch: Pairs) -> Tensor:
-        return lpips_of_pairs(self.network, batch, size=LPIPS_SIZE, rounded=self.rounded)
+        fid = frechet_distance(stylized, style)
+        smallest = 5000 if self.rounded else max(2, num_images // 2)
+        fid_infinity = frechet_infinity(stylized, style, smallest=smallest)
+        art_fid = (1 + distance) * (1 + fid_infinity)
+        return {"art_fid": art_fid.float(), "fid": fid.float(), "fid_infinity": fid_infinity.float(), "lpips": distance}
 
     def _vectors(self, images: Tensor) -> Tensor:
         return image_vectors(self.inception, images, size=self.size, rounded=self.rounded)
@@ -113,11 +109,7 @@ def frechet_distance(first: Float[Tensor, "N D"], second: Float[Tensor, "M D"]) 
     both covariances singular, and cheap there. Where both sets are larger than D, the same identity is used on D x D
     square roots from eigenvalues.
 
-    Returns:
-        In float64; covariances are the unbiased ones.
-
-    Raises:
-        ValueError: A set has fewer than two samples, or holds a value that is not finite.
+    In float64; the covariances are the unbiased ones.
     """
     for name, features in (("first", first), ("second", second)):
         if features.shape[0] < 2:
@@ -133,26 +125,16 @@ def frechet_distance(first: Float[Tensor, "N D"], second: Float[Tensor, "M D"]) 
 def frechet_infinity(
     first: Float[Tensor, "N D"], second: Float[Tensor, "M D"], *, smallest: int, points: int = 15
 ) -> Float[Tensor, ""]:
-    """The Fréchet distance extrapolated to endless samples (Chong and Forsyth, CVPR 2020).
+    """The Fréchet distance extrapolated to infinitely many samples (Chong and Forsyth, CVPR 2020).
 
-    Distances of growing samples, drawn with a fixed seed, lie close to a line over one divided by their size; the
-    line's value at 0 is the figure.
-
-    Args:
-        first: One row a sample; its samples grow.
-        second: One row a sample; all are used.
-        smallest: Size of the smallest sample. If there are no more, there is nothing to extrapolate from, and the
-            figure is the plain distance.
-        points: How many sizes.
-
-    Returns:
-        In float64.
+    Distances of growing samples of ``first``, drawn with a fixed seed, lie close to a line over one divided by their
+    size; the line's value at 0 is the figure. With no more rows than the ``smallest`` sample, it is the plain distance.
     """
     count = first.shape[0]
     if count <= smallest:
         return frechet_distance(first, second)
     # A sum does not depend on the order of rows, but a sample does: rows are sorted, then drawn.
-    rows = first[_order(first)]
+    rows = first[first.double().mean(1).argsort(stable=True)]
     generator = torch.Generator().manual_seed(0)
     sizes = torch.linspace(smallest, count, points).round().long().unique().tolist()
     distances = []
@@ -164,10 +146,6 @@ def frechet_infinity(
     return torch.linalg.lstsq(design, torch.stack(distances)[:, None]).solution[0, 0]
 
 
-def _order(rows: Float[Tensor, "N D"]) -> Int[Tensor, " N"]:
-    return rows.double().mean(1).argsort(stable=True)
-
-
 def _scaled(features: Float[Tensor, "N D"]) -> Float[Tensor, "N D"]:
     features = features.double()
     return (features - features.mean(0)) / (features.shape[0] - 1) ** 0.5
@@ -175,7 +153,4 @@ def _scaled(features: Float[Tensor, "N D"]) -> Float[Tensor, "N D"]:
 
 def _compact(scaled: Float[Tensor, "N D"]) -> Float[Tensor, "R D"]:
     """A matrix with the same Gram matrix ``AᵀA`` and at most D rows."""
-    rows, dim = scaled.shape
-    if rows <= dim:
-        return scaled
-    return torch.linalg.qr(scaled, mode="r").R
+    return scaled if scaled.shape[0] <= scaled.shape[1] else torch.linalg.qr(scaled, mode="r").R

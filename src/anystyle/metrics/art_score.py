@@ -6,12 +6,11 @@ from typing import ClassVar, Literal
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._networks import NetworkMetric
-from anystyle.metrics._pairs import Pairs, RowMean, mean_per_row
-from anystyle.perception import embeddings, preprocess
-from anystyle.perception.feature_cache import CACHE
-from anystyle.perception.sources import Weights
+from anystyle.metrics._base import NetworkMetric, Pairs, RowMean, mean_per_row
 from anystyle.types import Comparison
+from anystyle.vision import embeddings, preprocess
+from anystyle.vision.feature_cache import CACHE
+from anystyle.vision.weights import Weights
 
 SIZE = 224
 
@@ -22,6 +21,7 @@ class ArtScore(NetworkMetric, RowMean):
     Args:
         variant: ``reference`` resizes the shorter side to 224, in 8 bits; ``corrected`` resizes to a square of 224, as
             the network's authors do.
+        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
     """
 
     better: ClassVar[Mapping[str, str]] = {"art_score": "higher"}
@@ -37,9 +37,10 @@ class ArtScore(NetworkMetric, RowMean):
 
     def _scores(self, batch: Pairs) -> Float[Tensor, " M"]:
         key = ("art_score", self.network.source.identity, self.reference)
-        return CACHE.features(batch.preds, key, lambda images: [self.network(self._prepared(images))])[0]
 
-    def _prepared(self, images: Tensor) -> Tensor:
-        if self.reference:
-            return preprocess.resized(images, SIZE, rounded=True)
-        return preprocess.as_pillow(images, (SIZE, SIZE))
+        def score(images: Tensor) -> list[Tensor]:
+            if self.reference:
+                return [self.network(preprocess.resized(images, SIZE, rounded=True))]
+            return [self.network(preprocess.as_pillow(images, (SIZE, SIZE)))]
+
+        return CACHE.features(batch.preds, key, score)[0]

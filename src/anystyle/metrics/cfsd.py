@@ -8,14 +8,13 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle import perception
-from anystyle.metrics._networks import NetworkMetric
-from anystyle.metrics._pairs import Pairs, RowMean, mean_per_row
-from anystyle.perception import preprocess
-from anystyle.perception.feature_cache import CACHE
-from anystyle.perception.lpips import STAND_IN_SIDE
-from anystyle.perception.sources import Weights, bundled, locate, published
+from anystyle import vision
+from anystyle.metrics._base import NetworkMetric, Pairs, RowMean, mean_per_row
 from anystyle.types import Comparison
+from anystyle.vision import preprocess
+from anystyle.vision.feature_cache import CACHE
+from anystyle.vision.lpips import STAND_IN_SIDE
+from anystyle.vision.weights import Weights, bundled, locate, published
 
 MAX_SIMILARITIES = 1 << 25
 """In memory at once, row by row: 128 MiB in single precision."""
@@ -38,6 +37,7 @@ class CFSD(NetworkMetric, RowMean):
     Args:
         variant: ``reference`` sums over pixels and has images of 8 bits; ``corrected`` averages over pixels and rounds
             nothing, so that sizes can be compared.
+        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
     """
 
     better: ClassVar[Mapping[str, str]] = {"cfsd": "lower"}
@@ -46,7 +46,7 @@ class CFSD(NetworkMetric, RowMean):
         super().__init__()
         self.reference = variant == "reference"
         file = locate("vgg19", weights)
-        self.network = perception.load("texture" if file is None else "vgg19", file)
+        self.network = vision.load("texture" if file is None else "vgg19", file)
         self.layer = "relu3_1"
         self.longest = STAND_IN_SIDE if file is None else None
         self._source = bundled("vgg19", "texture_similarity") if file is None else published("vgg19", file)

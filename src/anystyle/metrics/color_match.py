@@ -7,11 +7,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._pairs import Pairs, RowMean, mean_per_row, with_style_images
-from anystyle.perception import preprocess
-from anystyle.perception.feature_cache import CACHE
-from anystyle.perception.statistics import hellinger, rgb_uv_histogram
+from anystyle.metrics._base import Pairs, RowMean, mean_per_row, with_style_images
 from anystyle.types import Comparison
+from anystyle.vision import preprocess
+from anystyle.vision.feature_cache import CACHE
+from anystyle.vision.statistics import hellinger, rgb_uv_histogram
 
 BATCH = 2
 """Images whose kernels, 65536 pixels times 64 bins each, are in memory at once."""
@@ -33,11 +33,6 @@ class ColorMatch(RowMean):
         self.rounded = variant == "reference"
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean over each row's views.
-
-        Raises:
-            ValueError: No row has a style image.
-        """
         comparison, style = with_style_images(comparison)
         target = self._histograms(style)
 

@@ -7,8 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.errors import UserError
 from anystyle.geometry.warp import depth_around, reproject
-from anystyle.metrics._pairs import RowMean
+from anystyle.metrics._base import RowMean
 from anystyle.types import Comparison
 
 
@@ -29,7 +30,7 @@ class DepthAgreement(RowMean):
     def __init__(self, *, tolerance: float = 0.05) -> None:
         super().__init__()
         if tolerance <= 0:
-            raise ValueError(f"depth_agreement.tolerance is {tolerance}; it must be positive")
+            raise UserError(f"depth_agreement.tolerance is {tolerance}; it must be positive")
         self.tolerance = tolerance
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:

@@ -8,11 +8,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._networks import NetworkMetric, image_vectors, stacked
-from anystyle.metrics._pairs import pairs, with_style_images
-from anystyle.perception import embeddings
-from anystyle.perception.sources import Weights
+from anystyle.errors import UserError
+from anystyle.metrics._base import NetworkMetric, image_vectors, pairs, stacked, with_style_images
 from anystyle.types import Comparison
+from anystyle.vision import embeddings
+from anystyle.vision.weights import Weights
 
 
 class KID(NetworkMetric):
@@ -23,6 +23,7 @@ class KID(NetworkMetric):
 
     Args:
         size: Pixels of the shorter side that images are resized to; 299 as in the network's training.
+        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
     """
 
     better: ClassVar[Mapping[str, str]] = {"kid": "lower"}
@@ -32,7 +33,7 @@ class KID(NetworkMetric):
     def __init__(self, *, size: int = 299, weights: Weights = "auto") -> None:
         super().__init__()
         if size < 75:
-            raise ValueError(f"kid.size is {size}; the network reads 75 pixels and more")
+            raise UserError(f"kid.size is {size}; the network reads 75 pixels and more")
         self.size = size
         self.inception = embeddings.load_art_inception(weights)
         self.declare(self.inception.source)
@@ -41,13 +42,11 @@ class KID(NetworkMetric):
 
     @torch.no_grad()
     def update(self, comparison: Comparison) -> None:
-        """See :meth:`anystyle.contracts.Metric.update`; rows without a style image are left out."""
         comparison, style = with_style_images(comparison)
         self.stylized += [self._vectors(batch.preds) for batch in pairs(comparison)]
         self.style.append(self._vectors(style))
 
     def compute(self) -> dict[str, Tensor]:
-        """See :meth:`anystyle.contracts.Metric.compute`; ``nan`` with fewer than two images or styles."""
         stylized, style = stacked(self.stylized), stacked(self.style).unique(dim=0)
         if min(stylized.shape[0], style.shape[0]) < 2:
             warnings.warn(

@@ -1,13 +1,54 @@
-"""LPIPS: how much content was changed, as a network sees it."""
+"""LPIPS, with and without colour: how much content was changed, as a network sees it."""
 
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import ClassVar, Literal
 
-from anystyle.metrics._networks import LpipsMean
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.metrics._base import NetworkMetric, Pairs, RowMean, lpips_of_pairs, mean_per_row
+from anystyle.types import Comparison
+from anystyle.vision import lpips
+from anystyle.vision.weights import Weights
 
 
-class LPIPS(LpipsMean):
-    """LPIPS of stylized images and photographs (Zhang et al. 2018; eval_artfid.py)."""
+class LPIPS(NetworkMetric, RowMean):
+    """LPIPS of stylized images and photographs (Zhang et al. 2018; eval_artfid.py).
+
+    Args:
+        backbone: Network of the distance; the published evaluation takes ``alex`` here.
+        size: Pixels of the shorter side that images are resized to; none keeps theirs.
+        variant: ``reference`` has images of 8 bits before and after they are resized, as the published script has
+            them from files; ``corrected`` rounds nothing.
+        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
+    """
 
     better: ClassVar[Mapping[str, str]] = {"lpips": "lower"}
-    gray = False
+    gray: ClassVar[bool] = False
+
+    def __init__(
+        self,
+        *,
+        backbone: Literal["alex", "vgg"] = "alex",
+        size: int | None = 512,
+        variant: Literal["reference", "corrected"] = "reference",
+        weights: Weights = "auto",
+    ) -> None:
+        super().__init__()
+        self.size = size
+        self.rounded = variant == "reference"
+        self.network = lpips.load(backbone, weights)
+        self.declare(self.network.source)
+
+    def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
+        return mean_per_row(comparison, self._distances)
+
+    def _distances(self, batch: Pairs) -> Float[Tensor, " M"]:
+        return lpips_of_pairs(self.network, batch, size=self.size, rounded=self.rounded, gray=self.gray)
+
+
+class LPIPSGray(LPIPS):
+    """LPIPS of stylized images and photographs, both without colour, so that a palette costs nothing."""
+
+    better: ClassVar[Mapping[str, str]] = {"lpips_gray": "lower"}
+    gray = True

@@ -7,7 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torchmetrics.functional.image import peak_signal_noise_ratio
 
-from anystyle.metrics._pairs import Pairs, RowMean, mean_per_row
+from anystyle.errors import UserError
+from anystyle.metrics._base import Pairs, RowMean, mean_per_row
 from anystyle.types import Comparison
 
 
@@ -16,6 +17,13 @@ class PSNR(RowMean):
 
     Args:
         most: Where the ratio of an image is cut off, in decibels: equal images would be infinitely good.
+
+    Example:
+        >>> import torch
+        >>> metric = PSNR()
+        >>> metric.update(Comparison(content=torch.zeros(1, 2, 3, 8, 8), stylized=torch.full((1, 2, 3, 8, 8), 0.1)))
+        >>> metric.compute()
+        {'psnr': tensor(20.0000)}
     """
 
     better: ClassVar[Mapping[str, str]] = {"psnr": "higher"}
@@ -23,7 +31,7 @@ class PSNR(RowMean):
     def __init__(self, *, most: float = 100.0) -> None:
         super().__init__()
         if most <= 0:
-            raise ValueError(f"psnr.most is {most}; it must be positive")
+            raise UserError(f"psnr.most is {most}; it must be positive")
         self.most = most
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:

@@ -3,11 +3,12 @@
 from collections.abc import Mapping
 from typing import ClassVar
 
-import kornia
 from jaxtyping import Float
 from torch import Tensor
+from torchmetrics.functional.image import structural_similarity_index_measure
 
-from anystyle.metrics._pairs import Pairs, RowMean, mean_per_row
+from anystyle.errors import UserError
+from anystyle.metrics._base import Pairs, RowMean, mean_per_row
 from anystyle.types import Comparison
 
 WINDOW = 11
@@ -23,17 +24,16 @@ class SSIM(RowMean):
     better: ClassVar[Mapping[str, str]] = {"ssim": "higher"}
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The mean over each row's views.
-
-        Raises:
-            ValueError: The images are smaller than the window.
-        """
         height, width = comparison.stylized.shape[-2:]
         if min(height, width) < WINDOW:
-            raise ValueError(f"ssim got images of {height}x{width} pixels; its window needs {WINDOW}: enlarge them")
+            raise UserError(f"ssim got images of {height}x{width} pixels; its window needs {WINDOW}: enlarge them")
         return mean_per_row(comparison, _similarities)
 
 
 def _similarities(batch: Pairs) -> Float[Tensor, " M"]:
-    maps = kornia.metrics.ssim(batch.preds.double(), batch.target.double(), WINDOW, eps=0.0, padding="valid")
-    return maps.mean((1, 2, 3))
+    preds, target = batch.preds.double(), batch.target.double()
+    _, maps = structural_similarity_index_measure(
+        preds, target, sigma=1.5, data_range=1.0, reduction="none", return_full_image=True
+    )
+    border = WINDOW // 2
+    return maps[..., border:-border, border:-border].mean((1, 2, 3))

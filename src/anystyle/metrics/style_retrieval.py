@@ -10,13 +10,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from anystyle import vision
 from anystyle.contracts import Metric
-from anystyle.metrics._pairs import with_style_images
-from anystyle.perception import efficientnet
-from anystyle.perception.sources import checksums, published
-from anystyle.perception.statistics import centered_cosines, equalized_gray, style_statistics
-from anystyle.perception.weights import find
+from anystyle.metrics._base import stacked, with_style_images
 from anystyle.types import Comparison
+from anystyle.vision.statistics import centered_cosines, equalized_gray, style_statistics
+from anystyle.vision.weights import checksums, find, published
 
 
 class Retrieval(Metric):
@@ -45,7 +44,6 @@ class Retrieval(Metric):
 
     @torch.no_grad()
     def update(self, comparison: Comparison) -> None:
-        """See :meth:`anystyle.contracts.Metric.update`; rows without a style image are left out."""
         comparison, image = with_style_images(comparison)
         for row, stylized in enumerate(comparison.stylized):
             scene = comparison.scenes[row] if comparison.scenes else ""
@@ -54,9 +52,8 @@ class Retrieval(Metric):
             self.scenes.append(torch.tensor([zlib.crc32(scene.encode())], device=image.device))
 
     def compute(self) -> dict[str, Tensor]:
-        """See :meth:`anystyle.contracts.Metric.compute`; ``nan`` with fewer than two style images."""
         color, gray = self.better
-        rows, styles, scenes = _joined(self.rows), _joined(self.styles), _joined(self.scenes)
+        rows, styles, scenes = stacked(self.rows), stacked(self.styles), stacked(self.scenes)
         gallery, target = styles.unique(dim=0, return_inverse=True)  # G 2 D, N
         if len(gallery) < 2:
             warnings.warn(
@@ -84,21 +81,13 @@ class StyleRetrieval(Retrieval):
 
     def __init__(self) -> None:
         super().__init__()
-        self.network = efficientnet.load()
+        self.network = vision.load("efficientnet_lite0")
         self.weights = checksums(published("efficientnet_lite0", find("efficientnet_lite0")))
 
     def describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """See :meth:`Retrieval.describe`."""
         return style_statistics(self.network, images)
 
 
 def hit(rows: Float[Tensor, "N D"], gallery: Float[Tensor, "G D"], target: Int[Tensor, " N"]) -> Float[Tensor, " N"]:
     """1 for each row that is nearest to its own style, else 0."""
     return (centered_cosines(rows, gallery).argmax(1) == target).to(rows.dtype)
-
-
-def _joined(parts: list[Tensor] | Tensor) -> Tensor:
-    # After a reduction over processes the list has become one tensor.
-    if torch.is_tensor(parts):
-        return parts
-    return torch.cat(parts) if parts else torch.zeros(0, 2, 1)

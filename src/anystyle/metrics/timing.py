@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._pairs import RowMean
+from anystyle.metrics._base import RowMean
 from anystyle.types import Comparison
 
 
@@ -27,7 +27,6 @@ class Timing(RowMean):
         self.per_view = per_view
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The seconds of each row that has them."""
         if comparison.seconds is None:
             return torch.zeros(0, dtype=torch.float64, device=comparison.stylized.device)
         seconds = comparison.seconds.double()

@@ -10,12 +10,12 @@ from torch import Tensor
 
 from anystyle.contracts import Correspondence
 from anystyle.geometry.warp import backward_warp, softmax_splat
-from anystyle.metrics._networks import NetworkMetric
-from anystyle.perception import lpips, preprocess
-from anystyle.perception.feature_cache import batch_size, digests
-from anystyle.perception.preprocess import checked
-from anystyle.perception.sources import Weights
+from anystyle.metrics._base import NetworkMetric
 from anystyle.types import Comparison, Frames
+from anystyle.vision import lpips, preprocess
+from anystyle.vision.feature_cache import batch_size, digests
+from anystyle.vision.preprocess import checked
+from anystyle.vision.weights import Weights
 
 RANGES = {"short": 1, "long": 7}
 """How many frames lie between the frames of a pair."""
@@ -32,13 +32,7 @@ Flows = list[tuple[Tensor, Tensor | None]]
 
 
 class Warped(NamedTuple):
-    """A source frame warped to the target.
-
-    Args:
-        image: The warped source; 0 where nothing landed.
-        target: The target frame; 0 likewise.
-        seen: Where something landed.
-    """
+    """A source frame warped to the target, and the target; both are 0 except where pixels are ``seen`` to land."""
 
     image: Float[Tensor, "M 3 H W"]
     target: Float[Tensor, "M 3 H W"]
@@ -63,12 +57,8 @@ class WarpConsistency(NetworkMetric):
     """
 
     better: ClassVar[Mapping[str, str]] = {
-        "warp_rmse_short": "lower",
-        "warp_lpips_short": "lower",
-        "warp_rmse_long": "lower",
-        "warp_lpips_long": "lower",
-        "warp_coverage_short": "higher",
-        "warp_coverage_long": "higher",
+        **dict.fromkeys(("warp_rmse_short", "warp_lpips_short", "warp_rmse_long", "warp_lpips_long"), "lower"),
+        **dict.fromkeys(("warp_coverage_short", "warp_coverage_long"), "higher"),
     }
     totals: Tensor
     rows: Tensor
@@ -95,7 +85,6 @@ class WarpConsistency(NetworkMetric):
 
     @torch.no_grad()
     def update(self, comparison: Comparison) -> None:
-        """See :meth:`anystyle.contracts.Metric.update`; views are the frames, in their order."""
         checked(comparison)
         for index, gap in enumerate(RANGES.values()):
             for row, preds in enumerate(comparison.stylized):
@@ -105,7 +94,6 @@ class WarpConsistency(NetworkMetric):
                     self.rows[index] += 1
 
     def compute(self) -> dict[str, Tensor]:
-        """See :meth:`anystyle.contracts.Metric.compute`; ``nan`` where no row had frames enough."""
         figures: dict[str, Tensor] = {}
         for index, (name, gap) in enumerate(RANGES.items()):
             if int(self.rows[index]) == 0:
@@ -114,8 +102,7 @@ class WarpConsistency(NetworkMetric):
                     f"the {name} range's figures are nan",
                     stacklevel=2,
                 )
-            # 0 / 0 is the nan that is meant.
-            means = (self.totals[index] / self.rows[index]).float()
+            means = (self.totals[index] / self.rows[index]).float()  # nan where there is no row
             for kind, value in zip(("rmse", "lpips", "coverage"), means, strict=True):
                 figures[f"warp_{kind}_{name}"] = value
         return {name: figures[name] for name in self.better}
@@ -137,11 +124,10 @@ class WarpConsistency(NetworkMetric):
         for first, second in _batches(frames.images, gap):
             source: Frames = frames.map(lambda tensor, batch=first: tensor[batch])
             target: Frames = frames.map(lambda tensor, batch=second: tensor[batch])
-            if self.reference:
-                flows.append((self.correspondence.displacement(source, target), None))
-            else:
-                flow = self.correspondence(source, target)
-                flows.append((flow.displacement, flow.visible))
+            flow = None if self.reference else self.correspondence(source, target)
+            flows.append(
+                (flow.displacement, flow.visible) if flow else (self.correspondence.displacement(source, target), None)
+            )
         return flows
 
     def _row_means(self, images: Float[Tensor, "V 3 H W"], gap: int, flows: Flows) -> Float[Tensor, "3"] | None:
@@ -151,24 +137,20 @@ class WarpConsistency(NetworkMetric):
         for (first, second), (displacement, visible) in zip(_batches(images, gap), flows, strict=True):
             source, target = images[first], images[second]
             if visible is None:
-                values.append(self._reference_values(reference_warp(source, target, displacement)))
+                warped = reference_warp(source, target, displacement)
+                error = (warped.image - warped.target).square().mean((1, 2, 3)).sqrt() / 255
+                # The published script hands images in [0, 255] to a network that takes 2x - 1 for x in [0, 1].
+                distance = self.network((warped.image + 1) / 2, (warped.target + 1) / 2)
             else:
-                values.append(self._corrected_values(corrected_warp(source, target, displacement, visible)))
+                warped = corrected_warp(source, target, displacement, visible)
+                # Where nothing is seen, 0 / 0: such a pair is left out.
+                squares = (warped.image - warped.target).square().sum((1, 2, 3))
+                error = (squares / (3 * warped.seen.flatten(1).sum(1))).sqrt()
+                distance = self.network(warped.image, warped.target)
+            values.append(torch.stack([error, distance, warped.seen.float().mean((1, 2, 3))]))
         table = torch.cat(values, dim=1).double() if values else images.new_zeros(3, 0)
         table = table[:, table.isfinite().all(0)]
         return table.mean(1) if table.shape[1] else None
-
-    def _reference_values(self, warped: Warped) -> Float[Tensor, "3 M"]:
-        error = (warped.image - warped.target).square().mean((1, 2, 3)).sqrt() / 255
-        # The published script hands images in [0, 255] to a network that takes 2x - 1 for x in [0, 1].
-        distance = self.network((warped.image + 1) / 2, (warped.target + 1) / 2)
-        return torch.stack([error, distance, _coverage(warped.seen)])
-
-    def _corrected_values(self, warped: Warped) -> Float[Tensor, "3 M"]:
-        num_seen = warped.seen.flatten(1).sum(1)
-        # Where nothing is seen, 0 / 0: such a pair is left out.
-        error = ((warped.image - warped.target).square().sum((1, 2, 3)) / (3 * num_seen)).sqrt()
-        return torch.stack([error, self.network(warped.image, warped.target), _coverage(warped.seen)])
 
 
 def reference_warp(
@@ -202,10 +184,6 @@ def corrected_warp(
 def _logits(source: Tensor, target: Tensor, displacement: Tensor) -> Float[Tensor, "M 1 H W"]:
     difference = (source - backward_warp(target, displacement)).abs().mean(1, keepdim=True)
     return (-MAX_LOGIT * difference).clamp(-MAX_LOGIT, MAX_LOGIT)
-
-
-def _coverage(seen: Bool[Tensor, "M 1 H W"]) -> Float[Tensor, " M"]:
-    return seen.float().mean((1, 2, 3))
 
 
 def _batches(images: Float[Tensor, "V 3 H W"], gap: int) -> list[tuple[Tensor, Tensor]]:

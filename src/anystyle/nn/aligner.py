@@ -1,4 +1,4 @@
-"""Cameras from matches: an alternative to regressing them that a small network can learn."""
+"""Camera poses from matches: an alternative to regressing them that a small network can learn."""
 
 import math
 from dataclasses import replace
@@ -14,24 +14,18 @@ from anystyle.types import Cameras, Geometry
 
 
 class Matcher(nn.Module):
-    """A small U-Net from images to unit descriptors on a grid of every fourth pixel.
-
-    Args:
-        descriptor: Channels of a descriptor.
-        widths: Channels at strides 2, 4, 8 and 16.
-    """
+    """A small U-Net from images to descriptors of every fourth pixel; widths are those at strides 2, 4, 8 and 16."""
 
     def __init__(self, *, descriptor: int = 48, widths: tuple[int, int, int, int] = (24, 48, 72, 96)) -> None:
         super().__init__()
         first, second, third, fourth = widths
         self.stem = nn.Sequential(nn.Conv2d(3, first, 5, stride=2, padding=2), nn.GroupNorm(4, first), nn.GELU())
-        self.down = nn.ModuleList(
-            [
-                nn.Sequential(_Shrink(first, second), _Residual(second)),
-                nn.Sequential(_Shrink(second, third), _Residual(third)),
-                nn.Sequential(_Shrink(third, fourth), _Residual(fourth), _Residual(fourth)),
-            ]
-        )
+        down = [
+            nn.Sequential(_Shrink(first, second), _Residual(second)),
+            nn.Sequential(_Shrink(second, third), _Residual(third)),
+            nn.Sequential(_Shrink(third, fourth), _Residual(fourth), _Residual(fourth)),
+        ]
+        self.down = nn.ModuleList(down)
         self.lateral = nn.ModuleList([nn.Conv2d(fourth, third, 1), nn.Conv2d(third, second, 1)])
         self.up = nn.ModuleList([_Residual(third), _Residual(second)])
         self.last = nn.Conv2d(second, descriptor, 3, padding=1)
@@ -70,20 +64,20 @@ class _Residual(nn.Module):
 
 
 DOUBTFUL = 1.5 / 112
-"""Error of a match, as a fraction of the image's width, from which on it counts as doubtful."""
+"""Error of a match, as a fraction of the image's width, at which its Cauchy weight is a half."""
 RADIUS = 2
 """Of the window of cells around the likeliest one over which the position of a match is averaged."""
 
 
 class Aligner(nn.Module):
-    """Move every camera to where what it sees agrees with what one view sees, the reference.
+    """Align every camera with the reference view by matching points.
 
     Not in published networks, which regress poses from camera tokens; a network of a few million parameters does not
-    learn that in hours. Points of the views are compared by descriptors, and the rigid motion that explains the
-    matches is computed from them and the depth in closed form. It is one pass: nothing is learnt at test time.
+    learn to in hours. Points of the views are compared by descriptors, and the rigid motion that explains the
+    matches is computed from them and the depth in closed form. Nothing is optimised at test time.
 
-    A training that teaches the matches reads them with a forward pre-hook: the first argument of :meth:`forward` is the
-    correlation with its gradient.
+    To supervise the matches, use a forward pre-hook: the first argument of :meth:`forward` is the correlation, with its
+    gradient.
 
     Args:
         descriptor: Channels in which points are compared.
@@ -104,18 +98,12 @@ class Aligner(nn.Module):
     def aligned(
         self, geometry: Geometry, images: Float[Tensor, "B V 3 H W"], reference: Int[Tensor, " B"] | None = None
     ) -> Geometry:
-        """The geometry with the poses that matches between the images give; focal lengths and depth are kept.
-
-        Args:
-            geometry: As predicted.
-            images: sRGB in [0, 1].
-            reference: The view, the first by default, whose camera is the world's frame.
-        """
+        """The geometry with poses from matches; the world's frame is the reference view's, by default the first."""
         if reference is not None:
             order = reference_first(reference, images.shape[1])
             back = order.argsort(dim=1)
-            moved = self.aligned(geometry.map(lambda tensor: in_order(tensor, order)), in_order(images, order))
-            return moved.map(lambda tensor: in_order(tensor, back))
+            aligned = self.aligned(geometry.map(lambda tensor: in_order(tensor, order)), in_order(images, order))
+            return aligned.map(lambda tensor: in_order(tensor, back))
         correlation = self.correlation(images)
         with torch.autocast(images.device.type, enabled=False):
             pose = self(correlation, geometry.cameras, geometry.depth)
@@ -125,10 +113,9 @@ class Aligner(nn.Module):
     def forward(
         self, correlation: Float[Tensor, "B v r c r c"], cameras: Cameras, depth: Float[Tensor, "B V H W"]
     ) -> Float[Tensor, "B V 4 4"]:
-        """Poses, the first view's at the origin and the others where they fit.
+        """Poses, the first view's at the origin and the others where they fit; of the cameras intrinsics are used.
 
-        They carry no gradient: what they are computed from, matches and depth, is taught directly, and a pose from bad
-        matches would teach nothing but noise. Of the cameras only the intrinsics count.
+        They carry no gradient: matches and depth are supervised directly, and poses from bad matches only add noise.
         """
         batch, views = depth.shape[:2]
         (height, width), (rows, columns) = cameras.size, correlation.shape[-2:]
@@ -150,11 +137,7 @@ class Aligner(nn.Module):
 
 
 def _matches(correlation: Float[Tensor, "M r c r c"]) -> tuple[Float[Tensor, "M P 2"], Float[Tensor, "M P"]]:
-    """Column and row where each point is seen in the first view, and the confidence of that.
-
-    A match counts if each of the two points prefers the other; its position is the mean over the cells around the
-    likeliest.
-    """
+    """Column and row of each point in the first view, averaged around the likeliest cell, and mutual confidence."""
     rows, columns = correlation.shape[-2:]
     logits = correlation.flatten(3).flatten(1, 2)
     probability = logits.softmax(-1)

@@ -12,13 +12,7 @@ from anystyle.nn.rope import Rotary, rotate
 
 
 class Attention(nn.Module):
-    """Multi-head self-attention.
-
-    Args:
-        dim: Channels.
-        heads: Heads, a divisor of ``dim``.
-        qk_norm: Whether queries and keys are normalised per head, ahead of the rotation.
-    """
+    """Multi-head self-attention; with ``qk_norm`` queries and keys are normalised per head, ahead of the rotation."""
 
     def __init__(self, dim: int, heads: int, *, qk_norm: bool) -> None:
         super().__init__()
@@ -51,12 +45,7 @@ class Mlp(nn.Module):
 
 
 class SwiGlu(nn.Module):
-    """A gated feed-forward layer, as DINOv2's largest size has it (Shazeer, arXiv 2002.05202).
-
-    Args:
-        dim: Channels.
-        hidden: Of an MLP with as many parameters; two thirds of it, rounded up to a multiple of 8, are gated.
-    """
+    """A gated feed-forward layer with the parameters of an MLP of ``hidden`` channels (Shazeer, arXiv 2002.05202)."""
 
     def __init__(self, dim: int, hidden: int) -> None:
         super().__init__()
@@ -119,7 +108,7 @@ class Block(nn.Module):
 
 
 def start_as_dino(module: nn.Module) -> None:
-    """Give the linear layers of blocks DINOv2's initial values."""
+    """Initialise the linear layers of blocks as DINOv2 does."""
     for layer in module.modules():
         if isinstance(layer, nn.Linear):
             nn.init.trunc_normal_(layer.weight, std=0.02)
@@ -127,7 +116,7 @@ def start_as_dino(module: nn.Module) -> None:
 
 
 def run(block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary, *, recompute: bool) -> Float[Tensor, "M L C"]:
-    """A block's tokens; with ``recompute`` it runs once more in the backward pass, and keeps no activations."""
+    """A block's tokens; with ``recompute`` activations are recomputed in the backward pass (gradient checkpointing)."""
     if recompute and torch.is_grad_enabled():
         return checkpoint(block, x, angles, use_reentrant=False)
     return block(x, angles)

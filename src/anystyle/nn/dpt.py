@@ -7,14 +7,13 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle.errors import UserError
+
 
 def by_views(
     function: Callable[[slice], Float[Tensor, "B v *rest"]], views: int, chunk: int
 ) -> Float[Tensor, "B V *rest"]:
-    """Compute ``function`` for ``chunk`` views at a time and join the results.
-
-    The results go into one tensor as they come, so that no second copy of them is ever held.
-    """
+    """Compute ``function`` for ``chunk`` views at a time, into one preallocated tensor."""
     first = function(slice(0, chunk))
     if chunk >= views:
         return first
@@ -27,7 +26,7 @@ def by_views(
 
 
 def uv_grid(grid: tuple[int, int], aspect: float) -> tuple[Float[Tensor, " w"], Float[Tensor, " h"]]:
-    """Where a map's columns and rows lie in an image of half diagonal 1, in float64; aspect is width over height."""
+    """Coordinates of a map's columns and rows in an image of half diagonal 1 and aspect width / height, in float64."""
     rows, columns = grid
     half = (aspect**2 + 1) ** 0.5
     x, y = aspect / half * (columns - 1) / columns, 1 / half * (rows - 1) / rows
@@ -35,7 +34,7 @@ def uv_grid(grid: tuple[int, int], aspect: float) -> tuple[Float[Tensor, " w"], 
 
 
 def uv_waves(line: Float[Tensor, " n"], channels: int) -> Float[Tensor, "C n"]:
-    """Sines, then cosines, of a line's coordinates at falling frequencies, in float32; ``channels`` is even."""
+    """Sines, then cosines, of coordinates at falling frequencies, in float32; ``channels`` is even."""
     frequencies = 100.0 ** -(torch.arange(channels // 2, dtype=torch.float64) / (channels // 2))
     angles = frequencies[:, None] * line
     return torch.cat([angles.sin(), angles.cos()]).float()
@@ -44,11 +43,7 @@ def uv_waves(line: Float[Tensor, " n"], channels: int) -> Float[Tensor, "C n"]:
 def add_positions_(x: Float[Tensor, "M C h w"], aspect: float) -> Float[Tensor, "M C h w"]:
     """Add a tenth of the waves of x to the first half of the channels and of those of y to the second, in place.
 
-    Each half depends on one coordinate, so no embedding of the map's size is ever held.
-
-    Args:
-        x: A map whose channels are a multiple of 4.
-        aspect: Width over height of the image.
+    Channels are a multiple of 4; ``aspect`` is width over height of the image.
     """
     half = x.shape[1] // 2
     columns, rows = (0.1 * uv_waves(line, half).to(x) for line in uv_grid((x.shape[-2], x.shape[-1]), aspect))
@@ -58,12 +53,7 @@ def add_positions_(x: Float[Tensor, "M C h w"], aspect: float) -> Float[Tensor, 
 
 
 class ResidualConv(nn.Module):
-    """Two convolutions around which passes the input.
-
-    Args:
-        dim: Channels.
-        rectified: Whether what passes is the *rectified* input, as some published weights were trained.
-    """
+    """Two convolutions with a residual: the input, or the *rectified* input, as some published weights were trained."""
 
     def __init__(self, dim: int, *, rectified: bool) -> None:
         super().__init__()
@@ -77,7 +67,7 @@ class ResidualConv(nn.Module):
 
 
 class Fusion(nn.Module):
-    """Takes a finer level into the decoded map and enlarges it."""
+    """Add a finer level to the decoded map and upsample it."""
 
     def __init__(self, dim: int, *, takes_level: bool, rectified: bool) -> None:
         super().__init__()
@@ -90,7 +80,7 @@ class Fusion(nn.Module):
     ) -> Float[Tensor, "M C h2 w2"]:
         """Decode a level to ``size``."""
         x = x if level is None else x + self.level(level)
-        # Published the other way round; bilinear weights sum to 1, so the order does not matter, but the cost does.
+        # Published in the other order, which gives the same (bilinear weights sum to 1) at a higher cost.
         return _resized(self.project(self.refine(x)), size)
 
 
@@ -120,9 +110,6 @@ class Dpt(nn.Module):
         outputs: Channels of the result.
         normed: Whether tokens are normalised ahead of it, by :attr:`norm`.
         rectified: See :class:`ResidualConv`.
-
-    Raises:
-        ValueError: Widths are no such multiples.
     """
 
     def __init__(
@@ -138,7 +125,7 @@ class Dpt(nn.Module):
     ) -> None:
         super().__init__()
         if features % 8 or len(channels) != 4 or any(width % 4 for width in channels):
-            raise ValueError(
+            raise UserError(
                 f"a decoder of {features} features and levels of {list(channels)} channels; features must be a "
                 "multiple of 8, and the four levels multiples of 4"
             )
@@ -163,22 +150,16 @@ class Dpt(nn.Module):
 
     @property
     def dtype(self) -> torch.dtype:
-        """Of the weights."""
+        """The dtype of the parameters."""
         return self.neck.weight.dtype
 
     def levels(
         self, tokens: Sequence[Float[Tensor, "M p C"]], grid: tuple[int, int], aspect: float
     ) -> list[Float[Tensor, "M D _ _"]]:
-        """Maps of the four levels, the finest first.
-
-        Args:
-            tokens: Patch tokens after :attr:`norm`, from the earliest tap to the last.
-            grid: Their rows and columns.
-            aspect: Width over height of the image.
-        """
+        """Maps of the four levels, the finest first, from normalised patch tokens of the taps, the earliest first."""
         maps: list[Tensor] = []
         for level, project, resize, reduce in zip(tokens, self.projects, self.resize, self.reduce, strict=True):
-            # Tokens are a map whose channels lie side by side: convolutions keep that order, and are faster for it.
+            # Tokens are a channels-last map: convolutions keep that format, and are faster for it.
             small = project(level).unflatten(1, grid).movedim(-1, 1)
             maps.append(reduce(resize(add_positions_(small, aspect))))
         return maps
@@ -186,13 +167,7 @@ class Dpt(nn.Module):
     def decode(
         self, levels: Sequence[Float[Tensor, "M p C"]], grid: tuple[int, int], size: tuple[int, int]
     ) -> Float[Tensor, "M E H W"]:
-        """A map of ``features / 2`` channels from normalised patch tokens.
-
-        Args:
-            levels: Patch tokens after :attr:`norm`, from the earliest tap to the last.
-            grid: Their rows and columns.
-            size: Height and width of the image.
-        """
+        """A map of ``features / 2`` channels at the image's size from normalised patch tokens, as :meth:`levels`."""
         return _resized(self.neck(self.fusions(self.levels(levels, grid, size[1] / size[0]))), size)
 
     def predict_(self, x: Float[Tensor, "M E H W"]) -> Float[Tensor, "M H W F"]:

@@ -23,13 +23,9 @@ def centred_cameras(
     tangent: Float[Tensor, "B V 2"],
     size: tuple[int, int],
 ) -> Cameras:
-    """Cameras of images of ``size`` with the principal point in the middle.
+    """Cameras with the principal point in the middle of images of ``size``, height and width.
 
-    Args:
-        rotation: From the camera's axes (OpenCV) to the world's.
-        origin: Where the camera stands.
-        tangent: Of half the vertical and half the horizontal field of view.
-        size: Height and width in pixels.
+    ``rotation`` is world from camera; ``tangent`` that of half the vertical and half the horizontal field of view.
     """
     height, width = size
     last = origin.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*origin.shape[:-1], 1, 4)

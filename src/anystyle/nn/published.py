@@ -5,6 +5,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 from torch import Tensor, nn
 
+from anystyle.errors import UserError
 from anystyle.io.checkpoint import differences, fill
 
 Rules = Sequence[tuple[str, str]]
@@ -19,11 +20,7 @@ def renamed(key: str, rules: Rules) -> str:
 
 
 def dpt_rules(part: str) -> Rules:
-    """The rules that give the parameters of a :class:`anystyle.nn.dpt.Dpt` the names that VGGT published.
-
-    Args:
-        part: A regular expression of the published names of the decoders.
-    """
+    """The rules from names of :class:`anystyle.nn.dpt.Dpt` to VGGT's; ``part`` matches the decoders' names."""
     # Levels count from 0 here and from 1 there.
     return (
         (rf"^({part})\.resize\.", r"\1.resize_layers."),
@@ -41,25 +38,21 @@ def checked_parts(state: Mapping[str, Tensor], parts: tuple[str, ...], *, publis
     """Refuse a state dict that is empty or has a name beginning with none of ``parts``; ``advice`` ends the message.
 
     Raises:
-        ValueError: There are other keys, or none at all.
+        UserError: There are other keys, or none at all.
     """
     foreign = [name for name in state if not name.startswith(parts)]
     if foreign or not state:
         shown = ", ".join(foreign[:5]) + (", …" if len(foreign) > 5 else "")
-        raise ValueError(f"the checkpoint has {len(foreign)} keys that are not {publisher} ({shown}); {advice}")
+        raise UserError(f"the checkpoint has {len(foreign)} keys that are not {publisher} ({shown}); {advice}")
 
 
 def length(state: Mapping[str, Tensor], name: str, axis: int, *, publisher: str) -> int:
-    """The length of an axis of a tensor, by which a network's options are told.
-
-    Raises:
-        ValueError: There is no such tensor, or no such axis.
-    """
+    """The length of an axis of a tensor, from which a network's options are derived."""
     if name not in state:
-        raise ValueError(f"the checkpoint has no {name}; it is not {publisher}, or not all of it")
+        raise UserError(f"the checkpoint has no {name}; it is not {publisher}, or not all of it")
     shape = state[name].shape
     if axis >= len(shape) or not shape[axis]:
-        raise ValueError(f"the checkpoint's {name} is {list(shape)}, which no such network has; get the file again")
+        raise UserError(f"the checkpoint's {name} is {list(shape)}, which no such network has; get the file again")
     return shape[axis]
 
 
@@ -73,27 +66,15 @@ def load_renamed(
 ) -> None:
     """Load published tensors into a module, strictly; parameters that ``names`` leaves out stay as they are.
 
-    A module on the meta device takes the tensors themselves. Where a linear map here is a 1x1 convolution there, the
-    weight loses its unit axes.
-
-    Args:
-        module: What is loaded into.
-        state: Tensors by their published names, all of which belong to the module.
-        names: For each key of the module its published name.
-        what: What the tensors should fit, for the message.
-        layout: Whose names these are, and what to do about differences, for the message.
-
-    Raises:
-        ValueError: Names or shapes differ; up to five of each kind of difference are named.
+    Where a linear map here is a 1x1 convolution there, the weight loses its unit axes. An error says what the tensors
+    should fit (``what``), and whose names these are (``layout``).
     """
     local = module.state_dict()
     squeezed = {name: _squeezed(tensor) for name, tensor in state.items()}
     unlike = differences({name: _squeezed(local[key]) for key, name in names.items()}, squeezed)
     if unlike:
-        raise ValueError(
-            f"the checkpoint does not fit this {what}: {unlike} (expected: {len(names)} tensors in the layout of "
-            f"{layout})"
-        )
+        expected = f"{len(names)} tensors in the layout of {layout}"
+        raise UserError(f"the checkpoint does not fit this {what}: {unlike} (expected: {expected})")
     fill(module, {key: state[name].reshape(local[key].shape) for key, name in names.items()})
 
 

@@ -1,4 +1,4 @@
-"""Which view the others are seen from: chosen ahead of the first attention across views."""
+"""Choosing the reference view, ahead of the first attention across views."""
 
 from typing import Literal
 
@@ -11,7 +11,7 @@ from anystyle.types import Tokens
 
 Strategy = Literal["central", "saddle_balanced", "saddle_sim_range", "middle", "first"]
 LEAST_VIEWS = 3
-"""With fewer views the first one is the reference, whatever the published strategy."""
+"""With fewer views the published strategies take the first."""
 THUMBNAIL = 8
 """Side, in pixels, at which ``central`` compares photographs."""
 
@@ -19,7 +19,7 @@ THUMBNAIL = 8
 def reference_view(
     images: Float[Tensor, "B V 3 H W"], tokens: Float[Tensor, "B V C"], strategy: Strategy
 ) -> Int[Tensor, " B"] | None:
-    """The view of each scene that becomes its reference; ``None`` where that is the first, whatever they show.
+    """The reference view of each scene; ``None`` where it is the first by definition.
 
     Args:
         images: sRGB in [0, 1].
@@ -47,7 +47,7 @@ def reference_view(
 
 
 def is_reference(tokens: Tokens) -> Bool[Tensor, "B V"]:
-    """Whether a view is the one that the others of its scene are seen from."""
+    """Whether a view is the reference of its scene."""
     batch, views = tokens.data.shape[:2]
     index = torch.arange(views, device=tokens.data.device).expand(batch, -1)
     return index == (0 if tokens.reference is None else tokens.reference[:, None])

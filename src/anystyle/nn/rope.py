@@ -8,12 +8,7 @@ from torch import Tensor
 
 
 class Rotary(NamedTuple):
-    """Angles of a sequence of tokens, ready to rotate queries and keys with.
-
-    Args:
-        cos: Cosines.
-        sin: Sines, with the sign of the pair's first entry folded in.
-    """
+    """Angles of a sequence of tokens: cosines, and sines with the sign of the pair's first entry folded in."""
 
     cos: Float[Tensor, "L E"]
     sin: Float[Tensor, "L E"]

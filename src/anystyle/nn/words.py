@@ -1,4 +1,4 @@
-"""Texts as hashed words: no vocabulary to download, and no word it cannot read."""
+"""Embeddings of hashed words: no vocabulary, and no unknown words."""
 
 import re
 import unicodedata
@@ -8,6 +8,8 @@ from collections.abc import Sequence
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
+
+from anystyle.errors import UserError
 
 WORD = re.compile(r"[^\W_]+")
 
@@ -19,11 +21,7 @@ class WordTable(nn.EmbeddingBag):
         super().__init__(buckets, width, mode="mean")
 
     def read(self, texts: Sequence[str], max_words: int) -> tuple[Float[Tensor, "M L C"], Bool[Tensor, "M L"]]:
-        """The words of each text, padded with 0, and which of them there are.
-
-        Raises:
-            ValueError: A text holds no word, or more than ``max_words``.
-        """
+        """Vectors of the words of each text, padded with 0, and the mask of those that are words."""
         device = self.weight.device
         hashed = [hash_words(text, buckets=self.num_embeddings, max_words=max_words) for text in texts]
         lengths = torch.tensor([len(words) for words in hashed], device=device)
@@ -46,34 +44,30 @@ def hash_words(text: str, *, buckets: int, max_words: int) -> list[tuple[int, ..
     """For each word the row, of ``buckets``, of the word itself, then those of its letter triples.
 
     Triples make words that share a stem alike, and give a word never seen in training the meaning of its parts.
-
-    Raises:
-        ValueError: There is no word, or there are too many.
     """
     words = clean(text)
     if not words:
-        raise ValueError(f"the style text {text[:40]!r} holds no word; describe colours and patterns")
+        raise UserError(f"the style text {text[:40]!r} holds no word; describe colours and patterns")
     if len(words) > max_words:
-        raise ValueError(
+        raise UserError(
             f"the style text {text[:40]!r}… has {len(words)} words, and this encoder reads {max_words}; shorten it"
         )
-    return [(_row(word, buckets), *(_row(f"#{triple}", buckets) for triple in _triples(word))) for word in words]
+
+    def row(key: str) -> int:
+        return zlib.crc32(key.encode()) % buckets
+
+    framed = [f"<{word}>" for word in words]
+    return [
+        (row(word), *(row(f"#{frame[start : start + 3]}") for start in range(len(frame) - 2)))
+        for word, frame in zip(words, framed, strict=True)
+    ]
 
 
 def with_made_up_word(text: str, chance: float) -> str:
-    """The text, at times with a made-up word in it, so that training makes unknown words mean nothing."""
+    """Insert a made-up word with a probability, so that training learns to ignore unknown words."""
     if torch.rand(()) >= chance:
         return text
     letters = torch.randint(26, (int(torch.randint(2, 9, ())),)).tolist()
     words = text.split()
     words.insert(int(torch.randint(len(words) + 1, ())), "".join(chr(97 + letter) for letter in letters))
     return " ".join(words)
-
-
-def _triples(word: str) -> list[str]:
-    framed = f"<{word}>"
-    return [framed[start : start + 3] for start in range(len(framed) - 2)]
-
-
-def _row(key: str, buckets: int) -> int:
-    return zlib.crc32(key.encode()) % buckets

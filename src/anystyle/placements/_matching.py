@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 
+from anystyle.errors import UserError
 from anystyle.types import Site
 
 
@@ -15,11 +16,11 @@ def matching(sites: Sequence[Site], patterns: Sequence[str], *, every_layer: boo
         every_layer: Whether layers that no head reads are taken too.
 
     Raises:
-        ValueError: A pattern matches none.
+        UserError: A pattern matches none.
     """
     offered = [site for site in sites if site.tapped or every_layer]
     for pattern in patterns:
         if not any(fnmatchcase(site.name, pattern) for site in offered):
             names = ", ".join(site.name for site in offered) or "none"
-            raise ValueError(f"no site is called '{pattern}' here; there are: {names}")
+            raise UserError(f"no site is called '{pattern}' here; there are: {names}")
     return tuple(site for site in offered if any(fnmatchcase(site.name, pattern) for pattern in patterns))

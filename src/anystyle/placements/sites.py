@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from anystyle.contracts import Placement
+from anystyle.errors import UserError
 from anystyle.placements._matching import matching
 from anystyle.types import Site
 
@@ -16,7 +17,7 @@ class Sites(Placement):
             and ``head/*``.
 
     Raises:
-        ValueError: There is no pattern.
+        UserError: There is no pattern.
     """
 
     @classmethod
@@ -25,7 +26,7 @@ class Sites(Placement):
 
     def __init__(self, *, patterns: Sequence[str]) -> None:
         if not patterns:
-            raise ValueError("placement.patterns is empty; name a site, such as placement.patterns=[color]")
+            raise UserError("placement.patterns is empty; name a site, such as placement.patterns=[color]")
         self.patterns = tuple(patterns)
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:

@@ -5,9 +5,8 @@ from collections.abc import Callable, Sequence
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Renderer
-from anystyle.reconstructions.contract import Reconstruction, silent
-from anystyle.types import Reconstructed, Scene, Views
+from anystyle.contracts import Reconstruction, Renderer
+from anystyle.types import OnProgress, Reconstructed, Scene, Views, no_progress
 
 
 class Feedforward(Reconstruction):
@@ -20,7 +19,7 @@ class Feedforward(Reconstruction):
         renderer: Renderer,
         *,
         points: Sequence[Float[Tensor, "_ 3"]] | None = None,
-        progress: Callable[[str], None] = silent,
+        on_progress: OnProgress = no_progress,
     ) -> Reconstructed:
         """Encode the views; nothing else."""
         return Reconstructed(encode(views), {})

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from anystyle.errors import did_you_mean
+from anystyle.errors import UserError, did_you_mean
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import Plugin, PluginError, catalog, kind_named
 from anystyle.registry.schema import fitted, node, options, plain, runtime_arguments
@@ -24,6 +24,9 @@ def kind_of(base: type) -> str:
     for kind, row in KINDS.items():
         if row.base == name:
             return kind
+    for row in catalog():
+        if row.kind == "kind" and row.target == name:
+            return row.name
     raise PluginError(f"{name} is not the contract of any kind of plugin")
 
 
@@ -40,7 +43,14 @@ def build(base: type[T], config: "DictConfig | Mapping[str, Any] | str", /, **ru
 
     Raises:
         PluginError: The catalog does not list the class, or the plugin is broken.
-        ValueError: An option is unknown, missing or of the wrong type, or the constructor refuses it.
+        UserError: An option is unknown, missing or of the wrong type, or the constructor refuses it.
+
+    Example:
+        >>> from anystyle.contracts import Loss
+        >>> build(Loss, "total_variation").weight
+        1.0
+        >>> build(Loss, {"_target_": "anystyle.losses.total_variation.TotalVariation", "weight": 0.5}).weight
+        0.5
     """
     kind = kind_of(base)
     strange = [name for name in runtime if name not in kind_named(kind).runtime]
@@ -87,7 +97,7 @@ def _checked(plugin: Plugin, given: Mapping[str, Any]) -> dict[str, Any]:
     names = [item.name for item in known]
     for name in given:
         if name not in names:
-            raise ValueError(f"{plugin} has no option '{name}'.{did_you_mean(name, names)} Options: {', '.join(names)}")
+            raise UserError(f"{plugin} has no option '{name}'.{did_you_mean(name, names)} Options: {', '.join(names)}")
     merged = node(plugin)
     values: dict[str, Any] = {}
     for item in known:
@@ -95,14 +105,14 @@ def _checked(plugin: Plugin, given: Mapping[str, Any]) -> dict[str, Any]:
             if item.name in given:
                 OmegaConf.update(merged, item.name, plain(given[item.name]))
             if OmegaConf.is_missing(merged, item.name):
-                where = f"{plugin.kind}.{plugin.name}" if KINDS[plugin.kind].many else plugin.kind
-                raise ValueError(f"it has no default; give it one with {where}.{item.name}=...")
+                where = f"{plugin.kind}.{plugin.name}" if kind_named(plugin.kind).many else plugin.kind
+                raise UserError(f"it has no default; give it one with {where}.{item.name}=...")
             value = merged[item.name]
             plain_value = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
             values[item.name] = fitted(plain_value, item.hint)
             if values[item.name] != values[item.name]:
-                raise ValueError("nan is no number that anything can be set to")
+                raise UserError("nan is no number that anything can be set to")
         except (OmegaConfBaseException, ValueError) as error:
             message = str(error).partition("\n")[0]
-            raise ValueError(f"{plugin}, option '{item.name}': {message}") from error
+            raise UserError(f"{plugin}, option '{item.name}': {message}") from error
     return values

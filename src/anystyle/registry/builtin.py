@@ -1,4 +1,4 @@
-"""What is in the box: the kinds of plugin, and the built-in plugins of each."""
+"""The kinds of plugin that the core declares, and the built-in plugins of each."""
 
 import tomllib
 from pathlib import Path
@@ -25,22 +25,34 @@ KINDS: dict[str, Kind] = {
     "placement": Kind("anystyle.contracts:Placement"),
     "injector": Kind("anystyle.contracts:Injector", runtime=("dim", "style_dim")),
     "renderer": Kind("anystyle.contracts:Renderer"),
-    "reconstruction": Kind("anystyle.reconstructions.contract:Reconstruction"),
-    "method": Kind("anystyle.methods.contract:Method", runtime=("losses",)),
+    "pose_estimator": Kind("anystyle.pipeline.poses:PoseEstimator"),
+    "reconstruction": Kind("anystyle.contracts:Reconstruction"),
+    "method": Kind("anystyle.methods.base:Method", runtime=("losses",)),
     "loss": Kind("anystyle.contracts:Loss", many=True, runtime=("style_encoder",)),
     "metric": Kind("anystyle.contracts:Metric", many=True, runtime=("style_encoder", "correspondence")),
     "correspondence": Kind("anystyle.contracts:Correspondence"),
     "scenes": Kind("anystyle.contracts:SceneSource"),
     "styles": Kind("anystyle.contracts:StyleSource"),
-    "study_test": Kind("anystyle.study.contract:StudyTest", many=True),
     "training": Kind(
-        "anystyle.training.contract:Training",
+        "anystyle.training.base:Training",
         runtime=("backbone", "renderer", "style_encoder", "stylizer", "losses", "features"),
     ),
     "protocol": Kind(
-        "anystyle.evaluation.contract:Protocol", runtime=("stylizer", "method", "metrics", "scenes", "styles")
+        "anystyle.evaluation.base:Protocol", runtime=("stylizer", "method", "metrics", "scenes", "styles")
     ),
+    "format": Kind("anystyle.contracts:Format"),
+    "command": Kind("anystyle.registry.socket:Command"),
 }
+
+OPTIONS = {
+    "branch": "anystyle.pipeline.options:BranchOptions",
+    "export": "anystyle.pipeline.options:ExportOptions",
+    "splat": "anystyle.pipeline.options:SplatOptions",
+    "video": "anystyle.pipeline.options:VideoOptions",
+    "views": "anystyle.pipeline.options:ViewOptions",
+}
+"""Dataclasses of options that belong to no plugin, by their key in a configuration: ``options/KEY`` in a defaults list
+puts one there with its defaults."""
 
 BUILTIN: dict[str, dict[str, str]] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 """For each kind the built-in plugins by name, as ``module:Class``."""

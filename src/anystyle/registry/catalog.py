@@ -3,7 +3,8 @@
 Plugins are declared in three places: the table in :mod:`anystyle.registry.builtin`; entry points
 ``anystyle.<kind>`` of installed packages; the same lines in the ``pyproject.toml`` of folders that are not
 installed, under ``plugins/`` or in a folder that ``ANYSTYLE_PLUGINS`` lists. A running process adds its own
-with :func:`plugin`.
+with :func:`plugin`. A package declares a kind of its own with an entry point ``anystyle.kind``, whose value is the
+contract.
 """
 
 import importlib
@@ -21,12 +22,14 @@ from typing import Any, TypeVar
 import msgspec
 
 from anystyle import paths
-from anystyle.documents import read_toml
 from anystyle.errors import UserError, one_line, unknown
+from anystyle.io.documents import read_toml
 from anystyle.registry.builtin import BUILTIN, KINDS, Kind
+from anystyle.registry.socket import Socket
 
 VARIABLE = "ANYSTYLE_PLUGINS"
 _PREFIX = "anystyle."
+_KIND = "kind"
 _log = logging.getLogger(__name__)
 _Class = TypeVar("_Class", bound=type)
 
@@ -35,15 +38,21 @@ class PluginError(UserError):
     """A plugin that does not exist, cannot be imported or breaks its contract."""
 
 
+def kinds() -> list[str]:
+    """The names of all kinds: those of the core, then those that packages declare."""
+    return [*KINDS, *catalog().names(_KIND)]
+
+
 def kind_named(kind: str) -> Kind:
-    """A row of :data:`~anystyle.registry.builtin.KINDS`.
+    """A kind of plugin.
 
     Raises:
-        PluginError: There is no such kind.
+        PluginError: There is no such kind, or the package that declares it cannot be imported.
     """
-    if kind not in KINDS:
-        raise PluginError(unknown("kind of plugin", kind, KINDS))
-    return KINDS[kind]
+    if kind in KINDS:
+        return KINDS[kind]
+    contract = base_of(kind)
+    return Kind(f"{contract.__module__}:{contract.__qualname__}", contract.many, contract.runtime)
 
 
 @dataclass(frozen=True)
@@ -51,7 +60,7 @@ class Plugin:
     """One declaration.
 
     Args:
-        kind: A key of :data:`~anystyle.registry.builtin.KINDS`.
+        kind: One of :func:`kinds`.
         name: How configurations call it.
         target: ``module:Class``.
         origin: Who declares it, for people.
@@ -82,8 +91,8 @@ class Plugin:
         Raises:
             PluginError: It cannot be imported, or does not inherit from its kind's contract.
         """
+        base = base_of(self.kind)  # first: where its package is not installed, this makes it importable
         loaded = self.defined if self.defined is not None else _import(self)
-        base = base_of(self.kind)
         if not (isinstance(loaded, type) and issubclass(loaded, base)):
             raise PluginError(f"{self} must inherit from {base.__module__}.{base.__qualname__}")
         return loaded
@@ -100,10 +109,21 @@ def location_in(error: BaseException, module: str) -> str:
     return f" ({Path(frames[-1][0]).name}, line {frames[-1][1]})" if frames else ""
 
 
-def base_of(kind: str) -> type:
-    """Import the contract of a kind."""
-    module, _, name = kind_named(kind).base.partition(":")
-    return getattr(importlib.import_module(module), name)
+def base_of(kind: str) -> type[Socket]:
+    """Import the contract of a kind.
+
+    Raises:
+        PluginError: There is no such kind, or the package that declares it cannot be imported.
+    """
+    if kind in KINDS:
+        module, _, name = KINDS[kind].base.partition(":")
+        return getattr(importlib.import_module(module), name)
+    if not (declared := catalog().declarations(_KIND, kind)):
+        raise PluginError(unknown("kind of plugin", kind, kinds()))
+    contract = _import(declared[0])
+    if not (isinstance(contract, type) and issubclass(contract, Socket)):
+        raise PluginError(f"{declared[0]} must inherit from {Socket.__module__}.{Socket.__qualname__}")
+    return contract
 
 
 def _import(plugin: Plugin) -> Any:
@@ -146,8 +166,12 @@ class Catalog:
         return iter(self._plugins)
 
     def names(self, kind: str) -> list[str]:
-        """The names of one kind, sorted."""
-        kind_named(kind)
+        """The names of one kind, sorted.
+
+        Raises:
+            PluginError: There is no such kind.
+        """
+        self._check(kind)
         return sorted({plugin.name for plugin in self._plugins if plugin.kind == kind})
 
     def declarations(self, kind: str, name: str) -> list[Plugin]:
@@ -159,8 +183,12 @@ class Catalog:
 
         Raises:
             PluginError: No plugin, or more than one, is declared under it.
+
+        Example:
+            >>> catalog().find("injector", "film").path
+            'anystyle.injectors.film.FiLM'
         """
-        kind_named(kind)
+        self._check(kind)
         plugins = self.declarations(kind, name)
         if len(plugins) > 1:
             raise PluginError(f"{kind} '{name}' is declared more than once: {'; '.join(map(str, plugins))}; rename one")
@@ -168,6 +196,11 @@ class Catalog:
             ignored = f" (ignored: {'; '.join(self.problems)})" if self.problems else ""
             raise PluginError(unknown(kind, name, self.names(kind)) + ignored)
         return plugins[0]
+
+    def _check(self, kind: str) -> None:
+        known = {*KINDS, *(plugin.name for plugin in self._plugins if plugin.kind == _KIND)}
+        if kind not in (*known, _KIND):
+            raise PluginError(unknown("kind of plugin", kind, known))
 
     def owner(self, kind: str, path: str) -> Plugin:
         """The plugin whose class a configuration's ``_target_`` names.
@@ -200,9 +233,7 @@ def _builtin() -> Iterator[Plugin]:
 def _rows(point: EntryPoint, problems: list[str], origin: str, **options: Any) -> Iterator[Plugin]:
     """The plugin that an entry point declares, or a note on what is wrong with it."""
     kind, target = point.group.removeprefix(_PREFIX), point.value.partition("[")[0].strip()
-    if kind not in KINDS:
-        problems.append(f"{origin} declares '{point.group}', and there is no such kind of plugin")
-    elif not point.name.isidentifier():
+    if not point.name.isidentifier():
         problems.append(f"{origin} names a {kind} '{point.name}'; a name is made of letters, digits and '_'")
     elif not all(word.isidentifier() for word in target.replace(":", ".", 1).split(".")) or ":" not in target:
         problems.append(f"{origin} declares {kind} '{point.name}' as '{point.value}', which is not 'module:Class'")
@@ -275,9 +306,13 @@ def _static(folders: tuple[str, ...]) -> Catalog:
         for plugin in _installed(problems)
         if (plugin.kind, plugin.name, plugin.target, _project(plugin.project)) not in seen
     ]
+    declared = [*installed, *local]
+    known = {*KINDS, _KIND, *(plugin.name for plugin in declared if plugin.kind == _KIND)}
+    strange = [plugin for plugin in declared if plugin.kind not in known]
+    problems += [f"{row.origin} declares '{_PREFIX}{row.kind}', and there is no such kind of plugin" for row in strange]
     for problem in problems:
         _log.warning("ignored: %s", problem)
-    return Catalog([*_builtin(), *installed, *local], problems)
+    return Catalog([*_builtin(), *(plugin for plugin in declared if plugin not in strange)], problems)
 
 
 _OWN: dict[tuple[str, str], Plugin] = {}

@@ -9,19 +9,19 @@ from hydra import compose as hydra_compose
 from hydra import initialize_config_dir
 from hydra.core.override_parser.types import Quote, QuotedString
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
 
 from anystyle import paths
 from anystyle.errors import UserError, did_you_mean, one_line
-from anystyle.registry.builtin import KINDS
-from anystyle.registry.catalog import catalog
+from anystyle.registry.catalog import catalog, kinds
 from anystyle.registry.packages import groups, presets
 from anystyle.registry.schema import literal
 from anystyle.registry.source import register
 
 VERSION_BASE = "1.3"
-ERRORS = (HydraException, OmegaConfBaseException)
+ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
 """What Hydra and OmegaConf raise."""
 
 _UNKNOWN = re.compile(r"In '[^']*': Could not load '(?P<group>[^']*)/(?P<name>[^'/]*)'")
@@ -52,6 +52,18 @@ def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | Non
         ):
             return hydra_compose(config_name, overrides=list(overrides))
     except ERRORS as error:
+        raise UserError(explain(error)) from error
+
+
+def options(config: DictConfig, key: str) -> Any:
+    """The dataclass of options at a key of :data:`~anystyle.registry.builtin.OPTIONS`, its values checked.
+
+    Raises:
+        UserError: A value is out of its range, or of another type.
+    """
+    try:
+        return OmegaConf.to_object(config[key])
+    except OmegaConfBaseException as error:
         raise UserError(explain(error)) from error
 
 
@@ -119,7 +131,7 @@ def _no_such(group: str, name: str, known: Sequence[str]) -> str:
 
 def choices(group: str) -> list[str]:
     """What a configuration group has to choose from: plugins and presets."""
-    return sorted({*presets(group), *(catalog().names(group) if group in KINDS else ())})
+    return sorted({*presets(group), *(catalog().names(group) if group in kinds() else ())})
 
 
 def _message(error: BaseException) -> str:

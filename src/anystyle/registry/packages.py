@@ -4,8 +4,7 @@ from functools import cache
 from pathlib import Path
 
 from anystyle import paths
-from anystyle.registry.builtin import KINDS
-from anystyle.registry.catalog import PluginError, catalog
+from anystyle.registry.catalog import PluginError, catalog, kinds
 from anystyle.registry.source_docs import source_file
 
 
@@ -31,11 +30,7 @@ def preset_folders() -> list[Path]:
 
 
 def package_presets(group: str) -> dict[str, Path]:
-    """The configuration files that plugin packages add to a group, by name.
-
-    Raises:
-        PluginError: Two packages have a preset of one name.
-    """
+    """The configuration files that plugin packages add to a group, by name."""
     files: dict[str, Path] = {}
     for folder in preset_folders():
         for file in sorted((folder / group).glob("*.yaml")):
@@ -61,4 +56,4 @@ def groups() -> list[str]:
         for path in folder.iterdir()
         if path.is_dir()
     }
-    return [*KINDS, *sorted(folders - set(KINDS))]
+    return [*kinds(), *sorted(folders - set(kinds()))]

@@ -75,11 +75,7 @@ def _signature(plugin: Plugin, constructor: Callable[..., None]) -> tuple[list[i
 
 
 def options(plugin: Plugin) -> tuple[Option, ...]:
-    """What a configuration may set of a plugin, in the order of the signature.
-
-    Raises:
-        PluginError: The plugin cannot be imported, or its constructor does not name and annotate every option.
-    """
+    """What a configuration may set of a plugin, in the order of the signature."""
     parameters, hints = _constructor(plugin)
     runtime = kind_named(plugin.kind).runtime
     known: list[Option] = []
@@ -107,11 +103,7 @@ def runtime_arguments(plugin: Plugin) -> dict[str, bool]:
 
 
 def node(plugin: Plugin) -> "DictConfig":
-    """A typed configuration node with a plugin's options and defaults, and its class as ``_target_``.
-
-    Raises:
-        PluginError: As :func:`options`; or a default does not fit its annotation.
-    """
+    """A typed configuration node with a plugin's options and defaults, and its class as ``_target_``."""
     cls = plugin.load()
     return copy.deepcopy(_prototype(plugin, cls, cls.__init__))
 
@@ -196,11 +188,7 @@ def plain(value: Any) -> Any:
 
 
 def fitted(value: Any, hint: Any) -> Any:
-    """A checked value as a constructor expects it: sequences as tuples unless ``hint`` says list, choices as given.
-
-    Raises:
-        ValueError: A tuple of fixed length has another length.
-    """
+    """A checked value as a constructor expects it: sequences as tuples unless ``hint`` says list, choices as given."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if isinstance(value, Enum):
         return value.value

@@ -5,22 +5,29 @@ the files ``GROUP/NAME.yaml`` in a plugin package's ``conf``. Groups of which a 
 packaged by name: ``loss=[content,style]``, ``loss.style.weight=2``.
 """
 
+import importlib
+import re
 from pathlib import Path
+from typing import Any
 
 from hydra.core.object_type import ObjectType
 from hydra.core.plugins import Plugins
 from hydra.errors import ConfigCompositionException
 from hydra.plugins.config_source import ConfigLoadError, ConfigResult, ConfigSource
+from omegaconf import DictConfig, OmegaConf
 
-from anystyle.registry.builtin import KINDS
-from anystyle.registry.catalog import PluginError, catalog
-from anystyle.registry.guard import FileConfigSource, install
+from anystyle.errors import UserError
+from anystyle.io.documents import read_text, read_yaml
+from anystyle.registry.builtin import OPTIONS
+from anystyle.registry.catalog import PluginError, catalog, kind_named, kinds
 from anystyle.registry.packages import groups, package_presets
 from anystyle.registry.schema import node
 
+_OPTIONS = "options"
+
 
 class PluginSource(ConfigSource):
-    """Configurations made of constructor signatures, and the files beside them."""
+    """Configurations made of constructor signatures, of dataclasses of options, and of the files beside plugins."""
 
     @staticmethod
     def scheme() -> str:
@@ -32,47 +39,71 @@ class PluginSource(ConfigSource):
         return True
 
     def is_group(self, config_path: str) -> bool:
-        """Whether a path is a kind, a folder of presets, or the root of all."""
-        return config_path.strip("/") in ("", *groups())
+        """Whether a path is a kind, a folder of presets, the group of options, or the root of all."""
+        return config_path.strip("/") in ("", _OPTIONS, *groups())
 
     def is_config(self, config_path: str) -> bool:
-        """Whether a path is a plugin or a preset, ``group/name``."""
-        group, _, name = config_path.removesuffix(".yaml").partition("/")
-        return (group in KINDS and name in catalog().names(group)) or self._preset(group, name) is not None
+        """Whether a path is a plugin, a preset or a dataclass of options, ``group/name``."""
+        group, name = _split(config_path)
+        return name in self._names(group)
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> "list[str]":
         """The groups at the root, the plugins and presets of a group below it."""
         group = config_path.strip("/")
         if not group:
             return [] if results_filter is ObjectType.CONFIG else sorted(groups())
-        if results_filter is ObjectType.GROUP:
-            return []
-        return sorted({*package_presets(group), *(catalog().names(group) if group in KINDS else ())})
+        return [] if results_filter is ObjectType.GROUP else self._names(group)
 
     def load_config(self, config_path: str) -> ConfigResult:
         """Read a preset, or import one plugin and describe its options."""
-        if not self.is_config(config_path):
+        group, name = _split(config_path)
+        if name not in self._names(group):
             raise ConfigLoadError(f"Config not found: {config_path}")
-        group, _, name = config_path.removesuffix(".yaml").partition("/")
-        preset = self._preset(group, name)
+        preset = self._presets(group).get(name)
         if preset is not None:
-            return FileConfigSource(self.provider, str(preset.parent)).load_config(preset.name)
+            return ConfigResult(self.provider, self.full_path(), *_read(preset))
+        if group == _OPTIONS:
+            module, _, cls = OPTIONS[name].partition(":")
+            config = OmegaConf.structured(getattr(importlib.import_module(module), cls))
+            OmegaConf.set_readonly(config, None)  # a frozen dataclass makes it so
+            return ConfigResult(self.provider, self.full_path(), config, {"package": name})
         try:
             config = node(catalog().find(group, name))
         except PluginError as error:
             raise ConfigCompositionException(str(error)) from error
-        package = f"{group}.{name}" if KINDS[group].many else None
+        package = f"{group}.{name}" if kind_named(group).many else None
         return ConfigResult(self.provider, self.full_path(), config, {"package": package})
 
+    def _names(self, group: str) -> "list[str]":
+        if group == _OPTIONS:
+            return sorted(OPTIONS)
+        return sorted({*self._presets(group), *(catalog().names(group) if group in kinds() else ())})
+
     @staticmethod
-    def _preset(group: str, name: str) -> Path | None:
+    def _presets(group: str) -> dict[str, Path]:
         try:
-            return package_presets(group).get(name)
+            return package_presets(group)
         except PluginError as error:
             raise ConfigCompositionException(str(error)) from error
+
+
+def _split(config_path: str) -> tuple[str, str]:
+    group, _, name = config_path.removesuffix(".yaml").partition("/")
+    return group, name
+
+
+_HEADER = re.compile(r"^# *@(\w+) *:? *(\S+) *$", re.MULTILINE)
+
+
+def _read(path: Path) -> tuple[DictConfig, dict[str, str | None]]:
+    """The content of a preset, and its header, such as ``# @package _global_``."""
+    try:
+        content = read_yaml(path, dict[str, Any] | None, what="configuration of 'key: value' lines", limit=False)
+        return OmegaConf.create(content or {}), {"package": None, **dict(_HEADER.findall(read_text(path)))}
+    except UserError as error:
+        raise ConfigCompositionException(str(error)) from None
 
 
 def register() -> None:
     """Make ``anystyle://`` known to Hydra in this process; calling it again changes nothing."""
     Plugins.instance().register(PluginSource)
-    install()

@@ -16,12 +16,7 @@ _HOPS = 3
 
 @dataclass(frozen=True)
 class Summary:
-    """A plugin at a glance.
-
-    Args:
-        description: The first line of the class's docstring.
-        options: The constructor's options as the source writes them, such as ``pairs: int = 2``.
-    """
+    """The first line of a class's docstring, and its options as the source writes them: ``pairs: int = 2``."""
 
     description: str
     options: tuple[str, ...] = ()
@@ -43,25 +38,15 @@ def peek(plugin: Plugin) -> Summary:
 
 
 def source_file(module: str, root: Path | None) -> Path | None:
-    """The file of a module; no package on the way is imported, as ``find_spec`` of a dotted name would.
-
-    Args:
-        module: Its name, dots and all.
-        root: The folder it is imported from; ``None`` looks where Python does.
-    """
-    top, *rest = module.split(".")
-    if root is not None:
-        spec = importlib.machinery.PathFinder.find_spec(top, [str(root)])
-    else:
-        spec = importlib.util.find_spec(top)
-    full = top
-    for part in rest:
-        if spec is None or spec.submodule_search_locations is None:
-            return None
-        full = f"{full}.{part}"
-        spec = importlib.machinery.PathFinder.find_spec(full, list(spec.submodule_search_locations))
-    origin = None if spec is None else spec.origin
-    return Path(origin) if origin is not None and origin.endswith(".py") else None
+    """The file of a module below ``root``, or where Python looks for it; unlike ``find_spec``, imports no package."""
+    folders = None if root is None else [str(root)]
+    spec = None
+    for end in (index for index, letter in enumerate(f"{module}.") if letter == "."):
+        find, name = importlib.machinery.PathFinder.find_spec, module[:end]
+        spec = importlib.util.find_spec(name) if folders is None else find(name, folders)
+        folders = [] if spec is None else list(spec.submodule_search_locations or ())
+    origin = spec.origin if spec is not None and spec.origin is not None else ""
+    return Path(origin) if origin.endswith(".py") else None
 
 
 def _class(module: str, name: str, root: Path | None, hops: int) -> tuple[str, ast.ClassDef] | None:

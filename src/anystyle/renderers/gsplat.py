@@ -9,25 +9,26 @@ from torch import Tensor
 
 from anystyle.geometry.harmonics import colors, degree_of
 from anystyle.geometry.projection import covariances
-from anystyle.renderers._common import Rasterizer, at_least_single
+from anystyle.renderers.rasterizer import Rasterizer, at_least_single
 from anystyle.types import Cameras, Gaussians
 
 
 class GsplatRenderer(Rasterizer):
     """gsplat's CUDA kernels, all cameras of a scene at once; what the published models were trained with.
 
-    Differentiable in the Gaussians and the poses, not in the intrinsics. The most that one Gaussian covers of a pixel
-    is compiled into gsplat: 0.999 to version 1.5.3, 0.99 in 1.6.
+    Differentiable in the Gaussians and the poses, not in the intrinsics. The cap on alpha is compiled into gsplat:
+    0.999 to version 1.5.3, 0.99 in 1.6.
     """
 
-    device = "cuda"
+    devices = ("cuda",)
+    priority = 10
 
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
         rasterization = _rasterization()
         scenes = range(gaussians.means.shape[0])
         with torch.autocast(gaussians.means.device.type, enabled=False):
             gaussians, cameras = at_least_single(gaussians, cameras)
-            # Scene by scene: later versions take no harmonics of several scenes at once.
+            # Scene by scene: later versions of gsplat take no batch of harmonics.
             images = [self._scene(rasterization, gaussians, cameras, b) for b in scenes]
             return torch.stack(images).to(gaussians.means.dtype)
 
@@ -48,7 +49,7 @@ class GsplatRenderer(Rasterizer):
             quats=rotations,
             scales=scales,
             opacities=gaussians.opacities[scene].float(),
-            # One coefficient is the same colour from everywhere, which gsplat takes without the directions.
+            # A single coefficient is a colour that depends on no direction, which gsplat takes as RGB.
             colors=harmonics if degree else colors(harmonics, torch.zeros_like(means)),
             sh_degree=degree or None,
             viewmats=cameras.camera_from_world[scene].float(),
@@ -60,7 +61,7 @@ class GsplatRenderer(Rasterizer):
             eps2d=self.eps2d,
             render_mode="RGB+D",
             packed=False,
-            # Ours, so that quaternions of norm 0 mean what they mean in every renderer.
+            # Computed here, so that quaternions of norm 0 are treated as in the other renderers.
             covars=covariances(rotations, scales),
         )
         return torch.cat([color, 1 - alpha], dim=-1).movedim(-1, 1)  # V 5 H W

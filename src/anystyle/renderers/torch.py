@@ -1,4 +1,4 @@
-"""The specification: what a render is, in plain PyTorch, on every device and in every precision."""
+"""The reference renderer in plain PyTorch, for every device and floating-point precision."""
 
 import torch
 from jaxtyping import Float
@@ -8,18 +8,20 @@ from torch.utils.checkpoint import checkpoint
 
 from anystyle.geometry.harmonics import colors
 from anystyle.geometry.projection import MIN_ALPHA, Splats, covariances, project
-from anystyle.renderers._common import CappedRasterizer, at_least_single
+from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single
 from anystyle.types import Cameras, Gaussians
 
 MIN_TRANSMITTANCE = 1e-4
-"""A pixel is full before the Gaussian that would let less than this through."""
+"""Blending of a pixel stops before the Gaussian that would bring its transmittance to this or below."""
 
 TILE = 16
-"""Side in pixels of the squares that are blended at once; no result depends on it."""
+"""Side in pixels of the tiles that are blended at once; results do not depend on it."""
 
 
 class TorchRenderer(CappedRasterizer):
     """Tile by tile in PyTorch: slow, readable, differentiable in everything."""
+
+    priority = 1
 
     def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
         scenes, views = cameras.world_from_camera.shape[:2]
@@ -29,7 +31,7 @@ class TorchRenderer(CappedRasterizer):
             return torch.stack(rows)
 
     def _view(self, gaussians: Gaussians, cameras: Cameras, scene: int, view: int) -> Float[Tensor, "5 H W"]:
-        """Accumulated red, green, blue and depth of one view, and what light it lets through."""
+        """Accumulated red, green, blue and depth of one view, and its transmittance."""
         means, opacities = gaussians.means[scene], gaussians.opacities[scene]  # N 3, N
         splats = project(
             means,
@@ -82,13 +84,13 @@ def blend(
         means: Image positions in pixels.
         conics: Inverse covariances ``xx, xy, yy``.
         opacities: In [0, 1].
-        payload: What each shows: red, green, blue and depth.
+        payload: Red, green, blue and depth of each.
         x: Centres of the columns.
         y: Centres of the rows.
-        alpha_cap: The most one covers of a pixel.
+        alpha_cap: The largest alpha of one Gaussian in a pixel.
 
     Returns:
-        The payload, accumulated over black, and the share of light that passes.
+        The payload, accumulated over black, and the transmittance.
     """
     dx = (x - means[:, 0, None])[:, None, :]  # t 1 w
     dy = (y - means[:, 1, None])[:, :, None]  # t h 1
@@ -96,9 +98,9 @@ def blend(
     sigma = 0.5 * (xx * dx * dx + yy * dy * dy) + xy * dx * dy  # t h w
     alpha = (opacities[:, None, None] * (-sigma).exp()).clamp_max(alpha_cap)
     alpha = torch.where((sigma >= 0) & (alpha >= MIN_ALPHA), alpha, 0)
-    after = (1 - alpha).cumprod(dim=0)  # what passes this Gaussian and all before it
+    after = (1 - alpha).cumprod(dim=0)  # transmittance behind each Gaussian
     alpha = torch.where(after > MIN_TRANSMITTANCE, alpha, 0)
-    before = torch.cat([torch.ones_like(after[:1]), after[:-1]])  # as many as t, also where t is 0
-    weights = alpha * before[: len(alpha)]  # t h w
+    before = torch.cat([torch.ones_like(after[:1]), after[:-1]])
+    weights = alpha * before  # t h w
     image = torch.einsum("thw,tc->chw", weights, payload)
     return torch.cat([image, (1 - alpha).prod(dim=0)[None]])

@@ -4,7 +4,7 @@ import gzip
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Literal
 
 import torch
 import torch.nn.functional as F
@@ -12,9 +12,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import StyleEncoder
-from anystyle.perception import bpe, weights
-from anystyle.perception.clip import Clip, load_clip
-from anystyle.published import PublishedEncoder
+from anystyle.errors import UserError
+from anystyle.vision import bpe, weights
+from anystyle.vision.clip import Clip, load_clip
+from anystyle.vision.preprocess import resized
 
 LOADED_SIDE = 256
 """Pixels of the square that style images are brought to first, as published."""
@@ -36,34 +37,6 @@ class TextAdapter(nn.Module):
     def forward(self, features: Float[Tensor, "*batch D"]) -> Float[Tensor, "*batch D"]:
         """Unit vectors of features that are not normalised."""
         return F.normalize(features + self.mlp(features), dim=-1)
-
-
-class _Published(PublishedEncoder):
-    """Loads Long-CLIP's or CLIP's file, and the text adapter of a style branch."""
-
-    def load(self, encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
-        assert isinstance(encoder, LongClip)
-        load_clip(encoder.network, state)
-
-    def load_text_adapter(self, encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
-        assert isinstance(encoder, LongClip)
-        expected = {} if encoder.adapter is None else encoder.adapter.state_dict()
-        first = state.get("mlp.0.weight")
-        if first is not None and first.shape[-1] != encoder.dim:
-            raise ValueError(
-                f"the style branch was trained with embeddings of {first.shape[-1]} numbers, and the style encoder's "
-                f"have {encoder.dim}; choose the encoder it was trained with (style_encoder=long_clip)"
-            )
-        if {key: tensor.shape for key, tensor in expected.items()} != {
-            key: tensor.shape for key, tensor in state.items()
-        }:
-            raise ValueError(
-                f"the checkpoint's text adapter has the tensors {sorted(state) or 'none'}, and the style encoder's "
-                f"{sorted(expected) or 'none'}; set style_encoder.text_adapter={str(bool(state)).lower()}"
-            )
-        if encoder.adapter is not None:
-            given = {key: tensor.to(expected[key].dtype) for key, tensor in state.items()}
-            encoder.adapter.load_state_dict(given, assign=True)
 
 
 class LongClip(StyleEncoder):
@@ -89,8 +62,6 @@ class LongClip(StyleEncoder):
         resolution: Side of the images that the tower sees, in pixels.
         batch: Prompts embedded at a time; a matter of memory alone.
     """
-
-    published: ClassVar[PublishedEncoder | None] = _Published()
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -147,25 +118,20 @@ class LongClip(StyleEncoder):
         self.adapter = TextAdapter(dim) if text_adapter else None
         self._neutral: tuple[tuple[object, ...], Tensor] | None = None
 
-    def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """See :meth:`StyleEncoder.embed_images`.
+    def load_published(self, state: Mapping[str, Tensor]) -> None:
+        load_clip(self.network, state)
 
-        Images go through a square of 256 pixels, cropped at the centre, as published. One that has the tower's size
-        already is taken as it is: losses bring theirs to that size in their own way.
-        """
+    def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
+        """Embeddings of sRGB images in [0, 1], through a centred square of 256 pixels unless of the tower's size."""
         side = self.network.resolution
         if images.shape[-2:] != (side, side):
-            images = centre(resized(images, LOADED_SIDE, "bilinear"), LOADED_SIDE)
-            images = resized(images, side, "bicubic")
+            images = resized(images, LOADED_SIDE)
+            top, left = (round((length - LOADED_SIDE) / 2) for length in images.shape[-2:])
+            images = resized(images[..., top : top + LOADED_SIDE, left : left + LOADED_SIDE], side, mode="bicubic")
         return F.normalize(self.network.embed_pixels(images), dim=-1)
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        """See :meth:`StyleEncoder.embed_texts`; that of the neutral prompt alone is kept.
-
-        Raises:
-            ValueError: A text is empty, or too long with its template.
-            FileNotFoundError: The vocabulary is missing.
-        """
+        """Embeddings of texts; that of the neutral prompt is cached."""
         if list(texts) != [self.neutral] or torch.is_grad_enabled():
             return self._embed(texts)
         weight = self.network.text_projection
@@ -186,7 +152,7 @@ class LongClip(StyleEncoder):
         rows = [tokenizer.encode(prompt) for prompt in prompts]
         for prompt, row in zip(prompts, rows, strict=True):
             if len(row) > self.network.context:
-                raise ValueError(
+                raise UserError(
                     f"the text {prompt[:40]!r}… has {len(row)} tokens, template included, and at most "
                     f"{self.network.context} are read; shorten it"
                 )
@@ -197,23 +163,9 @@ class LongClip(StyleEncoder):
 
     def _embed(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
         if not texts or any(not text.strip() for text in texts):
-            raise ValueError("a text is empty; describe a style in words")
+            raise UserError("a text is empty; describe a style in words")
         prompts = [template.replace("{}", text) for text in texts for template in self.templates]
         features = self.features(prompts)
         if self.adapter is not None:
             features = self.adapter(features)
         return F.normalize(features.unflatten(0, (len(texts), -1)).mean(1), dim=-1)
-
-
-def resized(images: Float[Tensor, "M 3 H W"], side: int, mode: str) -> Float[Tensor, "M 3 h w"]:
-    """Images whose shorter side is ``side`` pixels, the longer rounded down."""
-    height, width = images.shape[-2:]
-    short = min(height, width)
-    size = (int(side * height / short), int(side * width / short))
-    return images if size == (height, width) else F.interpolate(images, size=size, mode=mode, antialias=True)
-
-
-def centre(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "M 3 side side"]:
-    """The square in the middle."""
-    top, left = (round((length - side) / 2) for length in images.shape[-2:])
-    return images[..., top : top + side, left : left + side]

@@ -1,232 +1,205 @@
 """What a backbone promises: see :class:`anystyle.contracts.Backbone`."""
 
 import copy
-from dataclasses import replace
+from functools import cache
 
 import torch
 from torch import Tensor
 
-from anystyle.contracts import Adapter, Aggregator, Backbone, Embedder, GaussianHead, GeometryHead
-from anystyle.testing import backbone_values as values
-from anystyle.testing.backbone_encoding import Plugin, encoded, expect_grid, frozen, some_views
-from anystyle.testing.check import Check, attempt, expect
-from anystyle.testing.comparing import conform, expect_same, expect_untouched, tensors_of
-from anystyle.testing.inputs import generator
-from anystyle.types import Site, Tokens, untouched
+from anystyle import contracts
+from anystyle.contracts import Backbone
+from anystyle.testing import asserts
+from anystyle.testing.inputs import noise, views
+from anystyle.testing.subject import Subject
+from anystyle.types import Attributes, Cameras, Clusters, Gaussians, Geometry, Scene, Tokens, Views, untouched
+from anystyle.types.shapes import check_value
+
+Plugin = Subject[Backbone]
+
+PARTS = ("embedder", "aggregator", "geometry_head", "gaussian_head", "adapter")
 
 
-def sites_are_named_after_their_part(plugin: Plugin) -> None:
-    """Sites are called ``aggregator/...`` or ``head/...``, once each, with the channels of their tokens."""
-    backbone = plugin.instance
-    names: list[str] = []
-    for prefix, sites in (("aggregator/", backbone.aggregator.sites), ("head/", backbone.gaussian_head.sites)):
-        for site in sites:
-            expect(
-                isinstance(site, Site) and site.name.startswith(prefix) and len(site.name) > len(prefix),
-                given=f"a site {site!r}",
-                expected=f"a Site whose name starts with {prefix!r} and goes on",
-                change="rename it; the first word tells placements which part it is in",
-            )
-            expect(
-                "." not in site.name and site.dim >= 1,
-                given=f"a site {site.name!r} of {site.dim} channels",
-                expected="a name without '.', and at least 1 channel",
-                change="use '/' between the words of the name: it becomes a key of the state dict",
-            )
-            expect(
-                site.name not in names,
-                given=f"two sites named {site.name!r}",
-                change="number them, such as 'aggregator/4'",
-            )
-            names.append(site.name)
-    expect(bool(names), given="no site at all", change="list it in `sites` and call `inject(name, tokens)` there")
-
-
-@torch.no_grad()
-def every_site_is_visited(plugin: Plugin) -> None:
-    """Every site, and no other, is passed to ``inject``, in the order of ``sites``, with the promised channels."""
-    backbone, given = frozen(plugin), some_views(plugin)
-    visited: dict[str, Tokens] = {}
-
-    def record(site: str, tokens: Tokens) -> Tokens:
-        visited.setdefault(site, tokens)
-        return tokens
-
-    features = backbone.aggregator(backbone.embedder(given.images), record)
-    backbone.gaussian_head(features, given.images, record)
-    expect(
-        list(visited) == [site.name for site in backbone.sites],
-        given=f"`inject` was called at {', '.join(visited) or 'no site'}",
-        expected=f"calls at {', '.join(site.name for site in backbone.sites)}, in this order",
-        change="make `sites` and the calls of `inject` agree",
-    )
-    for site in backbone.sites:
-        where = f"`inject` at {site.name}"
-        conform(visited[site.name], Tokens, where, B=1, V=2, C=site.dim)
-        expect_grid(visited[site.name], where)
-
-
-@torch.no_grad()
-def injected_tokens_are_used(plugin: Plugin) -> None:
-    """What ``inject`` returns at a site is what the network goes on with."""
-    backbone = frozen(plugin)
-    scene = encoded(plugin)
-    images = scene.views.images
-    for site in backbone.sites:
-
-        def shake(name: str, tokens: Tokens, chosen: str = site.name) -> Tokens:
-            if name != chosen:
-                return tokens
-            noise = torch.randn(tokens.data.shape, generator=generator(1)).to(tokens.data)
-            return replace(tokens, data=tokens.data + noise * (1 + tokens.data.std()))
-
-        in_aggregator = site.name.startswith("aggregator/")
-        if in_aggregator:
-            plain, shaken = scene.features, backbone.aggregator(scene.stem, shake)
-        else:
-            plain, shaken = scene.attributes, backbone.gaussian_head(scene.features, images, shake)
-        ours, theirs = tensors_of(shaken), tensors_of(plain)
-        expect(
-            any(not torch.equal(ours[name], theirs[name]) for name in theirs),
-            given=f"other tokens at {site.name} change nothing in the {'features' if in_aggregator else 'attributes'}",
-            change=f"go on with what is returned: `tokens = inject({site.name!r}, tokens)`",
-        )
-
-
-@torch.no_grad()
-def untouched_sites_change_nothing(plugin: Plugin) -> None:
-    """With an ``inject`` that returns its tokens, features and attributes are the same bit for bit."""
-    backbone = frozen(plugin)
-    scene = encoded(plugin)
-    expected, change = "the same bits as without `inject`", "do nothing else where `inject` is called"
-    for inject in (untouched, lambda site, tokens: replace(tokens, data=tokens.data.clone())):
-        features = backbone.aggregator(scene.stem, inject)
-        expect_same(features, scene.features, what="features", expected=expected, change=change)
-        attributes = backbone.gaussian_head(scene.features, scene.views.images, inject)
-        expect_same(attributes, scene.attributes, what="attributes", expected=expected, change=change)
-
-
-PARTS = {
-    "embedder": Embedder,
-    "aggregator": Aggregator,
-    "geometry_head": GeometryHead,
-    "gaussian_head": GaussianHead,
-    "adapter": Adapter,
-}
-
-
-def all_five_parts_are_there(plugin: Plugin) -> None:
-    """The constructor sets the five parts, ``patch_size`` and ``resolution``."""
-    backbone = plugin.instance
-    for name, base in PARTS.items():
-        part = getattr(backbone, name, None)
-        expect(
-            isinstance(part, base),
-            given=f"`{name}` is {'not set' if part is None else f'of class {type(part).__name__}'}",
-            expected=f"a part that inherits from anystyle.contracts.{base.__name__}",
-            change=f"set `self.{name}` in the constructor",
-        )
+def test_encodes_two_views(plugin: Plugin) -> None:
+    """It has five parts, ``patch_size`` and ``resolution``, and encodes two views to tensors of the declared shapes."""
+    for name in PARTS:
+        base = getattr(contracts, name.title().replace("_", ""))
+        part = getattr(plugin.instance, name, None)
+        assert isinstance(part, base), f"`{name}` is a {type(part).__name__}, not an anystyle.contracts.{base.__name__}"
     for name in ("patch_size", "resolution"):
-        value = getattr(backbone, name, None)
-        expect(
-            isinstance(value, int) and value >= 1,
-            given=f"`{name}` is {value!r}",
-            expected="a number of pixels, at least 1",
-            change=f"set `self.{name}` in the constructor",
-        )
+        value = getattr(plugin.instance, name, None)
+        assert isinstance(value, int) and value >= 1, f"`{name}` is {value!r}, not a number of pixels"
+    _assert_encodes(plugin, _views(plugin))
 
 
-def final_methods_are_left_alone(plugin: Plugin) -> None:
-    """``encode``, ``freeze``, ``train`` and ``sites`` are the framework's."""
-    for name in ("encode", "freeze", "train", "sites"):
-        owner = next(cls for cls in plugin.cls.__mro__ if name in vars(cls))
-        expect(
-            owner is Backbone,
-            given=f"{owner.__name__} overrides `{name}`",
-            expected="the method of anystyle.contracts.Backbone",
-            change="move the work into one of the five parts",
-        )
+def test_encodes_every_number_and_shape(plugin: Plugin) -> None:
+    """It encodes a single view, and images of any multiple of the patch that are not square."""
+    _assert_encodes(plugin, _views(plugin, number=1))
+    for shape in ((2, 3), (3, 2), (5, 4)):
+        _assert_encodes(plugin, _views(plugin, shape=shape))
 
 
 @torch.no_grad()
-def encoding_twice_is_the_same(plugin: Plugin) -> None:
+def test_encodes_several_scenes_at_once(plugin: Plugin) -> None:
+    """A batch of scenes gives what each scene gives alone."""
+    together = _views(plugin, batch=2)
+    _assert_encodes(plugin, together)
+    backbone, both = plugin.instance.freeze(), _scene(plugin, batch=2)
+    for index in range(2):
+        alone = backbone.encode(together.row(index))
+        for name in ("stem", "features", "geometry", "attributes"):
+            value = getattr(both, name)
+            mine = {key: value[key].row(index) for key in value} if name == "features" else value.row(index)
+            what = f"`{name}` of scene {index} of a batch of two against the same scene alone"
+            asserts.close(mine, getattr(alone, name), what)
+
+
+@torch.no_grad()
+def test_numbers_are_finite(plugin: Plugin) -> None:
+    """Nothing is NaN or infinite, not for black or white images either."""
+    images = _views(plugin).images
+    for given in (images, torch.zeros_like(images), torch.ones_like(images)):
+        scene = plugin.instance.freeze().encode(Views(images=given))
+        asserts.finite((scene, _gaussians(plugin.instance, scene)), "the encoded scene")
+
+
+def test_cameras_are_rigid_pinholes(plugin: Plugin) -> None:
+    """Poses are rotations and translations, focal lengths positive, and the confidence of the depth at least 0."""
+    geometry = _scene(plugin).geometry
+    asserts.cameras(geometry.cameras, _views(plugin).size)
+    lowest = float(geometry.confidence.min())
+    assert lowest >= 0, f"a confidence of {lowest:.3g}"
+
+
+def test_gaussians_are_renderable(plugin: Plugin) -> None:
+    """Opacities lie in [0, 1], scales are at least 0, and a padded Gaussian is transparent."""
+    scene = _scene(plugin, batch=2)
+    gaussians, clusters = _gaussians(plugin.instance, scene), scene.clusters
+    low, high = float(gaussians.opacities.min()), float(gaussians.opacities.max())
+    assert low >= 0 and high <= 1, f"opacities from {low:.3g} to {high:.3g}; pass the logits through a sigmoid"
+    assert bool((gaussians.scales >= 0).all()), "negative scales; pass them through an exponential or a softplus"
+    if clusters is not None:
+        check_value(clusters, Clusters, "`adapter.cluster`", B=2, M=_views(plugin).images[:, :, 0].numel())
+        assert bool((clusters.index < clusters.means.shape[1]).all()), "`clusters.index` of Gaussians that do not exist"
+        assert not bool(gaussians.opacities[~clusters.valid].any()), "padded Gaussians that are not transparent"
+
+
+@torch.no_grad()
+def test_every_site_is_visited(plugin: Plugin) -> None:
+    """Every site, and no other, is passed to ``inject``, in the order of ``sites``, with the declared channels."""
+    backbone, given = plugin.instance.freeze(), _views(plugin)
+    visited: dict[str, Tokens] = {}
+    record = lambda site, tokens: visited.setdefault(site, tokens)  # noqa: E731
+    features = backbone.aggregator(backbone.embedder(given.images), record)
+    in_aggregator = list(visited)
+    backbone.gaussian_head(features, given.images, record)
+    sites = {site.name: site for site in backbone.sites}
+    assert list(visited) == list(sites) != [], f"`inject` is called at {list(visited)}, `sites` are {list(sites)}"
+    for name, tokens in visited.items():
+        prefix = "aggregator/" if name in in_aggregator else "head/"
+        assert name.startswith(prefix) and "." not in name, f"site {name!r} should begin with {prefix!r}, without '.'"
+        _assert_tokens(tokens, f"`inject` at {name}", V=2, C=sites[name].dim)
+
+
+@torch.no_grad()
+def test_injected_tokens_are_used(plugin: Plugin) -> None:
+    """The network goes on with the tokens that ``inject`` returns: the same bits if they are the same."""
+    backbone, scene = plugin.instance.freeze(), _scene(plugin)
+    _assert_same_parts(backbone.aggregator, backbone.gaussian_head, scene, "without injection")
+    for site in backbone.sites:
+
+        def add_noise(name: str, tokens: Tokens, chosen: str = site.name) -> Tokens:
+            added = noise(tokens.data) * (1 + tokens.data.std()) if name == chosen else torch.zeros(())
+            return tokens.with_data(tokens.data + added)
+
+        if site.name.startswith("aggregator/"):
+            before, after = scene.features, backbone.aggregator(scene.stem, add_noise)
+        else:
+            before, after = scene.attributes, backbone.gaussian_head(scene.features, scene.views.images, add_noise)
+        ours, theirs = asserts.tensors_of(after), asserts.tensors_of(before)
+        changed = any(not torch.equal(ours[name], theirs[name]) for name in theirs)
+        assert changed, f"other tokens at {site.name} change nothing; use `tokens = inject({site.name!r}, tokens)`"
+
+
+@torch.no_grad()
+def test_encoding_twice_is_the_same(plugin: Plugin) -> None:
     """The same views give the same scene, bit for bit, and are left as they were."""
-    backbone = frozen(plugin)
-    given = some_views(plugin)
-    before = given.images.clone()
-    first = backbone.encode(given)
-    expect_untouched(given.images, before, "the images after `encode`")
-    kept = first.map(Tensor.clone)
-    again = backbone.encode(given)
-    for what, scene in (("the second scene", again), ("the first scene, after the second was made", first)):
-        expect_same(
-            scene, kept, what=what, change="look for random numbers, or for state that a forward pass leaves behind"
-        )
+    backbone, given = plugin.instance.freeze(), _views(plugin)
+    first = backbone.encode(given).map(Tensor.clone)
+    asserts.same(given, _views(plugin), "the views after `encode`")
+    asserts.same(backbone.encode(given), first, "the second scene")
 
 
 @torch.no_grad()
-def copies_compute_the_same(plugin: Plugin) -> None:
+def test_copies_compute_the_same(plugin: Plugin) -> None:
     """Deep copies of the aggregator and of the Gaussian head give the same bits, on weights of their own."""
-    backbone = frozen(plugin)
-    scene = encoded(plugin)
-    with attempt("copy.deepcopy of a part", change="keep in the part only what can be copied, no hooks or handles"):
-        aggregator, head = copy.deepcopy(backbone.aggregator), copy.deepcopy(backbone.gaussian_head)
-    expected, change = "the same bits", "keep all that the part computes with in its parameters and buffers"
-    expect_same(aggregator(scene.stem), scene.features, what="features of a copy", expected=expected, change=change)
-    attributes = head(scene.features, scene.views.images)
-    expect_same(attributes, scene.attributes, what="attributes of a copy", expected=expected, change=change)
+    backbone, scene = plugin.instance.freeze(), _scene(plugin)
+    aggregator, head = copy.deepcopy(backbone.aggregator), copy.deepcopy(backbone.gaussian_head)
+    _assert_same_parts(aggregator, head, scene, "of a copy")
     for parameter in (*aggregator.parameters(), *head.parameters()):
         parameter.add_(1.0)
-    again = backbone.encode(scene.views)
-    expect_same(
-        again.attributes,
-        scene.attributes,
-        what="the original's attributes, after the copy learned",
-        change="do not share tensors outside of parameters and buffers",
-    )
+    _assert_same_parts(backbone.aggregator, backbone.gaussian_head, scene, "after the copy learned")
 
 
-def freezing_is_for_good(plugin: Plugin) -> None:
-    """After ``freeze`` nothing learns, and every module stays in ``eval`` whatever is asked for."""
-    backbone = plugin.build()
-    backbone.train()
-    loose = [name or "the backbone" for name, module in backbone.named_modules() if not module.training]
-    expect(
-        not loose,
-        given=f"after `train()` {', '.join(loose[:3])} is in eval mode",
-        expected="every module in training mode until it is frozen",
-        change="do not override `train` in a part",
-    )
-    frozen = backbone.freeze()
-    backbone.train()
-    awake = [name for name, module in backbone.named_modules() if module.training]
-    learning = [name for name, parameter in backbone.named_parameters() if parameter.requires_grad]
-    expect(
-        frozen is backbone and not awake and not learning,
-        given=f"after `freeze()` and `train()`: in training mode {awake[:3]}, learning {learning[:3]}",
-        change="register every part and layer as a submodule",
-    )
+def test_frozen_for_good(plugin: Plugin) -> None:
+    """After ``freeze`` nothing learns, and every module stays in ``eval`` mode."""
+    backbone = plugin.build().freeze().train()
+    active = [name for name, module in backbone.named_modules() if module.training]
+    active += [name for name, parameter in backbone.named_parameters() if parameter.requires_grad]
+    assert not active, f"after `freeze()` and `train()`, still in training mode or learning: {active[:3]}"
 
 
-CHECKS: tuple[Check, ...] = (
-    Check(all_five_parts_are_there, needed=True),
-    Check(final_methods_are_left_alone),
-    Check(sites_are_named_after_their_part, needed=True, see="ToyAggregator"),
-    Check(values.encodes_two_views, needed=True),
-    Check(values.encodes_a_single_view),
-    Check(values.encodes_every_shape),
-    Check(values.encodes_several_scenes_at_once),
-    Check(values.dtypes_are_kept, see="ToyGeometryHead"),
-    Check(values.numbers_are_finite),
-    Check(values.cameras_are_rigid_pinholes, see="ToyGeometryHead"),
-    Check(values.confidence_is_not_negative, see="ToyGeometryHead"),
-    Check(values.pixels_share_gaussians_fairly, see="ToyAdapter"),
-    Check(values.gaussians_are_renderable, see="ToyAdapter"),
-    Check(every_site_is_visited, see="ToyAggregator"),
-    Check(injected_tokens_are_used, see="ToyAggregator"),
-    Check(untouched_sites_change_nothing, see="ToyAggregator"),
-    Check(encoding_twice_is_the_same),
-    Check(copies_compute_the_same, see="ToyGaussianHead"),
-    Check(freezing_is_for_good),
-    Check(values.attributes_carry_gradients, see="ToyAdapter"),
-)
+def test_attributes_carry_gradients(plugin: Plugin) -> None:
+    """The adapter is differentiable in opacity, scale, rotation and colour."""
+    scene = _scene(plugin)
+    leaves: Attributes = scene.attributes.map(lambda tensor: tensor.clone().requires_grad_())
+    gaussians = plugin.instance.adapter(leaves, scene.geometry, scene.clusters)
+    outputs = [tensor for tensor in vars(gaussians).values() if tensor.requires_grad]
+    torch.autograd.backward(outputs, [noise(tensor, seed) for seed, tensor in enumerate(outputs)])
+    for name in ("opacity", "scale", "rotation", "color"):
+        asserts.gradient(getattr(leaves, name).grad, f"`attributes.{name}`")
+
+
+def _views(plugin: Plugin, *, batch: int = 1, number: int = 2, shape: tuple[int, int] = (3, 3)) -> Views:
+    """Views of ``batch`` scenes; ``shape`` is height and width in patches."""
+    patch = plugin.instance.patch_size
+    return views(batch, number, (shape[0] * patch, shape[1] * patch))
+
+
+@cache
+@torch.no_grad()
+def _scene(plugin: Plugin, batch: int = 1) -> Scene:
+    return plugin.instance.freeze().encode(_views(plugin, batch=batch))
+
+
+def _gaussians(backbone: Backbone, scene: Scene) -> Gaussians:
+    return backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
+
+
+@torch.no_grad()
+def _assert_encodes(plugin: Plugin, given: Views) -> None:
+    """Hold all that ``encode`` returns, and the adapter's Gaussians, against the shapes their types declare."""
+    backbone = plugin.instance.freeze()
+    batch, number, _, height, width = given.images.shape
+    scene = backbone.encode(given)
+    sizes, patch = {"B": batch, "V": number}, backbone.patch_size
+    for tokens in (scene.stem, *scene.features.values()):
+        _assert_tokens(tokens, "`embedder` or `aggregator`", **sizes)
+        assert tokens.grid == (height // patch, width // patch), f"a grid {tokens.grid} of {height}x{width} pixels"
+    check_value(scene.geometry, Geometry, "`geometry_head`", **sizes, H=height, W=width)
+    check_value(scene.geometry.cameras, Cameras, "`geometry_head`", **sizes)
+    check_value(scene.attributes, Attributes, "`gaussian_head`", **sizes, H=height, W=width)
+    check_value(_gaussians(backbone, scene), Gaussians, "`adapter`", B=batch)
+    for name, tensor in asserts.tensors_of((scene.geometry, scene.attributes)).items():
+        assert tensor.dtype == torch.float32, f"`{name}` is {tensor.dtype}; end the head with `.float()`"
+
+
+def _assert_same_parts(aggregator: contracts.Aggregator, head: contracts.GaussianHead, scene: Scene, what: str) -> None:
+    asserts.same(aggregator(scene.stem, untouched), scene.features, f"features {what}")
+    asserts.same(head(scene.features, scene.views.images, untouched), scene.attributes, f"attributes {what}")
+
+
+def _assert_tokens(tokens: Tokens, where: str, **sizes: int) -> None:
+    check_value(tokens, Tokens, where, **sizes)
+    rows, columns = tokens.grid
+    count = tokens.special + rows * columns
+    assert tokens.data.shape[2] == count, f"{where}: {tokens.data.shape[2]} tokens, not {count} by `special` and `grid`"

@@ -1,6 +1,5 @@
 """What contracts feed to plugins: small, smooth, seeded, and the same on every machine."""
 
-import math
 from dataclasses import replace
 
 import torch
@@ -9,17 +8,24 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import neutral_embedding
+from anystyle.geometry.cameras import look_at
 from anystyle.testing.subject import seeded
 from anystyle.testing.toy.backbone import ToyBackbone
-from anystyle.testing.toy.correspondence import ToyCorrespondence
-from anystyle.testing.toy.loss import ToyLoss
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
-from anystyle.types import Cameras, Comparison, Frames, Gaussians, Renders, Style, StyleEmbedding, Stylization, Views
+from anystyle.types import Cameras, Comparison, Gaussians, Renders, Style, StyleEmbedding, Stylization, Views
+
+SIZE = (64, 80)
+TEXTS = ("red and orange", "deep blue", "green")
 
 
 def generator(seed: int) -> torch.Generator:
-    """A generator of its own for each input, so that none depends on those made before it."""
+    """A new generator for each input, so that none depends on those made before it."""
     return torch.Generator().manual_seed(seed)
+
+
+def noise(like: Tensor, seed: int = 0) -> Tensor:
+    """Normal noise of the shape and device of a tensor."""
+    return torch.randn(like.shape, generator=generator(seed)).to(like)
 
 
 def images(number: int, size: tuple[int, int], seed: int = 0) -> Float[Tensor, "M 3 H W"]:
@@ -29,8 +35,7 @@ def images(number: int, size: tuple[int, int], seed: int = 0) -> Float[Tensor, "
         source = generator(1000 * seed + index)
         coarse = torch.rand(1, 3, 4, 4, generator=source)
         smooth = F.interpolate(coarse, size=size, mode="bilinear", align_corners=True)
-        grain = torch.rand(1, 3, *size, generator=source)
-        rows.append(0.8 * smooth + 0.2 * grain)
+        rows.append(0.8 * smooth + 0.2 * torch.rand(1, 3, *size, generator=source))
     return torch.cat(rows)
 
 
@@ -42,21 +47,19 @@ def views(batch: int, number: int, size: tuple[int, int], seed: int = 0) -> View
 
 def cameras(batch: int, number: int, size: tuple[int, int]) -> Cameras:
     """Cameras side by side on an arc of radius 4 around the origin, all looking at it; each scene's arc is tilted."""
-    height, width = size
+    turn, tilt = 0.15 * torch.arange(number).expand(batch, -1), 0.1 * torch.arange(batch)[:, None].expand(-1, number)
+    eyes = 4 * torch.stack([-turn.sin() * tilt.cos(), tilt.sin(), -turn.cos() * tilt.cos()], dim=-1)
     focal = float(max(size))
-    intrinsics = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
-    poses = torch.stack(
-        [torch.stack([_pose(0.15 * view, 0.1 * scene) for view in range(number)]) for scene in range(batch)]
-    )
-    return Cameras(world_from_camera=poses, intrinsics=intrinsics.expand(batch, number, 3, 3), size=size)
+    intrinsics = torch.tensor([[focal, 0.0, size[1] / 2], [0.0, focal, size[0] / 2], [0.0, 0.0, 1.0]])
+    return Cameras(look_at(eyes, torch.zeros_like(eyes)), intrinsics.repeat(batch, number, 1, 1), size)
 
 
 def gaussians(batch: int, number: int, coefficients: int = 4, seed: int = 0) -> Gaussians:
-    """Gaussians within reach of :func:`cameras`, of distinct depths; a scene's do not depend on the others'."""
+    """Gaussians that :func:`cameras` see, of distinct depths; a scene's do not depend on the other scenes."""
     rows = []
     for scene in range(batch):
         source = generator(7000 + 1000 * seed + scene)
-        # No two at one depth: where depths tie, the order of drawing is a renderer's own affair.
+        # No two at one depth: renderers may draw those in any order.
         heights = torch.linspace(-1, 1, number)[torch.randperm(number, generator=source)]
         across = torch.rand(number, 2, generator=source) * 2 - 1
         rows.append(
@@ -71,39 +74,9 @@ def gaussians(batch: int, number: int, coefficients: int = 4, seed: int = 0) -> 
     return Gaussians(**{name: torch.stack([scene[name] for scene in rows]) for name in rows[0]})
 
 
-def frames(number: int, size: tuple[int, int]) -> Frames:
-    """Frames of a plane that faces the first of :func:`cameras`, with all that is known of them."""
-    seen = cameras(1, number, size)
-    return Frames(
-        images=images(number, size),
-        depth=torch.full((number, *size), 4.0),
-        world_from_camera=seen.world_from_camera[0],
-        intrinsics=seen.intrinsics[0],
-    )
-
-
-def _pose(turn: float, tilt: float) -> Float[Tensor, "4 4"]:
-    cos, sin = math.cos(turn), math.sin(turn)
-    yaw = torch.tensor([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-    cos, sin = math.cos(tilt), math.sin(tilt)
-    pitch = torch.tensor([[1.0, 0.0, 0.0], [0.0, cos, -sin], [0.0, sin, cos]])
-    rotation = yaw @ pitch
-    pose = torch.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, -4.0 * rotation[:, 2]
-    return pose
-
-
-SIZE = (64, 80)
-TEXTS = ("red and orange", "deep blue", "green")
-
-
-def runtime() -> dict[str, object]:
-    """What the framework passes to losses, metrics and methods that name it."""
-    return {
-        "style_encoder": ToyStyleEncoder().requires_grad_(False).eval(),
-        "correspondence": ToyCorrespondence(),
-        "losses": {"toy": ToyLoss()},
-    }
+def style_encoder() -> ToyStyleEncoder:
+    """The frozen style encoder that losses, metrics and trainings are given."""
+    return ToyStyleEncoder().requires_grad_(False).eval()
 
 
 def stylization(
@@ -115,43 +88,29 @@ def stylization(
         backbone = ToyBackbone(dim=12, depth=2).freeze()
         scene = backbone.encode(given)
         gaussians = backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
-    # Photographs come with cameras and depth in training; here those of the scene, so that all is known.
-    known = replace(given, cameras=scene.cameras, depth=scene.geometry.depth)
     style = Style(
         image=images(batch, (48, 40), seed=50) if image else None,
         text=tuple(TEXTS[row % len(TEXTS)] for row in range(batch)) if text else None,
         names=tuple(f"style_{row}" for row in range(batch)),
     )
+    encoder = style_encoder()
+    vector = encoder.embed_texts(style.text or ()) if style.image is None else encoder.embed_images(style.image)
+    grain = torch.stack([torch.rand(scene.shape, generator=generator(77)) for scene in given.images])
+    alpha = torch.full_like(scene.geometry.depth, 0.95)
+    renders = Renders(0.7 * given.images.flip(2) + 0.3 * grain, 1.1 * scene.geometry.depth * alpha, alpha)
     return Stylization(
-        views=known,
+        # In training photographs come with cameras and depth; here they are those of the scene.
+        views=replace(given, cameras=scene.cameras, depth=scene.geometry.depth),
         style=style,
-        embedding=_embedding(style),
+        embedding=StyleEmbedding(vector, F.normalize(vector - neutral_embedding(encoder), dim=-1)),
         scene=replace(scene, gaussians=gaussians.map(lambda tensor: 0.9 * tensor)),
         gaussians=gaussians.map(lambda tensor: tensor.clone().requires_grad_()),
-        renders=_renders(known.images, scene.geometry.depth),
+        renders=renders.map(lambda tensor: tensor.clone().requires_grad_()),
     )
 
 
 def comparison(batch: int = 1, number: int = 3) -> Comparison:
-    """What metrics compare, with all that can be known."""
+    """What metrics compare, with cameras and depth."""
     result = stylization(batch, number).comparison().detach()
     names = tuple(f"scene_{row}" for row in range(batch))
     return replace(result, scenes=names, styles=tuple(f"style_{row}" for row in range(batch)))
-
-
-@torch.no_grad()
-def _embedding(style: Style) -> StyleEmbedding:
-    encoder = ToyStyleEncoder()
-    if style.image is not None:
-        vector = encoder.embed_images(style.image)
-    else:
-        assert style.text is not None
-        vector = encoder.embed_texts(style.text)
-    return StyleEmbedding(vector=vector, direction=F.normalize(vector - neutral_embedding(encoder), dim=-1))
-
-
-def _renders(photographs: torch.Tensor, depth: torch.Tensor) -> Renders:
-    noise = torch.stack([torch.rand(scene.shape, generator=generator(77)) for scene in photographs])
-    color = 0.7 * photographs.flip(2) + 0.3 * noise
-    alpha = torch.full_like(depth, 0.95)
-    return Renders(color, 1.1 * depth * alpha, alpha).map(lambda tensor: tensor.clone().requires_grad_())

@@ -1,200 +1,121 @@
 """What a renderer promises: see :class:`anystyle.contracts.Renderer`."""
 
 from dataclasses import replace
+from functools import cache
 
+import pytest
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Renderer
-from anystyle.testing.check import Check, Unavailable, attempt, expect
-from anystyle.testing.comparing import conform, expect_close, expect_finite, expect_gradient, expect_same, tensors_of
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.testing import asserts
 from anystyle.testing.inputs import cameras, gaussians, generator
 from anystyle.testing.subject import Subject
 from anystyle.types import Cameras, Gaussians, Renders
+from anystyle.types.shapes import check_value
 
 Plugin = Subject[Renderer]
 
 SIZE = (24, 32)
-HARMONIC_0 = 0.28209479177387814
+GREY, RED, GREEN = (0.5, 0.5, 0.5), (0.9, 0.2, 0.1), (0.1, 0.8, 0.2)
 
 
-def renders_every_camera(plugin: Plugin) -> None:
+def test_renders_every_camera(plugin: Plugin) -> None:
     """It renders any number of scenes, cameras and harmonics, of any size, within the declared ranges."""
     for batch, number, size, coefficients in ((1, 1, SIZE, 1), (2, 3, (33, 17), 4), (1, 2, (16, 16), 9)):
-        what = f"{batch} scene(s), {number} camera(s) of {size[0]}x{size[1]} pixels, {coefficients} harmonics"
-        with attempt(f"rendering {what}", change="make it work for any number of scenes, cameras and pixels"):
-            renders = _render(plugin, gaussians(batch, 20, coefficients), cameras(batch, number, size))
-        conform(renders, Renders, f"the renderer on {what}", B=batch, V=number, H=size[0], W=size[1])
-        expect_finite(renders, f"renders of {what}")
-        for name, tensor in tensors_of(renders).items():
+        renders = _render(plugin, gaussians(batch, 20, coefficients), cameras(batch, number, size))
+        check_value(renders, Renders, "the renderer", B=batch, V=number, H=size[0], W=size[1])
+        asserts.finite(renders, "the renders")
+        for name, tensor in asserts.tensors_of(renders).items():
             low, high = float(tensor.min()), float(tensor.max())
-            limit = float("inf") if name == "depth" else 1.0
-            expect(
-                low >= -1e-5 and high <= limit + 1e-5,
-                given=f"`{name}` from {low:.4g} to {high:.4g}",
-                expected=f"within [0, {limit}]",
-                change="clamp colours, and accumulate only what earlier Gaussians let through",
-            )
+            assert low >= -1e-5 and (high <= 1 + 1e-5 or name == "depth"), f"`{name}` from {low:.4g} to {high:.4g}"
 
 
-def empty_scenes_show_the_background(plugin: Plugin) -> None:
-    """Where nothing is, alpha and depth are 0 and the colour is the same everywhere."""
-    scene = gaussians(1, 20)
-    renders = _render(plugin, replace(scene, opacities=torch.zeros_like(scene.opacities)), cameras(1, 2, SIZE))
-    spread = float((renders.color - renders.color[:, :1, :, :1, :1]).abs().max())
-    expect(
-        spread == 0 and not bool(renders.alpha.any()) and not bool(renders.depth.any()),
-        given=f"colours that differ by {spread:.3g}, alpha up to {float(renders.alpha.max()):.3g} and depth up to "
-        f"{float(renders.depth.max()):.3g} for Gaussians of opacity 0",
-        change="start from the background's share `1 - alpha`, and skip what is transparent",
-    )
-
-
-def padding_is_invisible(plugin: Plugin) -> None:
-    """More Gaussians of opacity 0 change nothing, wherever they lie."""
+def test_transparent_gaussians_are_invisible(plugin: Plugin) -> None:
+    """Of nothing, alpha and depth are 0 and colour is constant; Gaussians of opacity 0 add nothing to a scene."""
     scene, seen = gaussians(1, 20), cameras(1, 2, SIZE)
-    extra = replace(gaussians(1, 7, seed=5), opacities=torch.zeros(1, 7))
-    extra = replace(extra, means=extra.means.index_fill(1, torch.tensor([0, 1]), 0.0), scales=extra.scales * 0)
-    joined = {name: torch.cat([tensor, getattr(extra, name)], dim=1) for name, tensor in tensors_of(scene).items()}
-    expect_close(
-        _render(plugin, Gaussians(**joined), seen),
-        _render(plugin, scene, seen),
-        what="renders with seven padded Gaussians",
-        change="multiply by the opacity before anything else, and let scales of 0 make no NaN",
-    )
+    empty = _render(plugin, replace(scene, opacities=torch.zeros_like(scene.opacities)), seen)
+    constant = torch.equal(empty.color, empty.color[:, :1, :, :1, :1].expand_as(empty.color))
+    assert constant and not bool(empty.alpha.any() | empty.depth.any()), "something is seen where all opacities are 0"
+    padding = replace(gaussians(1, 7, seed=5), opacities=torch.zeros(1, 7), scales=torch.zeros(1, 7, 3))
+    padded = _render(plugin, _joined(scene, replace(padding, means=torch.zeros(1, 7, 3))), seen)
+    asserts.close(padded, _render(plugin, scene, seen), "renders with seven Gaussians of opacity 0 and scale 0")
 
 
-def order_does_not_matter(plugin: Plugin) -> None:
-    """Gaussians in another order give the same picture."""
+def test_order_and_norms_do_not_matter(plugin: Plugin) -> None:
+    """Gaussians in another order, or with quaternions of another norm, give the same picture; twice the same bits."""
     scene, seen = gaussians(1, 20), cameras(1, 2, SIZE)
-    turned = torch.randperm(20, generator=generator(2))
-    expect_close(
-        _render(plugin, scene.map(lambda tensor: tensor[:, turned]), seen),
-        _render(plugin, scene, seen),
-        what="renders of Gaussians in another order",
-        change="sort by depth in each camera before blending",
-    )
+    expected = _render(plugin, scene, seen)
+    order = torch.randperm(20, generator=generator(2))
+    shuffled = _render(plugin, scene.map(lambda tensor: tensor[:, order]), seen)
+    asserts.close(shuffled, expected, "renders of Gaussians in another order")
+    scaled = _render(plugin, replace(scene, rotations=3.0 * scene.rotations), seen)
+    asserts.close(scaled, expected, "renders with quaternions of norm 3")
+    asserts.same(_render(plugin, scene, seen), expected, "the same scene again")
 
 
-def batches_are_loops(plugin: Plugin) -> None:
+def test_batches_are_loops(plugin: Plugin) -> None:
     """A batch of scenes and cameras gives what each camera of each scene gives alone."""
     scenes, seen = gaussians(2, 20), cameras(2, 3, SIZE)
     together = _render(plugin, scenes, seen)
-    for scene in range(2):
-        for view in range(3):
-            alone = _render(plugin, scenes.row(scene), seen.row(scene).select([view]))
-            expect_close(
-                together.map(lambda tensor, b=scene, v=view: tensor[b : b + 1, v : v + 1]),
-                alone,
-                what=f"camera {view} of scene {scene} of a batch against the same alone",
-                change="sort and blend each camera of each scene by itself",
-            )
+    for scene, view in ((0, 0), (0, 2), (1, 1)):
+        alone = _render(plugin, scenes.row(scene), seen.row(scene).select([view]))
+        mine = together.map(lambda tensor, b=scene, v=view: tensor[b : b + 1, v : v + 1])
+        asserts.close(mine, alone, f"camera {view} of scene {scene} of a batch against the same alone")
 
 
-def points_appear_where_they_project(plugin: Plugin) -> None:
+def test_points_appear_where_they_project(plugin: Plugin) -> None:
     """A small Gaussian is seen at its projection, in OpenCV axes, at its own depth, and not from behind."""
-    seen = cameras(1, 3, (40, 56))
-    point = torch.tensor([0.5, -0.3, 0.4])
+    seen, point = cameras(1, 3, (40, 56)), torch.tensor([0.5, -0.3, 0.4])
     renders = _render(plugin, _single(point, size=0.05), seen)
     local = seen.camera_from_world[0, :, :3, :3] @ point + seen.camera_from_world[0, :, :3, 3]  # V 3
     pixel = (seen.intrinsics[0] @ local[..., None])[..., 0]
-    expected = pixel[:, :2] / pixel[:, 2:]
     alpha = renders.alpha[0].double()
-    rows, columns = torch.arange(40) + 0.5, torch.arange(56) + 0.5
-    total = alpha.sum((1, 2)).clamp_min(1e-9)
-    centroid = torch.stack([(alpha * columns).sum((1, 2)) / total, (alpha * rows[:, None]).sum((1, 2)) / total], dim=-1)
-    gap = float((centroid - expected).abs().max())
-    expect(
-        gap < 0.25,
-        given=f"a Gaussian that should be at pixels {_pixels(expected)} is seen at {_pixels(centroid)}",
-        expected="the pixel of its projection, the centre of the first pixel being (0.5, 0.5)",
-        change="x is right, y is down, z is forward; `camera_from_world` before `intrinsics`",
-    )
+    rows, columns, total = torch.arange(40) + 0.5, torch.arange(56) + 0.5, alpha.sum((1, 2)).clamp_min(1e-9)
+    center = torch.stack([(alpha * columns).sum((1, 2)), (alpha * rows[:, None]).sum((1, 2))], dim=-1) / total[:, None]
+    expected = pixel[:, :2] / pixel[:, 2:]
+    right = float((center - expected).abs().max()) < 0.25
+    assert right, f"a Gaussian that projects to pixels {expected.tolist()} is seen at {center.tolist()}"
     depth = renders.depth[0].sum((1, 2)) / total
-    gap = float((depth - local[:, 2]).abs().max())
-    expect(
-        gap < 0.02 * float(local[:, 2].max()),
-        given=f"depth over alpha of {_pixels(depth[:, None])}",
-        expected=f"the distance along z, {_pixels(local[:, 2:])}",
-        change="accumulate weight times z, and leave the division to the caller",
-    )
+    right = float((depth / local[:, 2] - 1).abs().max()) < 0.02
+    assert right, f"depth over alpha is {depth.tolist()}, and the distance along z is {local[:, 2].tolist()}"
     behind = _render(plugin, _single(torch.tensor([0.0, 0.0, -6.0]), size=0.2), cameras(1, 1, SIZE))
-    expect(
-        not bool(behind.alpha.any()),
-        given=f"alpha up to {float(behind.alpha.max()):.3g} from a Gaussian behind the camera",
-        change="skip Gaussians whose z is below the near plane",
-    )
+    assert not bool(behind.alpha.any()), "a Gaussian behind the camera is seen"
 
 
-def near_hides_far(plugin: Plugin) -> None:
-    """An opaque Gaussian hides what is behind it, and shows its own colour, harmonics and all."""
-    color = torch.tensor([0.9, 0.2, 0.1])
-    front = _single(torch.tensor([0.0, 0.0, -1.0]), size=1.0, color=color)
-    back = _single(torch.tensor([0.0, 0.0, 1.0]), size=1.0, color=torch.tensor([0.1, 0.8, 0.2]))
+def test_near_hides_far(plugin: Plugin) -> None:
+    """An opaque Gaussian hides what is behind it, and shows its own colour."""
+    front, back = (_single(torch.tensor([0.0, 0.0, z]), size=1.0, color=c) for z, c in ((-1.0, RED), (1.0, GREEN)))
     for pair in ((front, back), (back, front)):
-        both = {name: torch.cat([getattr(item, name) for item in pair], dim=1) for name in tensors_of(front)}
-        middle = _render(plugin, Gaussians(**both), cameras(1, 1, (33, 33))).color[0, 0, :, 16, 16]
-        gap = float((middle - color).abs().max())
-        expect(
-            gap < 0.03,
-            given=f"the colour {[round(value, 3) for value in middle.tolist()]} in the middle of the picture",
-            expected=f"{[round(value, 3) for value in color.tolist()]}, that of the nearer of two opaque Gaussians",
-            change="blend from near to far; a colour is 0.5 plus the harmonics' sum, cut at 0",
-        )
+        middle = _render(plugin, _joined(*pair), cameras(1, 1, (33, 33))).color[0, 0, :, 16, 16]
+        assert float((middle - torch.tensor(RED)).abs().max()) < 0.03, f"{middle.tolist()} in front, not {RED}"
 
 
-def quaternions_have_any_norm(plugin: Plugin) -> None:
-    """A quaternion and its multiples are one rotation."""
-    scene, seen = gaussians(1, 20), cameras(1, 2, SIZE)
-    expect_close(
-        _render(plugin, replace(scene, rotations=3.0 * scene.rotations), seen),
-        _render(plugin, scene, seen),
-        what="renders with quaternions of norm 3",
-        change="normalise quaternions before they become matrices",
-    )
+def test_everything_carries_gradients(plugin: Plugin) -> None:
+    """It is differentiable in every field of the Gaussians and in the poses, also beside Gaussians of opacity 0."""
+    device, scene, seen = _device(plugin), gaussians(1, 12), cameras(1, 2, SIZE)
+    scene = replace(scene, opacities=scene.opacities.index_fill(1, torch.tensor([3]), 0.0))
+    leaves: Gaussians = scene.to(device).map(lambda tensor: tensor.clone().requires_grad_())
+    poses = seen.world_from_camera.to(device).requires_grad_()
+    renders = plugin.instance(leaves, replace(seen.to(device), world_from_camera=poses))
+    weights = [torch.rand(tensor.shape, generator=generator(1)).to(device) for tensor in vars(renders).values()]
+    torch.autograd.backward(list(vars(renders).values()), weights)
+    for name, leaf in (*vars(leaves).items(), ("world_from_camera", poses)):
+        asserts.gradient(leaf.grad, f"`{name}`")
 
 
-def rendering_twice_is_the_same(plugin: Plugin) -> None:
-    """The same scene gives the same bits."""
-    scene, seen = gaussians(2, 20), cameras(2, 2, SIZE)
-    first = _render(plugin, scene, seen).map(Tensor.clone)
-    expect_same(
-        _render(plugin, scene, seen),
-        first,
-        what="the same scene again",
-        change="add in a fixed order, whatever the number of threads",
-    )
-
-
-def everything_carries_gradients(plugin: Plugin) -> None:
-    """It is differentiable in every field of the Gaussians and in the poses, also beside padded Gaussians."""
-    device = _device(plugin)
-    scene = gaussians(1, 12)
-    scene = replace(scene, opacities=scene.opacities.index_fill(1, torch.tensor([3]), 0.0)).to(device)
-    leaves: Gaussians = scene.map(lambda tensor: tensor.clone().requires_grad_())
-    seen = cameras(1, 2, SIZE).to(device)
-    poses = seen.world_from_camera.clone().requires_grad_()
-    renders = plugin.instance(leaves, replace(seen, world_from_camera=poses))
-    total = torch.zeros((), device=device)
-    for index, tensor in enumerate(tensors_of(renders).values()):
-        total = total + (tensor * torch.rand(tensor.shape, generator=generator(index)).to(device)).sum()
-    with attempt("the backward pass", change="stay within torch, or write the backward pass of what is not"):
-        total.backward()
-    for name, leaf in {**tensors_of(leaves), "world_from_camera": poses}.items():
-        change = "do not detach it; a square root or a division needs a floor where its argument can be 0"
-        expect_gradient(leaf.grad, f"`{name}`", change=change)
-
-
+@cache
 def _device(plugin: Plugin) -> str:
-    # The CPU, unless the renderer says that it needs CUDA.
+    """The CPU, unless the renderer says that it needs CUDA; skips the test where there is none."""
     try:
         plugin.instance(gaussians(1, 2), cameras(1, 1, (16, 16)))
     except (ValueError, ImportError) as error:
         if "cuda" not in str(error).lower():
             raise
         if not torch.cuda.is_available():
-            raise Unavailable(f"it cannot be checked here, for this machine has no CUDA device: {error}") from error
+            pytest.skip(f"it cannot be checked here, for this machine has no CUDA device: {error}")
         return "cuda"
     return "cpu"
 
@@ -205,30 +126,15 @@ def _render(plugin: Plugin, scene: Gaussians, seen: Cameras) -> Renders:
     return plugin.instance(scene.to(device), seen.to(device)).to("cpu")
 
 
-def _single(point: Float[Tensor, "3"], *, size: float, color: Float[Tensor, "3"] | None = None) -> Gaussians:
-    chosen = torch.tensor([0.5, 0.5, 0.5]) if color is None else color
+def _joined(one: Gaussians, other: Gaussians) -> Gaussians:
+    return Gaussians(**{name: torch.cat([value, getattr(other, name)], dim=1) for name, value in vars(one).items()})
+
+
+def _single(point: Float[Tensor, "3"], *, size: float, color: tuple[float, float, float] = GREY) -> Gaussians:
     return Gaussians(
         means=point[None, None],
         rotations=torch.tensor([[[1.0, 0.0, 0.0, 0.0]]]),
         scales=torch.full((1, 1, 3), size),
         opacities=torch.full((1, 1), 0.99),
-        harmonics=((chosen - 0.5) / HARMONIC_0)[None, None, None],
+        harmonics=constant_from_rgb(torch.tensor(color))[None, None, None],
     )
-
-
-def _pixels(values: Tensor) -> str:
-    return ", ".join(f"({', '.join(f'{number:.2f}' for number in row)})" for row in values.tolist())
-
-
-CHECKS: tuple[Check, ...] = (
-    Check(renders_every_camera, needed=True),
-    Check(empty_scenes_show_the_background),
-    Check(padding_is_invisible),
-    Check(order_does_not_matter),
-    Check(batches_are_loops),
-    Check(points_appear_where_they_project),
-    Check(near_hides_far),
-    Check(quaternions_have_any_norm),
-    Check(rendering_twice_is_the_same),
-    Check(everything_carries_gradients),
-)

@@ -1,30 +1,138 @@
-"""Running all that a kind of plugin promises."""
+"""Running the contract of one plugin."""
+# ruff: noqa: T201
 
 import importlib
-import tempfile
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from dataclasses import replace
+import inspect
+import io
+import textwrap
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
+import pytest
 import torch
 
-from anystyle.registry.builtin import KINDS
-from anystyle.registry.catalog import base_of, catalog, kind_named
-from anystyle.testing import declaration, system
-from anystyle.testing.check import Check, Outcome, report, run_checks
-from anystyle.testing.inputs import runtime
-from anystyle.testing.subject import Subject
-from anystyle.testing.toy.backbone import ToyBackbone
-from anystyle.testing.toy.injector import ToyInjector
+from anystyle.registry.catalog import PluginError, base_of, catalog
+from anystyle.testing import composition, declaration
+from anystyle.testing.composition import compositions
+from anystyle.testing.subject import Subject, subject
 
-COMPOSED = ("backbone", "placement", "injector")
+LIBRARIES = frozenset({"torch", "jaxtyping", "beartype", "torchmetrics", "contextlib.py", "_pytest"})
+
+
+def promises(kind: str) -> list[Callable[[Any], None]]:
+    """All that a plugin of a kind promises by itself, as functions that raise an error where it is broken.
+
+    They are in the module ``testing.KIND`` of the package that declares the kind. Where the first promise of a module
+    is broken, the others cannot be checked.
+    """
+    name = f"{base_of(kind).__module__.partition('.')[0]}.testing.{kind}"
+    try:
+        contract = importlib.import_module(name)
+    except ModuleNotFoundError as error:
+        raise PluginError(f"the contract of {kind} has no tests: {error}; its package should have {name}") from error
+    return [*promises_in(declaration), *promises_in(contract)]
+
+
+def promises_in(module: ModuleType) -> list[Callable[[Any], None]]:
+    """The promises of a module."""
+    functions = (function for name, function in vars(module).items() if name.startswith("test_"))
+    return [function for function in functions if function.__module__ == module.__name__]
+
+
+def _checks(tested: Subject) -> Iterator[tuple[str, Callable[[Any], None], object]]:
+    """Every promise in words, its function, and what that is called with."""
+    for promise in promises(tested.kind):
+        yield _words(promise), promise, tested
+    for name, composed in compositions(tested).items():
+        for promise in promises_in(composition):
+            yield f"{_words(promise)} ({name})", promise, composed
+
+
+def _words(promise: Callable[[Any], None]) -> str:
+    return promise.__name__.removeprefix("test_").replace("_", " ")
+
+
+def assert_contract(kind: str, cls: type, **options: Any) -> None:
+    """Hold a class against the contract of its kind; for tests of plugins.
+
+    Backbones, placements and injectors are also composed with built-in plugins.
+
+    Args:
+        kind: A kind of plugin.
+        cls: The class.
+        options: Of its constructor; by default those that its ``example`` returns.
+
+    Raises:
+        AssertionError: A promise is broken.
+        UserError: The class does not inherit from the contract of the kind.
+    """
+    with one_thread():
+        for _, promise, argument in _checks(subject(kind, cls, options or None)):
+            promise(argument)
+
+
+def check(kind: str, plugin: str | type) -> bool:
+    """Run the contract of a plugin, and print a line for each promise.
+
+    Args:
+        kind: A kind of plugin.
+        plugin: The name of a plugin of the catalog, or a class.
+
+    Returns:
+        Whether every promise is kept; ``False`` where some could not be checked, too.
+
+    Raises:
+        PluginError: There is no such plugin, it cannot be imported, or it does not inherit from its contract.
+    """
+    cls = catalog().find(kind, plugin).load() if isinstance(plugin, str) else plugin
+    tested, start, counts, blocked = subject(kind, cls), time.perf_counter(), Counter[str](), False
+    for words, promise, argument in _checks(tested):
+        if blocked or (argument is not tested and counts["broken"]):
+            counts["not checked"] += 1
+            continue
+        try:
+            with one_thread(), warnings.catch_warnings(action="ignore"), redirect_stdout(io.StringIO()):
+                promise(argument)
+        except pytest.skip.Exception as skipped:
+            counts["not checked"] += 1
+            print(f"skipped  {words}\n{_indented(str(skipped))}")
+        except (Exception, pytest.fail.Exception) as error:
+            counts["broken"] += 1
+            blocked = promise is promises_in(inspect.getmodule(promise))[0]  # pyright: ignore[reportArgumentType]
+            print(f"FAILED   {words}\n{_indented(inspect.getdoc(promise) or '')}\n{_indented(describe(error))}")
+        else:
+            counts["kept"] += 1
+            print(f"ok       {words}")
+    rest = "".join(f", {counts[word]} {word}" for word in ("broken", "not checked") if counts[word])
+    print(f"{counts['kept']} promises kept{rest}, in {time.perf_counter() - start:.1f} s")
+    return set(counts) == {"kept"}
+
+
+def describe(error: BaseException) -> str:
+    """The message of an assertion, or another error with the line of the plugin's code that it came from."""
+    text = " ".join(str(error).split())[:600]
+    if isinstance(error, AssertionError | pytest.fail.Exception) and text:
+        return text
+    # Neither a contract nor a library that called back.
+    frames = [(Path(frame.filename), frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
+    own = [
+        f" ({file.name}, line {line})"
+        for file, line in frames
+        if file.name[0] != "<" and file.parent != Path(__file__).parent and not LIBRARIES & set(file.parts)
+    ]
+    return f"{type(error).__name__}: {text}{''.join(own[-1:])}"
 
 
 @contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute on one thread: what is checked is so small that threads wait for each other more than they work."""
+    """Compute on one thread: inputs are so small that several threads would spend their time waiting."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -33,98 +141,5 @@ def one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-def checks(kind: str) -> tuple[Check, ...]:
-    """What a kind of plugin promises, as functions of a :class:`~anystyle.testing.subject.Subject`.
-
-    Raises:
-        PluginError: There is no such kind.
-    """
-    kind_named(kind)
-    return importlib.import_module(f"anystyle.testing.{kind}").CHECKS
-
-
-def subject(kind: str, cls: type, options: Mapping[str, Any]) -> Subject[Any]:
-    """A class with the options and the runtime arguments that it is checked with."""
-    known = runtime()
-    return Subject(cls, options, {name: known[name] for name in KINDS[kind].runtime if name in known})
-
-
-def run(kind: str, cls: type, options: Mapping[str, Any] | None = None) -> list[Outcome]:
-    """Check a class against the contract of its kind, and together with the built-in plugins it meets.
-
-    The options of its constructor are by default those that its ``example`` gives.
-
-    Raises:
-        PluginError: There is no such kind.
-        ValueError: The class does not inherit from the kind's contract.
-    """
-    base = base_of(kind)
-    if not issubclass(cls, base):
-        raise ValueError(f"{cls.__name__} is no {kind}; make it inherit from {base.__module__}.{base.__qualname__}")
-    with tempfile.TemporaryDirectory() as folder, one_thread():
-        chosen = declaration.example(cls, Path(folder)) if options is None else options
-        tested = subject(kind, cls, chosen)
-        outcomes = run_checks(checks(kind), tested)
-        if kind in COMPOSED and all(outcome.status == "passed" for outcome in outcomes):
-            for label, composed in _compositions(kind, tested, Path(folder)):
-                outcomes += run_checks(system.checks(label), composed)
-        return outcomes
-
-
-def run_named(kind: str, name: str) -> list[Outcome]:
-    """Check a plugin of the catalog: its declaration first, then what :func:`run` checks.
-
-    Raises:
-        PluginError: The catalog lists no such kind or name.
-    """
-    if not catalog().declarations(kind, name):
-        catalog().find(kind, name)
-    with tempfile.TemporaryDirectory() as folder:
-        declared = declaration.Declaration(kind, name, Path(folder))
-        outcomes = run_checks(declaration.CHECKS, declared)
-        broken = [outcome for outcome in outcomes if outcome.status == "failed" and outcome.check.needed]
-        if broken:
-            reason = f"needs what '{broken[0].check.name}' promises"
-            return outcomes + [Outcome(check, "skipped", given=reason) for check in checks(kind)]
-        return outcomes + run(kind, declared.plugin.load(), declared.options)
-
-
-def assert_contract(kind: str, cls: type, **options: Any) -> None:
-    """Fail with a report of all that is wrong, in plain words; for tests of plugins.
-
-    Args:
-        kind: A kind of plugin.
-        cls: The class.
-        options: Of its constructor; none for what its ``example`` says.
-
-    Raises:
-        AssertionError: The contract is broken, or cannot be checked on this machine.
-    """
-    outcomes = run(kind, cls, options or None)
-    skipped = [outcome for outcome in outcomes if outcome.status == "skipped"]
-    failures = report(outcomes)
-    if failures:
-        raise AssertionError(f"{cls.__name__} breaks the contract of a {kind}\n{failures}")
-    if skipped:
-        raise AssertionError(f"{cls.__name__}: {skipped[0].given}")
-
-
-def _compositions(kind: str, tested: Subject[Any], folder: Path) -> list[tuple[str, system.Composition]]:
-    # With the built-in placements, and beside those with the smallest backbone and injector there are.
-    placements = {} if kind == "placement" else _built_in("placement", folder)
-    base = system.Composition(
-        subject("backbone", ToyBackbone, ToyBackbone.example(folder)),
-        tested,
-        subject("injector", ToyInjector, ToyInjector.example(folder)),
-    )
-    if kind == "placement":
-        return [("together with other plugins", base)]
-    return [
-        (f"placement {name}", replace(base, placement=placement, **{kind: tested}))
-        for name, placement in placements.items()
-    ]
-
-
-def _built_in(kind: str, folder: Path) -> dict[str, Subject[Any]]:
-    rows = [row for row in catalog() if row.kind == kind and row.project == "anystyle" and row.root is None]
-    return {row.name: subject(kind, row.load(), declaration.example(row.load(), folder)) for row in rows}
+def _indented(text: str) -> str:
+    return textwrap.fill(text, 100, initial_indent="  ", subsequent_indent="    ", break_long_words=False)

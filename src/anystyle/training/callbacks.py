@@ -1,165 +1,132 @@
-"""What a run needs besides its maths: seeds, checkpoints, an average of the weights, and lines of progress."""
+"""Callbacks of every run: seeds, checkpoints, a moving average of the weights, and lines of progress."""
 
 import logging
 import signal
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any
 
-import lightning.pytorch as pl
 import torch
+from lightning.pytorch import Callback, LightningModule, Trainer
 from torch import Tensor, nn
 
-from anystyle.errors import one_line
+from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import atomic_path
-from anystyle.training.resume import before
+from anystyle.training.resume import previous
 from anystyle.training.sampling import generator
 
 log = logging.getLogger(__name__)
 
 
-class StepSeed(pl.Callback):
+class StepSeed(Callback):
     """Seed the global generators before every step with the run's seed, the step and the rank.
 
-    A step's randomness is then a function of the step, and a continued run needs no generator's state.
+    A step's randomness is then a function of the step, and a resumed run needs no generator's state.
     """
 
     def __init__(self, seed: int) -> None:
         self.seed = seed
 
-    def on_train_batch_start(
-        self, trainer: pl.Trainer, pl_module: pl.LightningModule, batch: Any, batch_idx: int
-    ) -> None:
+    def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
         torch.manual_seed(int(generator(self.seed, batch_idx, trainer.global_rank).integers(2**63)))
 
 
-class LastCheckpoint(pl.Callback):
-    """Keep one checkpoint that a run can be continued from, and write it before an orderly end.
+class RunCheckpoint(Callback):
+    """Save a checkpoint every so many steps or minutes, at the end, and when a signal stops the run.
 
     The file is written beside its final name and then renamed, so that a kill or a full disk leaves the last good one;
-    the one before it is kept beside it.
-    SIGTERM and the first Ctrl-C end the run after the current optimizer step.
+    the one before it is kept beside it. SIGTERM and the first Ctrl-C end the run after the current optimizer step.
 
-    Lightning's ``ModelCheckpoint`` does not serve: one of them counts steps or minutes, not both; none writes at the
-    end or at a signal; and it writes through the system's temporary folder, from where a file is not renamed but
-    copied if that is another disk.
-
-    Args:
-        path: Of the checkpoint.
-        every_steps: Optimizer steps between two writings.
-        every_minutes: Minutes between two writings, whichever comes first.
+    Lightning's ``ModelCheckpoint`` counts either steps or minutes, saves at a signal only in the middle of a step
+    (from which a run is not resumed bit for bit), and does not rename atomically.
     """
 
-    def __init__(self, path: str | Path, *, every_steps: int = 500, every_minutes: float = 5.0) -> None:
-        self.path = Path(path)
-        self.every_steps, self.every_seconds = every_steps, 60 * every_minutes
+    def __init__(self, path: Path, *, every_steps: int = 500, every_minutes: float = 5.0) -> None:
+        self.path, self.every_steps, self.every_seconds = path, every_steps, 60 * every_minutes
         self.stopped_by: str | None = None
         self.started = False
         self.metrics: dict[str, float] = {}
         self._saved_at = time.monotonic()
         self._step = 0
-        self._previous: dict[signal.Signals, Any] = {}
+        self._handlers: dict[signal.Signals, Any] = {}
 
-    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Handle signals, in place of Lightning's own handler, which would end the run without saving."""
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self.started = True
         self._saved_at, self._step = time.monotonic(), trainer.global_step
+        # In place of Lightning's own handler, which would end the run without saving.
         if threading.current_thread() is threading.main_thread():
             for name in (signal.SIGTERM, signal.SIGINT):
-                self._previous[name] = signal.signal(name, self._stop)
+                self._handlers[name] = signal.signal(name, self._stop)
 
     def _stop(self, signum: int, frame: Any) -> None:
-        received = signal.Signals(signum)
-        self.stopped_by = received.name
-        # A second Ctrl-C ends at once.
-        if received is signal.SIGINT:
+        self.stopped_by = signal.Signals(signum).name
+        if signum == signal.SIGINT:  # a second Ctrl-C ends at once
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def on_train_batch_end(
-        self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, batch: Any, batch_idx: int
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Save if it is time, or if the run is to end."""
         # A checkpoint holds no gradients: nothing is saved while those of several batches are accumulated.
         if trainer.global_step == self._step:
             return
         self._step = trainer.global_step
-        stop = trainer.strategy.reduce_boolean_decision(self.stopped_by is not None, all=False)
-        late = trainer.strategy.reduce_boolean_decision(
-            time.monotonic() - self._saved_at > self.every_seconds, all=False
-        )
+        agree = trainer.strategy.reduce_boolean_decision
+        stop = agree(self.stopped_by is not None, all=False)
+        late = agree(time.monotonic() - self._saved_at > self.every_seconds, all=False)
         if stop or late or self._step % self.every_steps == 0:
             self.save(trainer)
         if stop:
-            log.warning("stopped by %s after step %d; the same command continues", self.stopped_by, self._step)
+            log.warning("stopped by %s after step %d; the same command resumes", self.stopped_by, self._step)
             trainer.should_stop = True
 
-    def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        self._restore()
+    def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        self._restore_handlers()
         if trainer.global_step and self.stopped_by is None:
             self.save(trainer)
 
-    def on_exception(self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException) -> None:
-        """Restore the signal handlers; the last checkpoint stays as it is."""
-        self._restore()
+    def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:
+        self._restore_handlers()
 
-    def save(self, trainer: pl.Trainer) -> None:
-        """Write the checkpoint; all processes take part, the first one writes.
+    def _restore_handlers(self) -> None:
+        while self._handlers:
+            signal.signal(*self._handlers.popitem())
 
-        Raises:
-            OSError: It cannot be written, as on a full disk; the one before it stays.
-        """
+    def save(self, trainer: Trainer) -> None:
+        """Write the checkpoint; all processes take part, the first one writes."""
         self.metrics |= logged(trainer)
         try:
-            with _atomic_on_first(trainer, self.path) as temporary:
+            with atomic_path(self.path, sync=True) if trainer.is_global_zero else nullcontext(self.path) as temporary:
                 trainer.save_checkpoint(temporary)
                 if trainer.is_global_zero and self.path.is_file():
-                    self.path.replace(before(self.path))
+                    self.path.replace(previous(self.path))
         except OSError as error:
-            kept = "the last one stays and " if self.path.is_file() else ""
-            raise OSError(
+            stays = "the last one stays and " if self.path.is_file() else ""
+            raise UserError(
                 f"the checkpoint of step {trainer.global_step} cannot be written to {self.path.parent} "
-                f"({error.strerror or one_line(error)}); {kept}the same command continues once there is room"
+                f"({error.strerror or one_line(error)}); {stays}the same command resumes once there is room"
             ) from error
         self._saved_at = time.monotonic()
 
     def state_dict(self) -> dict[str, Any]:
-        """The last values logged, which belong to the checkpoint."""
         return {"metrics": self.metrics}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         self.metrics = dict(state_dict["metrics"])
 
-    def _restore(self) -> None:
-        while self._previous:
-            signal.signal(*self._previous.popitem())
 
-
-def logged(trainer: pl.Trainer) -> dict[str, float]:
+def logged(trainer: Trainer) -> dict[str, float]:
     """The last values logged."""
     return {name: float(value) for name, value in trainer.callback_metrics.items()}
 
 
-@contextmanager
-def _atomic_on_first(trainer: pl.Trainer, path: Path) -> Iterator[Path]:
-    if trainer.is_global_zero:
-        with atomic_path(path, sync=True) as temporary:
-            yield temporary
-    else:
-        yield path
+class MovingAverage(Callback):
+    """An exponential moving average of the trainable weights, which is validated and exported.
 
-
-class Average(pl.Callback):
-    """An exponential moving average of the trainable weights, used for validation and for what is exported.
-
-    Lightning's ``WeightAveraging`` copies the whole module, the frozen networks and the data that it reads included,
-    and writes the frozen weights into every checkpoint. This one keeps what learns alone.
-
-    Args:
-        decay: Of the average; early on it is ``(1 + step) / (10 + step)``, so that it is not slow to start.
+    The decay begins at ``(1 + step) / (10 + step)``, so that the average is not slow to start. Lightning's
+    ``EMAWeightAveraging`` copies the whole module, frozen networks included, into every checkpoint.
     """
 
     def __init__(self, decay: float = 0.999) -> None:
@@ -168,32 +135,28 @@ class Average(pl.Callback):
 
     @torch.no_grad()
     def on_train_batch_end(
-        self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, batch: Any, batch_idx: int
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        step = trainer.global_step
-        decay = min(self.decay, (1 + step) / (10 + step))
-        for name, parameter in _trainable(pl_module):
+        decay = min(self.decay, (1 + trainer.global_step) / (10 + trainer.global_step))
+        for name, parameter in _trainable(pl_module).items():
             if name not in self.weights:
                 self.weights[name] = parameter.detach().clone()
             else:
                 self.weights[name].lerp_(parameter.detach(), 1 - decay)
 
-    def on_validation_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Validate the average."""
+    def on_validation_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self.swap(pl_module)
 
-    def on_validation_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Go on with the weights."""
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self.swap(pl_module)
 
     @torch.no_grad()
     def swap(self, module: nn.Module) -> None:
-        """Exchange the average and the weights; twice is not at all."""
-        for name, parameter in _trainable(module):
-            if name in self.weights:
-                current = parameter.detach().clone()
-                parameter.copy_(self.weights[name])
-                self.weights[name] = current
+        """Swap the averaged and the current weights; a second call restores them."""
+        parameters = _trainable(module)
+        for name, average in self.weights.items():
+            self.weights[name] = parameters[name].detach().clone()
+            parameters[name].copy_(average)
 
     def state_dict(self) -> dict[str, Any]:
         return {"weights": self.weights}
@@ -202,99 +165,63 @@ class Average(pl.Callback):
         self.weights = dict(state_dict["weights"])
 
 
-def _trainable(module: nn.Module) -> list[tuple[str, nn.Parameter]]:
-    return [(name, parameter) for name, parameter in module.named_parameters() if parameter.requires_grad]
+def _trainable(module: nn.Module) -> dict[str, nn.Parameter]:
+    return {name: parameter for name, parameter in module.named_parameters() if parameter.requires_grad}
 
 
-class ProgressLines(pl.Callback):
-    """Lines of progress, where there is no terminal to draw a progress bar on."""
+class ProgressLines(Callback):
+    """A line of progress every 30 seconds, where there is no terminal to draw a progress bar on."""
 
-    def __init__(self, every_seconds: float = 30.0, write: Callable[[str], Any] = sys.stderr.write) -> None:
-        self.every_seconds, self.write = every_seconds, write
-        self._last = self._start = time.monotonic()
-        self._first_step = 0
-
-    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+    def on_train_start(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._last = self._start = time.monotonic()
         self._first_step = trainer.global_step
 
     def on_train_batch_end(
-        self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, batch: Any, batch_idx: int
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Write the step, the loss, the speed and the time left."""
         now, step, total = time.monotonic(), trainer.global_step, trainer.max_steps
-        if not trainer.is_global_zero or (now - self._last < self.every_seconds and step < total):
+        if not trainer.is_global_zero or (now - self._last < 30 and step < total):
             return
         self._last = now
-        speed = (now - self._start) / max(1, step - self._first_step)
+        pace = (now - self._start) / max(1, step - self._first_step)
         loss = trainer.callback_metrics.get("train/loss")
         text = f"step {step}/{total}" + ("" if loss is None else f"  loss {float(loss):.4f}")
-        self.write(f"{text}  {speed:.3f} s/step  {speed * (total - step) / 60:.1f} min left\n")
+        sys.stderr.write(f"{text}  {pace:.3f} s/step  {pace * (total - step) / 60:.1f} min left\n")
 
-    def on_validation_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Write the metrics of a validation."""
-        metrics = {name: float(value) for name, value in trainer.callback_metrics.items() if name.startswith("val/")}
+    def on_validation_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
+        metrics = {name: value for name, value in logged(trainer).items() if name.startswith("val/")}
         if metrics and trainer.is_global_zero:
-            self.write("  ".join(f"{name} {value:.4g}" for name, value in sorted(metrics.items())) + "\n")
+            sys.stderr.write("  ".join(f"{name} {value:.4g}" for name, value in sorted(metrics.items())) + "\n")
 
 
-@runtime_checkable
-class Counted(Protocol):
-    """A batch that knows how many images it holds."""
+class SkippedData(Callback):
+    """Count and list the scenes and styles that could not be read and were replaced by other draws.
 
-    @property
-    def num_images(self) -> int:
-        """Images that the networks see in this process."""
-        ...
-
-
-def num_images(batch: Any) -> int:
-    """Images of a batch that the networks see in this process; 1 of a batch that does not say."""
-    return batch.num_images if isinstance(batch, Counted) else 1
-
-
-class SkippedData(pl.Callback):
-    """Count what could not be read and was drawn anew, and keep a list of it.
-
-    Args:
-        path: A text file with one line for each, in the order in which they were met.
+    The list is a text file of a line each; processes of rank above 0 append their rank to its name.
     """
 
-    def __init__(self, path: str | Path) -> None:
-        self.path = Path(path)
-        self.lines: dict[str, int] = {}
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.counts: dict[str, int] = {}
 
     def on_train_batch_end(
-        self, trainer: pl.Trainer, pl_module: pl.LightningModule, outputs: Any, batch: Any, batch_idx: int
+        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
     ) -> None:
-        """Take down what this batch does without."""
-        skipped = batch.skipped if isinstance(batch, Incomplete) else ()
-        pl_module.log("data/skipped", float(sum(self.lines.values()) + len(skipped)))
-        if not skipped:
-            return
-        new = [line for line in skipped if line not in self.lines]
-        for line in skipped:
-            self.lines[line] = self.lines.get(line, 0) + 1
-        if new:
-            # Each process sees its own share of the data.
-            path = (
-                self.path if trainer.is_global_zero else self.path.with_stem(f"{self.path.stem}_{trainer.global_rank}")
-            )
-            with atomic_path(path) as temporary:
-                temporary.write_text("".join(f"{line}\n" for line in self.lines), encoding="utf-8")
+        num_known = len(self.counts)
+        for line in getattr(batch, "skipped", ()):
+            self.counts[line] = self.counts.get(line, 0) + 1
+        pl_module.log("data/skipped", float(sum(self.counts.values())))
+        if len(self.counts) > num_known:
+            with atomic_path(of_rank(self.path, trainer.global_rank)) as temporary:
+                temporary.write_text("".join(f"{line}\n" for line in self.counts), encoding="utf-8")
 
     def state_dict(self) -> dict[str, Any]:
-        return {"seen": self.lines}
+        return {"counts": self.counts}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        self.lines = dict(state_dict["seen"])
+        self.counts = dict(state_dict["counts"])
 
 
-@runtime_checkable
-class Incomplete(Protocol):
-    """A batch that knows what was left out of it."""
-
-    @property
-    def skipped(self) -> tuple[str, ...]:
-        """A line for each scene or style that was drawn and could not be read."""
-        ...
+def of_rank(path: Path, rank: int) -> Path:
+    """A path with the rank appended to its stem, where that is above 0."""
+    return path if rank == 0 else path.with_stem(f"{path.stem}_{rank}")

@@ -6,13 +6,14 @@ from dataclasses import replace
 import torch
 import torch.nn.functional as F
 
+from anystyle.errors import UserError
 from anystyle.types import Cameras, Style, Views
 
 
 def fit_views(views: Views, size: tuple[int, int]) -> Views:
-    """Views resized to cover ``size`` and cut to it around the middle; cameras and depth follow.
+    """Views resized to cover ``size`` and centre-cropped; cameras and depth follow.
 
-    Depth is taken from the nearest pixel, for a mean over an edge lies on no surface.
+    Depth is taken from the nearest pixel, because a mean across an edge lies on no surface.
     """
     if views.size == size:
         return views
@@ -51,30 +52,20 @@ def mirror_views(views: Views) -> Views:
         intrinsics = cameras.intrinsics.clone()
         intrinsics[..., 0, 2] = views.size[1] - intrinsics[..., 0, 2]
         cameras = Cameras(mirror @ cameras.world_from_camera @ mirror, intrinsics, cameras.size)
-    return replace(
-        views,
-        images=views.images.flip(-1),
-        depth=None if views.depth is None else views.depth.flip(-1),
-        cameras=cameras,
-    )
+    depth = None if views.depth is None else views.depth.flip(-1)
+    return replace(views, images=views.images.flip(-1), depth=depth, cameras=cameras)
 
 
 def stack_views(rows: Sequence[Views]) -> Views:
     """A batch of scenes with equally many views of one size; cameras and depth only where all scenes have them."""
     sizes = {row.size for row in rows}
     if len(sizes) > 1:
-        raise ValueError(f"scenes of sizes {sorted(sizes)} cannot be one batch; set heights and width")
+        raise UserError(f"scenes of sizes {sorted(sizes)} cannot be one batch; set heights and width")
     cameras = [row.cameras for row in rows if row.cameras is not None]
     depth = [row.depth for row in rows if row.depth is not None]
     return Views(
         images=torch.cat([row.images for row in rows]),
-        cameras=Cameras(
-            torch.cat([row.world_from_camera for row in cameras]),
-            torch.cat([row.intrinsics for row in cameras]),
-            rows[0].size,
-        )
-        if len(cameras) == len(rows)
-        else None,
+        cameras=Cameras.cat(cameras) if len(cameras) == len(rows) else None,
         depth=torch.cat(depth) if len(depth) == len(rows) else None,
     )
 

@@ -1,4 +1,4 @@
-"""The schedule and the parameter groups of the published recipe."""
+"""The learning-rate schedule and the parameter groups of the published recipe."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -8,33 +8,24 @@ import torch
 from torch import nn
 from torch.optim.lr_scheduler import LambdaLR
 
+from anystyle.errors import UserError
+
 
 def learning_rate(
     step: int, *, peak: float, total: int, warmup: int = 100, start: float = 0.01, floor: float = 1e-5
 ) -> float:
-    """The published schedule: a linear warm-up from ``start * peak``, then a cosine to ``floor``.
-
-    Args:
-        step: Steps done.
-        peak: The rate at the end of the warm-up.
-        total: The cosine ends this many steps after the warm-up, as published; the rate stays at ``floor`` then.
-        warmup: Steps of the warm-up.
-        start: Fraction of the peak at step 0.
-        floor: The last rate, the same for every parameter group.
-    """
+    """The published schedule: a linear warm-up from ``start * peak``, then a cosine of ``total`` steps to ``floor``."""
     if step < warmup:
         return peak * (start + (1 - start) * step / warmup)
     progress = min(1.0, (step - warmup) / max(1, total))
     return floor + (peak - floor) * 0.5 * (1 + math.cos(math.pi * progress))
 
 
-def scheduled(
-    optimizer: torch.optim.Optimizer, *, total: int, warmup: int, floor: float, start: float = 0.01
-) -> dict[str, Any]:
+def scheduled(optimizer: torch.optim.Optimizer, *, total: int, warmup: int, floor: float) -> dict[str, Any]:
     """An optimiser with :func:`learning_rate` on each of its groups, as Lightning takes it."""
 
     def factor(peak: float) -> Any:
-        return lambda step: learning_rate(step, peak=peak, total=total, warmup=warmup, floor=floor, start=start) / peak
+        return lambda step: learning_rate(step, peak=peak, total=total, warmup=warmup, floor=floor) / peak
 
     schedule = LambdaLR(optimizer, [factor(group["lr"]) for group in optimizer.param_groups])
     return {"optimizer": optimizer, "lr_scheduler": {"scheduler": schedule, "interval": "step", "name": "lr"}}
@@ -50,31 +41,16 @@ def decayed_adamw(
     betas: tuple[float, float] = (0.9, 0.98),
     floor: float = 0.01,
 ) -> dict[str, Any]:
-    """AdamW on what learns of a module; the rate falls to ``floor`` times ``lr`` at the last of ``steps``."""
+    """AdamW on the trainable parameters of a module; the rate falls to ``floor * lr`` at the last of ``steps``."""
     optimizer = torch.optim.AdamW(decayed_groups([module], lr=lr, weight_decay=weight_decay), betas=betas)
     return scheduled(optimizer, total=steps - warmup, warmup=warmup, floor=floor * lr)
 
 
 def check_rates(**rates: int | float) -> None:
-    """Refuse learning rates, and shares of them, that are not positive.
-
-    Raises:
-        ValueError: One is not; the message names it.
-    """
+    """Refuse learning rates, and factors of them, that are not positive and finite."""
     for name, rate in rates.items():
         if not 0 < rate < math.inf:
-            raise ValueError(f"training.{name}={rate}: give a number above 0")
-
-
-def check_steps(**counts: int) -> None:
-    """Refuse options of a training that count something and are negative.
-
-    Raises:
-        ValueError: One is; the message names it.
-    """
-    for name, count in counts.items():
-        if count < 0:
-            raise ValueError(f"training.{name}={count}: give at least 0")
+            raise UserError(f"training.{name}={rate}: give a number above 0")
 
 
 def decayed_groups(modules: Sequence[nn.Module], *, lr: float, weight_decay: float) -> list[dict[str, Any]]:
@@ -82,11 +58,8 @@ def decayed_groups(modules: Sequence[nn.Module], *, lr: float, weight_decay: flo
     matrices, vectors = [], []
     for parameter in trainable(modules):
         (matrices if parameter.ndim > 1 else vectors).append(parameter)
-    return [
-        {"params": params, "lr": lr, "weight_decay": decay}
-        for params, decay in ((matrices, weight_decay), (vectors, 0.0))
-        if params
-    ]
+    groups = ((matrices, weight_decay), (vectors, 0.0))
+    return [{"params": params, "lr": lr, "weight_decay": decay} for params, decay in groups if params]
 
 
 def trainable(modules: Iterable[nn.Module]) -> list[nn.Parameter]:

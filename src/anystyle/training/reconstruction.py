@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
-from anystyle.training.contract import Training, required
+from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import decayed_adamw
 from anystyle.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
@@ -24,9 +25,9 @@ from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, R
 class ReconstructionTraining(Training):
     """Train a backbone to predict depth, cameras and Gaussians.
 
-    Scenes are put into the frame of their first view, at a scale where the mean distance of what the context views
-    see is 1. Gaussians are rendered from the true cameras, with the true cameras in the geometry too, so that the
-    rendering loss teaches depth and appearance before cameras are any good.
+    Scenes are in the frame of their first view, scaled so that the mean distance of the points that the context views
+    see is 1. Gaussians are placed and rendered with the true cameras, so that the rendering loss trains depth and
+    appearance before the predicted cameras are good.
 
     Args:
         batch_size: Scenes a step over all processes.
@@ -73,41 +74,26 @@ class ReconstructionTraining(Training):
         render_scenes: int = 4,
     ) -> None:
         super().__init__()
-        self.backbone = backbone
-        self.renderer = renderer
-        self.batch_size, self.context_views, self.target_views = batch_size, context_views, target_views
-        self.view_power, self.heights, self.warmup = view_power, heights, warmup
+        self.backbone, self.renderer, self.target_views = backbone, renderer, target_views
+        self.make_batches = partial(
+            SceneBatches, batch_size=batch_size, context_views=context_views, view_power=view_power,
+            target_views=target_views, spread="any", heights=heights, multiple=backbone.patch_size,
+        )  # fmt: skip
+        self.learning_rate, self.warmup, self.weight_decay = learning_rate, warmup, weight_decay
         self.render_every, self.render_scenes = render_every, render_scenes
-        self.learning_rate, self.weight_decay = learning_rate, weight_decay
         self.predicted_camera_weight = predicted_camera_weight
         self.weights = {
-            "depth": depth_weight,
-            "camera": camera_weight,
-            "transfer": transfer_weight,
-            "point": point_weight,
-            "render": render_weight,
-            "ssim": ssim_weight,
-            "predicted_render": predicted_camera_weight * render_weight,
-            "predicted_ssim": predicted_camera_weight * ssim_weight,
-        }
+            "depth": depth_weight, "camera": camera_weight, "transfer": transfer_weight, "point": point_weight,
+            "render": render_weight, "predicted_render": predicted_camera_weight * render_weight,
+            "ssim": ssim_weight, "predicted_ssim": predicted_camera_weight * ssim_weight,
+        }  # fmt: skip
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
         return {"batch_size": 2, "context_views": (2, 2), "render_every": 1, "render_scenes": 1, "warmup": 1}
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
-        """Scenes with context and target views."""
-        return SceneBatches(
-            required(scenes, "scenes"),
-            seed=seed,
-            batch_size=self.batch_size,
-            context_views=self.context_views,
-            view_power=self.view_power,
-            target_views=self.target_views,
-            spread="any",
-            heights=self.heights,
-            multiple=self.backbone.patch_size,
-        )
+        return self.make_batches(required(scenes, "scenes"), seed=seed)
 
     def exports(self) -> Mapping[str, nn.Module]:
         return {"backbone": self.backbone}
@@ -116,34 +102,32 @@ class ReconstructionTraining(Training):
         backbone = self.backbone
         with self.exact():
             views = canonical(batch.views, batch.context)
-        inputs = views.select(list(range(batch.context)))
+        inputs, rows = views.select(list(range(batch.context))), len(batch.keys)
         features = backbone.aggregator(backbone.embedder(inputs.images))
         with self.exact():
             features = {layer: tokens.to(torch.float32) for layer, tokens in features.items()}
             geometry = backbone.geometry_head(features, inputs.images)
         losses = self.geometry_losses(features, geometry, inputs)
-        rows = len(batch.keys)
         if self.global_step % self.render_every == 0:
-            subset = slice(0, min(self.render_scenes, rows))
             rendered = [step // self.render_every % batch.context, *range(batch.context, views.images.shape[1])]
-            losses |= self.render_losses(
-                _rows(features, subset), _rows(geometry, subset), _rows(views, subset), rendered
+            some = pytree.tree_map_only(
+                Tensor, lambda tensor: tensor[: self.render_scenes], (features, geometry, views)
             )
+            losses |= self.render_losses(some[0], some[1], some[2], rendered)
         total = self.total(losses)
         self.log("train/loss", total, batch_size=rows, prog_bar=True)
         self.log_dict({f"train/{name}": loss for name, loss in losses.items()}, batch_size=rows)
         return total
 
     def exact(self) -> AbstractContextManager[Any]:
-        """Full precision, whatever the trainer's, for cameras and points."""
+        """Full precision for cameras and points, whatever the precision of the trainer."""
         return torch.autocast(self.device.type, enabled=False)
 
     def total(self, losses: Mapping[str, Float[Tensor, ""]]) -> Float[Tensor, ""]:
-        """The weighted sum."""
         return torch.stack([self.weights[name] * loss for name, loss in losses.items()]).sum()
 
     def geometry_losses(self, features: Features, geometry: Geometry, inputs: Views) -> dict[str, Float[Tensor, ""]]:
-        """The unweighted terms that need no renders, of context views in the canonical frame; in full precision."""
+        """The unweighted terms without renders, of context views in the canonical frame; in full precision."""
         cameras, depth = inputs.cameras, inputs.depth
         assert cameras is not None and depth is not None
         with self.exact():
@@ -158,30 +142,18 @@ class ReconstructionTraining(Training):
     def auxiliary_losses(
         self, features: Features, cameras: Cameras, depth: Float[Tensor, "B V H W"]
     ) -> dict[str, Float[Tensor, ""]]:
-        """Further unweighted terms that the weights in ``self.weights`` name; none unless overridden.
-
-        Args:
-            features: Of the context views.
-            cameras: The true ones, in the canonical frame.
-            depth: The true one; 0 where it is not known.
-        """
+        """Further unweighted terms, named in ``self.weights``, of features and true geometry; none by default."""
         return {}
 
     def render_losses(
         self, features: Features, geometry: Geometry, views: Views, rendered: Sequence[int]
     ) -> dict[str, Float[Tensor, ""]]:
-        """The unweighted terms of renders.
+        """The unweighted terms of renders, in the canonical frame.
 
-        Args:
-            features: Of the context views.
-            geometry: As predicted.
-            views: Context and target views in the canonical frame.
-            rendered: Indices of the views to render at their true cameras; the first, a context view, also at its
-                predicted one.
+        The views ``rendered`` are at their true cameras; the first, a context view, also at its predicted one.
         """
-        context = geometry.depth.shape[1]
+        context, targets = geometry.depth.shape[1], views.select(list(rendered))
         attributes = self.backbone.gaussian_head(features, views.images[:, :context]).to(torch.float32)
-        targets = views.select(list(rendered))
         assert views.cameras is not None and targets.cameras is not None
         with self.exact():
             gaussians = self.gaussians_at(attributes, geometry, views.cameras.select(slice(context)))
@@ -189,17 +161,15 @@ class ReconstructionTraining(Training):
             if self.predicted_camera_weight:
                 predicted = self.gaussians_at(attributes, geometry, geometry.cameras)
                 renders = self.renderer(predicted, geometry.cameras.select([rendered[0]]))
-                terms = photometric(renders, targets.images[:, :1])
-                losses |= {f"predicted_{name}": loss for name, loss in terms.items()}
+                for name, loss in photometric(renders, targets.images[:, :1]).items():
+                    losses[f"predicted_{name}"] = loss
             return losses
 
     def gaussians_at(self, attributes: Attributes, geometry: Geometry, cameras: Cameras) -> Gaussians:
-        """The Gaussians of a geometry with other cameras."""
         geometry, adapter = replace(geometry, cameras=cameras), self.backbone.adapter
         return adapter(attributes, geometry, adapter.cluster(geometry, attributes))
 
     def errors(self, batch: Batch) -> dict[str, Float[Tensor, ""]]:
-        """Errors of depth, cameras and renders of a batch."""
         views = canonical(batch.views, batch.context)
         inputs = views.select(list(range(batch.context)))
         scene = self.backbone.encode(inputs)
@@ -222,9 +192,8 @@ class ReconstructionTraining(Training):
         self.log_dict({f"val/{name}": value for name, value in errors.items()}, batch_size=len(batch.keys))
 
     def configure_optimizers(self) -> Any:
-        """AdamW with a warm-up and a cosine to 1 % of the rate."""
-        rate, decay, steps = self.learning_rate, self.weight_decay, self.trainer.max_steps
-        return decayed_adamw(self, lr=rate, weight_decay=decay, steps=steps, warmup=self.warmup)
+        steps, decay = self.trainer.max_steps, self.weight_decay
+        return decayed_adamw(self, lr=self.learning_rate, weight_decay=decay, steps=steps, warmup=self.warmup)
 
 
 def photometric(renders: Renders, images: Float[Tensor, "B V 3 H W"]) -> dict[str, Float[Tensor, ""]]:
@@ -259,8 +228,3 @@ def geometry_errors(geometry: Geometry, views: Views) -> dict[str, Float[Tensor,
         errors["rotation_error_median_deg"] = cosine.clamp(-1, 1).acos().rad2deg().median()
         errors["translation_direction_error_median_deg"] = direction.clamp(-1, 1).acos().rad2deg().median()
     return errors
-
-
-def _rows(value: Any, rows: slice) -> Any:
-    """Some scenes of a batch of values."""
-    return pytree.tree_map_only(Tensor, lambda tensor: tensor[rows], value)

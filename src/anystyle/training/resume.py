@@ -1,38 +1,34 @@
-"""Resuming a run: one at a time in a folder, and with the configuration it began with."""
+"""Resuming a run: one process at a time in its folder, and with the configuration that it began with."""
 
 import json
 import logging
 import os
-import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import msgspec
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.documents import Count, read_json
-from anystyle.documents import plain as as_json
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_tensors
-from anystyle.io.atomic import folder_lock, write_json
+from anystyle.io.atomic import folder_lock
+from anystyle.io.documents import Count, plain, read_json
 from anystyle.registry.compose import changes, flat
 
 UNBOUND = (
     "resume", "checkpoint", "loggers", "workers", "export", "out", "fast_dev_run", "name", "features", "explosion",
     "precision",
 )  # fmt: skip
-"""Parts of a configuration that may change between the two halves of a run: they do not change its result."""
-
+"""Parts of a configuration that may change when a run is resumed: they do not change its result."""
 
 RECORD = "bound.json"
-"""The file of a run's configuration."""
-_STATE = "state of a training"
+"""The file in a run's folder that holds its configuration."""
 log = logging.getLogger(__name__)
 
 
-class _State(msgspec.Struct):
+class _Checkpoint(msgspec.Struct):
     """The part of a checkpoint that every training's has."""
 
     global_step: Count
@@ -41,120 +37,65 @@ class _State(msgspec.Struct):
     loops: dict[str, Any]
 
 
-_WHAT = "record of a run's configuration; pass resume=changed, resume=never, or another name=..."
+@dataclass(frozen=True)
+class Resumed:
+    """The checkpoint that a run is resumed from, and its optimizer steps."""
+
+    path: Path
+    step: int
 
 
-def leads() -> bool:
-    """Whether this process is of rank 0."""
+def is_rank_zero() -> bool:
+    """Whether this process is of rank 0; known before a trainer is."""
     return all(os.environ.get(name, "0") == "0" for name in ("RANK", "LOCAL_RANK", "NODE_RANK", "SLURM_PROCID"))
 
 
-@contextmanager
-def alone(out: Path) -> Iterator[None]:
-    """Keep other runs out of a folder until this one ends, however it ends.
-
-    Raises:
-        ValueError: Another run is in it.
-    """
-    # The processes of one distributed run share its folder.
+def exclusive(out: Path) -> AbstractContextManager[None]:
+    """Keep other runs out of a folder; the processes of one distributed run share it."""
     refusal = f"another run is at work in {out}; wait for its end, or choose another name=..."
-    with folder_lock(out, refusal) if leads() else nullcontext():
-        yield
+    return folder_lock(out, refusal) if is_rank_zero() else nullcontext()
 
 
 def bound(config: DictConfig) -> dict[str, Any]:
-    """The part of a configuration that a continued run must share, as plain values by their full keys."""
-    plain = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
-    assert isinstance(plain, dict)
-    return json.loads(json.dumps(as_json(flat({key: value for key, value in plain.items() if key not in UNBOUND}))))
+    """The part of a configuration that a resumed run must share, as plain values by their full keys."""
+    values = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
+    assert isinstance(values, dict)
+    return json.loads(json.dumps(plain(flat({key: value for key, value in values.items() if key not in UNBOUND}))))
 
 
-def resumable(config: DictConfig, last: Path) -> Path | None:
-    """The state to continue from: the last checkpoint, or where that is damaged the one before; nothing is written.
-
-    Raises:
-        ValueError: There is one, of another configuration or of one that is not known; or all are damaged.
-    """
-    if config.resume == "never" or not any(path.is_file() for path in (last, before(last))):
+def resumable(config: DictConfig, last: Path) -> Resumed | None:
+    """The checkpoint to resume from: the last one, or where that is damaged the one before."""
+    paths = [path for path in (last, previous(last)) if path.is_file()]
+    if config.resume == "never" or not paths:
         return None
-    record = last.with_name(RECORD)
-    current = bound(config)
-    if not record.is_file() and config.resume != "changed":
-        raise ValueError(
-            f"{last.parent} holds a checkpoint and no {record.name} that says of which configuration; "
-            f"pass resume=changed to continue it all the same, resume=never to start again, or another name=..."
-        )
-    previous: dict[str, Any] = read_json(record, dict[str, Any], what=_WHAT) if record.is_file() else current
-    changed = changes(previous, current)
-    if changed and config.resume != "changed":
-        raise ValueError(
-            f"{last.parent} holds a run of another configuration ({changed}); pass resume=changed to continue it so, "
-            f"resume=never to start again, or another name=..."
-        )
-    return _whole(last)
-
-
-def before(last: Path) -> Path:
-    """Where the checkpoint before the last one is kept."""
-    return last.with_name(f"previous{last.suffix}")
-
-
-def _whole(last: Path) -> Path:
-    """The latest state that is no torn one."""
+    if config.resume != "changed":
+        _refuse_changes(config, last.with_name(RECORD))
     problems: list[str] = []
-    for path in (last, before(last)):
-        if not path.is_file():
-            continue
+    for path in paths:
         try:
-            msgspec.convert(read_tensors(path, what=_STATE), _State)
+            checkpoint = msgspec.convert(read_tensors(path, what="checkpoint of a training"), _Checkpoint)
         except ValueError as error:
-            problems.append(str(error) if isinstance(error, UserError) else f"{path} is no {_STATE} ({error})")
+            known = isinstance(error, UserError)
+            problems.append(str(error) if known else f"{path} is no checkpoint of a training ({error})")
             continue
         for problem in problems:
-            log.warning("%s; the run goes on from %s, the one before it", problem, path.name)
-        return path
-    raise ValueError(f"{'; '.join(problems)}; pass resume=never to start again, or another name=...")
+            log.warning("%s; resuming from %s, the one before it", problem, path.name)
+        return Resumed(path, checkpoint.global_step)
+    raise UserError(f"{'; '.join(problems)}; pass resume=never to start again, or another name=...")
 
 
-def record(config: DictConfig, last: Path) -> None:
-    """Write down the configuration of a run that is about to begin."""
-    write_json(last.with_name(RECORD), bound(config))
+def _refuse_changes(config: DictConfig, record: Path) -> None:
+    options = "pass resume=changed to resume it all the same, resume=never to start again, or another name=..."
+    if not record.is_file():
+        raise UserError(
+            f"{record.parent} holds a checkpoint and no {record.name} that says of which configuration; {options}"
+        )
+    before: dict[str, Any] = read_json(record, dict[str, Any], what=f"record of a run's configuration; {options}")
+    changed = changes(before, bound(config))
+    if changed:
+        raise UserError(f"{record.parent} holds a run of another configuration ({changed}); {options}")
 
 
-def sweep(last: Path) -> None:
-    """Remove what a run that was killed while it wrote a checkpoint left half-written."""
-    if leads():
-        for partial in last.parent.glob(f".{last.stem}-*{last.suffix}"):
-            partial.unlink(missing_ok=True)
-
-
-@contextmanager
-def trial(config: DictConfig, out: Path) -> Iterator[tuple[DictConfig, Path]]:
-    """A run of two steps with everything on, in a folder that is gone afterwards.
-
-    Validation, checkpoint, every logger and the grid of renders take part; nothing is continued and nothing is left.
-    """
-    short = OmegaConf.merge(
-        config,
-        {
-            "fast_dev_run": False,
-            "resume": "never",
-            "validation_steps": min(1, config.validation_steps),
-            "checkpoint": {"every_steps": 1},
-            "trainer": {"max_steps": 2, "val_check_interval": 1, "log_every_n_steps": 1},
-        },
-    )
-    assert isinstance(short, DictConfig)
-    if "preview_every" in short.training:
-        OmegaConf.update(short, "training.preview_every", 1)
-    if "examples" in short.training:
-        OmegaConf.update(short, "training.examples", min(16, short.training.examples))
-    folder = out / ".trial"
-    if leads():
-        shutil.rmtree(folder, ignore_errors=True)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        yield short, folder
-    finally:
-        if leads():
-            shutil.rmtree(folder, ignore_errors=True)
+def previous(last: Path) -> Path:
+    """Where the checkpoint before the last one is kept."""
+    return last.with_name(f"previous{last.suffix}")

@@ -1,163 +1,147 @@
-"""Encoded scenes, kept in memory and on the disk."""
+"""Caches of scenes: decoded ones on the disk, encoded ones in memory and on the disk."""
 
 import hashlib
 import json
 import logging
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 import torch.nn.functional as F
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+import torch.utils._pytree as pytree
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from anystyle.caching import LRUCache
-from anystyle.documents import parse_json
-from anystyle.errors import one_line
-from anystyle.io.atomic import atomic_path
-from anystyle.types import Attributes as RawAttributes
-from anystyle.types import Cameras, Clusters, Geometry, Scene, Tokens, Views
+from anystyle.contracts import SceneSource
+from anystyle.errors import UserError, one_line
+from anystyle.io.atomic import atomic_path, write_json
+from anystyle.io.cache import LRUCache
+from anystyle.io.documents import kept_json
+from anystyle.types import Attributes, Cameras, Clusters, Gaussians, Geometry, Scene, Tokens, Views
 
 logger = logging.getLogger(__name__)
 
-_VALUES = {kind.__name__: kind for kind in (Cameras, Clusters, Geometry, RawAttributes, Tokens)}
-GIGABYTE = 1e9
 
+class CachedScenes(SceneSource):
+    """A scene source whose scenes are read from another one once, and from a file of their own after that.
 
-@dataclass(frozen=True)
-class FeatureFolder:
-    """The folder of encoded scenes of a run, as far as its configuration describes them.
-
-    Args:
-        folder: Of all stores.
-        gigabytes: Capacity of a store in 10^9 bytes.
-        description: All that encoded scenes depend on: backbone, weights, scenes, precision.
+    Images are stored as bytes and depth in half precision; the first read gives the same rounded values as later ones.
+    Processes may share a folder, which belongs to one source.
     """
 
-    folder: Path
-    gigabytes: float
-    description: Mapping[str, Any]
+    def __init__(self, source: SceneSource, folder: Path) -> None:
+        self.source, self.folder = source, folder
+        first = self._tensors(0)["images"]
+        signature = [len(source), source.name(0), list(first.shape), int(first.sum())]
+        known = kept_json(folder / "source.json", list[Any])
+        if known is None:
+            write_json(folder / "source.json", signature)
+        elif known != signature:
+            raise UserError(f"{folder} was made by another scene source; choose another cache or remove the folder")
 
-    def store(self, **more: Any) -> "FeatureStore":
-        """The store of a training, with what its choice of views depends on added to the description."""
-        return FeatureStore(self.folder, {**self.description, **more}, gigabytes=self.gigabytes)
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def name(self, scene: int) -> str:
+        return self.source.name(scene)
+
+    def num_views(self, scene: int) -> int:
+        return self.source.num_views(scene)
+
+    def read(self, scene: int, views: Sequence[int]) -> Views:
+        path = self.folder / f"{scene:06d}.safetensors"
+        if path.is_file():
+            tensors = load_file(path)
+        else:
+            tensors = self._tensors(scene)
+            try:
+                with atomic_path(path) as temporary:
+                    save_file(tensors, temporary)
+            except (OSError, SafetensorError) as error:
+                logger.warning("%s cannot be written (%s); its scene is read anew each time", path, one_line(error))
+        index = list(views)
+        stored = {name: tensor[index].float()[None] for name, tensor in tensors.items()}
+        images = stored["images"] / 255.0
+        size = (images.shape[-2], images.shape[-1])
+        return Views(images, Cameras(stored["poses"], stored["intrinsics"], size), depth=stored["depth"])
+
+    def _tensors(self, scene: int) -> dict[str, Tensor]:
+        views = self.source.read(scene, list(range(self.source.num_views(scene))))
+        if views.cameras is None or views.depth is None:
+            raise UserError("only scenes with cameras and depth can be cached; set cache=null")
+        tensors = {
+            "images": (views.images[0] * 255.0).round().to(torch.uint8),
+            "depth": views.depth[0].half(),
+            "poses": views.cameras.world_from_camera[0],
+            "intrinsics": views.cameras.intrinsics[0],
+        }
+        return {name: tensor.contiguous() for name, tensor in tensors.items()}
 
 
 class FeatureStore:
-    """A folder with one file for each encoded scene, up to a stated size.
+    """A folder with one file for each encoded scene, without its photographs, bit for bit.
 
-    The photographs themselves are not kept, for whoever asks has them. What is stored is what was computed, to the
-    bit. When the folder is full, further scenes are encoded anew each time they are seen; this is said once.
-    Processes may share a folder: a file is written whole, and two that write the same one write the same.
-
-    Args:
-        folder: Where the files go.
-        description: All that the encoded scenes depend on; another description has another sub-folder.
-        gigabytes: The most the sub-folder may hold, in 10^9 bytes.
-
-    Raises:
-        ValueError: The size is not positive.
+    All that encoded scenes depend on is in ``description``: another one has another sub-folder. When that is full,
+    further scenes are encoded each time they are seen, with one warning. Processes may share a folder.
     """
 
-    def __init__(self, folder: str | Path, description: Mapping[str, Any], *, gigabytes: float) -> None:
+    def __init__(self, folder: Path, description: Mapping[str, Any], *, gigabytes: float) -> None:
         if gigabytes <= 0:
-            raise ValueError(f"features.gigabytes={gigabytes}: give what the folder may hold, above 0")
-        text = json.dumps(description, sort_keys=True, indent=2)
-        self.folder = Path(folder) / hashlib.sha256(text.encode()).hexdigest()[:16]
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self.limit = int(gigabytes * GIGABYTE)
-        with atomic_path(self.folder / "description.json") as temporary:
-            temporary.write_text(text + "\n", encoding="utf-8")
+            raise UserError(f"features.gigabytes={gigabytes}: give the capacity of the folder, above 0")
+        self.root, self.description, self.gigabytes = folder, description, gigabytes
+        text = json.dumps(description, sort_keys=True)
+        self.folder = folder / hashlib.sha256(text.encode()).hexdigest()[:16]
         self._full = False
+
+    def described(self, **more: Any) -> "FeatureStore":
+        """The store of scenes that depend on more."""
+        return FeatureStore(self.root, {**self.description, **more}, gigabytes=self.gigabytes)
 
     @property
     def used(self) -> int:
-        """Bytes that the encoded scenes take up now."""
-        return sum(path.stat().st_size for path in self.folder.glob("*.safetensors"))
+        """Bytes that the encoded scenes occupy."""
+        return sum(path.stat().st_size for path in self.folder.glob("*.pt"))
 
     def get(self, key: str, views: Views) -> Scene | None:
-        """The scene of a key with the views it was encoded from, on their device; ``None`` if it is not kept."""
-        path = self.folder / f"{key}.safetensors"
+        """The scene of a key with the views it was encoded from, on their device; ``None`` if it is not stored."""
+        path = self.folder / f"{key}.pt"
         if not path.is_file():
             return None
         try:
-            with safe_open(path, framework="pt", device=str(views.images.device)) as file:
-                layout = parse_json((file.metadata() or {})["scene"], dict[str, Any], source=str(path))
-                parts = _joined(layout, file)
-        except (SafetensorError, AttributeError, KeyError, TypeError, ValueError) as error:
-            logger.warning("%s is damaged (%s); the scene is encoded again", path, error)
+            known = [Scene, Attributes, Cameras, Clusters, Gaussians, Geometry, Tokens, Views]
+            with torch.serialization.safe_globals(known):
+                scene = torch.load(path, map_location=views.images.device, weights_only=True)
+        except Exception as error:  # damaged archives raise nearly anything
+            logger.warning("%s is damaged (%s); the scene is encoded again", path, one_line(error)[:200])
             return None
-        return Scene(views=views, **parts)
+        return replace(scene, views=views)
 
     def put(self, key: str, scene: Scene) -> None:
-        """Keep a scene, if there is room."""
-        tensors: dict[str, Tensor] = {}
-        parts = {item.name: getattr(scene, item.name) for item in fields(Scene) if item.name != "views"}
-        layout = _split(parts, "", tensors)
-        size = sum(tensor.numel() * tensor.element_size() for tensor in tensors.values())
+        """Store a scene, if there is room."""
         if self._full:
             return
-        if self.used + size > self.limit:
-            self._end(
-                f"a scene takes {size / GIGABYTE:.2g} of the {self.limit / GIGABYTE:.3g} GB; raise features.gigabytes "
-                f"or lower training.pool"
-            )
-            return
+        # Cloned, because a view of a larger tensor would be written with all of it.
+        stored = replace(scene, views=Views(scene.views.images[..., :0])).map(
+            lambda tensor: tensor.detach().contiguous().clone()
+        )
+        size = sum(leaf.nbytes for leaf in pytree.tree_leaves(stored) if isinstance(leaf, Tensor))
         try:
-            with atomic_path(self.folder / f"{key}.safetensors") as temporary:
-                save_file(tensors, temporary, metadata={"scene": json.dumps(layout)})
-        except (OSError, SafetensorError) as error:
-            self._end(f"the disk does not take more ({one_line(error)})")
-
-    def _end(self, reason: str) -> None:
-        self._full = True
-        logger.warning(
-            "%s holds %.2g GB, and %s; further scenes are encoded anew each time",
-            self.folder, self.used / GIGABYTE, reason,
-        )  # fmt: skip
-
-
-def _split(value: Any, name: str, tensors: dict[str, Tensor]) -> Any:
-    """A nested value as JSON; its tensors are put into ``tensors`` under the paths of their keys."""
-    if isinstance(value, Tensor):
-        tensors[name] = value.detach().contiguous().clone()
-        return {"tensor": name}
-    if is_dataclass(value):
-        parts = {item.name: getattr(value, item.name) for item in fields(value)}
-        return {"value": type(value).__name__, "fields": _split(parts, name, tensors)}
-    if isinstance(value, Mapping):
-        return {"map": [[key, _split(part, f"{name}/{key}", tensors)] for key, part in value.items()]}
-    return {"plain": list(value) if isinstance(value, tuple) else value}
-
-
-def _joined(layout: Any, file: Any) -> Any:
-    if "tensor" in layout:
-        return file.get_tensor(layout["tensor"])
-    if "map" in layout:
-        return {key: _joined(part, file) for key, part in layout["map"]}
-    if "value" in layout:
-        return _VALUES[layout["value"]](**_joined(layout["fields"], file))
-    plain = layout["plain"]
-    return tuple(plain) if isinstance(plain, list) else plain
-
-
-def without_stem(scene: Scene) -> Scene:
-    """A scene for a branch that begins at the features: its stem, which nothing reads then, is empty."""
-    return replace(scene, stem=scene.stem.with_data(torch.empty_like(scene.stem.data[:, :, :0])))
+            if self.used + size > self.gigabytes * 1e9:
+                raise OSError("raise features.gigabytes or lower training.pool")
+            with atomic_path(self.folder / f"{key}.pt") as temporary:
+                torch.save(stored, temporary)
+        except (OSError, RuntimeError) as error:
+            self._full = True
+            logger.warning("%s is full (%s); further scenes are encoded each time", self.folder, one_line(error))
 
 
 class EncodedScenes:
-    """Scenes by the keys of what they show and their size, least recently used first out.
+    """Encoded scenes by their key and image size, least recently used first out; ``store`` keeps them on disk too.
 
-    Every scene is encoded alone, whether or not it stays: a batch is the same with and without the cache.
-
-    Args:
-        encode: Turns the views of one scene into a scene.
-        limit: How many are kept in memory; 0 keeps none.
-        store: Keeps them on disk too.
+    Every scene is encoded alone, whether or not it is cached: a batch is the same with and without the cache.
     """
 
     def __init__(self, encode: Callable[[Views], Scene], limit: int, store: FeatureStore | None = None) -> None:
@@ -166,19 +150,22 @@ class EncodedScenes:
 
     def __call__(self, views: Views, keys: Sequence[int]) -> Scene:
         """The scenes of a batch of views, one key a row."""
-        return stack_scenes([self._one(views, row, key) for row, key in enumerate(keys)])
-
-    def _one(self, views: Views, row: int, key: int) -> Scene:
-        # A pool's views are the same each time, and yet of another size where sizes change from step to step.
-        name = f"{key}_{views.size[0]}x{views.size[1]}"
-        return self._scenes.get(name, lambda: self._encoded(name, views.row(row)))
+        # The views of a key are the same each time, but their size may change from step to step.
+        names = [f"{key}_{views.size[0]}x{views.size[1]}" for key in keys]
+        return stack_scenes(
+            [
+                self._scenes.get(name, lambda name=name, row=row: self._encoded(name, views.row(row)))
+                for row, name in enumerate(names)
+            ]
+        )
 
     def _encoded(self, name: str, views: Views) -> Scene:
-        scene = None if self.store is None else self.store.get(name, views)
+        if self.store is None:
+            return self.encode(views)
+        scene = self.store.get(name, views)
         if scene is None:
             scene = self.encode(views)
-            if self.store is not None:
-                self.store.put(name, scene)
+            self.store.put(name, scene)
         return scene
 
 
@@ -187,14 +174,11 @@ def stack_scenes(scenes: Sequence[Scene]) -> Scene:
     if len(scenes) == 1:
         return scenes[0]
     clusters = [scene.clusters for scene in scenes if scene.clusters is not None]
-    stacked = Scene.cat([replace(scene, clusters=None) for scene in scenes])
-    return replace(stacked, clusters=Clusters.cat(_padded(clusters)) if clusters else None)
-
-
-def _padded(clusters: Sequence[Clusters]) -> list[Clusters]:
-    most = max(one.means.shape[1] for one in clusters)
-    missing = [most - one.means.shape[1] for one in clusters]
-    return [
-        replace(one, means=F.pad(one.means, (0, 0, 0, count)), valid=F.pad(one.valid, (0, count)))
-        for one, count in zip(clusters, missing, strict=True)
+    count = max((each.means.shape[1] for each in clusters), default=0)
+    padded = [
+        replace(each, means=F.pad(each.means, (0, 0, 0, pad)), valid=F.pad(each.valid, (0, pad)))
+        for each in clusters
+        for pad in [count - each.means.shape[1]]
     ]
+    stacked = Scene.cat([replace(scene, clusters=None) for scene in scenes])
+    return replace(stacked, clusters=Clusters.cat(padded) if padded else None)

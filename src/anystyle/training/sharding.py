@@ -21,56 +21,52 @@ from torch.optim import Optimizer
 
 
 class Sharded(ModelParallelStrategy):
-    """Lightning's FSDP2 with one checkpoint file, the same as that of every other strategy.
+    """Lightning's FSDP2 with the checkpoint file of every other strategy: a run may change its number of processes.
 
-    A checkpoint of one process continues on several and the other way round, for the file holds full tensors, and the
-    optimiser's state in the optimiser's own order: Lightning's single file counts frozen parameters too, and does not
-    load without them. The data are divided among all processes of all nodes.
+    The file holds full tensors, and the optimiser's state in the optimiser's own order. (Lightning's single file counts
+    frozen parameters too, and does not load without them.)
     """
 
     def setup_environment(self) -> None:
-        """Only here the number of processes is known, however ``trainer.devices`` says it."""
+        # Only here the number of processes is known, however ``trainer.devices`` says it.
         self._data_parallel_size, self._tensor_parallel_size = self.num_processes * self.num_nodes, 1
         super().setup_environment()
 
     def optimizer_state(self, optimizer: Optimizer) -> dict[str, Any]:
-        """The full state, with parameters by index as in ``Optimizer.state_dict``; empty but in the first process."""
         module = self.lightning_module
         assert module is not None
         raw = optimizer._optimizer if isinstance(optimizer, LightningOptimizer) else optimizer
-        full_state = StateDictOptions(full_state_dict=True, cpu_offload=True)
-        state: Any = get_optimizer_state_dict(module, raw, options=full_state)
+        state: Any = get_optimizer_state_dict(
+            module, raw, options=StateDictOptions(full_state_dict=True, cpu_offload=True)
+        )
         if not state:
             return {}
-        indices = {name: index for index, name in enumerate(_order(module, raw))}
-        groups = [{**group, "params": [indices[name] for name in group["params"]]} for group in state["param_groups"]]
-        return {"state": {indices[name]: value for name, value in state["state"].items()}, "param_groups": groups}
+        return _rekeyed(state, {name: index for index, name in enumerate(_names(module, raw))})
 
     def load_checkpoint(self, checkpoint_path: Any, weights_only: bool | None = None) -> dict[str, Any]:
-        """Read the file in each process, and keep the shard of this process."""
         checkpoint = torch.load(Path(str(checkpoint_path)), map_location="cpu", weights_only=True, mmap=True)
         module = self.lightning_module
         assert module is not None
-        # What is frozen is not in the file, and comes from the module itself.
+        # Frozen weights are not in the file, and come from the module itself.
         frozen = {key: value for key, value in module.state_dict().items() if not isinstance(value, DTensor)}
         full_state = StateDictOptions(full_state_dict=True)
         set_model_state_dict(module, frozen | checkpoint["state_dict"], options=full_state)
         for optimizer, state in zip(self.optimizers, checkpoint["optimizer_states"], strict=True):
-            set_optimizer_state_dict(module, optimizer, _named(module, optimizer, state), options=full_state)
+            named = _rekeyed(state, dict(enumerate(_names(module, optimizer))))
+            set_optimizer_state_dict(module, optimizer, named, options=full_state)
         return checkpoint
 
 
-def _order(module: nn.Module, optimizer: Optimizer) -> list[str]:
+def _names(module: nn.Module, optimizer: Optimizer) -> list[str]:
     """The names of an optimiser's parameters, in its order."""
     names = {id(parameter): name for name, parameter in module.named_parameters()}
     return [names[id(parameter)] for group in optimizer.param_groups for parameter in group["params"]]
 
 
-def _named(module: nn.Module, optimizer: Optimizer, state: dict[str, Any]) -> dict[str, Any]:
-    """An optimiser's state with parameters by name, from the file's state by index."""
-    order = _order(module, optimizer)
-    groups = [{**group, "params": [order[index] for index in group["params"]]} for group in state["param_groups"]]
-    return {"state": {order[index]: value for index, value in state["state"].items()}, "param_groups": groups}
+def _rekeyed(state: dict[str, Any], new: dict[Any, Any]) -> dict[str, Any]:
+    """An optimiser's state with other keys for its parameters: indices for names, or names for indices."""
+    groups = [{**group, "params": [new[key] for key in group["params"]]} for group in state["param_groups"]]
+    return {"state": {new[key]: value for key, value in state["state"].items()}, "param_groups": groups}
 
 
 def shard(roots: Sequence[nn.Module], units: Sequence[nn.Module], mesh: DeviceMesh) -> None:

@@ -2,37 +2,39 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from PIL import Image
 from torch import Tensor, nn
 
 from anystyle.contracts import Loss, SceneSource, StyleSource, neutral_embedding
+from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
+from anystyle.io.sheet import to_pil
 from anystyle.stylizer import Stylizer
-from anystyle.training.contract import Training, required
+from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
-from anystyle.training.optim import check_rates, check_steps, scheduled, trainable
+from anystyle.training.optim import check_rates, scheduled, trainable
 from anystyle.training.sampling import check_counts, generator
-from anystyle.training.scene_cache import EncodedScenes, FeatureFolder, without_stem
-from anystyle.training.trainer import Picture, log_picture
-from anystyle.types import Renders, Scene, Style, StyleEmbedding, Stylization, Views
+from anystyle.training.scene_cache import EncodedScenes, FeatureStore
+from anystyle.training.trainer import log_picture
+from anystyle.types import Gaussians, Renders, Scene, Style, StyleEmbedding, Stylization, Views
 
 
 class StylizationTraining(Training):
     """Train a style branch by the objective of the paper's equation 11; defaults as published.
 
     The backbone and the style encoder are frozen. The scene is rendered at its own cameras, and every loss sees the
-    result. Whether a step's styles come as texts or as images is a function of the step.
+    result. Whether a step's styles are given as texts or as images is a function of the step.
 
     Args:
-        stylizer: Its branch learns.
+        stylizer: Its branch is trained.
         losses: The terms of the objective by name, each with its weight.
-        features: Folder in which encoded scenes are stored; ``None`` stores none.
+        features: Where encoded scenes are stored on disk; ``None`` stores none.
         images: Images a step over all processes; with n views a scene that is ``images // n`` scenes, and the same
             number for each process (published: 36 a process).
         batch_size: Scenes a step, instead of ``images``.
@@ -40,8 +42,8 @@ class StylizationTraining(Training):
         view_power: Numbers of views are drawn in proportion to this power of themselves.
         spread: ``any`` views of a scene, or the published ``bounded`` window of a video.
         heights: Least and greatest image height; ``None`` leaves images as they are.
-        width: Of the images; ``None`` keeps their shape.
-        flip: Chance of mirroring a scene.
+        width: Of the images; ``None`` keeps their aspect ratio.
+        flip: Probability of mirroring a scene.
         min_scale: Below 1, images are shrunk to a random scale of at least so much and enlarged again, which blurs
             them (published: 0.77).
         pool: Number of fixed selections of scenes and views; ``None`` draws new ones each step.
@@ -56,7 +58,7 @@ class StylizationTraining(Training):
         aggregator_rate: Times ``learning_rate``, for the aggregator's copy.
         injector_rate: Times ``learning_rate``, for the aggregator's injectors; ``None`` takes ``aggregator_rate``, as
             published (the paper: 1).
-        learn_copies: Whether the copied parts learn beside the injectors; without, ``injector=lora`` is LoRA proper.
+        learn_copies: Whether the copied parts are trained beside the injectors; without, ``injector=lora`` is LoRA.
         betas: Of AdamW.
         warmup: Steps of the warm-up.
         weight_decay: Of all parameters.
@@ -71,7 +73,7 @@ class StylizationTraining(Training):
         *,
         stylizer: Stylizer,
         losses: Mapping[str, Loss],
-        features: FeatureFolder | None = None,
+        features: FeatureStore | None = None,
         images: int = 36,
         batch_size: int | None = None,
         context_views: Sequence[int] = (2, 18),
@@ -101,43 +103,41 @@ class StylizationTraining(Training):
         preview_texts: Sequence[str] = ("blue and yellow swirling brush strokes", "orange and navy stripes"),
     ) -> None:
         super().__init__()
-        shares = {"text_ratio": text_ratio, "mix_ratio": mix_ratio, "flip": flip, "min_scale": min_scale}
-        for name, fraction in shares.items():
+        fractions = {"text_ratio": text_ratio, "mix_ratio": mix_ratio, "flip": flip, "min_scale": min_scale}
+        for name, fraction in fractions.items():
             if not 0 <= fraction <= 1:
-                raise ValueError(f"training.{name} is {fraction}; give a share between 0 and 1")
+                raise UserError(f"training.{name} is {fraction}; give a fraction between 0 and 1")
+        injector_rate = aggregator_rate if injector_rate is None else injector_rate
+        self.rates = {"head_rate": head_rate, "aggregator_rate": aggregator_rate, "injector_rate": injector_rate}
+        check_rates(learning_rate=learning_rate, **self.rates)
         check_counts(decay_steps=decay_steps)
-        slow = aggregator_rate if injector_rate is None else injector_rate
-        check_rates(
-            learning_rate=learning_rate, head_rate=head_rate, aggregator_rate=aggregator_rate, injector_rate=slow
-        )
-        check_steps(warmup=warmup, preview_every=preview_every, cache_scenes=cache_scenes)
+        check_counts(0, warmup=warmup, preview_every=preview_every, cache_scenes=cache_scenes)
         if len(betas) != 2 or not all(0 <= beta < 1 for beta in betas):
-            raise ValueError(f"training.betas={list(betas)}: give two numbers of at least 0 and below 1")
+            raise UserError(f"training.betas={list(betas)}: give two numbers of at least 0 and below 1")
         if not losses:
-            raise ValueError("there is nothing to learn from; add loss=[content,style,clip_directional]")
+            raise UserError("there is nothing to learn from; add loss=[content,style,clip_directional]")
         if features is not None and pool is None:
-            raise ValueError(
-                "cache=features keeps what is seen again, and training.pool=null shows no views twice; set "
+            raise UserError(
+                "cache=features stores scenes that are seen again, and with training.pool=null none is; set "
                 "training.pool to a number of selections of views"
             )
         self.stylizer = stylizer
-        if not learn_copies:
-            for copied in (stylizer.branch.aggregator, stylizer.branch.gaussian_head):
-                if copied is not None:
-                    copied.requires_grad_(False)
+        for copied in (stylizer.branch.aggregator, stylizer.branch.gaussian_head):
+            if copied is not None and not learn_copies:
+                copied.requires_grad_(False)
         self.terms = nn.ModuleDict(losses)
-        self.images, self.batch_size = images, batch_size
-        self.context_views, self.view_power = context_views, view_power
-        self.spread: Literal["any", "bounded"] = spread
-        self.heights, self.width, self.flip, self.pool = heights, width, flip, pool
-        self.features = features
+        self.make_batches = partial(
+            SceneBatches, images=images, batch_size=batch_size, context_views=context_views, view_power=view_power,
+            spread=spread, heights=heights, width=width, multiple=stylizer.backbone.patch_size, flip=flip,
+            min_scale=min_scale, pool=pool, needs_style_image=text_ratio == 0,
+        )  # fmt: skip
+        views = {"spread": spread, "flip": flip, "context_views": list(context_views)}
+        self.features = None if features is None else features.described(**views)
         self.encoded = EncodedScenes(self._encode, cache_scenes)
-        self.text_step_images, self.min_scale = text_step_images, min_scale
         self.text_ratio, self.alternation, self.mix_ratio = text_ratio, alternation, mix_ratio
-        self.learning_rate, self.betas = learning_rate, betas
-        self.head_rate, self.aggregator_rate, self.injector_rate = head_rate, aggregator_rate, slow
-        self.warmup, self.weight_decay = warmup, weight_decay
-        self.floor, self.decay_steps = floor, decay_steps
+        self.text_step_images = text_step_images
+        self.learning_rate, self.betas, self.weight_decay = learning_rate, (betas[0], betas[1]), weight_decay
+        self.warmup, self.floor, self.decay_steps = warmup, floor, decay_steps
         self.preview_every, self.preview_texts = preview_every, preview_texts
         self.seed = 0
         self._source: SceneBatches | None = None
@@ -147,36 +147,17 @@ class StylizationTraining(Training):
         return {"batch_size": 1, "context_views": (2, 2), "spread": "any", "heights": None, "width": None, "warmup": 1}
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
-        """Scenes with one style each."""
         self.seed = seed
         if self.features is not None:
-            self.encoded.store = self.features.store(
-                seed=seed, spread=self.spread, flip=self.flip, context_views=list(self.context_views)
-            )
-        self._source = SceneBatches(
-            required(scenes, "scenes"),
-            required(styles, "styles"),
-            seed=seed,
-            images=self.images,
-            batch_size=self.batch_size,
-            context_views=self.context_views,
-            view_power=self.view_power,
-            spread=self.spread,
-            heights=self.heights,
-            width=self.width,
-            multiple=self.stylizer.backbone.patch_size,
-            flip=self.flip,
-            min_scale=self.min_scale,
-            pool=self.pool,
-            style_images=self.text_ratio == 0,
-        )
+            self.encoded.store = self.features.described(seed=seed)
+        self._source = self.make_batches(required(scenes, "scenes"), required(styles, "styles"), seed=seed)
         return self._source
 
     def exports(self) -> Mapping[str, nn.Module]:
         return {"branch": self.stylizer.branch}
 
     def units(self) -> Sequence[nn.Module]:
-        """The blocks of the aggregator's copy, which hold nine tenths of what learns."""
+        """The blocks of the aggregator's copy, which hold nine tenths of the trainable weights."""
         copied = self.stylizer.branch.aggregator
         lists = [] if copied is None else [part for part in copied.modules() if isinstance(part, nn.ModuleList)]
         return [block for blocks in lists for block in blocks]
@@ -199,32 +180,33 @@ class StylizationTraining(Training):
 
     def stylize(self, batch: Batch, embedding: StyleEmbedding) -> Stylization:
         """Encode the scenes or take them from the cache, style them, and render them at their own cameras."""
-        assert batch.style is not None
+        style = batch.style
+        assert style is not None
         views = batch.inputs
         scene = self.encoded(Views(images=views.images), batch.keys)
-        gaussians = self.stylizer.restyle(scene, embedding)
+        gaussians, unstyled = self.stylizer.restyle(scene, embedding), None
         with torch.autocast(views.images.device.type, enabled=False):
-            renders = self.stylizer.render(gaussians.to(torch.float32), scene.cameras.to(torch.float32))
-            unstyled = self._unstyled(scene) if any(term.needs_unstyled for term in self.terms.values()) else None
-        style = batch.style
+            renders = self._render(gaussians, scene)
+            if any(term.needs_unstyled for term in self.terms.values()):
+                with torch.no_grad():
+                    unstyled = self._render(self.stylizer.unstyled(scene), scene)
         if not self.text_step_images and self.is_text_step(self.global_step):
             style = replace(style, image=None, has_image=None)
         return Stylization(views, style, embedding, scene, gaussians, renders, unstyled)
 
-    @torch.no_grad()
-    def _unstyled(self, scene: Scene) -> Renders:
-        gaussians = self.stylizer.unstyled(scene)
+    def _render(self, gaussians: Gaussians, scene: Scene) -> Renders:
         return self.stylizer.render(gaussians.to(torch.float32), scene.cameras.to(torch.float32))
 
     def _encode(self, views: Views) -> Scene:
         scene = self.stylizer.encode(views)
-        copied = self.stylizer.branch.aggregator is not None
-        return scene if self.encoded.store is None or copied else without_stem(scene)
+        if self.encoded.store is None or self.stylizer.branch.aggregator is not None:
+            return scene
+        # A branch that begins at the features does not read the stem, which need not be stored.
+        return replace(scene, stem=scene.stem.with_data(torch.empty_like(scene.stem.data[:, :, :0])))
 
     def embed(self, style: Style, step: int) -> StyleEmbedding:
-        """The styles of a step: as texts or as images; a row that lacks the one comes as the other."""
-        as_text = self.is_text_step(step)
-        vector = style_vectors(self.stylizer, style, as_text=as_text)
+        """The styles of a step, as texts or as images; a row that lacks the one is embedded as the other."""
+        vector = style_vectors(self.stylizer, style, as_text=self.is_text_step(step))
         mixing = generator(self.seed, 6, step)
         if mixing.random() < self.mix_ratio:
             amount = vector.new_tensor(mixing.random(vector.shape[0]))[:, None]
@@ -233,7 +215,7 @@ class StylizationTraining(Training):
         return StyleEmbedding(vector, nn.functional.normalize(vector - neutral, dim=-1))
 
     def is_text_step(self, step: int) -> bool:
-        """Whether the styles of a step come as texts; the same in every process and after a restart."""
+        """Whether the styles of a step are texts; the same in every process and after a restart."""
         if self.alternation == "strict":
             return int((step + 1) * self.text_ratio) > int(step * self.text_ratio)
         return bool(generator(self.seed, 5, step).random() < self.text_ratio)
@@ -244,52 +226,37 @@ class StylizationTraining(Training):
         if not (self.preview_every and step % self.preview_every == 0 and self.trainer.is_global_zero):
             return
         assert self._source is not None
-        picture = grid(self.preview(self._source.batch(0, 0, self.trainer.world_size).to(self.device)))
+        rows = self.preview(self._source.batch(0, 0, self.trainer.world_size).to(self.device))
+        picture = to_pil(torch.cat([torch.cat(row, dim=-1) for row in rows], dim=-2).float())
         with atomic_path(Path(self.trainer.default_root_dir) / "previews" / f"step_{step:07d}.png") as temporary:
-            Image.fromarray(picture).save(temporary)
+            picture.save(temporary)
         for logger in self.trainer.loggers:
-            log_picture(logger, "previews", picture, step)
+            log_picture(logger, "previews", np.asarray(picture), step)
 
     @torch.no_grad()
     def preview(self, batch: Batch) -> list[list[Float[Tensor, "3 H W"]]]:
         """Rows of images: the photographs of the first scene, unstyled renders, and renders in each style."""
-        views = Views(images=batch.inputs.images[:1])
-        scene = self.stylizer.encode(views)
-        rows = [list(views.images[0]), self._render(scene, None)]
-        rows += [self._render(scene, self.stylizer.embed(text=text)) for text in self.preview_texts]
+        views, stylizer = Views(images=batch.inputs.images[:1]), self.stylizer
+        scene = stylizer.encode(views)
+        embeddings = [stylizer.embed(text=text) for text in self.preview_texts]
         if batch.style is not None and batch.style.image is not None:
-            rows.append(self._render(scene, self.stylizer.embed(image=batch.style.image[:1])))
-        return rows
-
-    def _render(self, scene: Scene, embedding: StyleEmbedding | None) -> list[Tensor]:
-        stylizer = self.stylizer
-        gaussians = stylizer.unstyled(scene) if embedding is None else stylizer.restyle(scene, embedding)
-        return list(stylizer.render(gaussians, scene.cameras).color[0])
+            embeddings.append(stylizer.embed(image=batch.style.image[:1]))
+        rows = [stylizer.unstyled(scene), *(stylizer.restyle(scene, embedding) for embedding in embeddings)]
+        return [list(views.images[0]), *(list(self._render(gaussians, scene).color[0]) for gaussians in rows)]
 
     def configure_optimizers(self) -> Any:
-        """AdamW with the published groups, warm-up and cosine."""
-        optimizer = torch.optim.AdamW(
-            branch_groups(
-                self.stylizer,
-                lr=self.learning_rate,
-                head_rate=self.head_rate,
-                aggregator_rate=self.aggregator_rate,
-                injector_rate=self.injector_rate,
-            ),
-            betas=(self.betas[0], self.betas[1]),
-            weight_decay=self.weight_decay,
-        )
+        groups = branch_groups(self.stylizer, lr=self.learning_rate, **self.rates)
+        optimizer = torch.optim.AdamW(groups, betas=self.betas, weight_decay=self.weight_decay)
         total = self.trainer.max_steps if self.decay_steps is None else self.decay_steps
         return scheduled(optimizer, total=total, warmup=self.warmup, floor=self.floor)
 
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Keep the branch; what is frozen comes from its own files."""
-        checkpoint["state_dict"] = {
-            key: value for key, value in checkpoint["state_dict"].items() if key.startswith("stylizer.branch.")
-        }
+        # Frozen weights come from their own files.
+        state = checkpoint["state_dict"]
+        checkpoint["state_dict"] = {key: state[key] for key in state if key.startswith("stylizer.branch.")}
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
-        """Add what is frozen, so that loading stays strict."""
+        # With the frozen weights, so that loading stays strict.
         frozen = {key: value for key, value in self.state_dict().items() if not key.startswith("stylizer.branch.")}
         checkpoint["state_dict"] = frozen | checkpoint["state_dict"]
 
@@ -300,56 +267,39 @@ def branch_groups(
     lr: float,
     head_rate: float = 1.0,
     aggregator_rate: float = 0.3,
-    injector_rate: float | None = None,
+    injector_rate: float = 0.3,
 ) -> list[dict[str, Any]]:
-    """The published parameter groups: head and its injectors; aggregator and its injectors at a share of the rate."""
+    """Parameter groups: the head's copy and its injectors, the aggregator's copy and its injectors; rates times lr."""
     branch = stylizer.branch
     inside = {site.name for site in stylizer.backbone.aggregator.sites}
-    slow = [branch.injectors[name] for name in branch.injectors if name in inside]
-    apart = injector_rate is not None and injector_rate != aggregator_rate
-    copied = [] if branch.aggregator is None else [branch.aggregator]
-    fast = [branch.injectors[name] for name in branch.injectors if name not in inside]
-    head = [] if branch.gaussian_head is None else [branch.gaussian_head]
+    parts: dict[str, tuple[list[nn.Module | None], float]] = {
+        "head": ([branch.gaussian_head], head_rate),
+        "head injectors": ([branch.injectors[name] for name in branch.injectors if name not in inside], 1.0),
+        "aggregator": ([branch.aggregator], aggregator_rate),
+        "aggregator injectors": (
+            [branch.injectors[name] for name in branch.injectors if name in inside],
+            injector_rate,
+        ),
+    }
     groups = [
-        {"params": trainable(head), "lr": lr * head_rate, "name": "head"},
-        {"params": trainable(fast), "lr": lr, "name": "head injectors"},
-        {"params": trainable(copied if apart else slow + copied), "lr": lr * aggregator_rate, "name": "aggregator"},
-        {
-            "params": trainable(slow) if apart else [],
-            "lr": lr * (injector_rate if injector_rate is not None else aggregator_rate),
-            "name": "aggregator injectors",
-        },
+        {"params": trainable(module for module in modules if module is not None), "lr": lr * rate, "name": name}
+        for name, (modules, rate) in parts.items()
     ]
     return [group for group in groups if group["params"]]
 
 
 @torch.no_grad()
 def style_vectors(stylizer: Stylizer, style: Style, *, as_text: bool) -> Float[Tensor, "B D"]:
-    """Embeddings of styles as texts or as images, row by row as the other where one is missing.
-
-    Raises:
-        ValueError: A style has neither.
-    """
-    encoder = stylizer.style_encoder
-    count = len(style.text) if style.text is not None else 0 if style.image is None else style.image.shape[0]
-    texts = style.text or ("",) * count
-    if style.image is None:
-        has_image = [False] * count
-    else:
-        has_image = [True] * count if style.has_image is None else style.has_image.tolist()
+    """Embeddings of styles as texts or as images; a row that lacks the one is embedded as the other."""
+    encoder, image = stylizer.style_encoder, style.image
+    count = len(style.text) if style.text is not None else 0 if image is None else len(image)
+    has_image = [image is not None] * count if style.has_image is None else style.has_image.tolist()
     rows: list[Tensor] = []
-    for row, text in enumerate(texts):
+    for row, text in enumerate(style.text or ("",) * count):
         if text and (as_text or not has_image[row]):
             rows.append(encoder.embed_texts([text])[0])
-        elif has_image[row]:
-            assert style.image is not None
-            rows.append(encoder.embed_images(style.image[row : row + 1])[0])
+        elif image is not None and has_image[row]:
+            rows.append(encoder.embed_images(image[row : row + 1])[0])
         else:
-            raise ValueError("a style has neither an image nor a text; look at the style source")
+            raise UserError("a style has neither an image nor a text; look at the style source")
     return torch.stack(rows)
-
-
-def grid(rows: Sequence[Sequence[Float[Tensor, "3 H W"]]]) -> Picture:
-    """Rows of images as one picture."""
-    joined = torch.cat([torch.cat(list(row), dim=-1) for row in rows], dim=-2).clamp(0, 1)
-    return (joined.permute(1, 2, 0).cpu().float().numpy() * 255 + 0.5).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""Losses that teach geometry: depth, cameras, and both at once through points."""
+"""Losses of geometry: of depth, of cameras, and of both through the world points of pixels."""
 
 from dataclasses import replace
 
@@ -7,22 +7,14 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from anystyle.errors import UserError
 from anystyle.types import Cameras, Geometry, Views
 
 
 def canonical(views: Views, context: int) -> Views:
-    """Views in the canonical frame: the first camera at the origin, the mean distance of the visible points 1.
-
-    Args:
-        views: With cameras and depth.
-        context: Number of leading context views; the scale is the mean distance of their points from the first
-            camera.
-
-    Raises:
-        ValueError: Cameras or depth are missing.
-    """
+    """Views with the first camera at the origin, and the points of the ``context`` first views at mean distance 1."""
     if views.cameras is None or views.depth is None:
-        raise ValueError("reconstruction learns from scenes with cameras and depth; choose another scenes=")
+        raise UserError("reconstruction learns from scenes with cameras and depth; choose another scenes=")
     first = views.cameras.camera_from_world[:, :1]
     cameras = replace(views.cameras, world_from_camera=first @ views.cameras.world_from_camera)
     points = Geometry(cameras, views.depth, torch.ones_like(views.depth)).points()[:, :context]
@@ -42,14 +34,9 @@ def depth_loss(
     alpha: float = 0.2,
     gradient: float = 1.0,
 ) -> Float[Tensor, ""]:
-    """Confidence-weighted error of log depth and of its differences (after VGGT Eq. 3).
+    """Confidence-weighted error of log depth and of its differences 1, 2 and 4 pixels apart (after VGGT Eq. 3).
 
-    Args:
-        predicted: Depth, above 0.
-        confidence: Of each pixel, above 0.
-        true: Depth; 0 where it is missing.
-        alpha: Reward of ``log confidence``.
-        gradient: Weight of the differences at spacings of 1, 2 and 4 pixels.
+    True depth is 0 where it is missing; ``alpha`` rewards ``log confidence``; ``gradient`` weighs the differences.
     """
     valid = true > 0
     error = predicted.clamp_min(1e-4).log() - true.clamp_min(1e-4).log()
@@ -88,7 +75,7 @@ def transfer_loss(
     cameras, depth = _subsample(true, depth, stride)
     world = Geometry(cameras, depth, depth).points()
     local = _into(predicted.camera_from_world, world) - _into(true.camera_from_world, world)
-    return _mean(_smooth(local.norm(dim=-1) / depth.clamp_min(0.05)), depth > 0)
+    return _mean(_smooth_l1(local.norm(dim=-1) / depth.clamp_min(0.05)), depth > 0)
 
 
 def point_loss(geometry: Geometry, true: Cameras, depth: Float[Tensor, "B V H W"], *, stride: int = 2) -> Tensor:
@@ -98,7 +85,7 @@ def point_loss(geometry: Geometry, true: Cameras, depth: Float[Tensor, "B V H W"
     world = Geometry(cameras, depth, depth).points()
     predicted = Geometry(predicted_cameras, predicted_depth, predicted_depth).points()
     error = (predicted - world).norm(dim=-1) / world.norm(dim=-1).clamp_min(0.1)
-    return _mean(_smooth(error), depth > 0)
+    return _mean(_smooth_l1(error), depth > 0)
 
 
 def project(cameras: Cameras, world: Float[Tensor, "B M 3"]) -> tuple[Float[Tensor, "B V M 2"], Float[Tensor, "B V M"]]:
@@ -110,11 +97,11 @@ def project(cameras: Cameras, world: Float[Tensor, "B M 3"]) -> tuple[Float[Tens
 
 
 def huber(error: Float[Tensor, "..."], *, width: float = 0.1) -> Float[Tensor, ""]:
-    """The mean of ``|error|``, rounded off below ``width``."""
-    return F.smooth_l1_loss(error, torch.zeros_like(error), beta=width)
+    """The mean of ``|error|``, quadratic below ``width``."""
+    return _smooth_l1(error, width).mean()
 
 
-def _smooth(error: Tensor, width: float = 0.05) -> Tensor:
+def _smooth_l1(error: Tensor, width: float = 0.05) -> Tensor:
     return F.smooth_l1_loss(error, torch.zeros_like(error), beta=width, reduction="none")
 
 

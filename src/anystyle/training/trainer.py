@@ -1,8 +1,7 @@
-"""The trainer of a configuration: what its options may be, and its loggers."""
+"""The Lightning trainer of a configuration: the ranges of its options, its callbacks and its loggers."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from functools import singledispatch
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,8 @@ from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoa
 from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.errors import did_you_mean, one_line
-from anystyle.training.callbacks import ProgressLines, SkippedData, StepSeed, num_images
-from anystyle.training.optim import check_rates
+from anystyle.errors import UserError, one_line, unknown
+from anystyle.training.callbacks import ProgressLines, SkippedData, StepSeed
 from anystyle.training.safeguards import FiniteLoss, SkipOutliers
 from anystyle.training.sharding import Sharded
 
@@ -30,117 +28,89 @@ SHARDED = "fsdp2"
 """The strategy that shards trainable weights over the processes."""
 
 
-def check_options(config: DictConfig) -> None:
-    """Check the options of the run and those of the trainer, as ``conf/train.yaml`` composes them.
-
-    Raises:
-        ValueError: One is out of its range, or some contradict each other.
-    """
-    for key, (holds, expected) in RANGES.items():
-        value = OmegaConf.select(config, key)
-        if not _holds(holds, value):
-            raise ValueError(f"{key}={value}: {expected}")
-    rates = {str(name): value for name, value in config.training.items() if str(name).endswith("rate")}
-    check_rates(**{name: rate for name, rate in rates.items() if isinstance(rate, (int, float))})
-    plain = OmegaConf.to_container(config.trainer, resolve=True)
-    assert isinstance(plain, dict)
-    check_trainer({str(name): value for name, value in plain.items()}, average=config.average is not None)
+def _at_least(least: int, expected: str = "") -> tuple[Callable[[Any], bool], str]:
+    return lambda value: type(value) is int and value >= least, expected or f"give a whole number, at least {least}"
 
 
-def _at_least(least: int) -> Callable[[Any], bool]:
-    return lambda value: isinstance(value, int) and not isinstance(value, bool) and value >= least
+def _between(low: float, high: float, expected: str) -> tuple[Callable[[Any], bool], str]:
+    return lambda value: value is None or low < float(value) < high, expected
 
 
-def _between(low: float, high: float) -> Callable[[Any], bool]:
-    return lambda value: value is None or low < float(value) < high
+def _one_of(*values: object) -> tuple[Callable[[Any], bool], str]:
+    return lambda value: value in values, f"choose from {', '.join(str(value).lower() for value in values)}"
 
 
 RANGES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
-    "seed": (lambda value: isinstance(value, int) and 0 <= value < 1 << 63, "give a whole number, at least 0"),
-    "workers": (_at_least(0), "give a number of processes, 0 to read in the training's own"),
-    "validation_steps": (_at_least(0), "give a number of steps, 0 for no validation"),
-    "checkpoint.every_steps": (_at_least(1), "give a number of steps, at least 1"),
-    "checkpoint.every_minutes": (_between(0.0, float("inf")), "give minutes above 0"),
-    "average": (_between(0.0, 1.0), "the average's decay is between 0 and 1, such as 0.999; null keeps none"),
-    "explosion": (
-        _between(1.0, float("inf")), "a loss may vary; give a factor above 1, such as 1000, or null to let it grow"
-    ),
-    "resume": (lambda value: value in ("auto", "never", "changed"), "choose from auto, never, changed"),
-    "loggers": (lambda value: OmegaConf.is_list(value), "give a list, such as loggers=[tensorboard]"),
-    "fast_dev_run": (lambda value: isinstance(value, bool), "choose from true, false"),
-    "skip_outliers": (lambda value: isinstance(value, bool), "choose from true, false"),
-    "export.half": (lambda value: isinstance(value, bool), "choose from true, false"),
-}  # fmt: skip
-"""For each option of a run the test of a value, and what is expected."""
+    "seed": (lambda value: type(value) is int and 0 <= value < 1 << 63, "give a whole number, at least 0"),
+    "workers": _at_least(0, "give a number of processes, 0 to read in the training's own"),
+    "validation_steps": _at_least(0, "give a number of steps, 0 for no validation"),
+    "checkpoint.every_steps": _at_least(1),
+    "checkpoint.every_minutes": _between(0.0, np.inf, "give minutes above 0"),
+    "average": _between(0.0, 1.0, "the average's decay is between 0 and 1, such as 0.999; null keeps none"),
+    "explosion": _between(1.0, np.inf, "a loss may vary; give a factor above 1, such as 1000, or null to let it grow"),
+    "resume": _one_of("auto", "never", "changed"),
+    "loggers": (OmegaConf.is_list, "give a list, such as loggers=[tensorboard]"),
+    **{name: _one_of(True, False) for name in ("fast_dev_run", "skip_outliers", "export.half")},
+    "trainer.max_steps": _at_least(1, "the schedule needs an end; give at least 1"),
+    **{
+        f"trainer.{name}": _at_least(1)
+        for name in ("log_every_n_steps", "val_check_interval", "accumulate_grad_batches", "num_nodes")
+    },
+    "trainer.gradient_clip_val": (lambda value: value is None or float(value) >= 0, "give a norm, or null"),
+}
+"""For each option the test of a value, and what is expected."""
 
 
-def _holds(holds: Callable[[Any], bool], value: Any) -> bool:
-    try:
-        return holds(value)
-    except (TypeError, ValueError):  # no number at all
-        return False
-
-
-def check_trainer(options: Mapping[str, Any], *, average: bool) -> None:
-    """Refuse options of Lightning's trainer that it accepts and that break a run.
-
-    Raises:
-        ValueError: Some are out of range or contradict each other.
-    """
+def check_options(config: DictConfig) -> None:
+    """Check the options of the run and those of the trainer, as ``conf/train.yaml`` composes them."""
+    for key, (is_valid, expected) in RANGES.items():
+        value = OmegaConf.select(config, key, default=None)
+        if value is None and key == "trainer.accumulate_grad_batches":
+            continue
+        try:
+            valid = is_valid(value)
+        except (TypeError, ValueError):  # not a number at all
+            valid = False
+        if not valid:
+            raise UserError(f"{key}={value}: {expected}")
+    trainer, precision = config.trainer, str(config.trainer.precision)
     for name in RESERVED:
-        if name in options:
-            raise ValueError(f"trainer.{name}={options[name]}: a run sets that itself; leave it out")
-    steps, precision = options.get("max_steps"), str(options.get("precision"))
-    if not _at_least(1)(steps):
-        raise ValueError(f"trainer.max_steps={steps}: the schedule needs an end; give at least 1")
-    for name in ("log_every_n_steps", "val_check_interval", "accumulate_grad_batches", "num_nodes"):
-        if name in options and not _at_least(1)(options[name]):
-            raise ValueError(f"trainer.{name}={options[name]}: give a whole number, at least 1")
-    clip = options.get("gradient_clip_val")
-    if clip is not None and not _holds(lambda value: float(value) >= 0, clip):
-        raise ValueError(f"trainer.gradient_clip_val={clip}: give a norm, or null to clip nothing")
-    if options.get("deterministic") is True and options.get("benchmark"):
-        raise ValueError(
+        if name in trainer:
+            raise UserError(f"trainer.{name}={trainer[name]}: a run sets that itself; leave it out")
+    if trainer.get("deterministic") is True and trainer.get("benchmark"):
+        raise UserError(
             "trainer.deterministic=true and trainer.benchmark=true: benchmarking picks kernels by their speed, "
             "which is not the same twice; leave one of them out"
         )
-    if options.get("accelerator") == "cpu" and precision.startswith("16"):
-        raise ValueError(
+    if trainer.accelerator == "cpu" and precision.startswith("16"):
+        raise UserError(
             f"trainer.precision={precision} on trainer.accelerator=cpu: half precision needs a graphics card; use "
             f"bf16-mixed or 32-true"
         )
-    if options.get("strategy") == SHARDED and average:
-        raise ValueError(
+    if trainer.strategy == SHARDED and config.average is not None:
+        raise UserError(
             "trainer.strategy=fsdp2 with average=...: an average needs all weights in each process; use trainer=ddp or "
             "average=null"
         )
-    if options.get("strategy") == SHARDED and precision.startswith("16"):
-        raise ValueError(f"trainer.strategy=fsdp2 with trainer.precision={precision}: use bf16-mixed or 32-true")
+    if trainer.strategy == SHARDED and precision.startswith("16"):
+        raise UserError(f"trainer.strategy=fsdp2 with trainer.precision={precision}: use bf16-mixed or 32-true")
 
 
 def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) -> pl.Trainer:
-    """Build the trainer of a run; ``config.trainer`` holds options of Lightning's.
-
-    Raises:
-        ValueError: This machine cannot fulfil an option, or Lightning does not know it.
-    """
-    plain = OmegaConf.to_container(config.trainer, resolve=True)
-    assert isinstance(plain, dict)
-    options: dict[str, Any] = {str(key): value for key, value in plain.items()}
+    """Build the trainer of a run; ``config.trainer`` holds options of Lightning's."""
+    options: Any = OmegaConf.to_container(config.trainer, resolve=True)
     if options.get("strategy") == SHARDED:
         options["strategy"] = Sharded(save_distributed_checkpoint=False)
-    terminal = sys.stderr.isatty()
-    guards: list[pl.Callback] = [
+    is_terminal = sys.stderr.isatty()
+    common: list[pl.Callback] = [
         StepSeed(config.seed),
         FiniteLoss(out / "refused_batch.pt", growth=None if config.explosion is None else float(config.explosion)),
         LearningRateMonitor(),
-        ThroughputMonitor(num_images, window_size=20),
+        ThroughputMonitor(lambda batch: getattr(batch, "num_images", 1), window_size=20),
         SkippedData(out / "skipped.txt"),
+        *([SkipOutliers()] if config.skip_outliers else []),
+        *([] if is_terminal else [ProgressLines()]),
     ]
-    if config.skip_outliers:
-        guards.append(SkipOutliers())
-    if not terminal:
-        guards.append(ProgressLines())
     try:
         return pl.Trainer(
             **options,
@@ -151,15 +121,17 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
             use_distributed_sampler=False,
             enable_checkpointing=False,
             enable_model_summary=False,
-            enable_progress_bar=terminal,
+            enable_progress_bar=is_terminal,
             logger=make_loggers(list(config.loggers), out, str(config.name)),
-            callbacks=[*guards, *callbacks],
+            callbacks=[*common, *callbacks],
         )
+    except UserError:
+        raise
     except TypeError as error:
-        raise ValueError(f"trainer: {error}; the options are those of lightning's Trainer") from None
+        raise UserError(f"trainer: {error}; the options are those of lightning's Trainer") from None
     except (MisconfigurationException, ValueError) as error:
-        way_out = "" if options.get("accelerator") == "cpu" else "; trainer=cpu does without a graphics card"
-        raise ValueError(f"trainer: {one_line(error).rstrip('.!')}{way_out}") from None
+        remedy = "" if options.get("accelerator") == "cpu" else "; trainer=cpu does without a graphics card"
+        raise UserError(f"trainer: {one_line(error).rstrip('.!')}{remedy}") from None
 
 
 Picture = NDArray[np.uint8]
@@ -170,51 +142,29 @@ EXTRAS = {"csv": "", "tensorboard": "tracking", "wandb": "wandb", "mlflow": "mlf
 
 
 def make_loggers(names: Sequence[str], out: Path, name: str = "run") -> list[Logger]:
-    """The loggers of these names, keys of :data:`EXTRAS`; each run of a continued training gets a version of its own.
-
-    ``csv`` is among them always: a table of the run costs nothing and needs nobody's server.
-
-    Raises:
-        ValueError: A name is unknown.
-        ImportError: A logger's package is not installed; the message names the extra.
-    """
-    for unknown in [each for each in names if each not in EXTRAS]:
-        raise ValueError(
-            f"loggers: no logger is named '{unknown}'.{did_you_mean(unknown, EXTRAS)} Choose from {', '.join(EXTRAS)}"
-        )
-    return [_logger(each, out, name) for each in dict.fromkeys(["csv", *names])]
-
-
-def _logger(tracker: str, out: Path, name: str) -> Logger:
-    try:
-        match tracker:
-            case "tensorboard":
-                return TensorBoardLogger(out, name="tensorboard")
-            case "wandb":
-                return WandbLogger(name=name, project="anystyle", save_dir=out)
-            case "mlflow":
-                return MLFlowLogger(experiment_name="anystyle", run_name=name)
-            case _:
-                return CSVLogger(out, name="log", flush_logs_every_n_steps=20)
-    except ModuleNotFoundError as error:
-        raise ImportError(f'loggers: {tracker} is not installed; pip install "anystyle[{EXTRAS[tracker]}]"') from error
+    """The loggers of these names, keys of :data:`EXTRAS`, and always ``csv``; a resumed run adds a version."""
+    makers: Mapping[str, Callable[[], Logger]] = {
+        "csv": lambda: CSVLogger(out, name="log", flush_logs_every_n_steps=20),
+        "tensorboard": lambda: TensorBoardLogger(out, name="tensorboard"),
+        "wandb": lambda: WandbLogger(name=name, project="anystyle", save_dir=out),
+        "mlflow": lambda: MLFlowLogger(experiment_name="anystyle", run_name=name),
+    }
+    loggers = []
+    for each in dict.fromkeys(["csv", *names]):
+        if each not in makers:
+            raise UserError(f"loggers: {unknown('logger', each, EXTRAS)}")
+        try:
+            loggers.append(makers[each]())
+        except ModuleNotFoundError as error:
+            raise ImportError(f'loggers: {each} is not installed; pip install "anystyle[{EXTRAS[each]}]"') from error
+    return loggers
 
 
-@singledispatch
 def log_picture(logger: Logger, tag: str, picture: Picture, step: int) -> None:
     """Log a picture under a tag at a step; tables take none."""
-
-
-@log_picture.register
-def _(logger: TensorBoardLogger, tag: str, picture: Picture, step: int) -> None:
-    logger.experiment.add_image(tag, picture, step, dataformats="HWC")
-
-
-@log_picture.register
-def _(logger: WandbLogger, tag: str, picture: Picture, step: int) -> None:
-    logger.log_image(key=tag, images=[picture], step=step)
-
-
-@log_picture.register
-def _(logger: MLFlowLogger, tag: str, picture: Picture, step: int) -> None:
-    logger.experiment.log_image(logger.run_id, picture, key=tag, step=step)
+    if isinstance(logger, TensorBoardLogger):
+        logger.experiment.add_image(tag, picture, step, dataformats="HWC")
+    elif isinstance(logger, WandbLogger):
+        logger.log_image(key=tag, images=[picture], step=step)
+    elif isinstance(logger, MLFlowLogger):
+        logger.experiment.log_image(logger.run_id, picture, key=tag, step=step)

@@ -10,7 +10,8 @@ centre lies at +0.5; intrinsics are in pixels; ``a_from_b`` maps coordinates of 
 
 from anystyle.types.comparison import Comparison, Flow, Frames, Stylization
 from anystyle.types.network import Attributes, Features, Geometry, Inject, Site, Tokens, contiguous, untouched
-from anystyle.types.scene import Clusters, Gaussians, Reconstructed, Renders, Scene
+from anystyle.types.progress import OnProgress, Progress, no_progress
+from anystyle.types.scene import Clusters, Gaussians, Reconstructed, Renders, Scene, StyledScene
 from anystyle.types.value import Value
 from anystyle.types.views import Cameras, Style, StyleEmbedding, TextMatch, Views
 
@@ -25,17 +26,21 @@ __all__ = [
     "Gaussians",
     "Geometry",
     "Inject",
+    "OnProgress",
+    "Progress",
     "Reconstructed",
     "Renders",
     "Scene",
     "Site",
     "Style",
     "StyleEmbedding",
+    "StyledScene",
     "Stylization",
     "TextMatch",
     "Tokens",
     "Value",
     "Views",
     "contiguous",
+    "no_progress",
     "untouched",
 ]

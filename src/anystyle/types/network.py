@@ -42,9 +42,8 @@ class Tokens(Value):
 
     def with_patches(self, patches: Float[Tensor, "B V p C"]) -> "Tokens":
         """These tokens with other patches and the special tokens untouched."""
-        if self.special == 0:
-            return replace(self, data=patches)
-        return replace(self, data=torch.cat([self.data[:, :, : self.special], patches], dim=2))
+        data = torch.cat([self.data[:, :, : self.special], patches], dim=2) if self.special else patches
+        return replace(self, data=data)
 
 
 Features = Mapping[int, Tokens]
@@ -82,7 +81,7 @@ def untouched(site: str, tokens: Tokens) -> Tokens:
 
 @dataclass(frozen=True)
 class Geometry(Value):
-    """What a backbone knows of the shape of a scene.
+    """What a backbone predicts of the shape of a scene.
 
     Args:
         cameras: The predicted cameras, for the input views' size.
@@ -95,10 +94,9 @@ class Geometry(Value):
     confidence: Float[Tensor, "B V H W"]
 
     def points(self, pixel_center: float = 0.5) -> Float[Tensor, "B V H W 3"]:
-        """World points of every pixel, with ``depth`` read as distance along z.
+        """World points of every pixel, with ``depth`` as distance along z.
 
-        Args:
-            pixel_center: Where in the pixel the ray passes; the published AnySplat weights were trained with 0.
+        ``pixel_center`` is where in the pixel the ray passes; the published AnySplat weights were trained with 0.
         """
         height, width = self.depth.shape[-2:]
         intrinsics, pose = self.cameras.intrinsics, self.cameras.world_from_camera

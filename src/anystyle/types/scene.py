@@ -62,7 +62,7 @@ class Gaussians(Value):
 
 @dataclass(frozen=True)
 class Scene(Value):
-    """All that does not depend on style, computed once: the cache between ``encode`` and ``restyle``.
+    """Everything that does not depend on style, computed once: the cache between ``encode`` and ``restyle``.
 
     Args:
         views: What was encoded.
@@ -71,8 +71,8 @@ class Scene(Value):
         geometry: Cameras and depth.
         attributes: One raw Gaussian a pixel.
         clusters: Which pixels become which Gaussian; ``None`` where each is its own.
-        gaussians: The scene itself, where it is none of the backbone's: fitted or given Gaussians. They are coloured
-            by the pixels that a style branch predicts.
+        gaussians: Fitted or given Gaussians, coloured by the pixels that a style branch predicts; ``None`` if they are
+            the backbone's.
         origins: Which pixel each of these comes from: view, row and column, where that is known.
     """
 
@@ -97,12 +97,7 @@ class Scene(Value):
 
 
 class Reconstructed(NamedTuple):
-    """What comes of views of a scene.
-
-    Args:
-        scene: What is styled.
-        measures: What was measured of it, by name, for a report.
-    """
+    """A reconstructed scene, and measured figures by name for a report."""
 
     scene: Scene
     measures: Mapping[str, float]
@@ -121,3 +116,27 @@ class Renders(Value):
     color: Float[Tensor, "B V 3 H W"]
     depth: Float[Tensor, "B V H W"]
     alpha: Float[Tensor, "B V H W"]
+
+
+@dataclass(frozen=True)
+class StyledScene:
+    """One scene in several styles, as files hold it.
+
+    Args:
+        styles: Titles, and batches of one scene in OpenCV's axes.
+        cameras: A batch of one scene.
+        names: Of the cameras.
+        notes: Lines on where the scene comes from, such as licences.
+        title: For people.
+    """
+
+    styles: tuple[tuple[str, Gaussians], ...]
+    cameras: Cameras
+    names: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+    title: str = ""
+
+    def splats(self, style: int = -1) -> ply.Splats:
+        """The tensors of the scene in one of its styles."""
+        gaussians = self.styles[style][1]
+        return ply.Splats(*(getattr(gaussians, name)[0] for name in ply.Splats._fields))

@@ -1,4 +1,4 @@
-"""Holding values against the shapes and kinds of number that their annotations declare."""
+"""Comparing values with the shapes and kinds of number that their annotations declare."""
 
 import types
 from collections.abc import Mapping
@@ -19,16 +19,9 @@ class ShapeError(ValueError):
 
 
 def check_value(value: object, cls: type, where: str, **sizes: int) -> None:
-    """Hold every tensor of a dataclass against the shape and kind of number that the class declares.
+    """Compare every tensor of a dataclass with the shape and kind of number that the class declares.
 
-    Args:
-        value: The value.
-        cls: The dataclass it should be.
-        where: What returned it, for the message.
-        sizes: What axis letters stand for; a letter not named here is bound by the first tensor that has it.
-
-    Raises:
-        ShapeError: It is of another class, or a tensor is of another shape or kind.
+    A ShapeError says what ``where`` returned; letters not in ``sizes`` are bound by the first tensor that has them.
     """
     if not isinstance(value, cls):
         raise ShapeError(f"{where} returned {_article(type(value).__name__)}", _article(cls.__name__))
@@ -38,11 +31,7 @@ def check_value(value: object, cls: type, where: str, **sizes: int) -> None:
 
 
 def check_tensor(value: object, annotation: Any, where: str, **sizes: int) -> None:
-    """Hold one tensor against a jaxtyping annotation.
-
-    Raises:
-        ShapeError: It is of another shape or kind.
-    """
+    """Compare one tensor with a jaxtyping annotation; a ShapeError says what is different."""
     _check(value, annotation, where, dict(sizes))
 
 
@@ -74,9 +63,8 @@ def _axis(axis: str, bound: Mapping[str, int]) -> str:
 
 
 def _kind(array: Any) -> str:
-    if "bool" in array.dtypes:
-        return "booleans"
-    return "floating-point numbers" if "float32" in array.dtypes else "integers"
+    floats = "floating-point numbers" if "float32" in array.dtypes else "integers"
+    return "booleans" if "bool" in array.dtypes else floats
 
 
 def _article(name: str) -> str:

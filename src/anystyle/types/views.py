@@ -104,7 +104,14 @@ class StyleEmbedding(Value):
     direction: Float[Tensor, "B D"]
 
     def toward(self, other: "StyleEmbedding", amount: "float | Float[Tensor, ' B']") -> "StyleEmbedding":
-        """The point at ``amount`` in [0, 1] of the straight way to ``other``; not normalised again, as published."""
+        """The point at ``amount`` in [0, 1] of the straight way to ``other``; not normalised again, as published.
+
+        Example:
+            >>> red = StyleEmbedding(torch.tensor([[1.0, 0.0]]), torch.tensor([[1.0, 0.0]]))
+            >>> blue = StyleEmbedding(torch.tensor([[0.0, 1.0]]), torch.tensor([[0.0, 1.0]]))
+            >>> red.toward(blue, 0.25).vector
+            tensor([[0.7500, 0.2500]])
+        """
         weight = torch.as_tensor(amount, dtype=self.vector.dtype, device=self.vector.device).reshape(-1, 1)
         return StyleEmbedding(
             vector=torch.lerp(self.vector, other.vector, weight),
@@ -114,13 +121,9 @@ class StyleEmbedding(Value):
 
 @dataclass(frozen=True)
 class TextMatch:
-    """What a style encoder makes of a text.
+    """The nearest description to a text that a style encoder knows, and words of the text that it never learnt.
 
-    Args:
-        text: The text.
-        description: The nearest text of those that the encoder knows.
-        similarity: How near it is, by a measure of the encoder; 1 is the same.
-        unknown_words: Words of the text that the encoder never learnt, in their order.
+    The similarity is by a measure of the encoder; 1 is the same.
     """
 
     text: str

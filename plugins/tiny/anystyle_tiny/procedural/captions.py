@@ -6,22 +6,20 @@ from pathlib import Path
 import msgspec
 
 from anystyle_tiny.procedural.layout import Draw
-from anystyle_tiny.procedural.palettes import COLORS
 
 SCALES = ("fine", "medium", "coarse")
 DIRECTIONS = ("horizontal", "vertical", "diagonal")
 
 
-class Words(msgspec.Struct, frozen=True):
-    """Words for a pattern.
+class NamedColor(msgspec.Struct, frozen=True):
+    """A colour, 8-bit sRGB, and the words for it, the plainest first."""
 
-    Args:
-        nouns: Names in the plural or without an article.
-        fine: Adjectives of the finest scale.
-        coarse: Adjectives of the coarsest scale.
-        things: Whether the nouns are figures on a ground of the palette's first colour.
-        directed: Whether a direction can be told.
-    """
+    rgb: tuple[int, int, int]
+    names: tuple[str, ...]
+
+
+class Words(msgspec.Struct, frozen=True):
+    """Words for a pattern; ``things`` are figures on a ground of the palette's first colour."""
 
     nouns: tuple[str, ...]
     fine: tuple[str, ...] = ("small", "fine", "tiny")
@@ -31,12 +29,13 @@ class Words(msgspec.Struct, frozen=True):
 
 
 class _Vocabulary(msgspec.Struct):
+    colors: tuple[NamedColor, ...]
     patterns: dict[str, Words]
     media: dict[str, tuple[str, ...]]
 
 
 _VOCABULARY = msgspec.toml.decode(Path(__file__).with_name("words.toml").read_bytes(), type=_Vocabulary)
-WORDS, MEDIA = _VOCABULARY.patterns, _VOCABULARY.media
+COLORS, WORDS, MEDIA = _VOCABULARY.colors, _VOCABULARY.patterns, _VOCABULARY.media
 
 
 def join_names(names: Sequence[str], below: Callable[[int], int]) -> str:
@@ -48,19 +47,8 @@ def join_names(names: Sequence[str], below: Callable[[int], int]) -> str:
     return ", ".join(names[:-1]) + (" and ", ", and ")[below(2)] + names[-1]
 
 
-def describe(
-    draw: Draw, *, pattern: str, colors: Sequence[int], scale: int, brushwork: str, direction: str | None
-) -> str:
-    """One of many natural phrasings.
-
-    Args:
-        draw: Chooses among them.
-        pattern: A key of WORDS.
-        colors: Indices in COLORS, the ground first where there is one.
-        scale: Index in SCALES.
-        brushwork: A key of MEDIA.
-        direction: One of DIRECTIONS, or ``None`` where it shall not be told.
-    """
+def describe(draw: Draw, pattern: str, colors: Sequence[int], scale: int, brushwork: str, direction: str | None) -> str:
+    """One of many natural phrasings of colours (the ground first), a pattern, a scale and a medium, by index or key."""
     words, below = WORDS[pattern], draw.below
     names = [COLORS[color].names[below(1 + below(len(COLORS[color].names)))] for color in colors]
     noun = words.nouns[below(len(words.nouns))]
@@ -73,21 +61,13 @@ def describe(
         setting = (f"on {ground}", f"on a {ground} background", f"over {ground}", f"on a {ground} ground")[below(4)]
         text = " ".join([*lead, figures, noun, setting])
         return _finish(text, medium, below)
-    # Where there is no ground to tell, the order of colours is anybody's.
+    # Without a ground the colours have no order.
     palette = join_names(draw.shuffled(names), below)
     shape = " ".join([*lead, noun])
-    form = below(6)
-    if form <= 1:
-        text = " ".join([*lead, palette, noun])
-    elif form == 2:
-        text = f"{shape} in {palette}"
-    elif form == 3:
-        text = f"{palette}, {shape}"
-    elif form == 4:
-        text = ("a pattern of ", "a picture of ", "a painting of ", "a design of ")[below(4)]
-        text += " ".join([*lead, palette, noun])
-    else:
-        text = f"{shape}, {palette}"
+    form, plain = below(6), " ".join([*lead, palette, noun])
+    text = (plain, plain, f"{shape} in {palette}", f"{palette}, {shape}", plain, f"{shape}, {palette}")[form]
+    if form == 4:
+        text = ("a pattern of ", "a picture of ", "a painting of ", "a design of ")[below(4)] + plain
     return _finish(text, medium, below)
 
 

@@ -172,10 +172,8 @@ def _table(build: Builder, x: float, z: float, size: float) -> None:
             build.solid(sd.CYLINDER, (x + wx, leg[1], z + wz), leg, wood)
     for side in (-1, 1):
         px, pz = side * 0.5 * a, draw.between(-0.4, 0.4) * c
-        build.thing(
-            x + turn[0] * px + turn[1] * pz, height + thick, z - turn[1] * px + turn[0] * pz,
-            size * draw.between(0.25, 0.4),
-        )  # fmt: skip
+        wx, wz = turn[0] * px + turn[1] * pz, -turn[1] * px + turn[0] * pz
+        build.thing(x + wx, height + thick, z + wz, size * draw.between(0.25, 0.4))
 
 
 def _chair(build: Builder, x: float, z: float, size: float) -> None:
@@ -228,11 +226,8 @@ def _tree(build: Builder, x: float, z: float, size: float) -> None:
         return
     for k in range(2 + draw.below(2)):
         r, shift = size * draw.between(0.55, 0.85), 0.45 * size * min(k, 1)
-        position = (
-            x + draw.between(-shift, shift),
-            height + size * draw.between(0.2, 0.6),
-            z + draw.between(-shift, shift),
-        )
+        at = x + draw.between(-shift, shift)
+        position = (at, height + size * draw.between(0.2, 0.6), z + draw.between(-shift, shift))
         build.solid(sd.SPHERE, position, (r, 0.85 * r, r), green, draw.turn())
 
 
@@ -320,9 +315,8 @@ def lay_out(draw: Draw, eyes: Array) -> World:
     height = draw.between(2.6, 4.2)
     if room:
         build.material((tx.PLANKS, tx.TILES, tx.CHECKER, tx.NOISE, tx.WOOD, tx.STRIPES, tx.MARBLE), (0.25, 0.9), 0.3)
-        build.material(
-            (tx.PLAIN, tx.PLAIN, tx.BRICKS, tx.STRIPES, tx.NOISE, tx.TILES, tx.DOTS, tx.LEAVES), (0.3, 1.1), 0.35
-        )
+        walls = (tx.PLAIN, tx.PLAIN, tx.BRICKS, tx.STRIPES, tx.NOISE, tx.TILES, tx.DOTS, tx.LEAVES)
+        build.material(walls, (0.3, 1.1), 0.35)
         build.material((tx.PLAIN, tx.PLANKS), (0.4, 0.9), 0.1)
         settings[lt.EXTENT : lt.EXTENT + 3] = [draw.between(3.2, 4.8), height, draw.between(3.2, 4.8)]
     else:
@@ -334,13 +328,9 @@ def lay_out(draw: Draw, eyes: Array) -> World:
     _spread(build, INDOORS if room else OUTDOORS, 2.3 if room else 3.1, eyes, room=room)
     if room and draw.chance(0.6):
         rug = build.material((tx.STRIPES, tx.DOTS, tx.CHECKER, tx.LEAVES, tx.CELLS), (0.2, 0.7))
-        build.solid(
-            sd.BOX,
-            (draw.between(-0.8, 0.8), 0.01, draw.between(-0.8, 0.8)),
-            (draw.between(0.9, 1.7), 0.015, draw.between(0.9, 1.7)),
-            rug,
-            draw.turn(),
-        )
+        place = draw.between(-0.8, 0.8), 0.01, draw.between(-0.8, 0.8)
+        half = draw.between(0.9, 1.7), 0.015, draw.between(0.9, 1.7)
+        build.solid(sd.BOX, place, half, rug, draw.turn())
     if room:
         _pictures(build, settings, height)
     _light(draw, settings, room=room, height=height)

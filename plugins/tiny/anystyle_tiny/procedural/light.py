@@ -3,7 +3,19 @@
 import numpy as np
 
 from anystyle.compiled import compiled
-from anystyle_tiny.procedural.solids import CEILING, FLOOR, PAINT, SOLIDS, WALL, openness, shadowed, surface
+from anystyle_tiny.procedural.solids import (
+    CEILING,
+    FLOOR,
+    PAINT,
+    SOLIDS,
+    WALL,
+    Vector,
+    dot,
+    openness,
+    scaled,
+    shadowed,
+    surface,
+)  # fmt: skip
 from anystyle_tiny.procedural.textures import GLOSS, albedo
 from anystyle_tiny.procedural.volumes import rough
 
@@ -16,28 +28,23 @@ SETTING_COLUMNS = 29
 
 
 @compiled
-def hit_surroundings(
-    g: np.ndarray, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float
-) -> tuple[float, int]:
+def hit_surroundings(g: np.ndarray, origin: Vector, ray: Vector) -> tuple[float, int]:
     """The floor, walls and ceiling of a room, or the ground and the dome of the sky."""
+    (ox, oy, oz), (dx, dy, dz) = origin, ray
     best, label = np.inf, WALL
     if dy < -1e-9:
         best, label = -oy / dy, FLOOR
     if g[ROOM] > 0:
         if dy > 1e-9:
             best, label = (g[EXTENT + 1] - oy) / dy, CEILING
-        if abs(dx) > 1e-9:
-            t = ((g[EXTENT] if dx > 0 else -g[EXTENT]) - ox) / dx
-            if t < best:
-                best, label = t, WALL
-        if abs(dz) > 1e-9:
-            t = ((g[EXTENT + 2] if dz > 0 else -g[EXTENT + 2]) - oz) / dz
-            if t < best:
-                best, label = t, WALL
+        for extent, o, d in ((g[EXTENT], ox, dx), (g[EXTENT + 2], oz, dz)):
+            if abs(d) > 1e-9:
+                t = ((extent if d > 0 else -extent) - o) / d
+                if t < best:
+                    best, label = t, WALL
         return best, label
-    a = dx * dx + dy * dy + dz * dz
-    b = ox * dx + oy * dy + oz * dz
-    c = ox * ox + oy * oy + oz * oz - g[EXTENT] * g[EXTENT]
+    a, b = dot(ray, ray), dot(origin, ray)
+    c = dot(origin, origin) - g[EXTENT] * g[EXTENT]
     t = (-b + np.sqrt(max(b * b - a * c, 0.0))) / a
     if t < best:
         best, label = t, WALL
@@ -45,33 +52,37 @@ def hit_surroundings(
 
 
 @compiled
-def _sky(g: np.ndarray, x: float, y: float, z: float, bytes_: np.ndarray) -> tuple[float, float, float]:
-    """Light of the dome at a point of it."""
-    r = g[EXTENT]
-    x, y, z = x / r, max(y / r, 0.0), z / r
-    ridge = g[HILL_HEIGHT] * (1.0 + 0.8 * rough(bytes_, x * 1.3 + 5.1, 0.5, z * 1.3, 0.01))
-    if y < ridge:
-        haze = 0.35 + 0.45 * y / max(ridge, 1e-6)
-        shade = haze * (1.0 + 0.15 * rough(bytes_, x * 6, y * 6, z * 6, 0.01))
-        return (
-            g[HILLS] * shade + g[HORIZON] * (1 - haze),
-            g[HILLS + 1] * shade + g[HORIZON + 1] * (1 - haze),
-            g[HILLS + 2] * shade + g[HORIZON + 2] * (1 - haze),
-        )
-    up = np.sqrt(y)
-    flat = 1.0 / (y + 0.25)
-    cloud = rough(bytes_, x * flat * 0.45, 0.3, z * flat * 0.45, 0.01) + g[CLOUDS] - 0.5
-    cloud = min(max(cloud * 1.6, 0.0), 0.9) * min(6 * y, 1.0)
+def _mix(g: np.ndarray, first: int, a: float, second: int, b: float) -> Vector:
+    """A weighted sum of two colours of the settings."""
     return (
-        (g[HORIZON] * (1 - up) + g[ZENITH] * up) * (1 - cloud) + 0.95 * cloud,
-        (g[HORIZON + 1] * (1 - up) + g[ZENITH + 1] * up) * (1 - cloud) + 0.95 * cloud,
-        (g[HORIZON + 2] * (1 - up) + g[ZENITH + 2] * up) * (1 - cloud) + 0.97 * cloud,
+        g[first] * a + g[second] * b,
+        g[first + 1] * a + g[second + 1] * b,
+        g[first + 2] * a + g[second + 2] * b,
     )
 
 
 @compiled
-def _corners(g: np.ndarray, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
-    """Share of the ambient light that the floor and the corners of the room leave."""
+def _sky(g: np.ndarray, point: Vector, bytes_: np.ndarray) -> Vector:
+    """Light of the dome at a point of it."""
+    x, y, z = scaled(point, g[EXTENT])
+    y = max(y, 0.0)
+    ridge = g[HILL_HEIGHT] * (1.0 + 0.8 * rough(bytes_, x * 1.3 + 5.1, 0.5, z * 1.3, 0.01))
+    if y < ridge:
+        haze = 0.35 + 0.45 * y / max(ridge, 1e-6)
+        shade = haze * (1.0 + 0.15 * rough(bytes_, x * 6, y * 6, z * 6, 0.01))
+        return _mix(g, HILLS, shade, HORIZON, 1 - haze)
+    up = np.sqrt(y)
+    flat = 1.0 / (y + 0.25)
+    cloud = rough(bytes_, x * flat * 0.45, 0.3, z * flat * 0.45, 0.01) + g[CLOUDS] - 0.5
+    cloud = min(max(cloud * 1.6, 0.0), 0.9) * min(6 * y, 1.0)
+    r, gr, b = _mix(g, HORIZON, 1 - up, ZENITH, up)
+    return r * (1 - cloud) + 0.95 * cloud, gr * (1 - cloud) + 0.95 * cloud, b * (1 - cloud) + 0.97 * cloud
+
+
+@compiled
+def _corners(g: np.ndarray, point: Vector, normal: Vector) -> float:
+    """Fraction of the ambient light that the floor and the corners of the room leave."""
+    (x, y, z), (nx, ny, nz) = point, normal
     left = 1.0 - 0.45 * (0.5 - 0.5 * ny) / (1.0 + y * y * 4.0)
     if g[ROOM] > 0:
         dx, dz = g[EXTENT] - abs(x), g[EXTENT + 2] - abs(z)
@@ -84,35 +95,32 @@ def _corners(g: np.ndarray, x: float, y: float, z: float, nx: float, ny: float, 
 def _direct(
     g: np.ndarray,
     solids: np.ndarray,
-    point: tuple[float, float, float],
-    normal: tuple[float, float, float],
-    view: tuple[float, float, float],
+    point: Vector,
+    normal: Vector,
+    view: Vector,
     jitter: tuple[float, float],
     gloss: float,
 ) -> tuple[float, float]:
     """Light of the lamp or sun at a point, and what is mirrored of it toward the camera."""
-    x, y, z = point
-    nx, ny, nz = normal
-    lx, ly, lz, reach, fall = g[LIGHT], g[LIGHT + 1], g[LIGHT + 2], 1e9, 1.0
+    (x, y, z), (nx, ny, nz) = point, normal
     # The light is a disk in the horizontal plane; each sub-pixel sees one fixed point of it, so that penumbras are
     # the same from everywhere.
-    lx, lz = lx + g[SPREAD] * jitter[0], lz + g[SPREAD] * jitter[1]
+    lx, ly, lz = g[LIGHT] + g[SPREAD] * jitter[0], g[LIGHT + 1], g[LIGHT + 2] + g[SPREAD] * jitter[1]
+    distance, fall = 1e9, 1.0
     if g[NEARBY] > 0:
         lx, ly, lz = lx - x, ly - y, lz - z
-    squared = lx * lx + ly * ly + lz * lz
-    length = np.sqrt(squared)
-    lx, ly, lz = lx / length, ly / length, lz / length
+    squared = dot((lx, ly, lz), (lx, ly, lz))
+    light = scaled((lx, ly, lz), np.sqrt(squared))
     if g[NEARBY] > 0:
-        reach = length
+        distance = np.sqrt(squared)
         fall = 2.0 * g[NEARBY] * g[NEARBY] / (g[NEARBY] * g[NEARBY] + squared)
-    facing = nx * lx + ny * ly + nz * lz
-    if facing <= 0 or shadowed(solids, x + 1e-4 * nx, y + 1e-4 * ny, z + 1e-4 * nz, lx, ly, lz, reach):
+    facing = dot(normal, light)
+    if facing <= 0 or shadowed(solids, (x + 1e-4 * nx, y + 1e-4 * ny, z + 1e-4 * nz), light, distance):
         return 0.0, 0.0
     mirror = 0.0
     if gloss > 0:
-        hx, hy, hz = lx - view[0], ly - view[1], lz - view[2]
-        half = (hx * nx + hy * ny + hz * nz) / np.sqrt(max(hx * hx + hy * hy + hz * hz, 1e-9))
-        half = max(half, 0.0)
+        between = (light[0] - view[0], light[1] - view[1], light[2] - view[2])
+        half = max(dot(between, normal) / np.sqrt(max(dot(between, between), 1e-9)), 0.0)
         for _ in range(4):
             half *= half
         mirror = gloss * half * half * fall
@@ -126,49 +134,36 @@ def shade(
     materials: np.ndarray,
     bytes_: np.ndarray,
     label: int,
-    point: tuple[float, float, float],
-    ray: tuple[float, float, float],
+    point: Vector,
+    ray: Vector,
     footprint: float,
     jitter: tuple[float, float],
     known: float,
 ) -> tuple[float, float, float, float]:
-    """Linear light that leaves a point toward the camera, and how open the point is to ambient light.
-
-    Args:
-        g: Settings of the scene.
-        solids: A row a solid.
-        materials: A row a material.
-        bytes_: The volumes of textures.
-        label: What the point lies on.
-        point: The point.
-        ray: Unit vector of the way it is seen along.
-        footprint: Width of a sub-pixel there, for a surface that faces the camera.
-        jitter: Point of the light's disk, in [-1, 1].
-        known: The openness if it is known already, else a negative number.
-    """
+    """Linear light that leaves a point toward the camera, and how open the point is to ambient light."""
     x, y, z = point
     if label == WALL and g[ROOM] == 0:
-        r, gr, b = _sky(g, x, y, z, bytes_)
+        r, gr, b = _sky(g, point, bytes_)
         return r, gr, b, 1.0
-    lx, ly, lz = x, y, z
+    local, m = point, label
     if label >= SOLIDS:
-        nx, ny, nz, lx, ly, lz, u, v = surface(solids, label - SOLIDS, x, y, z)
+        normal, local, u, v = surface(solids, label - SOLIDS, point)
         m = int(solids[label - SOLIDS, PAINT])
     elif label == FLOOR:
-        nx, ny, nz, u, v, m = 0.0, 1.0, 0.0, x, z, FLOOR
+        normal, u, v = (0.0, 1.0, 0.0), x, z
     elif label == CEILING:
-        nx, ny, nz, u, v, m = 0.0, -1.0, 0.0, x, z, CEILING
+        normal, u, v = (0.0, -1.0, 0.0), x, z
     elif g[EXTENT] - abs(x) < g[EXTENT + 2] - abs(z):
-        nx, ny, nz, u, v, m = (-1.0 if x > 0 else 1.0), 0.0, 0.0, z, y, WALL
+        normal, u, v = ((-1.0 if x > 0 else 1.0), 0.0, 0.0), z, y
     else:
-        nx, ny, nz, u, v, m = 0.0, 0.0, (-1.0 if z > 0 else 1.0), x, y, WALL
+        normal, u, v = (0.0, 0.0, (-1.0 if z > 0 else 1.0)), x, y
     if known < 0:
-        known = openness(solids, label, x, y, z, nx, ny, nz)
-    grazing = max(abs(nx * ray[0] + ny * ray[1] + nz * ray[2]), 0.12)
-    r, gr, b = albedo(materials, m, lx, ly, lz, u, v, footprint / grazing, bytes_)
-    direct, mirror = _direct(g, solids, point, (nx, ny, nz), ray, jitter, materials[m, GLOSS])
-    ambient = known * _corners(g, x, y, z, nx, ny, nz)
-    above, below = ambient * (0.5 + 0.5 * ny), ambient * (0.5 - 0.5 * ny)
+        known = openness(solids, label, point, normal)
+    grazing = max(abs(dot(normal, ray)), 0.12)
+    r, gr, b = albedo(materials, m, local, u, v, footprint / grazing, bytes_)
+    direct, mirror = _direct(g, solids, point, normal, ray, jitter, materials[m, GLOSS])
+    ambient = known * _corners(g, point, normal)
+    above, below = ambient * (0.5 + 0.5 * normal[1]), ambient * (0.5 - 0.5 * normal[1])
     r = r * (g[SUN] * direct + g[ABOVE] * above + g[BELOW] * below) + mirror * g[SUN]
     gr = gr * (g[SUN + 1] * direct + g[ABOVE + 1] * above + g[BELOW + 1] * below) + mirror * g[SUN + 1]
     b = b * (g[SUN + 2] * direct + g[ABOVE + 2] * above + g[BELOW + 2] * below) + mirror * g[SUN + 2]
@@ -176,9 +171,7 @@ def shade(
         # The ground fades into the haze where it meets the dome.
         far = (x * x + z * z) / (g[EXTENT] * g[EXTENT])
         far *= far * 0.8
-        r, gr, b = (
-            r * (1 - far) + g[HORIZON] * far * 0.8,
-            gr * (1 - far) + g[HORIZON + 1] * far * 0.8,
-            b * (1 - far) + g[HORIZON + 2] * far * 0.8,
-        )
+        near = 1 - far
+        r, gr = r * near + g[HORIZON] * far * 0.8, gr * near + g[HORIZON + 1] * far * 0.8
+        b = b * near + g[HORIZON + 2] * far * 0.8
     return r, gr, b, known

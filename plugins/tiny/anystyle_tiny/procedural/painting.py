@@ -39,19 +39,7 @@ def paint(
     bytes_: np.ndarray,
     image: np.ndarray,
 ) -> None:
-    """Fill ``image`` (H W 3, sRGB in [0, 1]) with a pattern in a palette, painted in one of BRUSHWORK.
-
-    Args:
-        kind: Index in PATTERNS.
-        brush: Index in BRUSHWORK.
-        frequency: Periods on the image's height.
-        turn: Cosine and sine of the pattern's turn.
-        offset: Where the pattern starts, in periods.
-        palette: sRGB, at least two rows.
-        salt: What makes this image another than the next one of the same kind.
-        bytes_: The volumes of :func:`anystyle_tiny.procedural.volumes.volumes`.
-        image: Written to.
-    """
+    """Fill ``image`` (H W 3, sRGB in [0, 1]) with a pattern in a palette, painted in one of BRUSHWORK."""
     height, width = image.shape[0], image.shape[1]
     count = len(palette)
     foot = 0.7 * frequency / height

@@ -1,13 +1,12 @@
 """Patterns of procedural paintings: which colour of a palette lies at a point, and how dark.
 
-A pattern is a function of the place in periods. It names two colours of the palette, how far the way from the one to
-the other the point is, and a shade; edges are as soft as a pixel is wide.
+A pattern is a function of the position in periods; its edges are as soft as a pixel is wide.
 """
 
 import numpy as np
 
 from anystyle.compiled import compiled
-from anystyle_tiny.procedural.volumes import chance, noise_at, rough, sine
+from anystyle_tiny.procedural.volumes import chance, cover, noise_at, rough, sine
 
 PATTERNS = (
     "plain", "stripes", "dots", "mosaic", "checker", "bricks", "hatching", "strokes", "swirls", "waves", "zigzag",
@@ -20,9 +19,21 @@ ZIGZAG, SPLATTER, WASH, GEOMETRIC, SCALES, MARBLE, RINGS, PLAID, POINTS, FLOWERS
 FREQUENCY = (1.6, 7.0, 6.0, 6.0, 6.5, 5.5, 11.0, 6.0, 3.0, 5.5, 5.0, 3.4, 1.3, 3.0, 5.5, 3.2, 3.0, 3.6, 14.0, 4.0)
 
 
+Mixture = tuple[int, int, float, float]
+"""Two colours of the palette, how far the way from the one to the other, and a shade."""
+
+
 @compiled
-def _cover(distance: float, foot: float) -> float:
-    return min(max(0.5 + distance / max(foot, 1e-6), 0.0), 1.0)
+def _cell(x: float, y: float) -> tuple[int, int, float, float]:
+    """The cell of the unit grid that holds a point, and the point relative to the cell's middle."""
+    i, j = np.floor(x), np.floor(y)
+    return int(i), int(j), x - i - 0.5, y - j - 0.5
+
+
+@compiled
+def _staggered(x: float, y: float) -> tuple[int, int, float, float]:
+    """Like :func:`_cell`, with every other row moved by half a cell."""
+    return _cell(x + 0.5 * (int(np.floor(y)) & 1), y)
 
 
 @compiled
@@ -45,45 +56,41 @@ def _angle(y: float, x: float) -> float:
 
 
 @compiled
-def _bands(phase: float, foot: float, count: int) -> tuple[int, int, float, float]:
+def _bands(phase: float, foot: float, count: int) -> Mixture:
     """Bands of equal width in the order of the palette; at least two."""
     band = np.floor(phase)
     f = phase - band
     k = int(band) % count
     # The edge at the upper end belongs to this band and the next one half each.
-    return k, (k + 1) % count, 0.5 * _cover(f - 1 + 0.5 * foot, foot), 1.0
+    return k, (k + 1) % count, 0.5 * cover(f - 1 + 0.5 * foot, foot), 1.0
 
 
 @compiled
-def _grid_dots(x: float, y: float, foot: float, count: int, salt: int, radius: float) -> tuple[int, int, float, float]:
-    row = np.floor(y)
-    u = x + 0.5 * (int(row) & 1)
-    column = np.floor(u)
-    fu, fv = u - column - 0.5, y - row - 0.5
-    dot = 1 + _pick(int(column), int(row), salt, count - 1)
-    return 0, dot, _cover(radius - np.sqrt(fu * fu + fv * fv), foot), 1.0
+def _dots(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
+    i, j, dx, dy = _staggered(x, y)
+    return 0, 1 + _pick(i, j, salt, count - 1), cover(0.32 - np.sqrt(dx * dx + dy * dy), foot), 1.0
 
 
 @compiled
-def _mosaic(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int, int, float, float]:
+def _mosaic(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
     ix, iy = int(np.floor(x)), int(np.floor(y))
     best, second, ci, cj = 1e9, 1e9, 0, 0
-    for i in range(ix - 1, ix + 2):
-        for j in range(iy - 1, iy + 2):
-            dx, dy = i + 0.15 + 0.7 * chance(i, j, salt) - x, j + 0.15 + 0.7 * chance(i, j, salt + 1) - y
-            d = np.sqrt(dx * dx + dy * dy)
-            if d < best:
-                best, second, ci, cj = d, best, i, j
-            elif d < second:
-                second = d
+    for di, dj in np.ndindex(3, 3):
+        i, j = ix + di - 1, iy + dj - 1
+        dx, dy = i + 0.15 + 0.7 * chance(i, j, salt) - x, j + 0.15 + 0.7 * chance(i, j, salt + 1) - y
+        d = np.sqrt(dx * dx + dy * dy)
+        if d < best:
+            best, second, ci, cj = d, best, i, j
+        elif d < second:
+            second = d
     k = _pick(ci, cj, salt + 2, count)
-    joint = _cover(0.07 - 0.5 * (second - best), foot)
+    joint = cover(0.07 - 0.5 * (second - best), foot)
     shade = (0.82 + 0.36 * chance(ci, cj, salt + 3)) * (1.0 - 0.8 * joint)
     return k, k, 0.0, shade
 
 
 @compiled
-def _bricks(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int, int, float, float]:
+def _bricks(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
     row = np.floor(y)
     u = x * 0.5 + 0.5 * (int(row) & 1)
     column = np.floor(u)
@@ -91,141 +98,133 @@ def _bricks(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int
     edge = min(min(fu, 2.0 - fu), min(fv, 1.0 - fv))
     k = 1 + _pick(int(column), int(row), salt, count - 1)
     shade = 0.8 + 0.3 * chance(int(column), int(row), salt + 1)
-    return k, 0, _cover(0.09 - edge, foot), shade
+    return k, 0, cover(0.09 - edge, foot), shade
 
 
 @compiled
-def _hatching(
-    x: float, y: float, foot: float, count: int, salt: int, bytes_: np.ndarray
-) -> tuple[int, int, float, float]:
-    tone = noise_at(bytes_, x * 0.09 + salt, y * 0.09, 0.37) + 0.15
-    wobble = 0.35 * noise_at(bytes_, x * 0.2, y * 0.2, 1.7 + salt)
+def _hatching(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Mixture:
+    tone = noise_at(noise, x * 0.09 + salt, y * 0.09, 0.37) + 0.15
+    wobble = 0.35 * noise_at(noise, x * 0.2, y * 0.2, 1.7 + salt)
     f = y + wobble
     f = f - np.floor(f)
-    line = _cover(0.17 + 0.06 * tone - abs(f - 0.5), foot)
+    line = cover(0.17 + 0.06 * tone - abs(f - 0.5), foot)
     k = 1 + _pick(int(np.floor(y + wobble)), 0, salt, count - 1)
     if tone > -0.05:
         g = x * 0.95 + 0.3 * y + wobble
         g = g - np.floor(g)
-        line = max(line, _cover(0.16 - abs(g - 0.5), foot) * min(max((tone + 0.05) * 8, 0.0), 1.0))
+        line = max(line, cover(0.16 - abs(g - 0.5), foot) * min(max((tone + 0.05) * 8, 0.0), 1.0))
     return 0, k, line, 1.0
 
 
 @compiled
-def _strokes(
-    x: float, y: float, foot: float, count: int, salt: int, bytes_: np.ndarray
-) -> tuple[int, int, float, float]:
+def _strokes(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Mixture:
     """Dabs of paint along a slowly turning field, three layers deep."""
     ix, iy = int(np.floor(x)), int(np.floor(y))
     best, color, shade = -1.0, 0, 0.7
     for layer in range(2):
-        for i in range(ix - 1, ix + 2):
-            for j in range(iy - 1, iy + 2):
-                s = salt + 17 * layer
-                rank = chance(i, j, s) + layer
-                if rank <= best:
-                    continue
-                cx, cy = i + chance(i, j, s + 1), j + chance(i, j, s + 2)
-                if (x - cx) * (x - cx) + (y - cy) * (y - cy) > 0.9025:
-                    continue
-                turn = 1.6 * noise_at(bytes_, cx * 0.11 + salt, cy * 0.11, 0.5) + 0.12 * chance(i, j, s + 3)
-                c, d = sine(6.2831853 * turn + 1.5707963), sine(6.2831853 * turn)
-                u, v = c * (x - cx) + d * (y - cy), c * (y - cy) - d * (x - cx)
-                long_, wide = 0.95, 0.24 + 0.12 * chance(i, j, s + 4)
-                inside = 1.0 - (u * u) / (long_ * long_) - (v * v) / (wide * wide)
-                if inside > 0:
-                    best, color = rank, _pick(i, j, s + 5, count)
-                    bristle = noise_at(bytes_, u * 0.25 + i, v * 3.0 + j, 0.9)
-                    shade = 0.86 + 0.26 * chance(i, j, s + 6) + 0.3 * bristle + 0.45 * v
-                    shade *= 0.75 + 0.25 * min(inside * 3.0, 1.0)
+        for di, dj in np.ndindex(3, 3):
+            i, j = ix + di - 1, iy + dj - 1
+            s = salt + 17 * layer
+            rank = chance(i, j, s) + layer
+            if rank <= best:
+                continue
+            cx, cy = i + chance(i, j, s + 1), j + chance(i, j, s + 2)
+            if (x - cx) * (x - cx) + (y - cy) * (y - cy) > 0.9025:
+                continue
+            turn = 1.6 * noise_at(noise, cx * 0.11 + salt, cy * 0.11, 0.5) + 0.12 * chance(i, j, s + 3)
+            c, d = sine(6.2831853 * turn + 1.5707963), sine(6.2831853 * turn)
+            u, v = c * (x - cx) + d * (y - cy), c * (y - cy) - d * (x - cx)
+            long_, wide = 0.95, 0.24 + 0.12 * chance(i, j, s + 4)
+            inside = 1.0 - (u * u) / (long_ * long_) - (v * v) / (wide * wide)
+            if inside > 0:
+                best, color = rank, _pick(i, j, s + 5, count)
+                bristle = noise_at(noise, u * 0.25 + i, v * 3.0 + j, 0.9)
+                shade = 0.86 + 0.26 * chance(i, j, s + 6) + 0.3 * bristle + 0.45 * v
+                shade *= 0.75 + 0.25 * min(inside * 3.0, 1.0)
     return color, color, 0.0, shade
 
 
 @compiled
-def _swirls(
-    x: float, y: float, foot: float, count: int, salt: int, bytes_: np.ndarray
-) -> tuple[int, int, float, float]:
+def _swirls(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Mixture:
     """Strokes that curl around vortices."""
-    x += 0.35 * noise_at(bytes_, x * 0.4 + salt, y * 0.4, 0.1)
-    y += 0.35 * noise_at(bytes_, x * 0.4 + salt, y * 0.4, 2.1)
+    x += 0.35 * noise_at(noise, x * 0.4 + salt, y * 0.4, 0.1)
+    y += 0.35 * noise_at(noise, x * 0.4 + salt, y * 0.4, 2.1)
     ix, iy = int(np.floor(x)), int(np.floor(y))
     best, rx, ry, ci, cj = 1e9, 0.0, 0.0, 0, 0
-    for i in range(ix - 1, ix + 2):
-        for j in range(iy - 1, iy + 2):
-            dx, dy = x - i - 0.2 - 0.6 * chance(i, j, salt), y - j - 0.2 - 0.6 * chance(i, j, salt + 1)
-            d = dx * dx + dy * dy
-            if d < best:
-                best, rx, ry, ci, cj = d, dx, dy, i, j
+    for di, dj in np.ndindex(3, 3):
+        i, j = ix + di - 1, iy + dj - 1
+        dx, dy = x - i - 0.2 - 0.6 * chance(i, j, salt), y - j - 0.2 - 0.6 * chance(i, j, salt + 1)
+        d = dx * dx + dy * dy
+        if d < best:
+            best, rx, ry, ci, cj = d, dx, dy, i, j
     r = np.sqrt(best)
     spin = 1.0 if chance(ci, cj, salt + 2) < 0.5 else -1.0
     phase = r * 5.0 + spin * _angle(ry, rx) * 2.0 * ((count + 1) // 2)
     band = np.floor(phase)
     k = int(band + 64 * count) % count
     f = phase - band
-    shade = 0.8 + 0.28 * (1.0 - abs(2.0 * f - 1.0)) + 0.25 * noise_at(bytes_, phase * 0.9, r * 2.0, 0.3 * ci)
+    shade = 0.8 + 0.28 * (1.0 - abs(2.0 * f - 1.0)) + 0.25 * noise_at(noise, phase * 0.9, r * 2.0, 0.3 * ci)
     return k, k, 0.0, shade
 
 
 @compiled
-def _splatter(
-    x: float, y: float, foot: float, count: int, salt: int, bytes_: np.ndarray
-) -> tuple[int, int, float, float]:
+def _splatter(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Mixture:
     """Drops of all sizes thrown on the first colour."""
     color, most = 0, 0.0
     for level in range(3):
         s = 1.0 + 1.2 * level * level
         px, py = x * s, y * s
         ix, iy = int(np.floor(px)), int(np.floor(py))
-        for i in range(ix - 1, ix + 2):
-            for j in range(iy - 1, iy + 2):
-                if chance(i, j, salt + level) > 0.7:
-                    continue
-                dx, dy = px - i - chance(i, j, salt + 11 + level), py - j - chance(i, j, salt + 23 + level)
-                d = np.sqrt(dx * dx + dy * dy)
-                size = chance(i, j, salt + 31 + level)
-                radius = 0.16 + 0.3 * size * size
-                if d > 1.3 * radius + foot * s:
-                    continue
-                angle = _angle(dy, dx)
-                lobes = 0.12 * sine(6.2831853 * (angle * (5 + _pick(i, j, salt, 4)) + chance(i, j, salt + 5)))
-                lobes += 0.06 * sine(6.2831853 * (angle * 11 + chance(i, j, salt + 6)))
-                hit = _cover(radius * (1 + 1.6 * lobes) - d, foot * s)
-                if hit > most:
-                    most, color = hit, 1 + _pick(i, j, salt + 41 + level, count - 1)
+        for di, dj in np.ndindex(3, 3):
+            i, j = ix + di - 1, iy + dj - 1
+            if chance(i, j, salt + level) > 0.7:
+                continue
+            dx, dy = px - i - chance(i, j, salt + 11 + level), py - j - chance(i, j, salt + 23 + level)
+            d = np.sqrt(dx * dx + dy * dy)
+            size = chance(i, j, salt + 31 + level)
+            radius = 0.16 + 0.3 * size * size
+            if d > 1.3 * radius + foot * s:
+                continue
+            angle = _angle(dy, dx)
+            lobes = 0.12 * sine(6.2831853 * (angle * (5 + _pick(i, j, salt, 4)) + chance(i, j, salt + 5)))
+            lobes += 0.06 * sine(6.2831853 * (angle * 11 + chance(i, j, salt + 6)))
+            hit = cover(radius * (1 + 1.6 * lobes) - d, foot * s)
+            if hit > most:
+                most, color = hit, 1 + _pick(i, j, salt + 41 + level, count - 1)
     return 0, color, most, 1.0
 
 
 @compiled
-def _geometric(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int, int, float, float]:
+def _geometric(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
     """Triangles, bars and disks over each other, each of one flat colour."""
     ix, iy = int(np.floor(x)), int(np.floor(y))
     best, color, shade = -1.0, 0, 0.9
-    for i in range(ix - 1, ix + 2):
-        for j in range(iy - 1, iy + 2):
-            for k in range(2):
-                s = salt + 13 * k
-                rank = chance(i, j, s)
-                if rank <= best:
-                    continue
-                dx, dy = x - i - chance(i, j, s + 1), y - j - chance(i, j, s + 2)
-                turn = 6.2831853 * chance(i, j, s + 3)
-                c, d = sine(turn + 1.5707963), sine(turn)
-                u, v = c * dx + d * dy, c * dy - d * dx
-                kind = _pick(i, j, s + 4, 3)
-                if kind == 0:
-                    inside = max(max(u * 0.866 + v * 0.5, -u * 0.866 + v * 0.5), -v) < 0.3
-                elif kind == 1:
-                    inside = abs(u) < 0.75 and abs(v) < 0.22
-                else:
-                    inside = u * u + v * v < 0.2
-                if inside:
-                    best, color = rank, _pick(i, j, s + 5, count)
-                    shade = 0.8 + 0.35 * chance(i, j, s + 6)
+    for di, dj in np.ndindex(3, 3):
+        i, j = ix + di - 1, iy + dj - 1
+        for k in range(2):
+            s = salt + 13 * k
+            rank = chance(i, j, s)
+            if rank <= best:
+                continue
+            dx, dy = x - i - chance(i, j, s + 1), y - j - chance(i, j, s + 2)
+            turn = 6.2831853 * chance(i, j, s + 3)
+            c, d = sine(turn + 1.5707963), sine(turn)
+            u, v = c * dx + d * dy, c * dy - d * dx
+            kind = _pick(i, j, s + 4, 3)
+            if kind == 0:
+                inside = max(max(u * 0.866 + v * 0.5, -u * 0.866 + v * 0.5), -v) < 0.3
+            elif kind == 1:
+                inside = abs(u) < 0.75 and abs(v) < 0.22
+            else:
+                inside = u * u + v * v < 0.2
+            if inside:
+                best, color = rank, _pick(i, j, s + 5, count)
+                shade = 0.8 + 0.35 * chance(i, j, s + 6)
     return color, color, 0.0, shade
 
 
 @compiled
-def _scales(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int, int, float, float]:
+def _scales(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
     """Overlapping half disks in rows."""
     for step in range(2, -1, -1):
         row = int(np.floor(2.0 * y)) + step
@@ -235,32 +234,29 @@ def _scales(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int
         d = np.sqrt(dx * dx + dy * dy)
         if step == 0 or d < 0.52:
             k = _pick(column, row, salt, count)
-            rim = _cover(d - 0.45, foot)
+            rim = cover(d - 0.45, foot)
             return k, k, 0.0, (0.85 + 0.25 * chance(column, row, salt + 1)) * (1.0 - 0.65 * rim) * (1.15 - 0.5 * d)
     return 0, 0, 0.0, 1.0
 
 
 @compiled
-def _flowers(x: float, y: float, foot: float, count: int, salt: int) -> tuple[int, int, float, float]:
-    row = np.floor(y)
-    u = x + 0.5 * (int(row) & 1)
-    column = np.floor(u)
-    i, j = int(column), int(row)
-    dx, dy = u - column - 0.5 + 0.1 * (chance(i, j, salt) - 0.5), y - row - 0.5 + 0.1 * (chance(i, j, salt + 1) - 0.5)
+def _flowers(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
+    i, j, dx, dy = _staggered(x, y)
+    dx, dy = dx + 0.1 * (chance(i, j, salt) - 0.5), dy + 0.1 * (chance(i, j, salt + 1) - 0.5)
     d = np.sqrt(dx * dx + dy * dy)
     petals = 5 + _pick(i, j, salt + 2, 3)
-    reach = 0.33 + 0.12 * sine(6.2831853 * (petals * _angle(dy, dx) + chance(i, j, salt + 3)))
+    radius = 0.33 + 0.12 * sine(6.2831853 * (petals * _angle(dy, dx) + chance(i, j, salt + 3)))
     k = 1 + _pick(i, j, salt + 4, count - 1)
     heart = (k % (count - 1)) + 1 if count > 2 else 0
     if d < 0.13:
-        return k, heart, _cover(0.1 - d, foot), 0.95
-    return 0, k, _cover(reach - d, foot), 1.0 if d > reach else 0.8 + 0.6 * d
+        return k, heart, cover(0.1 - d, foot), 0.95
+    return 0, k, cover(radius - d, foot), 1.0 if d > radius else 0.8 + 0.6 * d
 
 
 @compiled
-def _wash(x: float, y: float, count: int, salt: int, bytes_: np.ndarray) -> tuple[int, int, float, float]:
+def _wash(x: float, y: float, count: int, salt: int, noise: np.ndarray) -> Mixture:
     """Colours that run into each other."""
-    t = 0.55 * y + 0.9 * rough(bytes_, x * 0.35 + 0.1 * salt, y * 0.35, 0.2, 1.0) + 0.5
+    t = 0.55 * y + 0.9 * rough(noise, x * 0.35 + 0.1 * salt, y * 0.35, 0.2, 1.0) + 0.5
     t = min(max(t * 0.75, 0.0), 0.9999) * (count - 1)
     k = int(t)
     f = t - k
@@ -268,27 +264,15 @@ def _wash(x: float, y: float, count: int, salt: int, bytes_: np.ndarray) -> tupl
 
 
 @compiled
-def pattern_at(
-    kind: int, x: float, y: float, foot: float, count: int, salt: int, bytes_: np.ndarray
-) -> tuple[int, int, float, float]:
-    """Two colours of the palette, the mixture between them and a shade, at a place in periods.
-
-    Args:
-        kind: Index in PATTERNS.
-        x: The place.
-        y: The second of its coordinates.
-        foot: Width of a pixel in periods.
-        count: Colours of the palette, at least 2.
-        salt: What makes this image another than the next one of the same kind.
-        bytes_: The volumes of :func:`anystyle_tiny.procedural.volumes.volumes`.
-    """
+def pattern_at(kind: int, x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Mixture:
+    """Two colours of the palette, the mixture between them and a shade, at a place in periods."""
     if kind == PLAIN:
-        t = y * 0.7 * count * 0.5 + 0.06 * rough(bytes_, x + salt, y, 0.3, 1.0)
+        t = y * 0.7 * count * 0.5 + 0.06 * rough(noise, x + salt, y, 0.3, 1.0)
         return _bands(t, max(foot, 0.12), count)
     if kind == STRIPES:
         return _bands(y * 2.0, 2.0 * foot, count)
     if kind == DOTS:
-        return _grid_dots(x, y, foot, count, salt, 0.32)
+        return _dots(x, y, foot, count, salt)
     if kind == MOSAIC:
         return _mosaic(x, y, foot, count, salt)
     if kind == CHECKER:
@@ -300,44 +284,43 @@ def pattern_at(
     if kind == BRICKS:
         return _bricks(x, y, foot, count, salt)
     if kind == HATCHING:
-        return _hatching(x, y, foot, count, salt, bytes_)
+        return _hatching(x, y, foot, count, salt, noise)
     if kind == STROKES:
-        return _strokes(x, y, foot, count, salt, bytes_)
+        return _strokes(x, y, foot, count, salt, noise)
     if kind == SWIRLS:
-        return _swirls(x, y, foot, count, salt, bytes_)
+        return _swirls(x, y, foot, count, salt, noise)
     if kind == WAVES:
         return _bands(2.0 * y + 0.9 * sine(x * 2.9), 2.4 * foot, count)
     if kind == ZIGZAG:
         f = x * 0.9 - np.floor(x * 0.9)
         return _bands(2.0 * y + 1.6 * abs(f - 0.5), 2.6 * foot, count)
     if kind == SPLATTER:
-        return _splatter(x, y, foot, count, salt, bytes_)
+        return _splatter(x, y, foot, count, salt, noise)
     if kind == WASH:
-        return _wash(x, y, count, salt, bytes_)
+        return _wash(x, y, count, salt, noise)
     if kind == GEOMETRIC:
         return _geometric(x, y, foot, count, salt)
     if kind == SCALES:
         return _scales(x, y, foot, count, salt)
     if kind == MARBLE:
-        wx = x + 0.9 * rough(bytes_, x * 0.4 + salt, y * 0.4, 0.1, 0.05)
-        wy = y + 0.9 * rough(bytes_, x * 0.4 + salt, y * 0.4, 2.3, 0.05)
-        return _bands(5.0 * noise_at(bytes_, wx * 0.5, wy * 0.5, 0.1 * salt) + 1.4 * wy + 16.0, 5.0 * foot, count)
+        wx = x + 0.9 * rough(noise, x * 0.4 + salt, y * 0.4, 0.1, 0.05)
+        wy = y + 0.9 * rough(noise, x * 0.4 + salt, y * 0.4, 2.3, 0.05)
+        return _bands(5.0 * noise_at(noise, wx * 0.5, wy * 0.5, 0.1 * salt) + 1.4 * wy + 16.0, 5.0 * foot, count)
     if kind == RINGS:
-        i, j = np.floor(x), np.floor(y)
-        dx, dy = x - i - 0.5, y - j - 0.5
-        return _bands(np.sqrt(dx * dx + dy * dy) * 7.0 + _pick(int(i), int(j), salt, count), 7.0 * foot, count)
+        i, j, dx, dy = _cell(x, y)
+        return _bands(np.sqrt(dx * dx + dy * dy) * 7.0 + _pick(i, j, salt, count), 7.0 * foot, count)
     if kind == PLAID:
         a, b, m, _ = _bands(x * 2.0, 2.0 * foot, count)
         c, d, n, _ = _bands(y * 2.0, 2.0 * foot, count)
         # Threads of the two directions lie over each other in turn.
         over = int(np.floor(x * 24.0) + np.floor(y * 24.0)) & 1
-        thin = _cover(0.06 - abs(x - np.floor(x) - 0.25), foot) + _cover(0.06 - abs(y - np.floor(y) - 0.25), foot)
+        thin = cover(0.06 - abs(x - np.floor(x) - 0.25), foot) + cover(0.06 - abs(y - np.floor(y) - 0.25), foot)
         shade = 1.0 - 0.35 * min(thin, 1.0)
         return (a, b, m, shade) if over else (c, d, n, shade)
     if kind == POINTS:
-        i, j = int(np.floor(x)), int(np.floor(y))
-        dx, dy = x - i - 0.5 - 0.3 * (chance(i, j, salt) - 0.5), y - j - 0.5 - 0.3 * (chance(i, j, salt + 1) - 0.5)
+        i, j, dx, dy = _cell(x, y)
+        dx, dy = dx - 0.3 * (chance(i, j, salt) - 0.5), dy - 0.3 * (chance(i, j, salt + 1) - 0.5)
         k = _pick(i, j, salt + 2, count)
-        dot = _cover(0.42 - np.sqrt(dx * dx + dy * dy), foot)
+        dot = cover(0.42 - np.sqrt(dx * dx + dy * dy), foot)
         return k, k, 0.0, 0.62 + dot * (0.3 + 0.25 * chance(i, j, salt + 3))
     return _flowers(x, y, foot, count, salt)

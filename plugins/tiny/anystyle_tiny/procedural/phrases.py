@@ -2,15 +2,13 @@
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
-from anystyle_tiny.procedural.captions import DIRECTIONS, MEDIA, SCALES, WORDS, describe, join_names
+from anystyle_tiny.procedural.captions import COLORS, MEDIA, SCALES, WORDS, join_names
 from anystyle_tiny.procedural.layout import Draw
 from anystyle_tiny.procedural.painting import BRUSHWORK
-from anystyle_tiny.procedural.palettes import COLORS
 from anystyle_tiny.procedural.patterns import PATTERNS
 from anystyle_tiny.procedural.styles import DIRECTED, StyleTraits, draw_palette
 
@@ -24,17 +22,8 @@ FORMS = ("thing", "thing", "manner", "thing by manner", "colors by manner", "thi
 """Kinds of phrases."""
 
 
-@dataclass(frozen=True)
-class Look:
-    """What words for a look stand for.
-
-    Args:
-        words: Names, the plainest first.
-        colors: Indices in :data:`anystyle_tiny.procedural.palettes.COLORS`.
-        patterns: Indices in :data:`anystyle_tiny.procedural.patterns.PATTERNS`; empty where any will do.
-        brushwork: Indices in :data:`anystyle_tiny.procedural.painting.BRUSHWORK`.
-        scale: Index in :data:`anystyle_tiny.procedural.captions.SCALES`; ``None`` for any.
-    """
+class Appearance(NamedTuple):
+    """What words for a thing, a manner or a mood stand for, by indices; empty patterns or brushwork mean any."""
 
     words: tuple[str, ...]
     colors: tuple[int, ...]
@@ -44,12 +33,12 @@ class Look:
 
 
 @cache
-def looks(group: str) -> tuple[Look, ...]:
+def appearances(group: str) -> tuple[Appearance, ...]:
     """The ``things``, ``manners`` or ``moods`` of ``phrases.toml``."""
     rows = tomllib.loads(Path(__file__).with_name("phrases.toml").read_text(encoding="utf-8"))[group]
     colors = {color.names[0]: index for index, color in enumerate(COLORS)}
     return tuple(
-        Look(
+        Appearance(
             tuple(row["words"]),
             tuple(colors[name] for name in row["colors"]),
             tuple(PATTERNS.index(name) for name in row.get("patterns", ())),
@@ -63,11 +52,11 @@ def looks(group: str) -> tuple[Look, ...]:
 def draw_phrase(draw: Draw) -> tuple[str, StyleTraits]:
     """A phrase, and one of the styles that it stands for."""
     form = _pick(draw, FORMS)
-    thing, manner, mood = (_pick(draw, looks(group)) for group in ("things", "manners", "moods"))
+    thing, manner, mood = (_pick(draw, appearances(group)) for group in ("things", "manners", "moods"))
     pattern, brush = draw.below(len(PATTERNS)), draw.below(len(BRUSHWORK))
     noun = _pick(draw, WORDS[PATTERNS[pattern]].nouns)
     medium = _pick(draw, MEDIA[BRUSHWORK[brush]])
-    name, method, adjective = (_name(draw, look) for look in (thing, manner, mood))
+    name, method, adjective = (_name(draw, each) for each in (thing, manner, mood))
     if form == "thing":
         before = _pick(draw, ("", "", "", "a painting of ", "a picture of ", "the colours of ", "like "))
         return before + name, _traits(draw, thing, _shuffled(draw, thing.colors, lead=True))
@@ -80,14 +69,14 @@ def draw_phrase(draw: Draw) -> tuple[str, StyleTraits]:
         return words, _traits(draw, manner, _shuffled(draw, thing.colors, lead=True))
     if form == "thing in pattern":
         words = f"{name}{_pick(draw, (' with ', ' in ', ', '))}{noun}"
-        only = Look((), thing.colors, (pattern,), thing.brushwork, None)
+        only = thing._replace(patterns=(pattern,), scale=None)
         return words, _traits(draw, only, _shuffled(draw, thing.colors, lead=True))
     if form == "thing in medium":
         words = f"{name}{_pick(draw, (' ', ', '))}{medium}"
-        painted = Look((), thing.colors, thing.patterns, (brush,), None)
+        painted = thing._replace(brushwork=(brush,), scale=None)
         return words, _traits(draw, painted, _shuffled(draw, thing.colors, lead=True))
     if form == "mood pattern":
-        only = Look((), mood.colors, (pattern,), (), None)
+        only = Appearance((), mood.colors, (pattern,), (), None)
         return f"{adjective} {noun}", _traits(draw, only, _shuffled(draw, mood.colors))
     if form == "mood manner":
         return f"{adjective} {method}", _traits(draw, manner, _shuffled(draw, mood.colors))
@@ -97,48 +86,17 @@ def draw_phrase(draw: Draw) -> tuple[str, StyleTraits]:
         words = f"{named} {method}" if draw.chance(0.5) else f"{method} in {named}"
         return words, _traits(draw, manner, colors)
     before = _pick(draw, ("", "", "all ", "plain ", "shades of ", "a palette of "))
-    return before + named, _traits(draw, Look((), colors, (), (), None), colors)
+    return before + named, _traits(draw, Appearance((), colors, (), (), None), colors)
 
 
-def descriptions(num_captions: int = 500) -> tuple[str, ...]:
-    """Texts that together have every word of captions and phrases: single looks and names, then whole captions."""
-    names = [word for group in ("things", "manners", "moods") for look in looks(group) for word in look.words]
-    names += [name for color in COLORS for name in color.names]
-    names += [noun for words in WORDS.values() for noun in words.nouns]
-    names += [f"{size} {words.nouns[0]}" for words in WORDS.values() for size in words.fine + words.coarse]
-    names += [f"{colors} {medium}" for colors in ("red", "blue") for media in MEDIA.values() for medium in media]
-    names += PHOTO_TEXTS
-    draw = Draw((16,))
-    for _ in range(num_captions):
-        pattern = PATTERNS[draw.below(len(PATTERNS))]
-        colors = _shuffled(draw, range(len(COLORS)))[: 1 + draw.below(3)]
-        direction = _pick(draw, DIRECTIONS) if pattern in DIRECTED else None
-        names.append(
-            describe(
-                draw,
-                pattern=pattern,
-                colors=colors,
-                scale=draw.below(len(SCALES)),
-                brushwork=_pick(draw, BRUSHWORK),
-                direction=direction,
-            )
-        )
-    names += [draw_phrase(draw)[0] for _ in range(num_captions)]
-    return tuple(dict.fromkeys(names))
-
-
-def _traits(draw: Draw, look: Look, colors: tuple[int, ...]) -> StyleTraits:
-    """A style with a look, in the first two to five of some colours, or in the only one."""
+def _traits(draw: Draw, appearance: Appearance, colors: tuple[int, ...]) -> StyleTraits:
+    """A style of an appearance, in the first two to five of some colours, or in the only one."""
     colors = colors[: 2 + draw.below(4)]
-    pattern = _pick(draw, look.patterns or range(len(PATTERNS)))
-    return StyleTraits(
-        pattern=pattern,
-        colors=colors,
-        scale=draw.below(len(SCALES)) if look.scale is None else look.scale,
-        brushwork=_pick(draw, look.brushwork or range(len(BRUSHWORK))),
-        direction=draw.below(3) if PATTERNS[pattern] in DIRECTED else -1,
-        palette=draw_palette(draw, colors),
-    )
+    pattern = _pick(draw, appearance.patterns or range(len(PATTERNS)))
+    scale = draw.below(len(SCALES)) if appearance.scale is None else appearance.scale
+    brushwork = _pick(draw, appearance.brushwork or range(len(BRUSHWORK)))
+    direction = draw.below(3) if PATTERNS[pattern] in DIRECTED else -1
+    return StyleTraits(pattern, colors, scale, brushwork, direction, draw_palette(draw, colors))
 
 
 def _shuffled(draw: Draw, colors: Sequence[int], *, lead: bool = False) -> tuple[int, ...]:
@@ -150,9 +108,9 @@ def _shuffled(draw: Draw, colors: Sequence[int], *, lead: bool = False) -> tuple
     return tuple(order)
 
 
-def _name(draw: Draw, look: Look) -> str:
+def _name(draw: Draw, appearance: Appearance) -> str:
     """One of its words, the plainest most often."""
-    return look.words[draw.below(1 + draw.below(len(look.words)))]
+    return appearance.words[draw.below(1 + draw.below(len(appearance.words)))]
 
 
 def _pick(draw: Draw, options: Sequence[T]) -> T:

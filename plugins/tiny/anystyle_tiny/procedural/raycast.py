@@ -4,17 +4,15 @@ import numpy as np
 
 from anystyle.compiled import compiled
 from anystyle_tiny.procedural.light import hit_surroundings, shade
-from anystyle_tiny.procedural.solids import BOUND, CENTRE, SOLIDS, hit_solid
+from anystyle_tiny.procedural.solids import BOUND, CENTRE, SOLIDS, Vector, dot, hit_solid, scaled
 
 CALM = 0.05
-"""Two samples of a pixel that differ by less than this share of their sum are enough."""
+"""Two samples of a pixel that differ by less than this fraction of their sum are enough."""
 
 
 @compiled
-def _ray(
-    pose: np.ndarray, focal: float, height: int, width: int, row: float, column: float
-) -> tuple[float, float, float]:
-    """The world direction through a place of the image, of unit depth."""
+def _ray(pose: np.ndarray, focal: float, height: int, width: int, row: float, column: float) -> Vector:
+    """The world direction through a point of the image, of unit depth."""
     x, y = (column - width / 2) / focal, (row - height / 2) / focal
     return (
         pose[0, 0] * x + pose[0, 1] * y + pose[0, 2],
@@ -25,21 +23,11 @@ def _ray(
 
 @compiled
 def _nearest(
-    g: np.ndarray,
-    solids: np.ndarray,
-    chosen: np.ndarray,
-    count: int,
-    ox: float,
-    oy: float,
-    oz: float,
-    dx: float,
-    dy: float,
-    dz: float,
+    g: np.ndarray, solids: np.ndarray, chosen: np.ndarray, count: int, origin: Vector, ray: Vector
 ) -> tuple[float, int]:
-    best, label = hit_surroundings(g, ox, oy, oz, dx, dy, dz)
-    for k in range(count):
-        i = chosen[k]
-        t = hit_solid(solids, i, ox, oy, oz, dx, dy, dz, 1e-3)
+    best, label = hit_surroundings(g, origin, ray)
+    for i in chosen[:count]:
+        t = hit_solid(solids, i, origin, ray, 1e-3)
         if t < best:
             best, label = t, i + SOLIDS
     return best, label
@@ -50,15 +38,11 @@ def _bounds(solids: np.ndarray, pose: np.ndarray, focal: float, height: int, wid
     """Rectangles of the image that hold the solids' bounding spheres: left, right, top, bottom."""
     bounds = np.empty((len(solids), 4), np.float64)
     for i in range(len(solids)):
-        vx, vy, vz = (
-            solids[i, CENTRE] - pose[0, 3],
-            solids[i, CENTRE + 1] - pose[1, 3],
-            solids[i, CENTRE + 2] - pose[2, 3],
-        )
-        r, cz = solids[i, BOUND], pose[0, 2] * vx + pose[1, 2] * vy + pose[2, 2] * vz
+        v = (solids[i, CENTRE] - pose[0, 3], solids[i, CENTRE + 1] - pose[1, 3], solids[i, CENTRE + 2] - pose[2, 3])
+        r, cz = solids[i, BOUND], pose[0, 2] * v[0] + pose[1, 2] * v[1] + pose[2, 2] * v[2]
         for axis in range(2):
             middle = (height if axis else width) / 2
-            c = pose[0, axis] * vx + pose[1, axis] * vy + pose[2, axis] * vz
+            c = pose[0, axis] * v[0] + pose[1, axis] * v[1] + pose[2, axis] * v[2]
             if cz + r <= 0:
                 bounds[i, 2 * axis], bounds[i, 2 * axis + 1] = 1.0, 0.0
             elif cz - r <= 0.05:
@@ -83,22 +67,9 @@ def cast(
     labels: np.ndarray,
     samples: int,
 ) -> None:
-    """Fill ``color`` (H W 3, linear light), ``depth`` (H W, along the camera's z axis) and ``labels`` (H W).
-
-    Args:
-        g: Settings of the scene, see :mod:`anystyle_tiny.procedural.light`.
-        solids: A row a solid, see :mod:`anystyle_tiny.procedural.solids`.
-        materials: A row a material, see :mod:`anystyle_tiny.procedural.textures`.
-        bytes_: The volumes of :func:`anystyle_tiny.procedural.volumes.volumes`.
-        pose: World from camera, 4x4, OpenCV axes in the camera, y up in the world.
-        focal: In pixels; the principal point is the middle of the image.
-        color: Written to.
-        depth: Written to.
-        labels: Written to: what is seen at the pixel's centre.
-        samples: Rays a pixel's side for colour; 0 leaves it black.
-    """
+    """Fill ``color`` (H W 3, linear light), ``depth`` (H W, along the camera's z axis) and ``labels`` (H W)."""
     height, width = depth.shape
-    ox, oy, oz = pose[0, 3], pose[1, 3], pose[2, 3]
+    origin = (pose[0, 3], pose[1, 3], pose[2, 3])
     bounds = _bounds(solids, pose, focal, height, width)
     in_row, chosen = np.empty(len(solids), np.int64), np.empty(len(solids), np.int64)
     for row in range(height):
@@ -108,15 +79,15 @@ def cast(
                 in_row[rows] = i
                 rows += 1
         for column in range(width):
-            num_chosen = 0
-            for k in range(rows):
-                if bounds[in_row[k], 0] <= column + 1 and bounds[in_row[k], 1] >= column:
-                    chosen[num_chosen] = in_row[k]
-                    num_chosen += 1
-            dx, dy, dz = _ray(pose, focal, height, width, row + 0.5, column + 0.5)
-            depth[row, column], labels[row, column] = _nearest(g, solids, chosen, num_chosen, ox, oy, oz, dx, dy, dz)
+            count = 0
+            for i in in_row[:rows]:
+                if bounds[i, 0] <= column + 1 and bounds[i, 1] >= column:
+                    chosen[count] = i
+                    count += 1
+            ray = _ray(pose, focal, height, width, row + 0.5, column + 0.5)
+            depth[row, column], labels[row, column] = _nearest(g, solids, chosen, count, origin, ray)
             red, green, blue, taken = 0.0, 0.0, 0.0, 0
-            # A pixel asks only once for each thing it sees how open it is to ambient light.
+            # The openness to ambient light is computed once for each thing that a pixel sees.
             last, known, contrast = labels[row, column], -1.0, 0.0
             for sample in range(samples * samples):
                 if sample == 2 and samples == 2 and contrast < CALM * (red + green + blue):
@@ -126,27 +97,19 @@ def cast(
                 if samples == 2:
                     i, j = sample & 1, (sample & 1) ^ (sample >> 1)
                 fy, fx = (i + 0.5) / samples, (j + 0.5) / samples
-                dx, dy, dz = _ray(pose, focal, height, width, row + fy, column + fx)
-                t, label = _nearest(g, solids, chosen, num_chosen, ox, oy, oz, dx, dy, dz)
-                length = np.sqrt(dx * dx + dy * dy + dz * dz)
-                r, gr, b, known = shade(
-                    g,
-                    solids,
-                    materials,
-                    bytes_,
-                    label,
-                    (ox + t * dx, oy + t * dy, oz + t * dz),
-                    (dx / length, dy / length, dz / length),
-                    t * length / (focal * samples) * 1.2,
-                    (2 * fx - 1, 2 * fy - 1),
-                    known if label == last else -1.0,
-                )
+                ray = _ray(pose, focal, height, width, row + fy, column + fx)
+                t, label = _nearest(g, solids, chosen, count, origin, ray)
+                length = np.sqrt(dot(ray, ray))
+                point = (origin[0] + t * ray[0], origin[1] + t * ray[1], origin[2] + t * ray[2])
+                view, footprint = scaled(ray, length), t * length / (focal * samples) * 1.2
+                jitter, openness = (2 * fx - 1, 2 * fy - 1), known if label == last else -1.0
+                r, gr, b, known = shade(g, solids, materials, bytes_, label, point, view, footprint, jitter, openness)
                 if label != last:
                     contrast = 1e9
                 elif sample == 1:
                     contrast += abs(r - red) + abs(gr - green) + abs(b - blue)
                 last, taken = label, taken + 1
                 red, green, blue = red + r, green + gr, blue + b
-            color[row, column, 0] = red / max(taken, 1)
-            color[row, column, 1] = green / max(taken, 1)
-            color[row, column, 2] = blue / max(taken, 1)
+            taken = max(taken, 1)
+            color[row, column, 0], color[row, column, 1] = red / taken, green / taken
+            color[row, column, 2] = blue / taken

@@ -8,8 +8,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from anystyle.caching import LRUCache
 from anystyle.contracts import SceneSource
+from anystyle.errors import UserError
+from anystyle.io.cache import LRUCache
 from anystyle.types import Cameras, Views
 from anystyle_tiny.procedural.layout import Draw, World, lay_out, unit_circle
 from anystyle_tiny.procedural.light import EXTENT, ROOM
@@ -45,8 +46,8 @@ class Shot(NamedTuple):
 class ProceduralScenes(SceneSource):
     """Scenes of solids with photograph-like textures, light and shadow, each made when it is read.
 
-    A camera moves on an arc of 10 to 50 degrees around rooms or gardens; a scene is drawn again where one near thing
-    fills a view, where little is to be seen or where the views share too little. The sky is a dome at a finite
+    A camera moves on an arc of 10 to 50 degrees around rooms or gardens; a scene is drawn again if something near fills
+    a view, if a view is nearly empty, or if the views overlap too little. The sky is a dome at a finite
     distance, so that every pixel has a depth. The mean depth of the first view is about 1. Images are rounded to
     8 bits, as photographs are.
 
@@ -60,7 +61,7 @@ class ProceduralScenes(SceneSource):
         samples: Rays a pixel's side; their square is cast for a pixel.
 
     Raises:
-        ValueError: A number is out of range.
+        UserError: A number is out of range.
     """
 
     def __init__(
@@ -74,20 +75,17 @@ class ProceduralScenes(SceneSource):
         split: Literal["train", "validation", "heldout"] = "train",
         samples: int = 2,
     ) -> None:
-        for name, value in (("size", size), ("width", width or size)):
+        sides, counts = {"size": size, "width": width or size}, {"num_scenes": num_scenes, "views": views}
+        for name, value in sides.items():
             if not 8 <= value <= 4096:
-                raise ValueError(f"{name}={value}: procedural scenes are rendered at 8 to 4096 pixels a side")
-        for name, value in (("num_scenes", num_scenes), ("views", views), ("samples", samples)):
+                raise UserError(f"{name}={value}: procedural scenes are rendered at 8 to 4096 pixels a side")
+        for name, value in (counts | {"samples": samples, "seed": seed + 1}).items():
             if value < 1:
-                raise ValueError(f"{name}={value}: give at least 1")
-        if seed < 0:
-            raise ValueError(f"seed={seed}: give 0 or a positive integer")
-        self.size = (size, width or size)
-        self.num_scenes = num_scenes
-        self.views = views
-        self.seed = seed
-        self.split = split
-        self.samples = samples
+                raise UserError(
+                    f"seed={seed}: give at least 0" if name == "seed" else f"{name}={value}: give at least 1"
+                )
+        self.size, self.num_scenes, self.views, self.samples = (size, width or size), num_scenes, views, samples
+        self.seed, self.split = seed, split
         self._shots: LRUCache[int, Shot] = LRUCache(4)
 
     @classmethod
@@ -112,8 +110,8 @@ class ProceduralScenes(SceneSource):
         views = list(views)
         wrong = [view for view in views if not 0 <= view < self.views]
         if wrong or not views:
-            raise ValueError(f"views {views} of a scene of {self.views}: give at least one of 0 to {self.views - 1}")
-        shot = self._shot(scene)
+            raise UserError(f"views {views} of a scene of {self.views}: give at least one of 0 to {self.views - 1}")
+        shot = self._shots.get(scene, lambda: self._find(scene))
         height, width = self.size
         focal = shot.focal * min(self.size)
         images = np.empty((len(views), height, width, 3))
@@ -124,23 +122,17 @@ class ProceduralScenes(SceneSource):
         poses[:, :3, 3] /= shot.unit
         intrinsics = np.array([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]])
         levels = torch.from_numpy(_develop(images, shot.exposure)).permute(0, 3, 1, 2)
+        lenses = torch.from_numpy(intrinsics).float().expand(1, len(views), 3, 3).contiguous()
         return Views(
             images=(levels.float() / 255.0)[None].contiguous(),
-            cameras=Cameras(
-                torch.from_numpy(poses).float()[None],
-                torch.from_numpy(intrinsics).float().expand(1, len(views), 3, 3).contiguous(),
-                self.size,
-            ),
+            cameras=Cameras(torch.from_numpy(poses).float()[None], lenses, self.size),
             depth=torch.from_numpy(depth / shot.unit).float()[None],
             names=tuple(f"{self.name(scene)}/{view:03d}" for view in views),
         )
 
     def _check(self, scene: int) -> None:
         if not 0 <= scene < self.num_scenes:
-            raise ValueError(f"scene {scene}: there are {self.num_scenes}, counted from 0")
-
-    def _shot(self, scene: int) -> Shot:
-        return self._shots.get(scene, lambda: self._find(scene))
+            raise UserError(f"scene {scene}: there are {self.num_scenes}, counted from 0")
 
     def _find(self, scene: int) -> Shot:
         """Draw scenes until one passes; the last one is taken as it is."""
@@ -172,13 +164,8 @@ def _look_at(eye: Array, target: Array, roll: float) -> Array:
     forward = forward / np.sqrt((forward * forward).sum())
     right = np.array([-forward[2], 0.0, forward[0]])
     right = right / np.sqrt((right * right).sum())
-    down = np.array(
-        [
-            forward[1] * right[2] - forward[2] * right[1],
-            forward[2] * right[0] - forward[0] * right[2],
-            forward[0] * right[1] - forward[1] * right[0],
-        ]
-    )
+    (fx, fy, fz), (rx, ry, rz) = forward, right
+    down = np.array([fy * rz - fz * ry, fz * rx - fx * rz, fx * ry - fy * rx])
     c, s = unit_circle(roll)
     pose = np.eye(4)
     pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = c * right + s * down, c * down - s * right, forward, eye
@@ -236,17 +223,17 @@ def _presentable(depth: Array, labels: NDArray[np.int64]) -> bool:
 
 
 def _shared(poses: Array, focal: float, depths: list[Array]) -> float:
-    """The smallest share of the first view's pixels that another view sees too."""
+    """The smallest fraction of the first view's pixels that another view sees too."""
     grid = (np.arange(PREVIEW) + 0.5 - PREVIEW / 2) / (focal * PREVIEW)
     x, y = np.meshgrid(grid, grid)
     local = np.stack([x, y, np.ones_like(x)], -1) * depths[0][..., None]
     points = local @ poses[0, :3, :3].T + poses[0, :3, 3]
-    shares = []
+    fractions = []
     for pose, depth in zip(poses[1:], depths[1:], strict=True):
         p = (points - pose[:3, 3]) @ pose[:3, :3]
         u, v = (p[..., 0] / p[..., 2], p[..., 1] / p[..., 2]) if (p[..., 2] > 0).all() else (np.full_like(x, 9.0),) * 2
         column, row = (np.floor(a * focal * PREVIEW + PREVIEW / 2).astype(np.int64) for a in (u, v))
         inside = (column >= 0) & (column < PREVIEW) & (row >= 0) & (row < PREVIEW)
         seen = depth[row.clip(0, PREVIEW - 1), column.clip(0, PREVIEW - 1)]
-        shares.append((inside & (np.abs(seen - p[..., 2]) < 0.15 * p[..., 2])).mean())
-    return float(min(shares, default=1.0))
+        fractions.append((inside & (np.abs(seen - p[..., 2]) < 0.15 * p[..., 2])).mean())
+    return float(min(fractions, default=1.0))

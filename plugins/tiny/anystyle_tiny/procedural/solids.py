@@ -17,12 +17,30 @@ SOLID_COLUMNS = 15
 FLOOR, WALL, CEILING, SOLIDS = range(4)
 """Labels of what a ray meets, and materials of the surroundings; solid i has the label SOLIDS + i."""
 
+Vector = tuple[float, float, float]
+
 
 @compiled
-def _hit_sphere(px: float, py: float, pz: float, dx: float, dy: float, dz: float, near: float) -> float:
-    a = dx * dx + dy * dy + dz * dz
-    b = px * dx + py * dy + pz * dz
-    c = px * px + py * py + pz * pz - 1.0
+def dot(a: Vector, b: Vector) -> float:
+    """The inner product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@compiled
+def scaled(a: Vector, length: float) -> Vector:
+    """A vector divided by a length."""
+    return a[0] / length, a[1] / length, a[2] / length
+
+
+@compiled
+def _from_point(solids: np.ndarray, i: int, point: Vector) -> Vector:
+    """The vector from a point to the centre of a solid."""
+    return solids[i, CENTRE] - point[0], solids[i, CENTRE + 1] - point[1], solids[i, CENTRE + 2] - point[2]
+
+
+@compiled
+def _hit_sphere(p: Vector, d: Vector, near: float) -> float:
+    a, b, c = dot(d, d), dot(p, d), dot(p, p) - 1.0
     disc = b * b - a * c
     if disc <= 0:
         return np.inf
@@ -31,23 +49,21 @@ def _hit_sphere(px: float, py: float, pz: float, dx: float, dy: float, dz: float
 
 
 @compiled
-def _hit_box(px: float, py: float, pz: float, dx: float, dy: float, dz: float, near: float) -> float:
-    # A direction along a face divides by zero, which gives the infinities that the comparisons need.
-    ix, iy, iz = 1.0 / dx, 1.0 / dy, 1.0 / dz
-    ax, bx = (-1.0 - px) * ix, (1.0 - px) * ix
-    ay, by = (-1.0 - py) * iy, (1.0 - py) * iy
-    az, bz = (-1.0 - pz) * iz, (1.0 - pz) * iz
-    lo = max(max(min(ax, bx), min(ay, by)), min(az, bz))
-    hi = min(min(max(ax, bx), max(ay, by)), max(az, bz))
-    return lo if lo <= hi and lo > near else np.inf
+def _hit_box(p: Vector, d: Vector, near: float) -> float:
+    low, high = -np.inf, np.inf
+    for axis in range(3):
+        # A direction along a face divides by zero, which gives the infinities that the comparisons need.
+        inverse = 1.0 / d[axis]
+        a, b = (-1.0 - p[axis]) * inverse, (1.0 - p[axis]) * inverse
+        low, high = max(low, min(a, b)), min(high, max(a, b))
+    return low if low <= high and low > near else np.inf
 
 
 @compiled
-def _hit_round(px: float, py: float, pz: float, dx: float, dy: float, dz: float, near: float, slope: float) -> float:
+def _hit_round(p: Vector, d: Vector, near: float, slope: float) -> float:
     """A cylinder of radius 1 (slope 0) or a cone of radius 1 at y = -1 and 0 at y = 1 (slope 0.5)."""
-    best = np.inf
-    w = 1.0 - slope * (py + 1.0)
-    k = slope * dy
+    (px, py, pz), (dx, dy, dz), best = p, d, np.inf
+    w, k = 1.0 - slope * (py + 1.0), slope * dy
     a = dx * dx + dz * dz - k * k
     b = px * dx + pz * dz + w * k
     c = px * px + pz * pz - w * w
@@ -63,29 +79,26 @@ def _hit_round(px: float, py: float, pz: float, dx: float, dy: float, dz: float,
             if cap > 0 and slope > 0:
                 continue
             t = (cap - py) / dy
-            if near < t < best:
-                x, z = px + t * dx, pz + t * dz
-                if x * x + z * z <= 1.0:
-                    best = t
+            x, z = px + t * dx, pz + t * dz
+            if near < t < best and x * x + z * z <= 1.0:
+                best = t
     return best
 
 
 @compiled
-def hit_solid(
-    solids: np.ndarray, i: int, ox: float, oy: float, oz: float, dx: float, dy: float, dz: float, near: float
-) -> float:
+def hit_solid(solids: np.ndarray, i: int, origin: Vector, ray: Vector, near: float) -> float:
     """Where a ray meets a solid, in lengths of its direction; infinite where it does not beyond ``near``."""
     c, s = solids[i, COS], solids[i, SIN]
     a, b, e = solids[i, INVERSE], solids[i, INVERSE + 1], solids[i, INVERSE + 2]
-    wx, wy, wz = ox - solids[i, CENTRE], oy - solids[i, CENTRE + 1], oz - solids[i, CENTRE + 2]
-    px, py, pz = (c * wx - s * wz) * a, wy * b, (s * wx + c * wz) * e
-    ex, ey, ez = (c * dx - s * dz) * a, dy * b, (s * dx + c * dz) * e
+    wx, wy, wz = origin[0] - solids[i, CENTRE], origin[1] - solids[i, CENTRE + 1], origin[2] - solids[i, CENTRE + 2]
+    p = ((c * wx - s * wz) * a, wy * b, (s * wx + c * wz) * e)
+    d = ((c * ray[0] - s * ray[2]) * a, ray[1] * b, (s * ray[0] + c * ray[2]) * e)
     shape = solids[i, SHAPE]
     if shape == SPHERE:
-        return _hit_sphere(px, py, pz, ex, ey, ez, near)
+        return _hit_sphere(p, d, near)
     if shape == BOX:
-        return _hit_box(px, py, pz, ex, ey, ez, near)
-    return _hit_round(px, py, pz, ex, ey, ez, near, 0.0 if shape == CYLINDER else 0.5)
+        return _hit_box(p, d, near)
+    return _hit_round(p, d, near, 0.0 if shape == CYLINDER else 0.5)
 
 
 @compiled
@@ -103,67 +116,54 @@ def _angle(y: float, x: float) -> float:
 
 
 @compiled
-def surface(
-    solids: np.ndarray, i: int, x: float, y: float, z: float
-) -> tuple[float, float, float, float, float, float, float, float]:
-    """Normal, place in the solid's axes in metres and place on its unrolled surface, at a point of a solid."""
-    wx, wz = x - solids[i, CENTRE], z - solids[i, CENTRE + 2]
-    lx, ly, lz = (
-        solids[i, COS] * wx - solids[i, SIN] * wz,
-        y - solids[i, CENTRE + 1],
-        solids[i, SIN] * wx + solids[i, COS] * wz,
-    )
-    ux, uy, uz = lx / solids[i, HALF], ly / solids[i, HALF + 1], lz / solids[i, HALF + 2]
-    if solids[i, SHAPE] == BOX:
-        ax, ay, az = abs(ux), abs(uy), abs(uz)
-        if ay >= ax and ay >= az:
-            nx, ny, nz, u, v = 0.0, (1.0 if uy > 0 else -1.0), 0.0, lx, lz
-        elif ax >= az:
+def surface(solids: np.ndarray, i: int, point: Vector) -> tuple[Vector, Vector, float, float]:
+    """Normal, position in the solid's axes in metres and position on its unrolled surface, at a point of a solid."""
+    c, s = solids[i, COS], solids[i, SIN]
+    wx, wz = point[0] - solids[i, CENTRE], point[2] - solids[i, CENTRE + 2]
+    lx, ly, lz = c * wx - s * wz, point[1] - solids[i, CENTRE + 1], s * wx + c * wz
+    a, b, e = solids[i, HALF], solids[i, HALF + 1], solids[i, HALF + 2]
+    ux, uy, uz = lx / a, ly / b, lz / e
+    shape, slope = solids[i, SHAPE], 0.5 if solids[i, SHAPE] == CONE else 0.0
+    flat = uy < -0.9999 or (uy > 0.9999 and slope == 0.0)
+    if shape == BOX:
+        flat = abs(uy) >= abs(ux) and abs(uy) >= abs(uz)
+    if flat and shape != SPHERE:
+        nx, ny, nz, u, v = 0.0, (1.0 if uy > 0 else -1.0), 0.0, lx, lz
+    elif shape == BOX:
+        if abs(ux) >= abs(uz):
             nx, ny, nz, u, v = (1.0 if ux > 0 else -1.0), 0.0, 0.0, lz, ly
         else:
             nx, ny, nz, u, v = 0.0, 0.0, (1.0 if uz > 0 else -1.0), lx, ly
-    elif solids[i, SHAPE] == SPHERE:
-        nx, ny, nz = ux / solids[i, HALF], uy / solids[i, HALF + 1], uz / solids[i, HALF + 2]
-        u, v = _angle(lz, lx) * solids[i, HALF], uy * 1.4 * solids[i, HALF + 1]
+    elif shape == SPHERE:
+        nx, ny, nz, u, v = ux / a, uy / b, uz / e, _angle(lz, lx) * a, uy * 1.4 * b
     else:
-        slope = 0.0 if solids[i, SHAPE] == CYLINDER else 0.5
-        if uy < -0.9999 or (uy > 0.9999 and slope == 0.0):
-            nx, ny, nz, u, v = 0.0, (1.0 if uy > 0 else -1.0), 0.0, lx, lz
-        else:
-            nx, ny, nz = (
-                ux / solids[i, HALF],
-                slope * (1.0 - slope * (uy + 1.0)) / solids[i, HALF + 1],
-                uz / solids[i, HALF + 2],
-            )
-            u, v = _angle(lz, lx) * solids[i, HALF], ly
-    length = np.sqrt(nx * nx + ny * ny + nz * nz)
-    nx, ny, nz = nx / length, ny / length, nz / length
-    return solids[i, COS] * nx + solids[i, SIN] * nz, ny, -solids[i, SIN] * nx + solids[i, COS] * nz, lx, ly, lz, u, v
+        nx, ny, nz, u, v = ux / a, slope * (1.0 - slope * (uy + 1.0)) / b, uz / e, _angle(lz, lx) * a, ly
+    nx, ny, nz = scaled((nx, ny, nz), np.sqrt(dot((nx, ny, nz), (nx, ny, nz))))
+    return (c * nx + s * nz, ny, -s * nx + c * nz), (lx, ly, lz), u, v
 
 
 @compiled
-def shadowed(solids: np.ndarray, x: float, y: float, z: float, lx: float, ly: float, lz: float, reach: float) -> bool:
-    """Whether a solid stands between a point and the light at distance ``reach`` along the unit (lx, ly, lz)."""
+def shadowed(solids: np.ndarray, point: Vector, light: Vector, distance: float) -> bool:
+    """Whether a solid stands between a point and the light at a distance along the unit vector ``light``."""
     for i in range(len(solids)):
-        vx, vy, vz = solids[i, CENTRE] - x, solids[i, CENTRE + 1] - y, solids[i, CENTRE + 2] - z
-        along = vx * lx + vy * ly + vz * lz
-        if along < -solids[i, BOUND] or along > reach + solids[i, BOUND]:
+        to_centre, bound = _from_point(solids, i, point), solids[i, BOUND]
+        along = dot(to_centre, light)
+        if along < -bound or along > distance + bound:
             continue
-        if vx * vx + vy * vy + vz * vz - along * along > solids[i, BOUND] * solids[i, BOUND]:
+        if dot(to_centre, to_centre) - along * along > bound * bound:
             continue
-        if hit_solid(solids, i, x, y, z, lx, ly, lz, 1e-4) < reach:
+        if hit_solid(solids, i, point, light, 1e-4) < distance:
             return True
     return False
 
 
 @compiled
-def openness(solids: np.ndarray, label: int, x: float, y: float, z: float, nx: float, ny: float, nz: float) -> float:
-    """Share of the ambient light that reaches a point past the solids; ``label`` is the one it lies on."""
+def openness(solids: np.ndarray, label: int, point: Vector, normal: Vector) -> float:
+    """Fraction of the ambient light that reaches a point past the solids; ``label`` is the one it lies on."""
     hidden = 0.0
     for i in range(len(solids)):
-        vx, vy, vz = solids[i, CENTRE] - x, solids[i, CENTRE + 1] - y, solids[i, CENTRE + 2] - z
-        toward = vx * nx + vy * ny + vz * nz
-        d2, r2 = vx * vx + vy * vy + vz * vz, solids[i, BULK] * solids[i, BULK]
+        to_centre = _from_point(solids, i, point)
+        toward, d2, r2 = dot(to_centre, normal), dot(to_centre, to_centre), solids[i, BULK] * solids[i, BULK]
         if toward > 0 and d2 < 40.0 * r2 and i + SOLIDS != label:
             hidden += min(r2 / d2 - 0.025, 0.95) * toward / np.sqrt(d2)
     return 1.0 / (1.0 + 0.9 * hidden)

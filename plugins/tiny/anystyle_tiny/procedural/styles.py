@@ -10,11 +10,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import StyleSource
+from anystyle.errors import UserError
 from anystyle.types import Style
-from anystyle_tiny.procedural.captions import DIRECTIONS, SCALES, describe
+from anystyle_tiny.procedural.captions import COLORS, DIRECTIONS, SCALES, describe
 from anystyle_tiny.procedural.layout import Draw, unit_circle
 from anystyle_tiny.procedural.painting import BRUSHWORK, paint
-from anystyle_tiny.procedural.palettes import COLORS
 from anystyle_tiny.procedural.patterns import FREQUENCY, PATTERNS, WASH
 from anystyle_tiny.procedural.volumes import scramble, volumes
 
@@ -31,23 +31,14 @@ SCALE = (1.7, 1.0, 0.59)
 
 @dataclass(frozen=True)
 class StyleTraits:
-    """What a procedural style was made of.
-
-    Args:
-        pattern: Index in :data:`anystyle_tiny.procedural.patterns.PATTERNS`.
-        colors: Indices in :data:`anystyle_tiny.procedural.palettes.COLORS`; the ground comes first.
-        scale: Index in :data:`anystyle_tiny.procedural.captions.SCALES`.
-        brushwork: Index in :data:`anystyle_tiny.procedural.painting.BRUSHWORK`.
-        direction: Index in :data:`anystyle_tiny.procedural.captions.DIRECTIONS`, or -1.
-        palette: sRGB colours that were painted with, in [0, 1]; at least two rows, a single colour with a shade of it.
-    """
+    """What a procedural style was made of, by indices in the tables of those names."""
 
     pattern: int
-    colors: tuple[int, ...]
+    colors: tuple[int, ...]  # the ground comes first
     scale: int
     brushwork: int
-    direction: int
-    palette: Float[Tensor, "K 3"]
+    direction: int  # or -1
+    palette: Float[Tensor, "K 3"]  # sRGB in [0, 1], at least two rows
 
 
 class ProceduralStyles(StyleSource):
@@ -63,7 +54,7 @@ class ProceduralStyles(StyleSource):
         max_colors: The most colours a picture has.
 
     Raises:
-        ValueError: A number is out of range.
+        UserError: A number is out of range.
     """
 
     def __init__(
@@ -76,17 +67,12 @@ class ProceduralStyles(StyleSource):
         max_colors: int = 3,
     ) -> None:
         if not 8 <= size <= 4096:
-            raise ValueError(f"size={size}: procedural styles are painted at 8 to 4096 pixels a side")
-        if num_styles < 1:
-            raise ValueError(f"num_styles={num_styles}: give at least 1")
-        if not 1 <= max_colors <= 3:
-            raise ValueError(f"max_colors={max_colors}: give 1, 2 or 3")
-        if seed < 0:
-            raise ValueError(f"seed={seed}: give 0 or a positive integer")
-        self.size = size
-        self.num_styles = num_styles
-        self.seed = seed
-        self.split = split
+            raise UserError(f"size={size}: procedural styles are painted at 8 to 4096 pixels a side")
+        if num_styles < 1 or not 1 <= max_colors <= 3 or seed < 0:
+            raise UserError(
+                f"num_styles={num_styles}, max_colors={max_colors}, seed={seed}: give at least 1, 1 to 3, at least 0"
+            )
+        self.size, self.num_styles, self.seed, self.split = size, num_styles, seed, split
         self.max_colors = max_colors
 
     @classmethod
@@ -99,17 +85,12 @@ class ProceduralStyles(StyleSource):
     def read(self, style: int) -> Style:
         draw, traits = self._draw(style)
         directed = PATTERNS[traits.pattern] in DIRECTED
+        direction = DIRECTIONS[traits.direction] if directed and draw.chance(0.5) else None
         text = describe(
-            draw,
-            pattern=PATTERNS[traits.pattern],
-            colors=traits.colors,
-            scale=traits.scale,
-            brushwork=BRUSHWORK[traits.brushwork],
-            direction=DIRECTIONS[traits.direction] if directed and draw.chance(0.5) else None,
+            draw, PATTERNS[traits.pattern], traits.colors, traits.scale, BRUSHWORK[traits.brushwork], direction
         )
-        return Style(
-            image=paint_style(draw, traits, self.size), text=(text,), names=(f"{self.split}-{self.seed}-{style:05d}",)
-        )
+        image = paint_style(draw, traits, self.size)
+        return Style(image=image, text=(text,), names=(f"{self.split}-{self.seed}-{style:05d}",))
 
     def traits(self, style: int) -> StyleTraits:
         """What one style is made of, for supervision that a caption cannot give."""
@@ -117,25 +98,18 @@ class ProceduralStyles(StyleSource):
 
     def _draw(self, style: int) -> tuple[Draw, StyleTraits]:
         if not 0 <= style < self.num_styles:
-            raise ValueError(f"style {style}: there are {self.num_styles}, counted from 0")
+            raise UserError(f"style {style}: there are {self.num_styles}, counted from 0")
         draw = Draw((self.seed, SPLITS.index(self.split), style, 7))
         while True:
             pattern = draw.below(len(PATTERNS))
-            colors = _colors(
-                draw, 1 + min(draw.below(4), 2) if self.max_colors == 3 else 1 + draw.below(self.max_colors)
-            )
+            colors = _colors(draw, 1 + (min(draw.below(4), 2) if self.max_colors == 3 else draw.below(self.max_colors)))
             if is_held_out(pattern, colors) == (self.split == "heldout"):
                 break
         name = PATTERNS[pattern]
         direction = draw.below(len(DIRECTIONS)) if name in DIRECTED else -1
-        return draw, StyleTraits(
-            pattern,
-            colors,
-            draw.below(len(SCALES)),
-            draw.below(len(BRUSHWORK)),
-            direction,
-            draw_palette(draw, colors, plain=name == "plain"),
-        )
+        scale, brushwork = draw.below(len(SCALES)), draw.below(len(BRUSHWORK))
+        palette = draw_palette(draw, colors, plain=name == "plain")
+        return draw, StyleTraits(pattern, colors, scale, brushwork, direction, palette)
 
 
 def is_held_out(pattern: int, colors: tuple[int, ...]) -> bool:
@@ -145,18 +119,13 @@ def is_held_out(pattern: int, colors: tuple[int, ...]) -> bool:
 
 
 def _colors(draw: Draw, count: int) -> tuple[int, ...]:
-    """Different colours, of which people would say that they differ."""
+    """Colours that are clearly different from each other."""
     chosen: list[int] = []
     while len(chosen) < count:
         color = draw.below(len(COLORS))
-        distances = [_distance(color, other) for other in chosen]
-        if all(distance > 90 for distance in distances):
+        if all(np.linalg.norm(np.subtract(COLORS[color].rgb, COLORS[other].rgb)) > 90 for other in chosen):
             chosen.append(color)
     return tuple(chosen)
-
-
-def _distance(a: int, b: int) -> float:
-    return float(np.linalg.norm(np.subtract(COLORS[a].rgb, COLORS[b].rgb)))
 
 
 def draw_palette(draw: Draw, colors: tuple[int, ...], *, plain: bool = False) -> Float[Tensor, "K 3"]:
@@ -187,18 +156,10 @@ def paint_style(draw: Draw, traits: StyleTraits, size: int) -> Float[Tensor, "1 
     else:
         angle = draw.between(-np.pi, np.pi)
     frequency = FREQUENCY[traits.pattern] * SCALE[traits.scale] * draw.between(0.85, 1.15)
-    image = np.empty((size, size, 3))
-    paint(
-        traits.pattern,
-        traits.brushwork,
-        frequency,
-        np.array(unit_circle(angle)),
-        # A wash runs once through its palette: from where it begins.
-        np.zeros(2) if traits.pattern == WASH else np.array([draw.between(0.0, 16.0), draw.between(0.0, 16.0)]),
-        traits.palette.double().numpy(),
-        draw.below(1 << 16),
-        volumes(),
-        image,
-    )
+    image, turn, palette = np.empty((size, size, 3)), np.array(unit_circle(angle)), traits.palette.double().numpy()
+    # A wash runs once through its palette: from where it begins.
+    offset = [0.0, 0.0] if traits.pattern == WASH else [draw.between(0.0, 16.0), draw.between(0.0, 16.0)]
+    salt = draw.below(1 << 16)
+    paint(traits.pattern, traits.brushwork, frequency, turn, np.array(offset), palette, salt, volumes(), image)
     levels = torch.from_numpy((image * 255.0 + 0.5).astype(np.uint8))
     return (levels.permute(2, 0, 1)[None].float() / 255.0).contiguous()

@@ -52,6 +52,12 @@ def chance(x: int, y: int, z: int) -> float:
 
 
 @compiled
+def cover(distance: float, footprint: float) -> float:
+    """How much of a pixel lies on the positive side of an edge."""
+    return min(max(0.5 + distance / max(footprint, 1e-6), 0.0), 1.0)
+
+
+@compiled
 def _make_noise(side: int) -> np.ndarray:
     tile = np.zeros((side, side, side), np.float32)
     total = 0.0
@@ -60,23 +66,16 @@ def _make_noise(side: int) -> np.ndarray:
         cells = side // cell
         amplitude = 1.0 / (1 << octave)
         total += amplitude * 0.62
-        for x in range(side):
-            for y in range(side):
-                for z in range(side):
-                    fx, fy, fz = (x % cell) / cell, (y % cell) / cell, (z % cell) / cell
-                    fx, fy, fz = fx * fx * (3 - 2 * fx), fy * fy * (3 - 2 * fy), fz * fz * (3 - 2 * fz)
-                    value = 0.0
-                    for corner in range(8):
-                        i, j, k = corner & 1, (corner >> 1) & 1, corner >> 2
-                        weight = (fx if i else 1 - fx) * (fy if j else 1 - fy) * (fz if k else 1 - fz)
-                        gx, gy, gz = (x // cell + i) % cells, (y // cell + j) % cells, (z // cell + k) % cells
-                        value += weight * (2.0 * chance(gx + 1000 * octave, gy, gz) - 1.0)
-                    tile[x, y, z] += amplitude * value
-    for x in range(side):
-        for y in range(side):
-            for z in range(side):
-                tile[x, y, z] = tile[x, y, z] / total
-    return tile
+        for x, y, z in np.ndindex(side, side, side):
+            fx, fy, fz = (x % cell) / cell, (y % cell) / cell, (z % cell) / cell
+            fx, fy, fz = fx * fx * (3 - 2 * fx), fy * fy * (3 - 2 * fy), fz * fz * (3 - 2 * fz)
+            value = 0.0
+            for i, j, k in np.ndindex(2, 2, 2):
+                weight = (fx if k else 1 - fx) * (fy if j else 1 - fy) * (fz if i else 1 - fz)
+                gx, gy, gz = (x // cell + k) % cells, (y // cell + j) % cells, (z // cell + i) % cells
+                value += weight * (2.0 * chance(gx + 1000 * octave, gy, gz) - 1.0)
+            tile[x, y, z] += amplitude * value
+    return (tile / total).astype(np.float32)
 
 
 @compiled
@@ -91,15 +90,14 @@ def _make_leaves(side: int, count: int) -> np.ndarray:
         block = chance(leaf, 6, 7) < 0.35
         reach = int(radius * max(stretch, 1.0)) + 1
         label = scramble(leaf) & 255
-        for dx in range(-reach, reach + 1):
-            for dy in range(-reach, reach + 1):
-                for dz in range(-reach, reach + 1):
-                    if block:
-                        inside = max(abs(dx) / stretch, abs(dy), abs(dz) * stretch) < radius * 0.8
-                    else:
-                        inside = (dx / stretch) ** 2 + dy * dy + (dz * stretch) ** 2 < radius * radius
-                    if inside:
-                        tile[int(cx + dx) % side, int(cy + dy) % side, int(cz + dz) % side] = label
+        for i, j, k in np.ndindex(2 * reach + 1, 2 * reach + 1, 2 * reach + 1):
+            dx, dy, dz = i - reach, j - reach, k - reach
+            if block:
+                inside = max(abs(dx) / stretch, abs(dy), abs(dz) * stretch) < radius * 0.8
+            else:
+                inside = (dx / stretch) ** 2 + dy * dy + (dz * stretch) ** 2 < radius * radius
+            if inside:
+                tile[int(cx + dx) % side, int(cy + dy) % side, int(cz + dz) % side] = label
     return tile
 
 
@@ -108,26 +106,20 @@ def _make_cells(side: int, per_side: int) -> tuple[np.ndarray, np.ndarray]:
     labels = np.zeros((side, side, side), np.uint8)
     edges = np.zeros((side, side, side), np.float32)
     cell = side / per_side
-    for x in range(side):
-        for y in range(side):
-            for z in range(side):
-                bx, by, bz = int(x / cell), int(y / cell), int(z / cell)
-                best, second, label = 1e9, 1e9, 0
-                for i in range(-1, 2):
-                    for j in range(-1, 2):
-                        for k in range(-1, 2):
-                            gx, gy, gz = (bx + i) % per_side, (by + j) % per_side, (bz + k) % per_side
-                            px = (bx + i + chance(gx, gy, gz + 11)) * cell - x
-                            py = (by + j + chance(gx, gy + 13, gz)) * cell - y
-                            pz = (bz + k + chance(gx + 17, gy, gz)) * cell - z
-                            d = np.sqrt(px * px + py * py + pz * pz)
-                            if d < best:
-                                best, second = d, best
-                                label = scramble(gx + per_side * (gy + per_side * gz)) & 255
-                            elif d < second:
-                                second = d
-                labels[x, y, z] = label
-                edges[x, y, z] = 0.5 * (second - best)
+    for x, y, z in np.ndindex(side, side, side):
+        best, second, label = 1e9, 1e9, 0
+        for i, j, k in np.ndindex(3, 3, 3):
+            bx, by, bz = int(x / cell) + i - 1, int(y / cell) + j - 1, int(z / cell) + k - 1
+            gx, gy, gz = bx % per_side, by % per_side, bz % per_side
+            px = (bx + chance(gx, gy, gz + 11)) * cell - x
+            py = (by + chance(gx, gy + 13, gz)) * cell - y
+            pz = (bz + chance(gx + 17, gy, gz)) * cell - z
+            d = np.sqrt(px * px + py * py + pz * pz)
+            if d < best:
+                best, second, label = d, best, scramble(gx + per_side * (gy + per_side * gz)) & 255
+            elif d < second:
+                second = d
+        labels[x, y, z], edges[x, y, z] = label, 0.5 * (second - best)
     return labels, edges
 
 

@@ -1,4 +1,4 @@
-"""Training the tiny style encoder: pictures of styles and their captions, brought together."""
+"""Training the tiny style encoder: pictures of styles and their captions in one space."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle import perception
+from anystyle import vision
 from anystyle.nn.words import with_made_up_word
 from anystyle.training.optim import decayed_adamw
 from anystyle_tiny.style_encoder import KNOTS, SIDE, Tiny, colors, shorter_side
@@ -19,21 +19,21 @@ from anystyle_tiny.training.styles import StyleBatch, StyleTraining, TraitHeads,
 class EmbeddingTraining(StyleTraining):
     """Bring pictures and captions of procedural styles into one space in which patterns and palettes are plain to see.
 
-    Contrast alone lets colours crowd out patterns, so both modalities must also name pattern and scale and give the
-    palette, each from the embedding alone; the palette by a linear map, so that mixtures of embeddings are mixtures of
-    palettes. Part of the way through, centres and whitening are fixed and learning goes on behind them.
+    With the contrastive loss alone colours dominate patterns, so pattern, scale and palette must also be predicted from
+    the embeddings of both modalities; the palette by a linear map, so that mixtures of embeddings are mixtures of
+    palettes. Part of the way through, centres and whitening are fixed, and training continues with them.
 
     Args:
         style_encoder: What learns.
-        texture: The convolutions, which do not learn, are this network's of :func:`anystyle.perception.load`; none for
+        texture: The convolutions, which do not learn, are this network's of :func:`anystyle.vision.load`; none for
             random ones. Their features are computed once a picture.
         batch_size: Styles a step.
         photos: Photographs a step, which stand for no style.
         pool: Styles to draw from, kept in memory; none means all there are.
-        feature_noise: Relative noise on remembered features, in place of variations of the pictures.
+        feature_noise: Relative noise on cached features, instead of augmenting the pictures.
         names_weight: Of naming pattern, scale and brushwork.
         palette_weight: Of the palette, the squared error of the ramp over the variance of uniform colours.
-        noise_words: Fraction of captions with a word put in that means nothing.
+        noise_words: Fraction of captions with a made-up word inserted.
         whiten_at: Where whitening is fixed, as a fraction of the training.
         whiten_on: How many styles it is computed from.
         learning_rate: Peak, of AdamW.
@@ -62,7 +62,7 @@ class EmbeddingTraining(StyleTraining):
         super().__init__()
         self.style_encoder = style_encoder
         if texture is not None:
-            start = dict(perception.load(texture).named_parameters())
+            start = dict(vision.load(texture).named_parameters())
             with torch.no_grad():
                 for name, parameter in style_encoder.image_tower.texture.named_parameters():
                     parameter.copy_(start[name])
@@ -70,8 +70,7 @@ class EmbeddingTraining(StyleTraining):
         self.feature_noise = feature_noise
         self._known: dict[int, tuple[Tensor, Tensor]] = {}
         self.batch_size, self.photos, self.pool = batch_size, photos, pool
-        self.names_weight, self.noise_words = names_weight, noise_words
-        self.palette_weight = palette_weight
+        self.names_weight, self.palette_weight, self.noise_words = names_weight, palette_weight, noise_words
         self.whiten_at, self.whiten_on = whiten_at, whiten_on
         self.learning_rate, self.warmup, self.weight_decay = learning_rate, warmup, weight_decay
         self.traits = TraitHeads(style_encoder.dim)
@@ -86,15 +85,11 @@ class EmbeddingTraining(StyleTraining):
 
     def on_train_batch_start(self, batch: StyleBatch, batch_idx: int) -> None:
         if self.global_step == int(self.whiten_at * self.trainer.max_steps):
-            self.whiten()
-
-    def whiten(self) -> None:
-        """Fix centres and whitening from the first styles of the source."""
-        assert self.source is not None
-        examples = self.source.examples(self.whiten_on)
-        self.style_encoder.eval()
-        self.style_encoder.whiten(examples.images, examples.texts)
-        self.style_encoder.train()
+            assert self.source is not None
+            examples = self.source.examples(self.whiten_on)
+            self.style_encoder.eval()
+            self.style_encoder.whiten(examples.images, examples.texts)
+            self.style_encoder.train()
 
     def training_step(self, batch: StyleBatch, step: int) -> Tensor:
         styles = len(batch.texts)
@@ -123,12 +118,12 @@ class EmbeddingTraining(StyleTraining):
     def known_pictures(
         self, images: Float[Tensor, "M 3 H W"], keys: tuple[int, ...]
     ) -> tuple[Float[Tensor, "M D"], Float[Tensor, "M knots 3"]]:
-        """What the image tower says of pictures whose textures and ramps are remembered; only what follows learns."""
+        """Raw vectors of the image tower, from cached textures and ramps; only its head is trained."""
         tower = self.style_encoder.image_tower
         with torch.no_grad():
             for key, image in zip(keys, images[:, None], strict=True):
                 if key not in self._known:
-                    # One by one, so that a picture's features do not depend on its company.
+                    # One by one, so that a picture's features do not depend on its batch.
                     self._known[key] = tower.textures(shorter_side(image, SIDE))[0], colors(image)[0]
         textures = torch.stack([self._known[key][0] for key in keys])
         ramps = torch.stack([self._known[key][1] for key in keys])
@@ -138,13 +133,7 @@ class EmbeddingTraining(StyleTraining):
     def contrast(
         self, pictures: Float[Tensor, "M D"], captions: Float[Tensor, "M D"], photos: int
     ) -> Float[Tensor, ""]:
-        """Symmetric cross-entropy of who belongs to whom.
-
-        Args:
-            pictures: Of styles, then of ``photos`` photographs.
-            captions: In the same order.
-            photos: How many of the last rows belong to each other's captions as much as to their own.
-        """
+        """Symmetric contrastive cross-entropy; each of the last ``photos`` pictures matches all of their captions."""
         logits = pictures @ captions.T / self.log_temperature.exp().clamp(0.02, 1.0)
         together = torch.eye(len(pictures), device=pictures.device)
         if photos:
@@ -152,7 +141,7 @@ class EmbeddingTraining(StyleTraining):
         return (F.cross_entropy(logits, together) + F.cross_entropy(logits.T, together)) / 2
 
     def validation_step(self, batch: StyleBatch, step: int) -> None:
-        """Log how often the right partner is found among the styles of a batch, and what embeddings tell."""
+        """Log retrieval among the styles of a batch, and how well embeddings predict traits and palettes."""
         pictures = self.style_encoder.embed_images(batch.images)
         captions = self.style_encoder.embed_texts(batch.texts)
         ramps = colors(batch.images)

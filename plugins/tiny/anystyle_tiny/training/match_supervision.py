@@ -1,7 +1,7 @@
 """Auxiliary supervision of a backbone's features: which patches of two views show the same point, and where it lies.
 
-A small network does not find poses from pose errors alone. What it must do on the way, match patches across views and
-carry positions along the matches, is taught directly here, through projections that exist in training only.
+A small network does not learn poses from pose errors alone. Matching patches across views, and localising them, is
+supervised directly here, through projections that exist in training only.
 """
 
 from collections.abc import Mapping
@@ -18,16 +18,7 @@ from anystyle.types import Cameras, Features, Geometry
 
 @dataclass(frozen=True)
 class PatchMatches:
-    """What is known of patch centres, and of where the first view sees them.
-
-    Args:
-        points: World points.
-        known: Whether a centre has a point.
-        target: The patch of the first view that shows the same point.
-        visible: Whether there is one: inside the image, and not hidden.
-        shift: From where a view sees the point to where the first view does, in half images.
-        centers: Of the patches in their image, in [-1, 1].
-    """
+    """Patch centres, their world points, and where the first view sees them."""
 
     points: Float[Tensor, "B V P 3"]
     known: Bool[Tensor, "B V P"]
@@ -40,14 +31,7 @@ class PatchMatches:
 def patch_matches(
     cameras: Cameras, depth: Float[Tensor, "B V H W"], grid: tuple[int, int], *, tolerance: float = 0.05
 ) -> PatchMatches:
-    """Correspondences of the patches of all views with those of the first.
-
-    Args:
-        cameras: True cameras.
-        depth: True depth; 0 where it is not known.
-        grid: Rows and columns of patches.
-        tolerance: A point is hidden where the first view's depth differs by more than this fraction.
-    """
+    """Correspondences of the patches of all views with those of the first."""
     (height, width), (rows, columns) = cameras.size, grid
     v = ((torch.arange(rows, device=depth.device) + 0.5) * height / rows).long()
     u = ((torch.arange(columns, device=depth.device) + 0.5) * width / columns).long()
@@ -74,13 +58,7 @@ def patch_matches(
 
 
 class FeatureProbes(nn.Module):
-    """Projections of tapped features that must tell matches, points and shifts.
-
-    Args:
-        dims: Channels of each tapped layer.
-        descriptor: Channels in which patches are compared.
-        temperature: Of the comparison.
-    """
+    """Projections of tapped features that predict matches, points and shifts."""
 
     def __init__(self, dims: Mapping[int, int], *, descriptor: int = 64, temperature: float = 0.07) -> None:
         super().__init__()
@@ -90,18 +68,13 @@ class FeatureProbes(nn.Module):
         self.locate = nn.ModuleDict({str(layer): nn.Linear(dim, 5) for layer, dim in dims.items()})
 
     def forward(self, features: Features, matches: PatchMatches) -> dict[str, Float[Tensor, ""]]:
-        """Means over layers.
-
-        Returns:
-            ``match``: cross entropy of each patch's match in the first view; ``glide``: how far the expected match
-            lies from the true one, in half images; ``locate``: how far the patch's world point is off, as a fraction of
-            its distance; ``shift``: how far its shift toward the first view is off, in half images.
-        """
+        """Means over layers."""
         terms: dict[str, list[Tensor]] = {"match": [], "glide": [], "locate": [], "shift": []}
         others = matches.visible[:, 1:]
         for layer, tokens in features.items():
             patches = self.normal[str(layer)](tokens.patches.float())
-            alike = self._alike(self.compare[str(layer)](patches))
+            unit = F.normalize(self.compare[str(layer)](patches), dim=-1)
+            alike = torch.einsum("bipd,bqd->bipq", unit[:, 1:], unit[:, 0]) / self.temperature  # B v P P
             entropy = F.cross_entropy(alike.movedim(-1, 1), matches.target[:, 1:], reduction="none")
             expected = alike.softmax(-1) @ matches.centers
             glide = (expected - (matches.centers + matches.shift[:, 1:])).abs().mean(-1)
@@ -113,11 +86,6 @@ class FeatureProbes(nn.Module):
             terms["locate"].append(_mean(point, matches.known))
             terms["shift"].append(_mean(shift, matches.known[:, 1:]))
         return {name: torch.stack(values).mean() for name, values in terms.items()}
-
-    def _alike(self, descriptors: Float[Tensor, "B V P d"]) -> Float[Tensor, "B v P P"]:
-        """How alike the patches of the other views are to those of the first."""
-        unit = F.normalize(descriptors, dim=-1)
-        return torch.einsum("bipd,bqd->bipq", unit[:, 1:], unit[:, 0]) / self.temperature
 
 
 def correlation_loss(correlation: Float[Tensor, "B v r c r c"], matches: PatchMatches) -> Float[Tensor, ""]:

@@ -17,9 +17,9 @@ from anystyle_tiny.training.match_supervision import FeatureProbes, correlation_
 class MatchedReconstruction(ReconstructionTraining):
     """Teach a backbone depth, cameras, Gaussians, and which patches of two views show the same point.
 
-    Beside the terms of :class:`~anystyle.training.reconstruction.ReconstructionTraining`, tapped features must tell
-    matches, points and shifts through projections that are not kept, and a backbone that aligns its cameras by matches
-    is taught these.
+    Beside the terms of :class:`~anystyle.training.reconstruction.ReconstructionTraining`, tapped features must predict
+    matches, points and shifts through projections that are not saved, and the matches of a backbone that aligns its
+    cameras are supervised.
 
     Args:
         match_weight: Of the cross entropy of matching patches.

@@ -11,10 +11,10 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from anystyle.perception.features import walk
-from anystyle.perception.statistics import pooled_moments
-from anystyle.perception.texture import Texture, centred
 from anystyle.training.optim import decayed_adamw
+from anystyle.vision.features import walk
+from anystyle.vision.statistics import pooled_moments
+from anystyle.vision.vgg import Texture
 from anystyle_tiny.training.styles import TRAITS, UNKNOWN, StyleBatch, StyleTraining, TraitHeads
 
 TAPS = ("relu2_2", "relu3_2", "relu4_1")
@@ -24,25 +24,23 @@ POOLED = 2 * (64 + 96 + 128)
 class PerceptualTraining(StyleTraining):
     """Teach a small convolutional network to tell procedural patterns, their scales and their brushwork apart.
 
-    What makes it a judge of texture is what it may not rely on: in half of the pictures the colours are permuted and
-    inverted, through a part a photograph shines, and all are turned, cropped and re-lit. A palette is asked for as
-    well, of the colours as they then are.
+    Augmentations make it a judge of texture: in half of the pictures colour channels are permuted and inverted, some
+    are blended with a photograph, and all are turned, cropped and re-lit. It also predicts the palette of the result.
 
     Args:
         batch_size: Pictures a step.
-        photos: Photographs a step, which only shine through.
+        photos: Photographs a step, for blending.
         crop: Side of the squares that the network sees, in pixels.
-        shrink: Fraction of pictures of which the square is all, made smaller, rather than a cut-out; these are not
-            asked for their scale.
+        shrink: Fraction of pictures that are resized to the square instead of cropped; their scale is not supervised.
         pool: Styles to draw from, kept in memory; none means all there are.
         recolor: Fraction of pictures whose channels are permuted and inverted.
-        blend: Fraction of pictures that a photograph shines through.
+        blend: Fraction of pictures that are blended with a photograph.
         scale_weight: Of naming the scale and the brushwork; naming the pattern has 1.
         palette_weight: Of the palette.
         learning_rate: Peak, of AdamW.
         warmup: Steps of the warm-up.
         weight_decay: Of filters and matrices.
-        bf16: Whether convolutions compute in bfloat16, which halves the time on processors that know it.
+        bf16: Whether convolutions compute in bfloat16, which halves the time on processors that support it.
     """
 
     def __init__(
@@ -135,18 +133,6 @@ class PerceptualTraining(StyleTraining):
         return decayed_adamw(self, lr=rate, weight_decay=decay, steps=steps, warmup=self.warmup, betas=(0.9, 0.999))
 
 
-class Normed(nn.Module):
-    """A convolution and a batch normalisation."""
-
-    def __init__(self, convolution: nn.Conv2d) -> None:
-        super().__init__()
-        self.convolution = convolution
-        self.norm = nn.BatchNorm2d(convolution.out_channels)
-
-    def forward(self, maps: Float[Tensor, "M C h w"]) -> Float[Tensor, "M c h w"]:
-        return self.norm(self.convolution(maps))
-
-
 class NormedTexture(nn.Module):
     """The texture network with a batch normalisation after each convolution, which learning needs and use does not."""
 
@@ -155,19 +141,20 @@ class NormedTexture(nn.Module):
         plain = Texture()
         self.names = plain.names
         self.features = nn.Sequential(
-            *(Normed(stage) if isinstance(stage, nn.Conv2d) else stage for stage in plain.features)
-        )
+            *(nn.Sequential(stage, nn.BatchNorm2d(stage.out_channels)) if isinstance(stage, nn.Conv2d) else stage
+              for stage in plain.features)
+        )  # fmt: skip
 
     def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
         """The features of the layers that are asked for."""
-        return walk(self.features, self.names, images, centred(images), layers)
+        return walk(self.features, self.names, images, (images - 0.5) * 4, layers)
 
     def folded(self) -> Texture:
-        """The network that computes the same out of training, its normalisations drawn into its convolutions."""
+        """The same network with its normalisations folded into its convolutions."""
         plain, trained = Texture(), copy.deepcopy(self).eval()
         for target, stage in zip(plain.features, trained.features, strict=True):
-            if isinstance(stage, Normed):
-                target.load_state_dict(fuse_conv_bn_eval(stage.convolution, stage.norm).state_dict())
+            if isinstance(stage, nn.Sequential):
+                target.load_state_dict(fuse_conv_bn_eval(*stage).state_dict())  # pyright: ignore[reportArgumentType]
         return plain
 
 

@@ -9,7 +9,8 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from anystyle.contracts import SceneSource, StyleSource
-from anystyle.training.contract import Training, required
+from anystyle.errors import UserError
+from anystyle.training.base import Training, required
 from anystyle.training.sampling import generator
 from anystyle.types import Value
 from anystyle_tiny.procedural.captions import SCALES
@@ -19,10 +20,10 @@ from anystyle_tiny.procedural.scenes import ProceduralScenes
 from anystyle_tiny.procedural.styles import ProceduralStyles
 
 TRAITS = {"pattern": len(PATTERNS), "scale": len(SCALES), "brushwork": len(BRUSHWORK)}
-"""What a style is asked for, and how many answers there are."""
+"""The traits that are predicted of a style, and their numbers of classes."""
 
 UNKNOWN = -100
-"""An answer that is not asked for; what cross-entropy ignores."""
+"""The label that cross-entropy ignores."""
 
 PHOTO_TEXTS = (
     "a photo",
@@ -34,21 +35,12 @@ PHOTO_TEXTS = (
     "an ordinary photo",
     "an unedited photograph",
 )
-"""What a picture of a scene is called: the neutral end of the style space."""
+"""Captions of pictures of scenes: the neutral end of the style space."""
 
 
 @dataclass(frozen=True)
 class StyleBatch(Value):
-    """What one step of a style training sees.
-
-    Args:
-        images: sRGB in [0, 1] of styles.
-        texts: A caption of each.
-        traits: The number of each style's answer to each of :data:`TRAITS`.
-        photos: Pictures of scenes, as large as the styles.
-        photo_texts: A caption of each.
-        keys: One number a picture, styles first; equal numbers mean equal pictures.
-    """
+    """What one step of a style training sees."""
 
     images: Float[Tensor, "M 3 H W"]
     texts: tuple[str, ...]
@@ -67,18 +59,6 @@ class StyleBatches:
     """Batches of styles with their traits, and of photographs of scenes.
 
     Styles are kept in memory as bytes once they are painted.
-
-    Args:
-        styles: Procedural styles.
-        scenes: What the photographs are of; of the same size.
-        seed: Of every choice.
-        batch_size: Styles a step over all processes.
-        photos: Photographs a step over all processes.
-        pool: Draw from the first so many styles; ``None`` means all.
-        photo_pool: Draw from so many photographs.
-
-    Raises:
-        ValueError: A source is missing, or the styles are not procedural.
     """
 
     def __init__(
@@ -94,29 +74,25 @@ class StyleBatches:
     ) -> None:
         source = required(styles, "styles")
         if not isinstance(source, ProceduralStyles):
-            raise ValueError(f"the traits of {type(source).__name__} are not known; use styles=procedural")
+            raise UserError(f"the traits of {type(source).__name__} are not known; use styles=procedural")
         self.styles, self.scenes = source, required(scenes, "scenes")
         self.seed = seed
         self.pool = len(source) if pool is None else min(pool, len(source))
         if self.pool < batch_size:
-            raise ValueError(f"a batch of {batch_size} needs as many styles, and there are {self.pool}")
+            raise UserError(f"a batch of {batch_size} needs as many styles, and there are {self.pool}")
         self.batch_size, self.photos, self.photo_pool = batch_size, photos, photo_pool
         self._styles: dict[int, tuple[Tensor, str, Tensor]] = {}
         self._photos: dict[int, Tensor] = {}
 
     def batch(self, step: int, rank: int = 0, world: int = 1) -> StyleBatch:
-        """The rows of ``step`` that process ``rank`` of ``world`` works on.
-
-        Raises:
-            ValueError: Styles and scenes differ in size.
-        """
+        """The rows of ``step`` that process ``rank`` of ``world`` works on."""
         rng = generator(self.seed, 7, step)
         styles = rng.choice(self.pool, self.batch_size, replace=False)[rank::world].tolist()
         scenes = rng.integers(0, self.photo_pool, self.photos)[rank::world].tolist()
         texts = rng.integers(0, len(PHOTO_TEXTS), self.photos)[rank::world].tolist()
         batch, photos = self._styles_only(styles), [self._photo(photo) for photo in scenes]
         if photos and photos[0].shape != batch.images.shape[1:]:
-            raise ValueError(
+            raise UserError(
                 f"styles are {_size(batch.images)} and scenes {_size(photos[0])} pixels; set styles.size and "
                 "scenes.size to the same"
             )
@@ -154,7 +130,7 @@ class StyleBatches:
 
 
 class StyleTraining(Training):
-    """What the trainings on procedural styles share: their batches and their sources for checks.
+    """Base of trainings on procedural styles: their batches, and sources for checks.
 
     The constructor sets ``batch_size``, ``photos`` and ``pool``; see :class:`StyleBatches`.
     """
@@ -188,7 +164,7 @@ def retrieval(images: Float[Tensor, "M D"], texts: Float[Tensor, "M D"]) -> dict
 
 
 class TraitHeads(nn.ModuleDict):
-    """A linear answer to each of :data:`TRAITS`."""
+    """A linear classifier for each of :data:`TRAITS`."""
 
     def __init__(self, channels: int) -> None:
         super().__init__({name: nn.Linear(channels, answers) for name, answers in TRAITS.items()})
@@ -204,7 +180,7 @@ class TraitHeads(nn.ModuleDict):
         return losses
 
     def accuracies(self, features: Float[Tensor, "M C"], traits: Int[Tensor, "M T"]) -> dict[str, Float[Tensor, ""]]:
-        """The fraction of right answers for each trait."""
+        """The accuracy for each trait."""
         return {
             name: (head(features).argmax(-1) == target).float().mean()
             for (name, head), target in zip(self.items(), traits.unbind(1), strict=True)

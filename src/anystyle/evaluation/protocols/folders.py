@@ -6,9 +6,9 @@ from pathlib import Path
 from PIL import Image, ImageEnhance
 
 from anystyle.contracts import Metric
-from anystyle.evaluation.contract import Evaluation, Progress, Protocol
-from anystyle.evaluation.folders import pair
-from anystyle.evaluation.resume import judge_pairing
+from anystyle.evaluation.base import Evaluation, Progress, Protocol
+from anystyle.evaluation.judge import judge_pairing
+from anystyle.evaluation.pairing import pair
 
 
 class Folders(Protocol):
@@ -24,7 +24,7 @@ class Folders(Protocol):
         depth: A folder of depth maps ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` where cameras are known.
 
     Raises:
-        ValueError: Images lack partners, or a folder is missing.
+        UserError: Images lack partners, or a folder is missing.
     """
 
     def __init__(

@@ -12,13 +12,14 @@ from anystyle.data.folder import read_picture
 from anystyle.data.images import image_size, read_square, to_tensor
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.style_folder import FolderStyles
-from anystyle.evaluation import published, record
-from anystyle.evaluation.contract import Evaluation, Progress, Protocol
-from anystyle.evaluation.folders import Cell, Pairing
-from anystyle.evaluation.layout import NUM_FRAMES, NUM_STYLES, SCENES, Layout
+from anystyle.errors import UserError
+from anystyle.evaluation import published_figures, record
+from anystyle.evaluation.base import Evaluation, Progress, Protocol
+from anystyle.evaluation.judge import judge_pairing
 from anystyle.evaluation.model_renders import ModelRenders, Variant, suffix_of, write_picture
-from anystyle.evaluation.resume import judge_pairing
-from anystyle.methods.contract import Method
+from anystyle.evaluation.pairing import Cell, Pairing
+from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
+from anystyle.methods.base import Method
 from anystyle.stylizer import Stylizer
 
 PHOTOGRAPHS = "photographs"
@@ -46,7 +47,7 @@ class Tables(Protocol):
         size: Sides of the square views in pixels.
 
     Raises:
-        ValueError: The folder lacks something, or no metric has the table's figures.
+        UserError: The folder lacks something, or no metric has the table's figures.
     """
 
     def __init__(
@@ -67,21 +68,21 @@ class Tables(Protocol):
         size: int = 448,
     ) -> None:
         if root is None:
-            raise ValueError("root is not given; add root=FOLDER, which holds content, styles and methods")
+            raise UserError("root is not given; add root=FOLDER, which holds content, styles and methods")
         for name, value in (("num_styles", num_styles), ("frames", frames), ("size", size)):
             if value < 1:
-                raise ValueError(f"{name}={value}: give at least 1")
+                raise UserError(f"{name}={value}: give at least 1")
         self.stylizer, self.method = stylizer, method
         self.metrics = _metrics_of(metrics, table)
-        self.layout = Layout(Path(root).expanduser(), tuple(scene_names), num_styles, frames)
+        self.folder = PaperFolder(Path(root).expanduser(), tuple(scene_names), num_styles, frames)
         self.guides = tuple(guides)
-        self.methods = tuple(self.layout.methods if methods is None else methods)
+        self.methods = tuple(self.folder.methods if methods is None else methods)
         self.photographs = min(photographs, num_styles)
         self.variant: Variant = variant
         self.size = size
         if not (self.guides or self.methods or self.photographs):
-            raise ValueError("nothing is to be judged: name guides or methods, or give photographs=1")
-        self.layout.require(texts="text" in self.guides, methods=self.methods)
+            raise UserError("nothing is to be judged: name guides or methods, or give photographs=1")
+        self.folder.require(texts="text" in self.guides, methods=self.methods)
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -94,45 +95,25 @@ class Tables(Protocol):
             grey.rotate(180 + 10 * frame).save(render / f"{frame}.png")
         grey.rotate(90).save(folder / "styles" / "00.png")
         (folder / "styles" / "captions.jsonl").write_text('{"image": "00.png", "text": "grey"}\n')
-        return {
-            "root": str(folder), "scene_names": ["Garden"], "num_styles": 1, "frames": 2, "size": 16,
-        }  # fmt: skip
+        return {"root": str(folder), "scene_names": ["Garden"], "num_styles": 1, "frames": 2, "size": 16}
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
-        rows: dict[str, Evaluation] = {}
-        for guide in self.guides:
-            name = f"model_{guide}"
-            rows[name] = self._model(guide).run(out / "methods" / name, progress)
-        for name in self.methods:
-            pairing = self._pairing(out, self.layout.renders(name))
-            rows[name] = judge_pairing(self.metrics, pairing, out / "methods" / name, progress, stage=name)
+        rows = {
+            (name := f"model_{guide}"): self._model(guide).run(out / "methods" / name, progress)
+            for guide in self.guides
+        }
+        renders: dict[str, Mapping[tuple[str, str], Sequence[Path]]] = {
+            name: self.folder.renders(name) for name in self.methods
+        }
         if self.photographs:
-            pairing = self._photographs(out)
-            rows[PHOTOGRAPHS] = judge_pairing(self.metrics, pairing, out / "methods" / PHOTOGRAPHS, progress)
-        for name, row in rows.items():
-            folder = out / "methods" / name
-            folder.mkdir(parents=True, exist_ok=True)
-            record.write(row, folder, {"protocol": f"tables, {name}", "variant": self.variant})
-        return self._together(rows)
-
-    def _model(self, guide: Literal["image", "text"]) -> ModelRenders:
-        patch = self.stylizer.backbone.patch_size
-        return ModelRenders(
-            stylizer=self.stylizer,
-            metrics=self.metrics,
-            scenes=FolderScenes(root=str(self.layout.content), short_side=self.size, multiple=patch),
-            styles=FolderStyles(root=str(self.layout.styles), size=STYLE_SIZE),
-            guide=guide,
-            variant=self.variant,
-            scene_names=[self.layout.scene_folder_name(scene) for scene in self.layout.scene_names],
-            num_styles=self.layout.num_styles,
-            frames=self.layout.frames,
-            method=self.method,
-        )
-
-    def _pairing(self, out: Path, renders: Mapping[tuple[str, str], Sequence[Path]]) -> Pairing:
-        return Pairing(
-            tuple(
+            styles = [path.stem for path in self.folder.style_files[: self.photographs]]
+            renders[PHOTOGRAPHS] = {
+                (scene, style): self._content(out, scene, (self.size, self.size))
+                for scene in self.folder.scene_names
+                for style in styles
+            }
+        for name, images in renders.items():
+            cells = [
                 Cell(
                     scene=scene,
                     style=style,
@@ -141,24 +122,40 @@ class Tables(Protocol):
                     stylized=tuple(paths),
                     reference=self._style(out, style),
                 )
-                for (scene, style), paths in renders.items()
+                for (scene, style), paths in images.items()
+            ]
+            rows[name] = judge_pairing(
+                self.metrics, Pairing(tuple(cells)), out / "methods" / name, progress, stage=name
             )
-        )
+        for name, row in rows.items():
+            folder = out / "methods" / name
+            folder.mkdir(parents=True, exist_ok=True)
+            record.write(row, folder, {"protocol": f"tables, {name}", "variant": self.variant})
+        return self._together(rows)
 
-    def _photographs(self, out: Path) -> Pairing:
-        styles = [path.stem for path in self.layout.style_files[: self.photographs]]
-        renders = {
-            (scene, style): self._content(out, scene, (self.size, self.size))
-            for scene in self.layout.scene_names
-            for style in styles
-        }
-        return self._pairing(out, renders)
+    def _model(self, guide: Literal["image", "text"]) -> ModelRenders:
+        return ModelRenders(
+            stylizer=self.stylizer,
+            metrics=self.metrics,
+            scenes=FolderScenes(
+                root=str(self.folder.root / "content"),
+                short_side=self.size,
+                multiple=self.stylizer.backbone.patch_size,
+            ),
+            styles=FolderStyles(root=str(self.folder.root / "styles"), size=STYLE_SIZE),
+            guide=guide,
+            variant=self.variant,
+            scene_names=[self.folder.scene_folder_name(scene) for scene in self.folder.scene_names],
+            num_styles=self.folder.num_styles,
+            frames=self.folder.frames,
+            method=self.method,
+        )
 
     def _content(self, out: Path, scene: str, size: tuple[int, int]) -> tuple[Path, ...]:
         """The photographs of a scene, cut to a width and height and written as the variant writes images."""
         folder = out / "content" / f"{size[0]}x{size[1]}" / scene
-        paths = []
-        for index, source in enumerate(self.layout.photographs(scene)):
+        paths: list[Path] = []
+        for index, source in enumerate(self.folder.photographs(scene)):
             paths.append(folder / f"{index:03d}{suffix_of(self.variant)}")
             if not paths[-1].is_file():
                 picture, _ = read_picture(source, source.stem, (size[1], size[0]))
@@ -168,30 +165,27 @@ class Tables(Protocol):
     def _style(self, out: Path, style: str) -> Path:
         path = out / "styles" / f"{style}{suffix_of(self.variant)}"
         if not path.is_file():
-            source = next(file for file in self.layout.style_files if file.stem == style)
+            source = next(file for file in self.folder.style_files if file.stem == style)
             write_picture(path, read_square(source, STYLE_SIZE)[0], self.variant)
         return path
 
     def _together(self, rows: Mapping[str, Evaluation]) -> Evaluation:
         name, first = next(iter(rows.items()))
-        return Evaluation(
-            figures=first.figures,
+        warnings = (text for row in rows.values() for text in row.provenance.get("warnings", []))
+        return replace(
+            first,
             n=sum(row.n for row in rows.values()),
-            better=first.better,
             groups={other: row.figures for other, row in rows.items() if other != name},
             rows=tuple(
                 replace(item, scene=f"{method}/{item.scene}") for method, row in rows.items() for item in row.rows
             ),
             stand_ins={figure: network for row in rows.values() for figure, network in row.stand_ins.items()},
-            times=first.times,
             provenance={
                 "variant": self.variant,
-                "scenes": list(self.layout.scene_names),
+                "scenes": list(self.folder.scene_names),
                 "methods": list(rows),
                 "title": name,
-                "warnings": list(
-                    dict.fromkeys(text for row in rows.values() for text in row.provenance.get("warnings", []))
-                ),
+                "warnings": list(dict.fromkeys(warnings)),
             },
         )
 
@@ -199,11 +193,11 @@ class Tables(Protocol):
 def _metrics_of(metrics: Mapping[str, Metric], table: str | None) -> dict[str, Metric]:
     if table is None:
         return dict(metrics)
-    tables = published.tables()
+    tables = published_figures.tables()
     if table not in tables:
-        raise ValueError(f"table={table}: the paper has {', '.join(tables)}")
+        raise UserError(f"table={table}: the paper has {', '.join(tables)}")
     figures = set(tables[table].figures)
     chosen = {name: metric for name, metric in metrics.items() if figures & set(metric.better)}
     if metrics and not chosen:
-        raise ValueError(f"no metric that is chosen has a figure of {table} ({', '.join(tables[table].figures)})")
+        raise UserError(f"no metric that is chosen has a figure of {table} ({', '.join(tables[table].figures)})")
     return chosen

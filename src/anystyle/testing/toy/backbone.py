@@ -8,30 +8,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Adapter, Aggregator, Backbone, Embedder, GaussianHead, GeometryHead
-from anystyle.types import (
-    Attributes,
-    Cameras,
-    Clusters,
-    Features,
-    Gaussians,
-    Geometry,
-    Inject,
-    Site,
-    Tokens,
-    untouched,
-)
-
-HARMONIC_0 = 0.28209479177387814
-"""The constant spherical harmonic, 1 / (2 sqrt(pi))."""
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.geometry.rotations import matrix_from_vector
+from anystyle.types import Attributes, Cameras, Clusters, Features, Gaussians, Geometry, Inject, Site, Tokens, untouched
 
 
 class ToyEmbedder(Embedder):
-    """One convolution a patch, and one learned camera token a view.
-
-    Args:
-        dim: Channels of a token.
-        patch_size: Side of a patch in pixels.
-    """
+    """One convolution a patch, and one learned camera token a view."""
 
     def __init__(self, *, dim: int, patch_size: int) -> None:
         super().__init__()
@@ -39,7 +22,6 @@ class ToyEmbedder(Embedder):
         self.camera = nn.Parameter(torch.randn(dim))
 
     def forward(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
-        """See :meth:`anystyle.contracts.Embedder.forward`."""
         maps = self.patches(images.flatten(0, 1) * 2 - 1)  # BV C h w
         patches = maps.flatten(2).mT.unflatten(0, images.shape[:2])  # B V hw C
         camera = self.camera.expand(*images.shape[:2], 1, -1)
@@ -47,11 +29,7 @@ class ToyEmbedder(Embedder):
 
 
 class ToyLayer(nn.Module):
-    """Each token learns from itself, from the mean of its view and from the mean of its scene.
-
-    Args:
-        dim: Channels of a token.
-    """
+    """Each token learns from itself, from the mean of its view and from the mean of its scene."""
 
     def __init__(self, *, dim: int) -> None:
         super().__init__()
@@ -68,12 +46,7 @@ class ToyLayer(nn.Module):
 
 
 class ToyAggregator(Aggregator):
-    """A few mixing layers; heads read the first and the last.
-
-    Args:
-        dim: Channels of a token.
-        depth: How many layers.
-    """
+    """A few mixing layers; heads read the first and the last."""
 
     def __init__(self, *, dim: int, depth: int) -> None:
         super().__init__()
@@ -87,7 +60,6 @@ class ToyAggregator(Aggregator):
         return tuple(Site(f"aggregator/{i}", self.dim, tapped=i in self.taps) for i in range(len(self.layers)))
 
     def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
-        """See :meth:`anystyle.contracts.Aggregator.forward`."""
         tokens, features = stem, {}
         for index, layer in enumerate(self.layers):
             tokens = inject(f"aggregator/{index}", tokens)
@@ -98,12 +70,7 @@ class ToyAggregator(Aggregator):
 
 
 class ToyGeometryHead(GeometryHead):
-    """A camera from each view's camera token, depth and confidence from its patches.
-
-    Args:
-        dim: Channels of a token.
-        patch_size: Side of a patch in pixels.
-    """
+    """A camera from each view's camera token, depth and confidence from its patches."""
 
     def __init__(self, *, dim: int, patch_size: int) -> None:
         super().__init__()
@@ -112,26 +79,20 @@ class ToyGeometryHead(GeometryHead):
         self.depth = nn.Linear(dim, 2 * patch_size**2)
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
-        """See :meth:`anystyle.contracts.GeometryHead.forward`."""
-        size = (images.shape[-2], images.shape[-1])
+        (batch, number), (height, width) = images.shape[:2], images.shape[-2:]
         tokens = features[max(features)]
         shift, turn = (0.1 * self.pose(tokens.data[:, :, 0])).split(3, dim=-1)  # B V 3 each
         depth, confidence = _to_pixels(self.depth(tokens.patches), tokens.grid, self.patch_size).unbind(-1)
-        focal = torch.full_like(depth[..., 0, 0], float(max(size)))
-        return Geometry(
-            cameras=Cameras(_rigid(turn, shift), _intrinsics(focal, size), size),
-            depth=2 + depth.tanh(),
-            confidence=F.softplus(confidence),
-        )
+        bottom = shift.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(batch, number, 1, 4)
+        poses = torch.cat([torch.cat([matrix_from_vector(turn), shift[..., None]], dim=-1), bottom], dim=-2)
+        focal = float(max(height, width))
+        intrinsics = poses.new_tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+        cameras = Cameras(poses, intrinsics.repeat(batch, number, 1, 1), (height, width))
+        return Geometry(cameras=cameras, depth=2 + depth.tanh(), confidence=F.softplus(confidence))
 
 
 class ToyGaussianHead(GaussianHead):
-    """Attributes of each pixel from the last features, with colours that start from the photograph's.
-
-    Args:
-        dim: Channels of a token.
-        patch_size: Side of a patch in pixels.
-    """
+    """Attributes of each pixel from the last features, with colours that start from the photograph's."""
 
     def __init__(self, *, dim: int, patch_size: int) -> None:
         super().__init__()
@@ -146,11 +107,10 @@ class ToyGaussianHead(GaussianHead):
         return (Site("head/tokens", self.dim),)
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
-        """See :meth:`anystyle.contracts.GaussianHead.forward`."""
         tokens = inject("head/tokens", features[max(features)])
         raw = _to_pixels(self.attributes(self.norm(tokens.patches)), tokens.grid, self.patch_size)  # B V H W 11
         opacity, scale, rotation, change = raw.split([1, 3, 4, 3], dim=-1)
-        color = (images.movedim(2, -1) - 0.5) / HARMONIC_0 + change
+        color = constant_from_rgb(images.movedim(2, -1)) + change
         return Attributes(opacity=opacity[..., 0], scale=scale, rotation=rotation, color=color[..., None])
 
 
@@ -162,9 +122,7 @@ class ToyAdapter(Adapter):
         return None
 
     def forward(self, attributes: Attributes, geometry: Geometry, clusters: Clusters | None) -> Gaussians:
-        """See :meth:`anystyle.contracts.Adapter.forward`."""
-        focal = geometry.cameras.intrinsics[..., 0, 0, None, None, None]  # B V 1 1 1
-        pixel = geometry.depth[..., None] / focal  # B V H W 1
+        pixel = geometry.depth[..., None] / geometry.cameras.intrinsics[..., 0, 0, None, None, None]  # B V H W 1
         return Gaussians(
             means=geometry.points().flatten(1, 3),
             rotations=attributes.rotation.flatten(1, 3),
@@ -203,20 +161,3 @@ def _to_pixels(patches: Float[Tensor, "B V p F"], grid: tuple[int, int], side: i
     """Lay out the numbers of each patch over its pixels; ``F`` is ``f`` times the pixels of a patch."""
     blocks = patches.unflatten(2, grid).unflatten(-1, (side, side, -1))  # B V h w side side f
     return blocks.transpose(3, 4).flatten(4, 5).flatten(2, 3)
-
-
-def _rigid(turn: Float[Tensor, "B V 3"], shift: Float[Tensor, "B V 3"]) -> Float[Tensor, "B V 4 4"]:
-    """The motion that turns about the axis ``turn`` by its length in radians, then shifts."""
-    x, y, z = turn.unbind(-1)
-    zero = torch.zeros_like(x)
-    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
-    top = torch.cat([torch.linalg.matrix_exp(skew), shift[..., None]], dim=-1)
-    bottom = torch.tensor([0.0, 0.0, 0.0, 1.0]).to(top).expand(*top.shape[:2], 1, 4)
-    return torch.cat([top, bottom], dim=-2)
-
-
-def _intrinsics(focal: Float[Tensor, "B V"], size: tuple[int, int]) -> Float[Tensor, "B V 3 3"]:
-    """A pinhole whose axis passes through the middle of the image."""
-    zero, one = torch.zeros_like(focal), torch.ones_like(focal)
-    rows = [focal, zero, one * size[1] / 2, zero, focal, one * size[0] / 2, zero, zero, one]
-    return torch.stack(rows, dim=-1).unflatten(-1, (3, 3))

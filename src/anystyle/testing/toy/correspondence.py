@@ -17,7 +17,6 @@ class ToyCorrespondence(Correspondence):
         self.margin = margin
 
     def __call__(self, source: Frames, target: Frames) -> Flow:
-        """See :meth:`anystyle.contracts.Correspondence.__call__`."""
         if (
             source.depth is None
             or source.intrinsics is None

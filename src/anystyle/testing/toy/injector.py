@@ -21,9 +21,8 @@ class ToyInjector(Injector):
         super().__init__()
         self.scale = nn.Linear(style_dim, dim, bias=bias)
         for parameter in self.scale.parameters():
-            nn.init.zeros_(parameter)  # at birth every factor is exactly 1
+            nn.init.zeros_(parameter)  # at initialisation every factor is exactly 1
 
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
-        """See :meth:`anystyle.contracts.Injector.forward`."""
         factor = torch.ones_like(tokens.patches[:, :1, :1]) + self.scale(style)[:, None, None]  # B 1 1 C
         return tokens.with_patches(tokens.patches * factor)

@@ -19,6 +19,5 @@ class ToyLoss(Loss):
         self.weight = weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        """See :meth:`anystyle.contracts.Loss.forward`."""
         target = result.views.images.mean((2, 3, 4))  # B V
         return (result.renders.color.mean((2, 3, 4)) - target).square().mean()

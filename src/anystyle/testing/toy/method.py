@@ -1,14 +1,14 @@
 """A tint: the smallest method."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import torch
 
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
-from anystyle.methods.contract import Method, Progress, silent
+from anystyle.methods.base import Method
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, Style, StyleEmbedding
+from anystyle.types.progress import OnProgress, no_progress
 
 
 class ToyMethod(Method):
@@ -29,9 +29,8 @@ class ToyMethod(Method):
         style: Style,
         embedding: StyleEmbedding,
         *,
-        on_progress: Callable[[Progress], None] = silent,
+        on_progress: OnProgress = no_progress,
     ) -> Gaussians:
-        """See :meth:`anystyle.methods.contract.Method.__call__`."""
         gaussians = stylizer.unstyled(scene)
         if style.image is None:
             return gaussians

@@ -25,11 +25,9 @@ class ToyMetric(Metric):
         self.add_state("count", torch.tensor(0), dist_reduce_fx="sum")
 
     def update(self, comparison: Comparison) -> None:
-        """See :meth:`anystyle.contracts.Metric.update`."""
         change = (comparison.stylized - comparison.content).abs()
         self.total = self.total + change.sum()
         self.count = self.count + change.numel()
 
     def compute(self) -> dict[str, Tensor]:
-        """See :meth:`anystyle.contracts.Metric.compute`."""
         return {"change": self.total / self.count}  # nan where nothing was taken in

@@ -22,7 +22,6 @@ class ToyPlacement(Placement):
         self.num_sites = num_sites
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        """See :meth:`anystyle.contracts.Placement.select`."""
         if not sites:
             raise ValueError("the backbone offers no site; this placement needs at least one")
         return tuple(sites)[-self.num_sites :]

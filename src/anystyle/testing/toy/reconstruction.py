@@ -7,9 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Renderer
-from anystyle.reconstructions.contract import Reconstruction, silent
-from anystyle.types import Gaussians, Geometry, Reconstructed, Scene, Views
+from anystyle.contracts import Reconstruction, Renderer
+from anystyle.types import Gaussians, Geometry, OnProgress, Reconstructed, Scene, Views, no_progress
 
 
 class ToyReconstruction(Reconstruction):
@@ -32,9 +31,8 @@ class ToyReconstruction(Reconstruction):
         renderer: Renderer,
         *,
         points: Sequence[Float[Tensor, "_ 3"]] | None = None,
-        progress: Callable[[str], None] = silent,
+        on_progress: OnProgress = no_progress,
     ) -> Reconstructed:
-        """See :meth:`anystyle.reconstructions.contract.Reconstruction.__call__`."""
         if views.cameras is None:
             raise ValueError("a wall is put before cameras, and there are none; poses=sfm finds them")
         batch, number, _, height, width = views.images.shape
@@ -42,11 +40,9 @@ class ToyReconstruction(Reconstruction):
         geometry = Geometry(views.cameras, depth, torch.ones_like(depth))
         every = (torch.arange(number), torch.arange(0, height, self.stride), torch.arange(0, width, self.stride))
         origins = torch.cartesian_prod(*every)  # N 3
-        view, row, column = origins.unbind(1)
-        means = geometry.points()[:, view, row, column]
-        count = len(origins)
+        (view, row, column), count = origins.unbind(1), len(origins)
         gaussians = Gaussians(
-            means=means,
+            means=geometry.points()[:, view, row, column],
             rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(batch, count, 4).clone(),
             scales=torch.full((batch, count, 3), 0.02 * self.depth),
             opacities=torch.full((batch, count), 0.9),

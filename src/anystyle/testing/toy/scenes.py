@@ -7,11 +7,9 @@ import torch
 from anystyle.contracts import SceneSource
 from anystyle.types import Cameras, Views
 
-DISTANCE = 2.0
-
 
 class ToyScenes(SceneSource):
-    """Flat walls with a coloured wave on them, seen by a camera that moves sideways.
+    """Flat walls at distance 2 with a coloured wave on them, seen by a camera that moves sideways.
 
     Args:
         num_scenes: How many walls.
@@ -23,40 +21,29 @@ class ToyScenes(SceneSource):
     def __init__(
         self, *, num_scenes: int = 8, views: int = 4, size: tuple[int, int] = (48, 64), step: float = 0.1
     ) -> None:
-        if min(num_scenes, views, *size) < 1:
-            raise ValueError(f"num_scenes={num_scenes}, views={views}, size={size}: give at least 1 of each")
-        self.num_scenes = num_scenes
-        self.views = views
-        self.size = size
-        self.step = step
+        self.num_scenes, self.views, self.size, self.step = num_scenes, views, size, step
 
     def __len__(self) -> int:
-        """See :meth:`anystyle.contracts.SceneSource.__len__`."""
         return self.num_scenes
 
     def name(self, scene: int) -> str:
-        """See :meth:`anystyle.contracts.SceneSource.name`."""
         return f"wall_{scene:04d}"
 
     def num_views(self, scene: int) -> int:
-        """See :meth:`anystyle.contracts.SceneSource.num_views`."""
         return self.views
 
     def read(self, scene: int, views: Sequence[int]) -> Views:
-        """See :meth:`anystyle.contracts.SceneSource.read`."""
-        height, width = self.size
+        (height, width), number = self.size, len(views)
         focal = float(max(self.size))
-        shift = torch.tensor([view * self.step for view in views])  # V
-        x = (torch.arange(width) + 0.5 - width / 2) / focal * DISTANCE + shift[:, None]  # V W, on the wall
-        y = (torch.arange(height) + 0.5 - height / 2) / focal * DISTANCE  # H
-        frequency = 1 + torch.rand(3, 1, 1, generator=torch.Generator().manual_seed(scene)) * 4
-        phase = x[:, None, None, :] + y[:, None]  # V 1 H W
-        poses = torch.eye(4).repeat(len(views), 1, 1)
-        poses[:, 0, 3] = shift
+        poses = torch.eye(4).repeat(number, 1, 1)
+        poses[:, 0, 3] = self.step * torch.tensor(list(views))
         intrinsics = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+        x = 2 * (torch.arange(width) + 0.5 - width / 2) / focal + poses[:, 0, 3:]  # V W, on the wall
+        y = 2 * (torch.arange(height) + 0.5 - height / 2) / focal  # H
+        frequency = 1 + torch.rand(3, 1, 1, generator=torch.Generator().manual_seed(scene)) * 4
         return Views(
-            images=(0.5 + 0.5 * torch.sin(frequency * phase))[None],
-            cameras=Cameras(poses[None], intrinsics.repeat(1, len(views), 1, 1), self.size),
-            depth=torch.full((1, len(views), height, width), DISTANCE),
+            images=(0.5 + 0.5 * torch.sin(frequency * (x[:, None, None, :] + y[:, None])))[None],
+            cameras=Cameras(poses[None], intrinsics.repeat(1, number, 1, 1), self.size),
+            depth=torch.full((1, number, height, width), 2.0),
             names=tuple(f"{view:03d}" for view in views),
         )

@@ -12,12 +12,9 @@ from anystyle.contracts import StyleEncoder
 PALETTE = {
     "red": (0.8, 0.1, 0.1),
     "orange": (0.9, 0.5, 0.1),
-    "yellow": (0.9, 0.8, 0.1),
     "green": (0.1, 0.6, 0.2),
     "blue": (0.1, 0.2, 0.8),
-    "purple": (0.5, 0.1, 0.6),
     "white": (0.95, 0.95, 0.95),
-    "black": (0.05, 0.05, 0.05),
 }
 
 
@@ -36,18 +33,15 @@ class ToyStyleEncoder(StyleEncoder):
         self.strength = strength
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """See :meth:`anystyle.contracts.StyleEncoder.embed_images`."""
         return self._embed(images.mean((2, 3)))
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        """See :meth:`anystyle.contracts.StyleEncoder.embed_texts`; a text that names no colour is grey."""
         if any(not text.strip() for text in texts):
             raise ValueError("a style text is empty; describe the style, such as 'blue and white'")
         return self._embed(torch.stack([self._mean_color(text) for text in texts]))
 
     def _embed(self, colors: Float[Tensor, "M 3"]) -> Float[Tensor, "M 4"]:
-        one = torch.ones_like(colors[:, :1])
-        return F.normalize(torch.cat([self.strength * (colors - 0.5), one], dim=-1), dim=-1)
+        return F.normalize(F.pad(self.strength * (colors - 0.5), (0, 1), value=1.0), dim=-1)
 
     def _mean_color(self, text: str) -> Float[Tensor, "3"]:
         words = text.lower().replace(",", " ").split()

@@ -25,11 +25,9 @@ class ToyStyles(StyleSource):
         self.pairs = [(one, other) for one in names for other in names if one < other]
 
     def __len__(self) -> int:
-        """See :meth:`anystyle.contracts.StyleSource.__len__`."""
         return 2 * len(self.pairs)
 
     def read(self, style: int) -> Style:
-        """See :meth:`anystyle.contracts.StyleSource.read`."""
         one, other = self.pairs[style // 2]
         first = torch.arange(self.size) % self.period < self.period // 2
         stripes = torch.where(first[:, None], torch.tensor(COLORS[one]), torch.tensor(COLORS[other]))  # size 3

@@ -13,9 +13,6 @@ class ToyStylizer(Stylizer):
 
     def __init__(self) -> None:
         backbone, encoder = ToyBackbone(dim=12, depth=2), ToyStyleEncoder()
-        branch = StyleBranch(
-            backbone,
-            sites=backbone.sites,
-            make_injector=lambda site: ToyInjector(dim=site.dim, style_dim=encoder.dim),
-        )
+        make = lambda site: ToyInjector(dim=site.dim, style_dim=encoder.dim)  # noqa: E731
+        branch = StyleBranch(backbone, sites=backbone.sites, make_injector=make)
         super().__init__(backbone=backbone, style_encoder=encoder, branch=branch, renderer=ToyRenderer())

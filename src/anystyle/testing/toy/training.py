@@ -6,7 +6,7 @@ import torch
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, SceneSource, StyleSource
-from anystyle.training.contract import Training, required
+from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 
 
@@ -16,32 +16,22 @@ class ToyTraining(Training):
     Args:
         backbone: What learns; the framework passes it.
         batch_size: Scenes a step.
-        num_views: Views a scene.
         learning_rate: Of Adam.
     """
 
-    def __init__(
-        self, *, backbone: Backbone, batch_size: int = 2, num_views: int = 2, learning_rate: float = 1e-3
-    ) -> None:
+    def __init__(self, *, backbone: Backbone, batch_size: int = 2, learning_rate: float = 1e-3) -> None:
         super().__init__()
         self.backbone = backbone
         self.batch_size = batch_size
-        self.num_views = num_views
         self.learning_rate = learning_rate
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
-        """See :meth:`anystyle.training.contract.Training.batches`."""
+        known, patch = required(scenes, "scenes"), self.backbone.patch_size
         return SceneBatches(
-            required(scenes, "scenes"),
-            seed=seed,
-            batch_size=self.batch_size,
-            context_views=(self.num_views, self.num_views),
-            spread="any",
-            multiple=self.backbone.patch_size,
+            known, seed=seed, batch_size=self.batch_size, context_views=(2, 2), spread="any", multiple=patch
         )
 
     def exports(self) -> Mapping[str, nn.Module]:
-        """See :meth:`anystyle.training.contract.Training.exports`."""
         return {"backbone": self.backbone}
 
     def training_step(self, batch: Batch, step: int) -> Tensor:

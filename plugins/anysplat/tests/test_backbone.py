@@ -1,0 +1,78 @@
+"""What holds for the network whatever its weights."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+
+from anystyle.types import Views
+from anystyle_anysplat import AnySplat
+from oracle import smooth_image
+
+EXAMPLE = AnySplat.example(Path())
+
+
+def network(**options: Any) -> AnySplat:
+    torch.manual_seed(0)
+    backbone = AnySplat(**(EXAMPLE | options))
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for parameter in backbone.parameters():
+            if options.get("init") != "scratch":
+                parameter.add_(0.05 * torch.randn(parameter.shape, generator=generator))
+    return backbone.eval()
+
+
+@pytest.fixture(scope="module")
+def backbone() -> AnySplat:
+    return network()
+
+
+def views(count: int, scenes: int = 1, size: tuple[int, int] = (28, 42)) -> Views:
+    return Views(smooth_image(count, (scenes, count, 3, *size)))
+
+
+def same(left: Any, right: Any, **tolerance: float) -> None:
+    for one, other in zip(torch.utils._pytree.tree_leaves(left), torch.utils._pytree.tree_leaves(right), strict=True):
+        if isinstance(one, torch.Tensor):
+            torch.testing.assert_close(one, other, **tolerance)
+
+
+class TestSites:
+    def test_every_layer_and_head_site_in_order(self, backbone: AnySplat) -> None:
+        names = [site.name for site in backbone.sites]
+        assert names == [
+            *(f"aggregator/{layer}" for layer in range(5)),
+            *(f"head/tokens/{level}" for level in range(4)),
+            "head/direct",
+        ]
+
+    def test_the_published_sites_are_the_tapped_ones(self) -> None:
+        with torch.device("meta"):
+            sites = AnySplat().sites
+        tapped = [site.name for site in sites if site.tapped]
+        assert tapped[:5] == [f"aggregator/{layer}" for layer in (0, 4, 11, 17, 23)]
+        assert {site.dim for site in sites[:24]} == {1024}
+        assert [(site.name, site.dim) for site in sites[24:]] == [
+            *((f"head/tokens/{level}", 2048) for level in range(4)),
+            ("head/direct", 128),
+        ]
+
+
+class TestSymmetries:
+    """The first view's camera token differs; all other views are treated alike."""
+
+    def test_later_views_may_be_given_in_any_order(self, backbone: AnySplat) -> None:
+        given = views(4)
+        order = [0, 3, 1, 2]
+        with torch.no_grad():
+            one, other = backbone.encode(given), backbone.encode(given.select(order))
+        same(one.geometry.depth[:, order], other.geometry.depth, rtol=1e-3, atol=1e-4)
+        same(one.attributes.color[:, order], other.attributes.color, rtol=1e-3, atol=1e-4)
+        same(one.cameras.world_from_camera[:, order], other.cameras.world_from_camera, rtol=1e-3, atol=1e-4)
+
+
+def test_the_camera_heads_divide_its_channels() -> None:
+    with pytest.raises(ValueError, match="camera_heads is 5"):
+        AnySplat(**(EXAMPLE | {"camera_heads": 5}))

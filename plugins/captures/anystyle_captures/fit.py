@@ -1,0 +1,239 @@
+"""A scene fitted to posed photographs: depth by stereo, initial Gaussians, their optimisation."""
+
+import logging
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import Reconstruction, Renderer
+from anystyle.errors import UserError
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.io.limits import require
+from anystyle.methods.loop import resume, write_state
+from anystyle.methods.order import canonical_order, held_out
+from anystyle.types import Cameras, Geometry, OnProgress, Progress, Reconstructed, Scene, Views, no_progress
+from anystyle_captures.cache import cached, key_of
+from anystyle_captures.fit_loop import FitLoop, FitOptions, FitProgress, FitResult
+from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo
+from anystyle_captures.stereo import plane_sweep
+
+logger = logging.getLogger(__name__)
+
+
+class Preset(NamedTuple):
+    """What a fit costs."""
+
+    short_side: int  # of the photographs, in pixels
+    num_gaussians: int  # at the start, about
+    options: FitOptions
+
+
+PRESETS = {
+    "draft": Preset(192, 15_000, FitOptions(num_steps=400, final_steps=60, evaluate_every=100)),
+    "good": Preset(
+        256,
+        30_000,
+        FitOptions(
+            num_steps=600, half_resolution=0.35, scale_weight=0.001, final_steps=80, evaluate_every=100, patience=3
+        ),
+    ),
+    "best": Preset(384, 80_000, FitOptions(num_steps=5000, final_steps=500, evaluate_every=250, patience=4)),
+}
+
+UNSUPPORTED, BEHIND = 0.1, 0.05
+"""Fraction of the pixels without a supported depth that is lifted nevertheless; Gaussians of the backdrop, relative to
+all others, and as many around the photographs."""
+
+MAX_UNEXPLAINED = 0.01
+"""Above this median fraction of unexplained pixels something moved: static captures have at most 0.0001, one of which
+4 % move 0.02."""
+
+
+class Fit(Reconstruction):
+    """Gaussians fitted to the photographs through the renderer, beginning with depths by stereo.
+
+    Args:
+        quality: ``draft``, ``good`` or ``best``: the size of the photographs, and the number of Gaussians and steps.
+        num_gaussians: At the start, about, instead of the quality's.
+        num_steps: At most, instead of the quality's.
+        degree: Of the spherical harmonics of colours.
+        holdout: Every ``holdout``-th view, in the natural order of their names, is held out of the fit to measure it;
+            the final steps see all views. Fewer views are not held out; 0 holds out none.
+        state: A file to write the fit to as it goes, and to resume it from.
+        keep: Whether the fitted scene is cached, and read from the cache when the same photographs are fitted again
+            with the same options.
+        seed: Of all randomness.
+
+    Raises:
+        UserError: The quality is unknown, or a number is out of range.
+    """
+
+    needs_cameras = True
+
+    def __init__(
+        self,
+        *,
+        quality: str = "good",
+        num_gaussians: int | None = None,
+        num_steps: int | None = None,
+        degree: int = 0,
+        holdout: int = 8,
+        state: str | None = None,
+        keep: bool = True,
+        seed: int = 0,
+    ) -> None:
+        if quality not in PRESETS:
+            raise UserError(f"reconstruction.quality={quality}; choose one of {', '.join(PRESETS)}")
+        if holdout < 0 or degree < 0 or min(num_gaussians or 1, num_steps or 1) < 1:
+            raise UserError(
+                f"reconstruction: holdout={holdout}, degree={degree}, num_gaussians={num_gaussians} and "
+                f"num_steps={num_steps}; give numbers above 0, or holdout=0 to hold out no view"
+            )
+        preset = PRESETS[quality]
+        self.short_side = preset.short_side
+        self.num_gaussians = num_gaussians or preset.num_gaussians
+        self.options = replace(
+            preset.options, num_steps=num_steps or preset.options.num_steps, degree=degree, seed=seed
+        )
+        self.holdout, self.keep = holdout, keep
+        self.state = None if state is None else Path(state).expanduser()
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        return {"quality": "draft", "num_gaussians": 150, "num_steps": 5, "holdout": 0, "keep": False}
+
+    def __call__(
+        self,
+        views: Views,
+        encode: Callable[[Views], Scene],
+        renderer: Renderer,
+        *,
+        points: Sequence[Float[Tensor, "_ 3"]] | None = None,
+        on_progress: OnProgress = no_progress,
+    ) -> Reconstructed:
+        """Fit Gaussians to the views; the backbone's features of them are kept for a style branch that reads them."""
+        if views.cameras is None or views.images.shape[0] != 1:
+            raise UserError(
+                f"a fit takes one scene with known cameras, and there are {views.images.shape[0]} scenes "
+                f"{'with' if views.cameras else 'without'} them; poses=sfm finds cameras"
+            )
+        parameters = self.num_gaussians * (11 + 3 * (self.options.degree + 1) ** 2)
+        # Each with its gradient and the optimiser's two moments.
+        require(4 * 4 * parameters, f"{self.num_gaussians:,} Gaussians", "set fewer with reconstruction.num_gaussians")
+        with torch.enable_grad():
+            result = fit_photographs(
+                views.images[0],
+                views.cameras,
+                renderer,
+                num_gaussians=self.num_gaussians,
+                options=self.options,
+                points=points,
+                heldout=held_out(views.images.shape[1], self.holdout, views.names),
+                state=self.state,
+                keep=self.keep,
+                on_progress=lambda state: on_progress(Progress(str(state), state.step / state.num_steps)),
+            )
+        if result.unexplained > MAX_UNEXPLAINED:
+            logger.warning(
+                "the scene shows %.0f%% of the pixels of most photographs quite otherwise: something moved while they "
+                "were taken, or the light changed, and what moved is smeared",
+                100 * result.unexplained,
+            )
+        measures = {"num_gaussians": float(result.gaussians.means.shape[1]), "steps": float(result.steps)}
+        measures |= {"train_psnr": result.train_psnr, "unexplained": result.unexplained}
+        measures |= {"kept": 1.0} if result.cached else {}
+        if result.heldout is not None:
+            measures |= {f"heldout_{name}": value for name, value in result.heldout._asdict().items()}
+        return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
+
+
+def fit_photographs(
+    images: Float[Tensor, "V 3 H W"],
+    cameras: Cameras,
+    renderer: Renderer,
+    *,
+    num_gaussians: int,
+    options: FitOptions,
+    points: Sequence[Float[Tensor, "_ 3"]] | None = None,
+    heldout: Sequence[int] = (),
+    state: Path | None = None,
+    keep: bool = False,
+    on_progress: Callable[[FitProgress], None] = lambda progress: None,
+) -> FitResult:
+    """Fit Gaussians to photographs: initial ones by stereo, then all their attributes through the renderer.
+
+    The same photographs give the same Gaussians, bit for bit, in whatever order they are given.
+    """
+    order = canonical_order(images)
+    images, cameras = images[order], cameras.select(order)
+    points = None if points is None else [points[view] for view in order]
+    hidden = tuple(sorted(order.index(view) for view in heldout))
+    settings = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple, dict))}
+    given = images, cameras.world_from_camera, cameras.intrinsics, *(points or ())
+    key = key_of(*given, num_gaussians, options, hidden, type(renderer).__name__, settings)
+
+    def compute() -> dict[str, Any]:
+        training = [view for view in range(len(images)) if view not in hidden]
+        initial = _initial(images, cameras, training, points, num_gaussians, options.seed)
+        loop = FitLoop(images, cameras, initial, renderer, options, heldout=hidden)
+        if state is None:
+            return loop.run(on_progress).as_dict()
+        resume(loop, state, key, images.device)
+        result = loop.run(on_progress, partial(write_state, loop, state, key))
+        state.unlink(missing_ok=True)
+        return result.as_dict()
+
+    values, from_cache = cached("fit", key if keep else None, compute)
+    result = FitResult.from_dict(values, images.device)
+    # Back to the order given.
+    positions = torch.tensor(order, device=images.device)
+    pixels, back = result.pixels.clone(), positions.argsort()
+    pixels[:, 0] = positions[pixels[:, 0]]
+    return replace(result, pixels=pixels, gains=result.gains[back], biases=result.biases[back], cached=from_cache)
+
+
+def _initial(
+    images: Float[Tensor, "V 3 H W"],
+    cameras: Cameras,
+    training: list[int],
+    points: Sequence[Float[Tensor, "_ 3"]] | None,
+    num_gaussians: int,
+    seed: int,
+) -> InitialGaussians:
+    """Gaussians at pixels of the training views, on the device of the images."""
+    chosen, posed = images[training].cpu(), cameras.select(training).to("cpu")
+    stereo = plane_sweep(chosen, posed, points=None if points is None else [points[view].cpu() for view in training])
+    generator = torch.Generator().manual_seed(seed)
+    lifted = from_stereo(
+        chosen, posed, stereo, num_gaussians=num_gaussians, unsupported=UNSUPPORTED, generator=generator
+    )
+    behind = backdrop(chosen, posed, stereo, num_gaussians=math.ceil(BEHIND * num_gaussians), generator=generator)
+    initial = InitialGaussians.cat([lifted, behind])
+    initial.pixels[:, 0] = torch.tensor(training)[initial.pixels[:, 0]]
+    return initial.to(images.device)
+
+
+@torch.no_grad()
+def scene_of_fit(views: Views, encoded: Scene, result: FitResult, renderer: Renderer) -> Scene:
+    """The fitted Gaussians with what styling needs: their cameras and depths, and photographs of one exposure."""
+    assert views.cameras is not None
+    renders = [renderer(result.gaussians, views.cameras.select([view])) for view in range(views.images.shape[1])]
+    alpha = torch.cat([render.alpha for render in renders], dim=1)
+    depth = torch.cat([render.depth for render in renders], dim=1) / alpha.clamp_min(1e-6)
+    exposed = (views.images[0] - result.biases[:, :, None, None]) / result.gains[:, :, None, None]
+    color = constant_from_rgb(exposed.clamp(0, 1).movedim(1, -1))[None, ..., None]  # B V H W 3 1
+    return replace(
+        encoded,
+        geometry=Geometry(views.cameras, depth, alpha),
+        attributes=replace(encoded.attributes, color=color.to(encoded.attributes.color.dtype)),
+        clusters=None,
+        gaussians=result.gaussians,
+        origins=result.pixels[None],
+    )

@@ -1,0 +1,337 @@
+"""The optimisation of Gaussians through a renderer, towards posed photographs."""
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.functional import interpolate
+from torchmetrics.functional.image import peak_signal_noise_ratio
+
+from anystyle.contracts import Renderer
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.methods.gaussian_parameters import GaussianParameters
+from anystyle.methods.loop import Loop
+from anystyle.types import Cameras, Gaussians
+from anystyle_captures.initial import InitialGaussians
+from anystyle_captures.photometric import Quality, photometric_loss, quality_of, unexplained
+
+logger = logging.getLogger(__name__)
+
+RATES = {
+    "offsets": (0.07, 0.05),  # of centres, in footprints of a pixel
+    "scales": (0.04, 0.2),  # of log scales
+    "rotations": (0.005, 0.3),  # of quaternions
+    "opacities": (0.05, 0.2),  # of logits
+    "colors": (0.02, 0.3),  # of constant harmonics
+    "harmonics": (0.001, 0.3),  # of the others
+}
+"""The learning rate at the start, and the fraction of it that is left at the end."""
+
+OPACITY = 0.4
+"""Of every Gaussian at the start."""
+
+DSSIM = 0.2
+"""Weight of 1 - SSIM beside L1, as in 3D Gaussian splatting."""
+
+MIN_OPACITY, MAX_FOOTPRINTS, NEAREST = 0.02, 60.0, 0.03
+"""A Gaussian is removed below this opacity, above this scale in footprints, or nearer to a camera than this fraction of
+the median depth."""
+
+MIN_GAIN = 0.03
+"""A rise of PSNR in dB that counts as progress."""
+
+NEAREST_EXPOSURES = 2
+"""A held-out view takes the exposure of this many nearest training views."""
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How Gaussians are fitted.
+
+    ``scale_weight`` is the weight of the mean scale in footprints: where photographs are plain, large Gaussians
+    reproduce them as well as small ones, and only small ones leave room for the strokes of a style.
+    """
+
+    num_steps: int = 1500  # at most, of one view each
+    half_resolution: float = 0.25  # fraction of the steps that is taken at half the resolution
+    degree: int = 0  # of the spherical harmonics
+    exposure_lr: float = 0.002  # falls to a tenth; 0 disables exposure
+    scale_weight: float = 0.0
+    prune_every: int = 200  # 0 removes no Gaussians
+    patience: int = 0  # evaluations without a rise of PSNR before the fit stops; 0 disables stopping
+    evaluate_every: int = 200
+    final_steps: int = 0  # on all views, if some are held out; the reported quality precedes them
+    seed: int = 0
+
+
+class FitProgress(NamedTuple):
+    """The state of a fit."""
+
+    step: int
+    num_steps: int
+    train_psnr: float
+    heldout_psnr: float | None
+    seconds_left: float  # estimated
+
+    def __str__(self) -> str:
+        psnr, which = (self.train_psnr, "") if self.heldout_psnr is None else (self.heldout_psnr, " on views held out")
+        return f"step {self.step} of {self.num_steps}: {psnr:.1f} dB{which}, {self.seconds_left:.0f} s left"
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """A fitted scene."""
+
+    gaussians: Gaussians
+    pixels: Int[Tensor, "N 3"]  # view, row and column that each Gaussian was lifted from
+    gains: Float[Tensor, "V 3"]  # photographs are gain * render + bias
+    biases: Float[Tensor, "V 3"]
+    steps: int
+    train_psnr: float  # dB, with each view's exposure
+    heldout: Quality | None  # before the final steps
+    unexplained: float = 0.0  # median over photographs
+    cached: bool = False
+
+    def as_dict(self) -> dict[str, Any]:
+        """Tensors and plain values that :meth:`from_dict` takes."""
+        return {**vars(self), "gaussians": vars(self.gaussians), "heldout": self.heldout and tuple(self.heldout)}
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any], device: torch.device) -> "FitResult":
+        """The result of :meth:`as_dict`, on a device."""
+        tensors = {name: value.to(device) for name, value in values.items() if isinstance(value, Tensor)}
+        gaussians = Gaussians(**values["gaussians"]).to(device)
+        heldout = values["heldout"] and Quality(*values["heldout"])
+        return cls(**{**values, **tensors, "gaussians": gaussians, "heldout": heldout})
+
+
+class Exposures:
+    """Gains and biases from renders to photographs, whose mean over the training views is the identity."""
+
+    def __init__(self, cameras: Cameras, training: list[int]) -> None:
+        self.centers = cameras.world_from_camera[0, :, :3, 3]
+        self.values = torch.zeros(len(self.centers), 6, device=self.centers.device).requires_grad_()
+        self.train(training)
+
+    def train(self, training: list[int]) -> None:
+        """Set the views whose exposure is learnt; the others take that of the nearest ones, by inverse distance."""
+        distance = torch.cdist(self.centers, self.centers[training])  # V T
+        nearest = distance.topk(min(NEAREST_EXPOSURES, len(training)), largest=False)
+        weight = 1 / nearest.values.clamp_min(1e-9)
+        blend = torch.zeros_like(distance).scatter(1, nearest.indices, weight / weight.sum(1, keepdim=True))
+        blend[training] = torch.eye(len(training)).to(blend)
+        self.training, self.blend = training, blend
+
+    def of(self, view: int) -> Float[Tensor, " 6"]:
+        """Gain - 1 and bias of a view."""
+        return self.blend[view] @ self.values[self.training]
+
+    def apply(self, images: Float[Tensor, "M 3 H W"], view: int) -> Float[Tensor, "M 3 H W"]:
+        """Renders with the exposure of a view."""
+        gain, bias = self.of(view)[:, None, None].split(3)
+        return images * (1 + gain) + bias
+
+    @torch.no_grad()
+    def center(self) -> None:
+        """Subtract the mean over the training views, which the Gaussians can represent."""
+        self.values[self.training] -= self.values[self.training].mean(0)
+
+
+class FitLoop(Loop):
+    """A fit that can be interrupted and resumed between any two steps."""
+
+    def __init__(
+        self,
+        images: Float[Tensor, "V 3 H W"],
+        cameras: Cameras,
+        initial: InitialGaussians,
+        renderer: Renderer,
+        options: FitOptions,
+        *,
+        heldout: tuple[int, ...] = (),
+    ) -> None:
+        training = [view for view in range(len(images)) if view not in heldout]
+        super().__init__(training, every=options.evaluate_every, seed=options.seed)
+        self.images, self.cameras, self.renderer, self.options = images, cameras, renderer, options
+        self.heldout, self.pixels = heldout, initial.pixels
+        size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
+        self.half_images, self.half_cameras = interpolate(images, size=size, mode="area"), cameras.resized(size)
+        rates = {name: rate for name, (rate, _) in RATES.items()}
+        self.splats = GaussianParameters(_round_gaussians(initial, options.degree), rates, initial.footprints)
+        self.background = _background(renderer, self.gaussians(), cameras)
+        self.nearest = NEAREST * float((initial.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
+        self.exposures = Exposures(cameras, self.training)
+        self.exposure_optimizer = torch.optim.Adam([self.exposures.values], lr=options.exposure_lr)
+        self.end = options.num_steps
+        self.quality: Quality | None = None
+        self.best, self.stale = float("-inf"), 0
+
+    def gaussians(self) -> Gaussians:
+        """The current Gaussians, a batch of one scene."""
+        return self.splats.gaussians()
+
+    def advance(self) -> float:
+        """Take one step, on one view, and return the PSNR before it."""
+        options = self.options
+        fraction = self.step / options.num_steps if self.step < self.end else 1.0
+        self.splats.set_rates({name: rate * decay**fraction for name, (rate, decay) in RATES.items()})
+        view = self.next_view()
+        coarse = fraction < options.half_resolution
+        images, cameras = (self.half_images, self.half_cameras) if coarse else (self.images, self.cameras)
+        target = images[view, None]
+        renders = self.renderer(self.gaussians(), cameras.select([view]))
+        # Over random colours, so that no Gaussian lets the background through where there is something.
+        transmittance = 1 - renders.alpha[0, :, None]
+        color = self.exposures.apply(renders.color[0] - transmittance * self.background, view)
+        random = torch.rand(3, generator=self.generator).to(color)[:, None, None]
+        color = color + transmittance * random
+        photometric_loss(color, target, dssim=DSSIM).backward()
+        self._shrink()
+        self.splats.step()
+        if options.exposure_lr:
+            self.exposure_optimizer.param_groups[0]["lr"] = options.exposure_lr * 0.1**fraction
+            self.exposure_optimizer.step()
+            self.exposure_optimizer.zero_grad(set_to_none=True)
+            self.exposures.center()
+        self.step += 1
+        if options.prune_every and self.step % options.prune_every == 0 and fraction < 0.8:
+            self._prune()
+        return float(peak_signal_noise_ratio(color.detach(), target, data_range=1.0))
+
+    @torch.no_grad()
+    def _shrink(self) -> None:
+        """Add the gradient of the mean scale in footprints, for the Gaussians that the view shows.
+
+        Adam takes whole steps however small a gradient is: a Gaussian outside of the view would shrink to nothing, and
+        leave a hole where a new view looks past the photographs.
+        """
+        scales = self.splats.parameters["scales"]
+        if self.options.scale_weight and scales.grad is not None:
+            shown = (scales.grad != 0).any(1, keepdim=True)
+            footprints = scales.exp() / self.splats.units[:, None]
+            scales.grad += self.options.scale_weight * footprints * shown / (3 * shown.sum().clamp_min(1))
+
+    @torch.no_grad()
+    def _prune(self) -> None:
+        scales, opacities = (self.splats.parameters[name] for name in ("scales", "opacities"))
+        distance = torch.cdist(self.gaussians().means[0], self.cameras.world_from_camera[0, :, :3, 3]).amin(1)
+        keep = (opacities.sigmoid() >= MIN_OPACITY) & (scales.amax(1).exp() <= MAX_FOOTPRINTS * self.splats.units)
+        index = (keep & (distance >= self.nearest)).nonzero()[:, 0]
+        if len(index) < len(keep):
+            self.splats.select(index)
+            self.pixels = self.pixels[index]
+
+    def run(
+        self,
+        on_progress: Callable[[FitProgress], None] = lambda progress: None,
+        on_checkpoint: Callable[[], None] | None = None,
+    ) -> FitResult:
+        """Take steps until PSNR stops rising, or all; then the final ones, on all views."""
+
+        def report(pace: float) -> None:
+            heldout, left = self.quality and self.quality.psnr, pace * (self.last_step - self.step)
+            on_progress(FitProgress(self.step, self.last_step, self.mean, heldout, left))
+
+        self.steps(report, on_checkpoint)
+        exposures = torch.stack([self.exposures.of(view) for view in range(len(self.images))]).detach()
+        shares = [unexplained(self.render(view), self.images[view, None]) for view in self.training]
+        return FitResult(
+            gaussians=self.gaussians().detach(),
+            pixels=self.pixels,
+            gains=1 + exposures[:, :3],
+            biases=exposures[:, 3:],
+            steps=self.step,
+            train_psnr=self.mean,
+            heldout=self.quality,
+            unexplained=float(torch.cat(shares).median()),
+        )
+
+    @property
+    def last_step(self) -> int:
+        return self.end + (self.options.final_steps if self.heldout else 0)
+
+    def at_turn(self) -> bool:
+        """Held-out views are included after the last step without them."""
+        return self.step == self.end
+
+    def look(self) -> None:
+        """Measure the views held out, and stop where PSNR has stopped rising; not in the final steps."""
+        if self.step > self.end:
+            return
+        self.quality = self.heldout_quality()
+        psnr = self.mean if self.quality is None else self.quality.psnr
+        self.stale = 0 if psnr > self.best + MIN_GAIN else self.stale + 1
+        self.best = max(self.best, psnr)
+        if self.options.patience and self.stale >= self.options.patience:
+            logger.info("no gain in %d evaluations: the fit ends at step %d", self.stale, self.step)
+            self.end = self.step
+        if self.step == self.end and self.options.final_steps:
+            self._include_heldout()
+
+    def _include_heldout(self) -> None:
+        """From now on steps see all views; those held out begin with the exposure of neighbouring views."""
+        with torch.no_grad():
+            for view in self.heldout:
+                self.exposures.values[view] = self.exposures.of(view)
+        self.training = list(range(len(self.images)))
+        self.exposures.train(self.training)
+        self.order = []
+
+    def heldout_quality(self) -> Quality | None:
+        """How well the views held out are rendered, if there are any."""
+        if not self.heldout:
+            return None
+        return quality_of(torch.cat([self.render(view) for view in self.heldout]), self.images[list(self.heldout)])
+
+    @torch.no_grad()
+    def render(self, view: int) -> Float[Tensor, "1 3 H W"]:
+        """One view with the exposure of its photograph, clamped to [0, 1]."""
+        color = self.renderer(self.gaussians(), self.cameras.select([view])).color[0]
+        return self.exposures.apply(color, view).clamp(0, 1)
+
+    def state_dict(self) -> dict[str, Any]:
+        return super().state_dict() | {
+            "pixels": self.pixels,
+            "splats": self.splats.state_dict(),
+            "exposures": self.exposures.values.detach(),
+            "exposure_optimizer": self.exposure_optimizer.state_dict(),
+            "end": self.end,
+            "quality": self.quality and tuple(self.quality),
+            "best": self.best,
+            "stale": self.stale,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        super().load_state_dict(state)
+        self.pixels = state["pixels"]
+        self.splats.load_state_dict(state["splats"])
+        with torch.no_grad():
+            self.exposures.values.copy_(state["exposures"])
+        self.exposure_optimizer.load_state_dict(state["exposure_optimizer"])
+        self.exposures.train(self.training)
+        self.end = state["end"]
+        self.quality = state["quality"] and Quality(*state["quality"])
+        self.best, self.stale = state["best"], state["stale"]
+
+
+@torch.no_grad()
+def _background(renderer: Renderer, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "3 1 1"]:
+    """The colour that a renderer shows where there is nothing."""
+    nothing = replace(gaussians, opacities=torch.zeros_like(gaussians.opacities)).map(lambda tensor: tensor[:, :1])
+    return renderer(nothing, cameras.select([0])).color[0, 0].mean((1, 2))[:, None, None]
+
+
+def _round_gaussians(initial: InitialGaussians, degree: int) -> Gaussians:
+    count, like = len(initial.means), initial.means
+    colors = constant_from_rgb(initial.colors)[:, None]
+    return Gaussians(
+        means=like[None],
+        rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).to(like).repeat(1, count, 1),
+        scales=initial.scales[None, :, None].repeat(1, 1, 3),
+        opacities=like.new_full((1, count), OPACITY),
+        harmonics=torch.cat([colors, like.new_zeros(count, (degree + 1) ** 2 - 1, 3)], dim=1)[None],
+    )

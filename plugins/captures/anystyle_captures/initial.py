@@ -1,0 +1,118 @@
+"""Gaussians to begin a fit with: pixels of the photographs, lifted to their depth."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
+from torch import Tensor
+from torch.nn.functional import pad
+
+from anystyle.errors import UserError
+from anystyle.types import Cameras, Value
+from anystyle_captures.stereo import StereoDepth
+
+BACKDROP = 3.0
+"""The backdrop, such as sky, lies behind nearly all known depths by this factor."""
+
+SURROUND = 0.5
+"""The backdrop extends beyond every photograph by this fraction of its sides."""
+
+NEIGHBORS = 3
+"""The scale of a Gaussian is the mean distance of this many nearest ones."""
+
+
+@dataclass(frozen=True)
+class InitialGaussians(Value):
+    """Isotropic Gaussians at pixels of photographs."""
+
+    means: Float[Tensor, "N 3"]
+    scales: Float[Tensor, " N"]
+    colors: Float[Tensor, "N 3"]
+    footprints: Float[Tensor, " N"]
+    pixels: Int[Tensor, "N 3"]
+
+
+def from_stereo(
+    images: Float[Tensor, "V 3 H W"],
+    cameras: Cameras,
+    stereo: StereoDepth,
+    *,
+    num_gaussians: int,
+    unsupported: float,
+    generator: torch.Generator,
+) -> InitialGaussians:
+    """Lift pixels of all views, evenly over the images, those first whose depth another view supports."""
+    lifted = (stereo.support >= 1) | (torch.rand(stereo.support.shape, generator=generator) < unsupported)
+    fraction = float(lifted.double().mean())
+    if not bool((stereo.support >= 1).any()):
+        raise UserError("no depth is supported by a second view: nothing to begin a fit with")
+    num_views, height, width = images.shape[0], images.shape[-2], images.shape[-1]
+    stride = max(1.0, (num_views * height * width * fraction / num_gaussians) ** 0.5)
+    offsets = torch.rand(num_views, 2, generator=generator) * stride
+    pixels = []
+    for view in range(num_views):
+        rows = torch.arange(float(offsets[view, 0]), height, stride).long()
+        columns = torch.arange(float(offsets[view, 1]), width, stride).long()
+        y, x = (grid.flatten() for grid in torch.meshgrid(rows, columns, indexing="ij"))
+        keep = lifted[view, y, x]
+        pixels.append(torch.stack([torch.full_like(y, view), y, x], dim=1)[keep])
+    chosen = torch.cat(pixels)
+    return lift(images, cameras, stereo.depth[chosen.unbind(1)], chosen)
+
+
+def backdrop(
+    images: Float[Tensor, "V 3 H W"],
+    cameras: Cameras,
+    stereo: StereoDepth,
+    *,
+    num_gaussians: int,
+    generator: torch.Generator,
+) -> InitialGaussians:
+    """Large Gaussians behind everything, at pixels whose depth no view supports: sky, and what is too far or plain.
+
+    Without them, floaters near the cameras would have to show what lies at infinity. As many lie around the
+    photographs, in the colours of their borders: a new view that looks past all photographs sees no hole.
+    """
+    supported = stereo.support >= 1
+    bottom, right = (round(SURROUND * side) for side in images.shape[-2:])
+    around = pad(torch.zeros_like(supported), (right, right, bottom, bottom), value=True)
+    inside = _drawn(~supported, num_gaussians, generator)
+    pixels = torch.cat([inside, _drawn(around, num_gaussians, generator) - torch.tensor([0, bottom, right])])
+    known = stereo.depth[supported]
+    far = BACKDROP * known[:: max(1, len(known) // 1_000_000)].quantile(0.98)
+    return lift(images, cameras, far.expand(len(pixels)), pixels, largest=float("inf"))
+
+
+def _drawn(mask: Bool[Tensor, "V H W"], count: int, generator: torch.Generator) -> Int[Tensor, "N 3"]:
+    """At most ``count`` random pixels where a mask is true; flat indices, since it may have many millions."""
+    candidates = mask.flatten().nonzero().flatten()
+    drawn = candidates[torch.randperm(len(candidates), generator=generator)[:count]]
+    return torch.stack(torch.unravel_index(drawn, mask.shape), dim=1)
+
+
+def lift(
+    images: Float[Tensor, "V 3 H W"],
+    cameras: Cameras,
+    depth: Float[Tensor, " N"],
+    pixels: Int[Tensor, "N 3"],
+    largest: float = 6.0,
+) -> InitialGaussians:
+    """Gaussians at pixels of known depth, as large as the gaps between them."""
+    view, y, x = pixels.unbind(1)
+    z = depth.double()
+    image = torch.stack([x + 0.5, y + 0.5, torch.ones_like(z)], dim=1)
+    pose, inverse = cameras.world_from_camera[0].double(), torch.linalg.inv(cameras.intrinsics[0].double())
+    local = torch.einsum("nij,nj->ni", inverse[view], image) * z[:, None]
+    means = torch.einsum("nij,nj->ni", pose[view, :3, :3], local) + pose[view, :3, 3]
+    footprints = z / cameras.intrinsics[0, view, 0, 0].double()
+    distances, _ = KDTree(means.numpy()).query(means.numpy(), k=min(NEIGHBORS + 1, len(means)))
+    gaps = torch.from_numpy(distances).view(len(means), -1)[:, 1:].mean(1).nan_to_num(1.0)
+    y, x = y.clamp(0, images.shape[-2] - 1), x.clamp(0, images.shape[-1] - 1)
+    return InitialGaussians(
+        means=means.float(),
+        scales=(0.7 * gaps.clamp(0.5 * footprints, largest * footprints)).float(),
+        colors=images[view, :, y, x],
+        footprints=footprints.float(),
+        pixels=torch.stack([view, y, x], dim=1),
+    )

@@ -1,0 +1,261 @@
+"""Reconstructions of captures, judged on photographs that they never saw."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from math import isnan, nan
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from anystyle.data.folder import read_originals, read_views
+from anystyle.errors import UserError
+from anystyle.evaluation.base import SCENE, Evaluation, Progress, Protocol, Row
+from anystyle.io.atomic import atomic_directory, write_json
+from anystyle.io.documents import as_number, read_json
+from anystyle.io.sheet import to_pil
+from anystyle.methods.branch import Branch
+from anystyle.methods.order import held_out
+from anystyle.pipeline.cameras import from_files, scene_from_known
+from anystyle.pipeline.encode import encoder
+from anystyle.pipeline.poses import Verdict
+from anystyle.pipeline.styles import slug
+from anystyle.stylizer import Stylizer
+from anystyle.types import Scene, Style, Views, no_progress
+from anystyle.vision import lpips
+from anystyle.vision.weights import Weights, stand_ins
+from anystyle_captures.fit import Fit, fit_photographs, scene_of_fit
+from anystyle_captures.photometric import quality_of
+from anystyle_captures.structure_from_motion import StructureFromMotion
+
+BETTER = {"psnr": "higher", "matched_psnr": "higher", "ssim": "higher", "lpips": "lower"}
+KINDS = ("fit", "feedforward")
+
+
+class _Result(NamedTuple):
+    """Held-out views rendered from a reconstruction, and the reconstruction."""
+
+    renders: Float[Tensor, "V 3 H W"]
+    scene: Scene
+    num_gaussians: int
+
+
+class Captures(Protocol):
+    """PSNR, SSIM and LPIPS of views held out of each capture, of the backbone's scene and of a fitted one.
+
+    Cameras are estimated from all photographs; neither reconstruction sees the pixels of those held out. The backbone
+    gets its own resolution and predicts cameras of its own, among which held-out views are placed by a similarity; the
+    fit has the exposure of neighbouring views. ``matched_psnr`` is PSNR after an affine change of each view's colours.
+    CPU seconds of the cameras, of each reconstruction and of restyling it once are in the provenance, under ``costs``.
+
+    Args:
+        stylizer: Its backbone predicts, its renderer renders, and its branch restyles.
+        captures: Folders of photographs, or videos.
+        poses: ``sfm`` estimates cameras; ``known`` takes those stored beside the photographs.
+        quality: Of the fit; see :class:`~anystyle_captures.fit.Fit`.
+        num_gaussians: Instead of the quality's.
+        num_steps: Instead of the quality's.
+        short_side: Of the views in pixels, instead of the quality's.
+        holdout: Every ``holdout``-th view is held out.
+        take: At most this many photographs, evenly spaced.
+        lpips_backbone: The network of LPIPS.
+        weights: Of LPIPS: ``auto`` takes a stand-in where the published ones are missing, and reports it.
+
+    Raises:
+        UserError: There is no capture.
+    """
+
+    def __init__(
+        self,
+        *,
+        stylizer: Stylizer,
+        captures: Sequence[str],
+        poses: Literal["sfm", "known"] = "sfm",
+        quality: str = "good",
+        num_gaussians: int | None = None,
+        num_steps: int | None = None,
+        short_side: int | None = None,
+        holdout: int = 8,
+        take: int = 48,
+        lpips_backbone: Literal["alex", "vgg"] = "alex",
+        weights: Weights = "auto",
+    ) -> None:
+        if not captures:
+            raise UserError("protocol.captures is empty; name folders of photographs or videos")
+        self.stylizer, self.captures, self.poses = stylizer, [Path(path).expanduser() for path in captures], poses
+        self.fit = Fit(quality=quality, num_gaussians=num_gaussians, num_steps=num_steps, holdout=holdout)
+        self.short_side, self.take = short_side, take
+        self.lpips = lpips.load(lpips_backbone, weights)
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        write_wall(folder / "wall")
+        small = {"num_gaussians": 100, "num_steps": 4, "short_side": 48, "holdout": 4}
+        return {"captures": [str(folder / "wall")], "poses": "known", "weights": "stand_in", **small}
+
+    def run(self, out: Path, progress: Progress) -> Evaluation:
+        """Judge each capture; the record of one that is finished is read."""
+        records: dict[str, dict[str, Any]] = {}
+        rows: list[Row] = []
+        for done, path in enumerate(self.captures):
+            progress("captures", done, len(self.captures))
+            name = path.parent.name if path.name == "images" else path.stem
+            folder = out / "captures" / slug(name, 80)
+            if not (folder / "record.json").is_file():
+                with atomic_directory(folder) as temporary:
+                    write_json(temporary / "record.json", self._judge(path, temporary))
+            what = f"record of a capture; delete {folder}"
+            record: dict[str, Any] = read_json(folder / "record.json", dict[str, Any], what=what)
+            records[name] = record
+            for kind in KINDS:
+                figures = {figure: as_number(value) for figure, value in record["figures"][kind].items()}
+                files = {"photograph": folder / "photograph_0.png", "result": folder / f"{kind}_0.png"}
+                rows.append(Row(name, kind, figures, {what: file for what, file in files.items() if file.is_file()}))
+        progress("captures", len(self.captures), len(self.captures))
+        groups = {kind: _mean([row.figures for row in rows if row.style == kind]) for kind in KINDS}
+        for row in rows:
+            scene = groups.setdefault(f"{SCENE}{row.scene}", {})
+            scene |= {f"{row.style}_{figure}": value for figure, value in row.figures.items()}
+        return Evaluation(
+            figures=groups["fit"],
+            n=sum(int(record["heldout"]) for record in records.values()),
+            better=BETTER,
+            groups=groups,
+            rows=tuple(rows),
+            stand_ins=stand_ins(["lpips"], self.lpips.source),
+            provenance={
+                "scenes": list(records),
+                "lpips_network": self.lpips.source.stand_in or self.lpips.source.network,
+                "costs": {name: record["costs"] for name, record in records.items()},
+                "cameras": {name: record["cameras"] for name, record in records.items()},
+            },
+        )
+
+    def _judge(self, path: Path, folder: Path) -> dict[str, Any]:
+        start = time.process_time()
+        views, points, cameras = self._posed(path)
+        costs: dict[str, Any] = {"cameras": {"cpu_seconds": round(time.process_time() - start, 1)}}
+        count = views.images.shape[1]
+        chosen = list(held_out(count, self.fit.holdout, views.names))
+        if not chosen:
+            raise UserError(
+                f"{path} has {count} photographs with cameras, and every {self.fit.holdout}th is to be held out; "
+                "lower protocol.holdout or give more photographs"
+            )
+        photographs = views.images[0, chosen]
+        figures: dict[str, Mapping[str, float]] = {}
+        for kind, reconstruct in (("fit", self._fit), ("feedforward", self._feedforward)):
+            start = time.process_time()
+            try:
+                result = reconstruct(views, points, chosen)
+            except ValueError as error:
+                # A reconstruction that fails, for example with cameras that run the other way, is a result too.
+                figures[kind], costs[kind] = dict.fromkeys(BETTER, nan), {"failed": str(error)}
+                continue
+            seconds = time.process_time() - start
+            figures[kind] = self._quality(result.renders, photographs)
+            costs[kind] = {"cpu_seconds": round(seconds, 1), "num_gaussians": result.num_gaussians}
+            costs[kind]["restyle_cpu_seconds"] = round(self._restyle_seconds(result.scene), 1)
+            for index, render in enumerate(result.renders):
+                to_pil(render).save(folder / f"{kind}_{index}.png")
+        for index, photograph in enumerate(photographs):
+            to_pil(photograph).save(folder / f"photograph_{index}.png")
+        return {"figures": figures, "costs": costs, "cameras": cameras, "views": count, "heldout": len(chosen)}
+
+    def _posed(self, path: Path) -> tuple[Views, Sequence[Tensor] | None, dict[str, Any]]:
+        """Views with cameras, sparse points where they are known, and the entries of the report on the cameras."""
+        multiple, enlarge = self.stylizer.backbone.patch_size, self.short_side is not None
+        short_side = self.short_side or self.fit.short_side or self.stylizer.backbone.resolution
+        if self.poses == "known":
+            views, sources = read_views(
+                [path], short_side=short_side, multiple=multiple, max_views=self.take, enlarge=enlarge
+            )
+            cameras = from_files(sources).of_all([source.name for source in sources])
+            return replace(views, cameras=cameras), None, {"trust": "known"}
+        estimator = StructureFromMotion(keep=False)
+        originals = read_originals([path], longest=estimator.longest, max_views=self.take)
+        posed = estimator(originals, short_side=short_side, enlarge=enlarge, multiple=multiple, on_progress=no_progress)
+        if isinstance(posed, Verdict):
+            raise UserError(f"no cameras are found of {path}: {'; '.join(posed.reasons)}")
+        registered = f"{len(posed.sources)} of {len(originals)}"
+        return posed.views, posed.points, posed.verdict.report() | {"registered": registered}
+
+    @torch.no_grad()
+    def _feedforward(self, views: Views, points: Sequence[Tensor] | None, chosen: list[int]) -> _Result:
+        """What the backbone predicts from the other views."""
+        assert views.cameras is not None
+        backbone, device = self.stylizer.backbone, self.stylizer.device
+        seen = [view for view in range(views.images.shape[1]) if view not in chosen]
+        sides, patch = views.images.shape[-2:], backbone.patch_size
+        size = [max(patch, round(side * backbone.resolution / min(sides) / patch) * patch) for side in sides]
+        images = interpolate(views.images[0, seen], size=size, mode="bicubic", antialias=True).clamp(0, 1)
+        scene = self.stylizer.encode(Views(images[None]).to(device))
+        known = views.cameras.to(device)
+        similarity = scene_from_known(known.world_from_camera[0, seen], scene.cameras.world_from_camera[0])
+        placed = replace(known, world_from_camera=similarity.poses(known.world_from_camera))
+        gaussians = self.stylizer.unstyled(scene)
+        renders = [self.stylizer.render(gaussians, placed.select([view])).color[0] for view in chosen]
+        return _Result(torch.cat(renders).cpu(), scene, int((gaussians.opacities > 0).sum()))
+
+    def _fit(self, views: Views, points: Sequence[Tensor] | None, chosen: list[int]) -> _Result:
+        """Gaussians fitted to the other views; no step sees those held out."""
+        views = views.to(self.stylizer.device)
+        assert views.cameras is not None
+        result = fit_photographs(
+            views.images[0],
+            views.cameras,
+            self.stylizer.renderer,
+            num_gaussians=self.fit.num_gaussians,
+            options=replace(self.fit.options, final_steps=0),
+            points=points,
+            heldout=chosen,
+        )
+        with torch.no_grad():
+            cameras = [views.cameras.select([view]) for view in chosen]
+            renders = torch.cat([self.stylizer.render(result.gaussians, camera).color[0] for camera in cameras])
+            exposed = renders * result.gains[chosen, :, None, None] + result.biases[chosen, :, None, None]
+            encode = encoder(self.stylizer)
+            scene = scene_of_fit(views, encode(views), result, self.stylizer.renderer)
+        return _Result(exposed.clamp(0, 1).cpu(), scene, result.gaussians.means.shape[1])
+
+    @torch.no_grad()
+    def _quality(self, renders: Float[Tensor, "M 3 H W"], photographs: Float[Tensor, "M 3 H W"]) -> dict[str, float]:
+        distance = self.lpips.compare(self.lpips.describe(renders), self.lpips.describe(photographs))
+        return quality_of(renders, photographs)._asdict() | {"lpips": float(distance.mean())}
+
+    @torch.no_grad()
+    def _restyle_seconds(self, scene: Scene) -> float:
+        picture = torch.linspace(0, 1, 64).expand(1, 3, 64, 64) * torch.tensor([1.0, 0.6, 0.2]).view(1, 3, 1, 1)
+        embedding = self.stylizer.embed(image=picture.to(self.stylizer.device))
+        start = time.process_time()
+        Branch()(self.stylizer, scene, Style(), embedding)
+        return time.process_time() - start
+
+
+def write_wall(folder: Path, num_views: int = 6, size: int = 64) -> None:
+    """Photographs of a coloured wall with cameras in ``transforms.json``: the smallest capture."""
+    (folder / "images").mkdir(parents=True)
+    texture = Image.fromarray(np.random.default_rng(0).integers(0, 255, (24, 24, 3), dtype=np.uint8))
+    wall = texture.resize((4 * size, 4 * size), Image.Resampling.BICUBIC)
+    frames = []
+    for view in range(num_views):
+        # Cameras move along the wall at a distance of 2 focal lengths: 1 is half an image.
+        left = size + 4 * view
+        wall.crop((left, size, left + size, 2 * size)).save(folder / "images" / f"{view:02d}.png")
+        pose = np.diag([1.0, -1.0, -1.0, 1.0])  # OpenGL's axes
+        pose[0, 3] = 2 * left / size
+        frames.append({"file_path": f"images/{view:02d}.png", "transform_matrix": pose.tolist()})
+    intrinsics = {"fl_x": size, "fl_y": size, "cx": size / 2, "cy": size / 2, "w": size, "h": size}
+    write_json(folder / "transforms.json", {**intrinsics, "frames": frames})
+
+
+def _mean(figures: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Over captures with figures; NaN where there are none."""
+    known = [row for row in figures if not isnan(row["psnr"])]
+    return {name: sum(row[name] for row in known) / len(known) if known else nan for name in BETTER}

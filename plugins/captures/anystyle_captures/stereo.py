@@ -1,0 +1,243 @@
+"""Depth of posed photographs by plane-sweep stereo with semi-global aggregation.
+
+Every view is compared with its neighbours on planes of equal inverse depth (Collins 1996) by the zero-mean normalised
+cross-correlation of small windows; costs are aggregated along rows and columns (Hirschmüller 2008); a depth is
+supported by the neighbours whose own depth agrees with it.
+"""
+
+import logging
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from anystyle.errors import UserError
+from anystyle.types import Cameras, Value
+from anystyle_captures import stereo_kernels
+
+logger = logging.getLogger(__name__)
+
+NUM_PLANES, NUM_NEIGHBORS = 64, 4
+"""Planes of inverse depth, and views that each view is compared with."""
+
+ANGLE = 6.0
+"""Preferred angle in degrees between the rays of two neighbours."""
+
+RADIUS = 3
+"""Windows have a side of ``2 RADIUS + 1`` pixels."""
+
+SMALL_PENALTY, LARGE_PENALTY = np.float32(0.05), np.float32(0.6)
+"""Of a step to the next plane between two pixels, and of any other step between two pixels of the same grey value, in
+units of 1 - ZNCC."""
+
+TOLERANCE, COARSE_TOLERANCE = 0.03, 0.05
+"""Relative difference up to which two depths agree."""
+
+NEAR, FAR = (0.01, 0.7), (0.98, 2.5)
+"""The quantile of a view's known depths, and the factor on it, at which the first and the last plane lie."""
+
+COARSE_SIDE, COARSE_PLANES = 112, 128
+"""Short side in pixels, and planes, of the sweep that finds the range of depths of a scene."""
+
+MIN_POINTS = 32
+"""A view with fewer known points searches the depths of all views together."""
+
+
+@dataclass(frozen=True)
+class StereoDepth(Value):
+    """The depth of every pixel."""
+
+    depth: Float[Tensor, "V H W"]
+    confidence: Float[Tensor, "V H W"]
+    support: Int[Tensor, "V H W"]
+
+
+def plane_sweep(
+    images: Float[Tensor, "V 3 H W"],
+    cameras: Cameras,
+    *,
+    points: Sequence[Float[Tensor, "_ 3"]] | None = None,
+) -> StereoDepth:
+    """Estimate the depth of every view of one scene."""
+    num_views, height, width = images.shape[0], images.shape[-2], images.shape[-1]
+    if num_views < 2 or min(height, width) <= 2 * RADIUS:
+        raise UserError(
+            f"stereo got {num_views} images of {height}x{width}; it needs two or more, larger than a window of "
+            f"{2 * RADIUS + 1} pixels"
+        )
+    gray = (images * images.new_tensor([0.299, 0.587, 0.114])[:, None, None]).sum(1)  # V H W
+    rig = _Rig(cameras.intrinsics[0].double(), cameras.camera_from_world[0].double())
+    if points is None:
+        points = _coarse_points(gray, rig)
+    return _sweep(gray, rig, _ranges(rig, points), _neighbors(rig, points, cameras.size), NUM_PLANES, TOLERANCE)
+
+
+@dataclass(frozen=True)
+class _Rig:
+    """Pinhole cameras in double precision."""
+
+    intrinsics: Float[Tensor, "V 3 3"]
+    camera_from_world: Float[Tensor, "V 4 4"]
+
+    @property
+    def centers(self) -> Float[Tensor, "V 3"]:
+        rotation, translation = self.camera_from_world[:, :3, :3], self.camera_from_world[:, :3, 3]
+        return -(rotation.mT @ translation[..., None])[..., 0]
+
+    def project(self, view: int, points: Float[Tensor, "P 3"]) -> tuple[Float[Tensor, "P 2"], Float[Tensor, " P"]]:
+        """Pixels and depths of points in world space; a pixel is only valid where the depth is above 0."""
+        motion = self.camera_from_world[view]
+        local = points.double() @ motion[:3, :3].T + motion[:3, 3]
+        image = local @ self.intrinsics[view].T
+        return image[:, :2] / image[:, 2:].clamp_min(1e-12), local[:, 2]
+
+    def unproject(self, view: int, depth: Float[Tensor, "H W"]) -> Float[Tensor, "H W 3"]:
+        """Points in world space."""
+        y = torch.arange(depth.shape[0], dtype=torch.float64) + 0.5
+        x = torch.arange(depth.shape[1], dtype=torch.float64) + 0.5
+        y, x = torch.meshgrid(y, x, indexing="ij")
+        rays = torch.stack([x, y, torch.ones_like(x)], -1) @ torch.linalg.inv(self.intrinsics[view]).T
+        motion = self.camera_from_world[view]
+        return (rays * depth.double()[..., None] - motion[:3, 3]) @ motion[:3, :3]
+
+
+def _ranges(rig: _Rig, points: Sequence[Tensor]) -> Float[Tensor, "V 2"]:
+    """Nearest and farthest depth of each view's search."""
+    depths = [rig.project(view, shown)[1] for view, shown in enumerate(points)]
+    depths = [depth[depth > 0] for depth in depths]
+    pooled = torch.cat(depths)
+    if len(pooled) == 0:
+        raise UserError("stereo was given no point in front of a camera; leave points out to search for them")
+    rows = []
+    for depth in depths:
+        known = depth if len(depth) >= MIN_POINTS else pooled
+        rows.append(torch.stack([known.quantile(quantile) * factor for quantile, factor in (NEAR, FAR)]))
+    return torch.stack(rows)
+
+
+def _neighbors(rig: _Rig, points: Sequence[Tensor], size: tuple[int, int]) -> list[list[int]]:
+    """For each view, those that together show its points, each point under about the preferred angle.
+
+    They are chosen greedily: a point counts the less the more of the chosen views show it already, so that one view
+    at least sees what lies at the border of the image.
+    """
+    height, width = size
+    centers, result = rig.centers, []
+    for view, shown in enumerate(points):
+        away, weights = shown.double() - centers[view], []
+        for other in range(len(centers)):
+            pixel, depth = rig.project(other, shown)
+            inside = (depth > 0) & (pixel >= 0).all(1) & (pixel <= pixel.new_tensor([width, height])).all(1)
+            cosine = torch.cosine_similarity(away, shown.double() - centers[other], dim=-1)
+            angle = torch.rad2deg(cosine.clamp(-1, 1).acos())
+            spread = torch.where(angle < ANGLE, 0.5 * ANGLE, 1.3 * ANGLE)
+            weight = (-0.5 * ((angle - ANGLE) / spread).square()).exp()
+            weights.append(weight * inside * (other != view))
+        weight, seen, best = torch.stack(weights), torch.zeros(len(shown), dtype=torch.float64), []
+        for _ in range(NUM_NEIGHBORS):
+            gain = (weight / (1 + 2 * seen)).sum(1)
+            gain[best] = 0
+            if not (gain > 0).any():
+                break
+            best.append(int(gain.argmax()))
+            seen += weight[best[-1]]
+        result.append(best or _nearest(rig, view))
+    return result
+
+
+def _nearest(rig: _Rig, view: int) -> list[int]:
+    """The views nearest to a view, of those that look the same way where there are any."""
+    centers, axes = rig.centers, rig.camera_from_world[:, 2, :3]
+    distance = (centers - centers[view]).norm(dim=-1)
+    away = axes @ axes[view] < 0.5
+    order = torch.argsort(distance + away * (1 + distance.max()))
+    return [int(other) for other in order if other != view][:NUM_NEIGHBORS]
+
+
+def _coarse_points(gray: Float[Tensor, "V H W"], rig: _Rig) -> list[Tensor]:
+    """Points of each view by a sweep of small images, from infinity to where the parallax is the image's width."""
+    scale = min(1.0, COARSE_SIDE / min(gray.shape[-2:]))
+    size = round(gray.shape[-2] * scale), round(gray.shape[-1] * scale)
+    small = interpolate(gray[None], size=size, mode="area")[0]
+    factor = rig.intrinsics.new_tensor([size[1] / gray.shape[-1], size[0] / gray.shape[-2], 1.0])
+    coarse = replace(rig, intrinsics=rig.intrinsics * factor[:, None])
+    neighbors = [_nearest(coarse, view) for view in range(len(gray))]
+    baseline = torch.stack([(coarse.centers[others] - coarse.centers[view]).norm(dim=-1).mean()
+                            for view, others in enumerate(neighbors)])  # fmt: skip
+    if not (baseline > 0).all():
+        raise UserError("stereo got cameras that all stand at one point: there is no parallax to see depth by")
+    near = baseline * coarse.intrinsics[:, 0, 0] / size[1]
+    ranges = torch.stack([near, torch.full_like(near, float("inf"))], dim=1)
+    depth = _sweep(small, coarse, ranges, neighbors, COARSE_PLANES, COARSE_TOLERANCE)
+    # Beyond the last planes before infinity depths cannot be distinguished.
+    sure = (depth.support >= 1) & (depth.confidence > 0.5) & (depth.depth < 0.5 * COARSE_PLANES * near[:, None, None])
+    logger.info("coarse stereo: %.0f%% of the pixels agree between views", 100 * float(sure.double().mean()))
+    if int(sure.sum()) < MIN_POINTS:
+        raise UserError(
+            "no depth agrees between the photographs: the cameras are wrong, what they show moves, or it has no texture"
+        )
+    return [coarse.unproject(view, depth.depth[view])[sure[view]] for view in range(len(gray))]
+
+
+def _sweep(
+    gray: Float[Tensor, "V H W"],
+    rig: _Rig,
+    ranges: Float[Tensor, "V 2"],
+    neighbors: list[list[int]],
+    num_planes: int,
+    tolerance: float,
+) -> StereoDepth:
+    pixels = gray.float().contiguous().numpy()
+    depth, confidence = np.empty_like(pixels), np.empty_like(pixels)
+    steps = torch.linspace(0, 1, num_planes, dtype=torch.float64)
+
+    def estimate(view: int) -> None:
+        near, far = ranges[view]
+        inverse = 1 / far + (1 / near - 1 / far) * steps
+        costs = np.empty((*pixels.shape[1:], num_planes), np.float32)
+        homographies = torch.stack([_homographies(rig, view, other, inverse) for other in neighbors[view]]).numpy()
+        stereo_kernels.sweep(pixels[view], pixels[neighbors[view]], homographies, RADIUS, costs)
+        sums = np.empty_like(costs)
+        stereo_kernels.aggregate(costs, pixels[view], SMALL_PENALTY, LARGE_PENALTY, sums)
+        stereo_kernels.best_planes(costs, sums, depth[view], confidence[view])
+        plane = depth[view].astype(np.float64)
+        # The depth of the plane at infinity stays finite.
+        depth[view] = 1 / np.maximum(float(inverse[0]) + plane * float(inverse[1] - inverse[0]), 1e-6 / float(near))
+
+    depths = torch.from_numpy(depth)  # the same memory
+    support = torch.zeros(gray.shape, dtype=torch.int32)
+
+    def check(view: int) -> None:
+        points = rig.unproject(view, depths[view]).flatten(0, 1)
+        for other in neighbors[view]:
+            support[view] += _agrees(rig, points, other, depths[other], tolerance).view(support.shape[1:])
+
+    with ThreadPoolExecutor(torch.get_num_threads()) as pool:
+        list(pool.map(estimate, range(len(gray))))
+        list(pool.map(check, range(len(gray))))
+    return StereoDepth(depths, torch.from_numpy(confidence), support)
+
+
+def _homographies(rig: _Rig, view: int, other: int, inverse: Float[Tensor, " D"]) -> Float[Tensor, "D 3 3"]:
+    """From pixels of ``view`` to those of ``other`` through planes parallel to the image of ``view``."""
+    motion = rig.camera_from_world[other] @ torch.linalg.inv(rig.camera_from_world[view])
+    plane = motion[:3, :3].expand(len(inverse), 3, 3).clone()
+    plane[:, :, 2] += inverse[:, None] * motion[:3, 3]
+    return rig.intrinsics[other] @ plane @ torch.linalg.inv(rig.intrinsics[view])
+
+
+def _agrees(
+    rig: _Rig, points: Float[Tensor, "P 3"], other: int, depth: Float[Tensor, "H W"], tolerance: float
+) -> Tensor:
+    """Whether another view has its surface where points in world space are."""
+    height, width = depth.shape
+    pixel, distance = rig.project(other, points)
+    column, row = pixel.floor().long().unbind(1)
+    inside = (distance > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
+    nearest = depth[row.clamp(0, height - 1), column.clamp(0, width - 1)]
+    return inside & ((nearest / distance - 1).abs() < tolerance)

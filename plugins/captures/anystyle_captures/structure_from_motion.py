@@ -1,0 +1,156 @@
+"""Cameras by structure from motion, and the photographs as views with them."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from math import fsum
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+
+from anystyle.data.folder import Original, as_views, common_size, cover
+from anystyle.geometry.similarity import Similarity
+from anystyle.methods.order import canonical_order
+from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
+from anystyle.types import Cameras, OnProgress, Progress
+from anystyle_captures.cache import cached, key_of
+from anystyle_captures.sfm.lenses import Lens, Photograph
+from anystyle_captures.sfm.model import SparseModel
+from anystyle_captures.sfm.trust import judge
+from anystyle_captures.sfm.view_graph import MIN_VIEWS, SearchOptions
+
+
+class StructureFromMotion(PoseEstimator):
+    """Cameras by structure from motion, cached for the next run with the same photographs.
+
+    Args:
+        keep: Whether the result is cached.
+    """
+
+    min_views = MIN_VIEWS
+    longest = 1600
+    reconstruction = "fit"
+
+    def __init__(self, *, keep: bool = True) -> None:
+        self.keep = keep
+
+    def __call__(
+        self,
+        originals: Sequence[Original],
+        *,
+        short_side: int,
+        multiple: int,
+        enlarge: bool,
+        on_progress: OnProgress,
+    ) -> PosedViews | Verdict:
+        """Find cameras in the frame of the most central one, whose median point lies at depth 1."""
+        photographs = [
+            Photograph.from_exif(original.name, np.array(original.picture.convert("RGB")), original.exif)
+            for original in originals
+        ]
+        result = find_cameras(
+            photographs,
+            ordered=all(original.path is None for original in originals),
+            threads=torch.get_num_threads(),
+            keep=self.keep,
+            progress=lambda stage, done, total: on_progress(Progress(f"{stage}: {done} of {total}")),
+        )
+        model = result.model
+        registered = np.flatnonzero(model.registered).tolist()
+        if len(registered) < MIN_VIEWS:
+            return result.verdict
+        sizes = [(original.size[1], original.size[0]) for original in originals]
+        size = common_size(
+            [sizes[view] for view in registered], short_side=short_side, multiple=multiple, enlarge=enlarge
+        )
+        pictures, intrinsics = [], []
+        for view in registered:
+            original, photograph, lens = originals[view], photographs[view], model.lens(view)
+            undistorted = Image.fromarray(lens.undistorted(photograph.pixels))
+            picture, source = cover(original.name, undistorted, sizes[view], size)
+            straightened = partial(_undistorted, lens, photograph.size) if lens.is_distorted() else None
+            pictures.append((picture, replace(source, path=original.path, straightened=straightened)))
+            # The lens is in pixels of the photograph, which may be reduced in size.
+            scales = [source.size[1] / photograph.size[1], source.size[0] / photograph.size[0], 1.0]
+            matrix = lens.pinhole().intrinsics * np.array(scales)[:, None]
+            intrinsics.append(source.view_intrinsics(torch.from_numpy(matrix)))
+        scene_from_world = _central_frame(model, registered)
+        poses = scene_from_world.poses(torch.from_numpy(model.world_from_camera[registered]))
+        cameras = Cameras(poses.float()[None], torch.stack(intrinsics).float()[None], size)
+        points = scene_from_world.points(torch.from_numpy(model.points)).float()
+        return PosedViews(
+            as_views(pictures, cameras),
+            tuple(source for _, source in pictures),
+            tuple(points[torch.from_numpy(model.seen[:, view])] for view in registered),
+            result.verdict,
+            result.cached,
+        )
+
+
+@dataclass(frozen=True)
+class FoundCameras:
+    """The cameras of one capture."""
+
+    model: SparseModel
+    verdict: Verdict
+    cached: bool = False
+
+
+def find_cameras(
+    photographs: Sequence[Photograph],
+    *,
+    ordered: bool = False,
+    options: SearchOptions | None = None,
+    threads: int = 1,
+    keep: bool = False,
+    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+) -> FoundCameras:
+    """Find where photographs of one rigid scene were taken, by SIFT features and COLMAP's two mappers.
+
+    The same photographs, options and number of threads give the same cameras, bit for bit, in whatever order they are
+    given, unless they are ordered. A failure raises nothing: the verdict states it.
+    """
+    options = options or SearchOptions()
+    names = [photograph.name for photograph in photographs]
+    if not names or len(set(names)) < len(names):
+        raise ValueError(f"{len(names)} photographs with {len(set(names))} names; give one or more, of distinct names")
+    pixels = (torch.tensor(photograph.pixels) for photograph in photographs)
+    order = list(range(len(names))) if ordered else canonical_order(pixels, names)
+    arranged = [photographs[view] for view in order]
+
+    def compute() -> dict[str, Any]:
+        try:
+            from anystyle_captures.sfm.colmap import search
+        except ImportError as error:
+            raise ImportError(
+                "cameras from photos need pycolmap: pip install pycolmap (for Linux and Windows on x86-64, macOS on "
+                "arm64)"
+            ) from error
+        model, verdict = judge(*search(arranged, options, ordered=ordered, threads=threads, progress=progress))
+        arrays = {name: torch.from_numpy(array) for name, array in vars(model).items()}
+        return {"model": arrays, "verdict": {**vars(verdict), "measures": dict(verdict.measures)}}
+
+    lenses = [(photograph.name, photograph.focal_length, photograph.lens) for photograph in arranged]
+    key = key_of(*(photograph.pixels for photograph in arranged), lenses, ordered, options) if keep else None
+    values, from_cache = cached("cameras", key, compute)
+    model = SparseModel(**{name: tensor.numpy() for name, tensor in values["model"].items()})
+    return FoundCameras(model.reordered(order), Verdict(**values["verdict"]), from_cache)
+
+
+def _undistorted(lens: Lens, size: tuple[int, int], picture: Image.Image) -> Image.Image:
+    """A picture drawn on a photograph of this height and width, such as a mask, without the lens's distortion."""
+    return Image.fromarray(lens.undistorted(np.array(picture.convert("RGB").resize((size[1], size[0])))))
+
+
+def _central_frame(model: SparseModel, registered: Sequence[int]) -> Similarity:
+    """To the frame of the camera nearest to all others, in the unit in which the median of its points is at depth 1."""
+    positions = model.world_from_camera[registered, :3, 3]
+    distances = np.linalg.norm(positions[:, None] - positions, axis=-1)
+    # ``fsum`` rounds once, so that the order of photographs does not matter.
+    central = registered[int(np.argmin([fsum(row) for row in distances]))]
+    camera_from_world = torch.linalg.inv(torch.from_numpy(model.world_from_camera[central]))
+    seen = torch.from_numpy(model.points[model.seen[:, central]])
+    depth = (seen @ camera_from_world[:3, :3].T + camera_from_world[:3, 3])[:, 2].median()
+    return Similarity(1 / depth, camera_from_world[:3, :3], camera_from_world[:3, 3] / depth)

@@ -1,0 +1,174 @@
+"""Wrong models are told from right ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from anystyle_captures.sfm.model import SparseModel
+from anystyle_captures.sfm.trust import agreement, judge, share_of_rotation, supported_views
+from anystyle_captures.sfm.view_graph import VerifiedPair, ViewGraph, largest_features, pairs_to_match
+from cards import arc
+
+VIEWS, SIZE = 6, (480, 640)
+
+
+@pytest.fixture
+def rng():
+    return np.random.default_rng(0)
+
+
+def model_of(poses, points, seen):
+    """The exact model in which each view sees these of the points."""
+    lenses = np.tile([500.0, 320.0, 240.0, 0.0], (len(poses), 1))
+    return SparseModel(poses, lenses, points, seen)
+
+
+@pytest.fixture
+def right(rng):
+    return model_of(arc(VIEWS, 50), rng.uniform(-1, 1, (300, 3)), rng.random((300, VIEWS)) < 0.7)
+
+
+@pytest.fixture
+def graph(rng):
+    pairs = [VerifiedPair(0, view, rng.uniform(0, 480, (2, 40, 2))) for view in range(1, VIEWS)]
+    return ViewGraph([f"view{view}" for view in range(VIEWS)], [500] * VIEWS, [SIZE] * VIEWS, pairs)
+
+
+def moved(model, rng):
+    """The same model in another frame and unit."""
+    turn, shift = Rotation.random(rng=rng).as_matrix(), rng.normal(size=3)
+    pose = model.world_from_camera.copy()
+    pose[:, :3, :3] = turn @ pose[:, :3, :3]
+    pose[:, :3, 3] = 3.7 * pose[:, :3, 3] @ turn.T + shift
+    return replace(model, world_from_camera=pose, points=3.7 * model.points @ turn.T + shift)
+
+
+def displaced(model, view, shift=(0.0, 0.0, 0.8)):
+    pose = model.world_from_camera.copy()
+    pose[view, :3, 3] += shift
+    return replace(model, world_from_camera=pose)
+
+
+def test_agreement_ignores_the_frame_and_finds_the_odd_view(right, rng):
+    same = agreement(moved(right, rng).world_from_camera, right.world_from_camera)
+    assert same.rotation.max() < 1e-4 and same.position.max() < 1e-9
+    odd = agreement(moved(displaced(right, 4), rng).world_from_camera, right.world_from_camera)
+    assert np.flatnonzero(~odd.within(2.0, 0.1)).tolist() == [4]
+    spread = np.sqrt(
+        np.square(right.world_from_camera[:, :3, 3] - right.world_from_camera[:, :3, 3].mean(0)).sum(1).mean()
+    )
+    assert odd.position[4] == pytest.approx(0.8 / spread, rel=1e-6)
+
+
+def test_a_view_hangs_on_points_of_three():
+    """Points that two views see say nothing of how far apart they are."""
+    seen = np.zeros((200, 5), dtype=bool)
+    seen[:100, :3] = True  # three views that see the same
+    seen[100:140, 2:4] = True  # a view that shares with one of them alone
+    assert supported_views(seen, 30) == [0, 1, 2]
+    seen[100:135, 1] = True  # and now with two
+    assert supported_views(seen, 30) == [0, 1, 2, 3]
+    assert supported_views(seen, 36) == [0, 1, 2]
+    assert supported_views(seen, 136) == []
+
+
+def test_two_halves_joined_at_one_view_are_two():
+    """Their relative size is open."""
+    seen = np.zeros((300, 7), dtype=bool)
+    seen[:100, :4] = True
+    seen[100:280, 3:] = True
+    assert supported_views(seen, 30) == [3, 4, 5, 6]
+
+
+def test_models_that_agree_are_good(graph, right, rng):
+    model, verdict = judge(graph, [[right], [moved(right, rng)]])
+    assert verdict.trust == "good" and verdict.reasons == ()
+    assert model.registered.all()
+
+
+def test_a_model_that_nothing_confirms_is_doubtful(graph, right):
+    _, verdict = judge(graph, [[right], []])
+    assert verdict.trust == "doubtful" and "only one of two methods" in verdict.reasons[0]
+
+
+def test_a_view_in_dispute_is_named_and_left_out(graph, right, rng):
+    model, verdict = judge(graph, [[displaced(right, 4)], [moved(right, rng)]])
+    assert verdict.trust == "doubtful"
+    assert "disagree on the cameras of view4 " in verdict.reasons[0]
+    assert np.flatnonzero(~model.registered).tolist() == [4]
+
+
+def test_two_different_shapes_are_doubtful(graph, right, rng):
+    other = right
+    for view in range(VIEWS):
+        other = displaced(other, view, tuple(rng.normal(size=3)))
+    model, verdict = judge(graph, [[right], [other]])
+    assert verdict.trust == "doubtful"
+    assert model.registered.all() and "disagree" in verdict.reasons[0]
+
+
+def test_a_view_held_by_few_is_left_out(graph, right, rng):
+    seen = right.seen.copy()
+    seen[:, 5] = False
+    seen[:10, 5] = True
+    weak = model_of(right.world_from_camera, right.points, seen)
+    _, verdict = judge(graph, [[displaced(weak, 5)], [moved(weak, rng)]])
+    assert verdict.trust == "good"
+    assert verdict.reasons[0].startswith("view5 shares too little")
+
+
+def test_rays_that_hardly_differ_are_doubtful(graph, right, rng):
+    far = model_of(right.world_from_camera, right.points * 0.1 + [0, 0, 400.0], right.seen.copy())
+    _, verdict = judge(graph, [[far], [moved(far, rng)]])
+    assert verdict.trust == "doubtful" and "depth is uncertain" in verdict.reasons[0]
+
+
+def test_turns_are_told_from_steps(rng):
+    """Bearings of points at several depths, with half a pixel of noise."""
+    points = np.concatenate([rng.uniform(-1, 1, (300, 2)), rng.uniform(2, 6, (300, 1))], 1)
+
+    def pixels(shift, turn):
+        local = (points - shift) @ Rotation.from_rotvec([0, turn, 0]).as_matrix()
+        return 500 * local[:, :2] / local[:, 2:] + [320, 240] + rng.normal(scale=0.5, size=(300, 2))
+
+    turned = [VerifiedPair(0, 1, np.stack([pixels([0, 0, 0], 0), pixels([0, 0, 0], 0.1 * n)])) for n in (1, 2, 3)]
+    stepped = [
+        VerifiedPair(0, 1, np.stack([pixels([0, 0, 0], 0), pixels([0.3 * n, 0, 0], 0.1 * n)])) for n in (1, 2, 3)
+    ]
+    assert share_of_rotation(turned, [SIZE] * 2) > 0.85
+    assert share_of_rotation(stepped, [SIZE] * 2) < 0.5
+
+
+def preview(rng, base=None):
+    """Descriptors near those of a base."""
+    values = rng.normal(size=(300, 128)) if base is None else base + 0.02 * rng.normal(size=base.shape)
+    keypoints = np.tile(np.arange(300.0)[:, None], (1, 6))
+    return largest_features(keypoints, values)
+
+
+def test_previews_are_of_the_largest_features(rng):
+    values = rng.normal(size=(300, 128)).astype(np.float32)
+    turn = rng.uniform(-np.pi, np.pi, 300)
+    shape = np.arange(300) * np.stack([np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)])
+    keypoints = np.concatenate([np.zeros((300, 2)), shape.T], 1)
+    expected = values[::-1][:256] / np.linalg.norm(values[::-1][:256], axis=1, keepdims=True)
+    np.testing.assert_allclose(largest_features(keypoints, values), expected, rtol=1e-6)
+
+
+def test_many_photographs_are_matched_with_those_that_look_alike(rng):
+    bases = [rng.normal(size=(300, 128)) for _ in range(4)]
+    group = [number % 4 for number in range(32)]
+    pairs = pairs_to_match([preview(rng, bases[one]) for one in group], ordered=False)
+    assert len(pairs) == 4 * (8 * 7 // 2)
+    assert all(group[first] == group[second] for first, second in pairs)
+
+
+def test_frames_of_a_video_are_matched_with_neighbours_and_returns(rng):
+    pairs = pairs_to_match([preview(rng) for _ in range(20)], ordered=True)
+    steps = {second - first for first, second in pairs}
+    assert steps == {1, 2, 3, 4, 5, 10} and len(pairs) == sum(20 - step for step in steps)
+    looping = [preview(rng) for _ in range(40)]
+    looping[39] = looping[0]
+    assert (0, 39) in pairs_to_match(looping, ordered=True)

@@ -1,0 +1,98 @@
+"""From posed photographs to fitted Gaussians: what is held out, quality, and fits that are broken off."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from anystyle.errors import UserError
+from anystyle.methods.order import held_out
+from anystyle_captures.fit import Fit, fit_photographs
+from anystyle_captures.fit_loop import FitOptions
+from anystyle_cpu_renderer.renderer import CpuRenderer
+from known_scene import photographed_wall
+
+OPTIONS = FitOptions(num_steps=60, evaluate_every=20, final_steps=10, prune_every=25)
+RENDERER = CpuRenderer(background=(1.0, 0.5, 0.0))
+
+
+@pytest.fixture(scope="module")
+def photographs():
+    return photographed_wall(num_views=9)
+
+
+def fit(photographs, options=OPTIONS, **rest):
+    images, cameras, _ = photographs
+    return fit_photographs(images, cameras, RENDERER, num_gaussians=900, options=options, heldout=(4,), **rest)
+
+
+def test_every_so_many_th_view_is_held_out():
+    assert held_out(24, 8) == (4, 12, 20)
+    assert held_out(8, 8) == (4,)
+    assert held_out(7, 8) == () and held_out(24, 0) == ()
+
+
+def test_the_same_photographs_are_held_out_in_any_order():
+    names = [f"view{number}" for number in range(12)]
+    order = np.random.default_rng(0).permutation(12).tolist()
+    exchanged = [names[view] for view in order]
+    assert held_out(12, 8, names) == (4,) and held_out(12, 4, names) == (2, 6, 10)
+    assert {exchanged[view] for view in held_out(12, 4, exchanged)} == {"view2", "view6", "view10"}
+
+
+def test_photographs_alone_give_a_view_that_was_held_out(photographs):
+    """Stereo finds the wall, and the fit shows it from where no photograph was taken."""
+    result = fit(photographs)
+    assert result.steps == 70
+    assert result.heldout is not None and result.heldout.psnr > 22
+    assert 4 not in set(result.pixels[:, 0].tolist())
+    longer = fit(photographs, replace(OPTIONS, num_steps=150))
+    assert longer.heldout is not None and longer.heldout.psnr > result.heldout.psnr
+
+
+def test_a_fit_is_the_same_in_any_order_of_photographs(photographs, tmp_path, monkeypatch):
+    """Bit for bit, with the views that pixels come from and their exposures; the cache serves every order."""
+    monkeypatch.setenv("ANYSTYLE_CACHE", str(tmp_path))
+    images, cameras, _ = photographs
+    order = [3, 8, 0, 5, 4, 1, 7, 2, 6]  # the fifth is held out in both
+    first, other = (fit(given) for given in (photographs, (images[order], cameras.select(order), None)))
+    assert torch.equal(first.gaussians.means, other.gaussians.means)
+    assert torch.equal(first.gaussians.harmonics, other.gaussians.harmonics)
+    assert torch.equal(first.pixels, torch.cat([torch.tensor(order)[other.pixels[:, :1]], other.pixels[:, 1:]], dim=1))
+    assert torch.equal(first.gains[order], other.gains) and torch.equal(first.biases[order], other.biases)
+    assert first.gains.std() > 0
+    again = fit(photographs, keep=True), fit((images[order], cameras.select(order), None), keep=True)
+    assert [result.cached for result in again] == [False, True] and torch.equal(again[1].pixels, other.pixels)
+
+
+@pytest.mark.parametrize("steps", [20, 60], ids=["amid the fit", "before the final steps"])
+def test_a_fit_that_was_broken_off_comes_to_the_same(photographs, tmp_path, steps):
+    def stop(progress):
+        if progress.step > steps:
+            raise InterruptedError
+
+    state = tmp_path / "fit.state"
+    with pytest.raises(InterruptedError):
+        fit(photographs, state=state, on_progress=stop)
+    assert state.is_file()
+    seen = []
+    resumed = fit(photographs, state=state, on_progress=lambda progress: seen.append(progress.step))
+    assert min(seen) > steps and not state.exists()
+    whole = fit(photographs)
+    for name, value in vars(whole.gaussians).items():
+        assert torch.equal(value, getattr(resumed.gaussians, name)), name
+    assert whole.heldout == resumed.heldout and torch.equal(whole.gains, resumed.gains)
+
+
+def test_a_file_that_is_no_state_is_left_as_it_is(photographs, tmp_path):
+    state = tmp_path / "fit.state"
+    state.write_bytes(b"something else")
+    with pytest.raises(ValueError, match=r"fit\.state is no state of a fit"):
+        fit(photographs, state=state)
+    assert state.read_bytes() == b"something else"
+
+
+def test_an_unknown_quality_is_refused():
+    with pytest.raises(UserError, match="quality=perfect; choose one of draft, good, best"):
+        Fit(quality="perfect")

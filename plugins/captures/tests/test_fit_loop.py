@@ -1,0 +1,148 @@
+"""Gaussians fitted to renders of a scene that is known."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from anystyle_captures import fit_loop
+from anystyle_captures.fit_loop import Exposures, FitLoop, FitOptions
+from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo, lift
+from anystyle_captures.stereo import StereoDepth
+from anystyle_cpu_renderer.renderer import CpuRenderer
+from known_scene import photographed_wall, rig
+
+RENDERER = CpuRenderer(background=(0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def photographs():
+    return photographed_wall()
+
+
+def initial(photographs, views=(0, 1, 2, 4, 5, 6), num_gaussians=900):
+    images, cameras, depth = photographs
+    index = list(views)
+    stereo = StereoDepth(depth[index], torch.ones_like(depth[index]), torch.ones(depth[index].shape, dtype=torch.int32))
+    generator = torch.Generator().manual_seed(0)
+    return from_stereo(
+        images[index], cameras.select(index), stereo, num_gaussians=num_gaussians, unsupported=0.0, generator=generator
+    )
+
+
+def fit(photographs, options, heldout=(3,)):
+    images, cameras, _ = photographs
+    return FitLoop(images, cameras, initial(photographs), RENDERER, options, heldout=heldout)
+
+
+def test_lifted_pixels_lie_where_their_cameras_see_them(photographs):
+    images, cameras, depth = photographs
+    pixels = torch.tensor([[0, 3, 5], [2, 39, 47], [6, 20, 0]])
+    lifted = lift(images, cameras, depth[pixels.unbind(1)], pixels)
+    for i, (view, y, x) in enumerate(pixels.tolist()):
+        local = cameras.camera_from_world[0, view] @ torch.cat([lifted.means[i], torch.ones(1)])
+        image = cameras.intrinsics[0, view] @ local[:3]
+        torch.testing.assert_close(image[:2] / image[2], torch.tensor([x + 0.5, y + 0.5]), rtol=0, atol=1e-3)
+        torch.testing.assert_close(local[2], depth[view, y, x])
+        torch.testing.assert_close(lifted.colors[i], images[view, :, y, x])
+        torch.testing.assert_close(lifted.footprints[i], depth[view, y, x] / 50)
+
+
+def test_only_supported_pixels_are_lifted(photographs):
+    images, cameras, depth = photographs
+    support = torch.zeros(depth.shape, dtype=torch.int32)
+    support[:, :20] = 2
+    stereo = StereoDepth(depth, torch.ones_like(depth), support)
+    generator = torch.Generator().manual_seed(0)
+    lifted = from_stereo(images, cameras, stereo, num_gaussians=2000, unsupported=0.0, generator=generator)
+    assert lifted.pixels[:, 1].max() < 20
+    assert abs(len(lifted.means) / 2000 - 1) < 0.15
+    assert set(lifted.pixels[:, 0].tolist()) == set(range(7))
+    with pytest.raises(ValueError, match="no depth is supported"):
+        from_stereo(
+            images, cameras, replace(stereo, support=0 * support), num_gaussians=9, unsupported=1.0, generator=generator
+        )
+
+
+def test_a_view_held_out_comes_out(photographs):
+    """A fit gains several dB on a view that it never saw, and is reported as it renders."""
+    before = fit(photographs, FitOptions(num_steps=120, evaluate_every=40)).heldout_quality()
+    reports = []
+    result = fit(photographs, FitOptions(num_steps=120, evaluate_every=40)).run(reports.append)
+    assert before is not None and result.heldout is not None
+    assert result.heldout.psnr > before.psnr + 3 and result.heldout.psnr > 24
+    assert result.heldout.ssim > before.ssim and result.heldout.matched_psnr > result.heldout.psnr
+    assert [report.step for report in reports] == [40, 80, 120]
+    assert reports[-1].heldout_psnr == result.heldout.psnr and reports[-1].seconds_left == 0
+    images, cameras, _ = photographs
+    render = RENDERER(result.gaussians, cameras.select([3])).color[0]
+    exposed = (render * result.gains[3, :, None, None] + result.biases[3, :, None, None]).clamp(0, 1)
+    mse = (exposed - images[3]).square().mean()
+    assert abs(float(-10 * mse.log10()) - result.heldout.psnr) < 1e-3
+    assert len(result.pixels) == result.gaussians.means.shape[1]
+
+
+def test_exposure_is_told_apart_from_color(photographs):
+    """Photographs of different exposure give one scene, and the gains that were applied."""
+    images, cameras, depth = photographs
+    gains = torch.tensor([0.8, 1.2, 0.9, 1.1, 1.0, 0.85, 1.15])
+    dimmed = (images * (0.7 * gains)[:, None, None, None]).clamp(0, 1)
+    options = FitOptions(num_steps=200, evaluate_every=200, exposure_lr=0.01)
+    plain = fit((dimmed, cameras, depth), replace(options, exposure_lr=0.0), heldout=()).run()
+    result = fit((dimmed, cameras, depth), options, heldout=()).run()
+    assert result.train_psnr > plain.train_psnr + 1
+    # A gain and a bias can stand in for one another: what they do to the mean colour is compared.
+    mean = images.mean((0, 2, 3))
+    ratio = (result.gains * mean + result.biases).mean(1) / gains
+    assert float(ratio.std() / ratio.mean()) < 0.05
+    assert torch.all(plain.gains == 1)
+
+
+def test_a_view_held_out_has_the_exposure_of_those_beside_it():
+    exposures = Exposures(rig(), [0, 2, 4, 6])
+    with torch.no_grad():
+        exposures.values[2], exposures.values[4] = 0.2, 0.4
+    torch.testing.assert_close(exposures.of(3), torch.full((6,), 0.3), rtol=0, atol=0.02)
+    assert torch.equal(exposures.of(2), exposures.values[2])
+
+
+def test_it_stops_when_nothing_is_gained(photographs, monkeypatch):
+    monkeypatch.setattr(fit_loop, "RATES", dict.fromkeys(fit_loop.RATES, (0.0, 1.0)))
+    options = FitOptions(num_steps=500, evaluate_every=5, patience=2, half_resolution=0.0, exposure_lr=0.0)
+    assert fit(photographs, options).run().steps == 15
+
+
+def test_what_shows_nothing_is_removed(photographs):
+    images, cameras, _ = photographs
+    lifted = initial(photographs)
+    run = FitLoop(images, cameras, lifted, RENDERER, FitOptions(num_steps=50, prune_every=1))
+    with torch.no_grad():
+        run.splats.parameters["opacities"][10:30] = -9.0
+        run.splats.parameters["scales"][40] = 5.0
+    run.advance()
+    keep = [i for i in range(len(lifted.means)) if not 10 <= i < 30 and i != 40]
+    assert torch.equal(run.pixels, lifted.pixels[keep])
+    assert all(len(value) == len(keep) for value in run.splats.parameters.values())
+    run.advance()
+
+
+def test_a_view_that_looks_past_the_photographs_sees_no_hole(photographs):
+    """Beside what they show, the backdrop goes on in the colours of their borders."""
+    images, cameras, depth = photographs
+    stereo = StereoDepth(depth, torch.ones_like(depth), torch.ones(depth.shape, dtype=torch.int32))
+    behind = backdrop(images, cameras, stereo, num_gaussians=400, generator=torch.Generator().manual_seed(0))
+    views, rows, columns = behind.pixels.unbind(1)
+    assert torch.equal(behind.colors, images[views, :, rows, columns])
+    height, width = cameras.size
+    assert ((rows % (height - 1) == 0) | (columns % (width - 1) == 0)).all(), "all depths are supported"
+    run = FitLoop(
+        images, cameras, InitialGaussians.cat([initial(photographs), behind]), RENDERER, FitOptions(num_steps=60)
+    )
+    run.run()
+    aside = torch.tensor([[0.96, 0, 0.28, 0], [0, 1, 0, 0], [-0.28, 0, 0.96, 0], [0, 0, 0, 1]])
+    turned = replace(cameras, world_from_camera=cameras.world_from_camera @ aside).select([6])
+    with torch.no_grad():
+        alpha = RENDERER(run.gaussians(), turned).alpha[0, 0]
+        bare = RENDERER(fit(photographs, FitOptions(num_steps=1)).gaussians(), turned).alpha[0, 0]
+    assert bare.amin(0).min() < 0.05
+    assert alpha.quantile(0.02) > 0.8

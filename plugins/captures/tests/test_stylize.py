@@ -1,0 +1,183 @@
+"""Photographs in: cameras found, a scene fitted, styles as its colours; and captures that cannot work."""
+
+import json
+import logging
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+import anystyle
+from anystyle import PoseOptions, VideoOptions, ViewOptions
+from anystyle.geometry.harmonics import rgb_from_constant
+from anystyle.methods.colors import checked_steps, color_gaussians
+from anystyle.pipeline.encode import encoder
+from anystyle.types import Views
+from anystyle_captures.fit import Fit
+from cards import World, arc, panorama
+from known_scene import photographed_wall
+from real_data import real
+
+FOCAL, SIZE = 200.0, (168, 192)
+SHORT = Fit(quality="draft", num_gaussians=1500, num_steps=60, holdout=4)
+QUICK = {"quality": "draft", "num_gaussians": 800, "num_steps": 20}
+VIEWS, VIDEO = ViewOptions(short_side=84), VideoOptions(frames=2, scale=0.5)
+
+
+@pytest.fixture(scope="module")
+def stylizer():
+    return anystyle.load("painter")
+
+
+def write(folder, poses, seed=0, prefix="view"):
+    folder.mkdir(exist_ok=True)
+    for number, pose in enumerate(poses):
+        Image.fromarray(World(seed).picture(pose, FOCAL, SIZE)).save(folder / f"{prefix}{number}.png")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def orbit(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("capture") / "orbit", arc(6, 40))
+
+
+@pytest.fixture(scope="module")
+def fitted(orbit, stylizer):
+    """Results of two styles in one fitted scene."""
+    pictures = [torch.rand(3, 32, 32, generator=torch.Generator().manual_seed(seed)) for seed in (1, 2)]
+    pictures[1] = pictures[1] * torch.tensor([1.0, 0.2, 0.1])[:, None, None]
+    return anystyle.stylize(
+        orbit, pictures, model=stylizer, poses=PoseOptions("auto"), reconstruction=SHORT, views=VIEWS, video=VIDEO
+    )
+
+
+def test_photographs_become_a_scene_that_styles_color(fitted, tmp_path):
+    first, second = fitted[0], fitted[1]
+    assert torch.equal(first.gaussians.means, second.gaussians.means)
+    assert (first.gaussians.harmonics - second.gaussians.harmonics).abs().mean() > 0.05
+    unstyled = torch.stack(list(fitted.encoded.render(fitted.restyler.unstyled)))
+    error = (unstyled - fitted.encoded.views.images[0]).square().mean((1, 2, 3))
+    assert float((-10 * error.log10()).mean()) > 20
+    first.save(tmp_path / "out")
+    report = json.loads((tmp_path / "out" / "report.json").read_text())["reconstruction"]
+    assert report["kind"] == "fit" and report["registered"] == 6 and report["trust"] == "good"
+    assert report["reasons"] == [] and report["num_gaussians"] == first.gaussians.means.shape[1]
+    assert report["heldout_psnr"] > 15 and 0 < report["heldout_ssim"] < 1 and report["seconds"] > 0
+
+
+def test_gaussians_know_the_pixels_they_come_from(fitted):
+    scene = fitted.encoded.capture.groups[0].scene
+    assert scene.gaussians is not None and scene.origins is not None
+    view, row, column = scene.origins[0].unbind(1)
+    local = (
+        scene.cameras.camera_from_world[0, view]
+        @ torch.cat([scene.gaussians.means[0], torch.ones(len(view), 1)], 1)[..., None]
+    )
+    image = (scene.cameras.intrinsics[0, view] @ local[:, :3])[..., 0]
+    offset = (image[:, :2] / image[:, 2:] - torch.stack([column, row], 1) - 0.5).norm(dim=1)
+    assert float(offset.median()) < 3  # the fit moves them, by a few pixels
+
+
+def test_colors_are_fitted_as_they_are_asked_for(fitted, stylizer):
+    scene = fitted.encoded.capture.groups[0].scene
+    targets = scene.views.images[0].flip(1)  # other colours than those of the fit
+    errors = []
+    for how in ("mean", 1, 4):
+        colored = color_gaussians(scene.gaussians, scene.cameras, targets, stylizer.renderer, None, checked_steps(how))
+        with torch.no_grad():
+            errors.append(float((stylizer.render(colored, scene.cameras).color[0] - targets).square().mean()))
+    assert errors == sorted(errors, reverse=True)
+    gathered = color_gaussians(scene.gaussians, scene.cameras, targets, stylizer.renderer, scene.origins[0], "off")
+    view, row, column = scene.origins[0].unbind(1)
+    colors = rgb_from_constant(gathered.harmonics[0, :, 0])
+    torch.testing.assert_close(colors, targets[view, :, row, column], rtol=0, atol=1e-6)
+    with pytest.raises(ValueError, match="it is not known which Gaussian comes from which"):
+        color_gaussians(scene.gaussians, scene.cameras, targets, stylizer.renderer, None, "off")
+    with pytest.raises(ValueError, match="fit_colors=some; give off, mean, or a number"):
+        checked_steps("some")
+
+
+def test_known_cameras_are_kept(stylizer):
+    images, cameras, _ = photographed_wall(num_views=5)
+    images = torch.nn.functional.interpolate(images, size=(42, 56), mode="bilinear")
+    views = Views(images[None], cameras.resized((42, 56)))
+    results = anystyle.stylize(
+        views, torch.rand(3, 32, 32), model=stylizer, poses=PoseOptions("known"), reconstruction=Fit(**QUICK, holdout=0)
+    )
+    torch.testing.assert_close(results[0].cameras.world_from_camera, cameras.world_from_camera)
+    assert "heldout_psnr" not in results[0].report["reconstruction"]
+
+
+def test_a_branch_inside_of_the_network_colors_a_fitted_scene(orbit):
+    """Its pixels come from the backbone's features of the same views."""
+    results = anystyle.stylize(
+        orbit, "red dots", model="tiny", poses=PoseOptions("sfm"), reconstruction=Fit(**QUICK), views=VIEWS
+    )
+    unstyled = results.restyler.unstyled
+    styled = results[0].gaussians
+    assert torch.equal(styled.means, unstyled.means) and not torch.equal(styled.harmonics, unstyled.harmonics)
+
+
+def test_found_cameras_serve_the_backbone_too(stylizer):
+    frames = sorted(real("scenes/train/images").iterdir())[:4]
+    results = anystyle.stylize(
+        frames, torch.rand(3, 32, 32), model=stylizer, poses=PoseOptions("sfm"), reconstruction="feedforward"
+    )
+    report = results[0].report["reconstruction"]
+    assert report["kind"] == "feedforward" and report["registered"] == 4 and report["trust"] == "good"
+
+
+def walked_through(images):
+    """Photographs with a grey figure that stands elsewhere in each."""
+    images = images.clone()
+    height, width = images.shape[-2:]
+    for view, image in enumerate(images):
+        left = 4 + view * (width - 16) // len(images)
+        image[:, height // 4 : -height // 8, left : left + 10] = 0.1 if view % 2 else 0.9
+    return images
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_moving_figure_is_reported(stylizer, caplog, moves):
+    images, cameras, _ = photographed_wall(num_views=5)
+    images = torch.nn.functional.interpolate(images, size=(84, 112), mode="bilinear")
+    views = Views(walked_through(images)[None] if moves else images[None], cameras.resized((84, 112)))
+    fit = Fit(quality="draft", num_gaussians=1500, num_steps=80, holdout=0, keep=False)
+    with caplog.at_level(logging.WARNING):
+        fit(views, encoder(stylizer), stylizer.renderer)
+    assert ("something moved while they were taken" in caplog.text) is moves
+
+
+def blank_wall(folder):
+    folder.mkdir()
+    for number in range(4):
+        Image.fromarray(np.full((*SIZE, 3), 190, dtype=np.uint8)).save(folder / f"{number}.png")
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("capture", "reason"),
+    [
+        (lambda folder: write(folder, arc(2, 10)), "2 photographs are too few"),
+        (blank_wall, "too little to see"),
+        (lambda folder: write(folder, panorama(4, 30)), "turned without moving"),
+    ],
+    ids=["two", "blank", "turning"],
+)
+def test_a_capture_that_cannot_work_ends_in_a_plain_sentence(tmp_path, stylizer, caplog, capture, reason):
+    photos, style = capture(tmp_path / "photos"), torch.rand(3, 32, 32)
+    with caplog.at_level(logging.WARNING):
+        results = anystyle.stylize(photos, style, model=stylizer, poses=PoseOptions("auto"), views=VIEWS)
+    assert reason in caplog.text and "what the backbone predicts in a single pass" in caplog.text
+    report = results[0].report["reconstruction"]
+    assert report["kind"] == "feedforward" and report["trust"] == "failed" and reason in report["reasons"][0]
+
+
+def test_a_fit_without_cameras_is_refused(stylizer):
+    images, _, _ = photographed_wall(num_views=3)
+    views = Views(torch.nn.functional.interpolate(images, size=(42, 56))[None])
+    with pytest.raises(ValueError, match="poses=sfm finds cameras"):
+        SHORT(views, stylizer.encode, stylizer.renderer)
+    with pytest.raises(ValueError, match="reconstruction: holdout=-1"):
+        Fit(**QUICK, holdout=-1)

@@ -1,0 +1,242 @@
+"""Compiled kernels: alpha blending of splats in rows of tiles, nearest first, and its backward pass.
+
+A tile is narrow and stored as contiguous planes, so that the rows a splat covers are one run of pixels: the inner loop
+has no branches, uses single precision throughout, and compiles to vector instructions. Loops avoid slicing arrays:
+reference counting would dominate.
+"""
+
+import numpy as np
+
+from anystyle_cpu_renderer.compiled import compiled, summed
+from anystyle_cpu_renderer.sorting import HEIGHT, WIDTH
+
+Array = np.ndarray
+
+MOMENTS = 10
+"""Sums over pixels from which the gradients of a splat follow: gradients of red, green, blue and depth; and with the
+gradient ``s`` of ``sigma`` in a pixel at ``(dx, dy)`` from the splat, ``s, s dx, s dy, s dx², s dx dy, s dy²``."""
+
+ZERO, ONE, HALF = np.float32(0), np.float32(1), np.float32(0.5)
+MIN_ALPHA = np.float32(1 / 255)
+MIN_TRANSMITTANCE = np.float32(1e-4)
+LOG2_E = np.float32(1.4426950408889634)
+ROUNDING = np.float32(1.5 * 2**23)
+
+
+@compiled
+def falloff(sigma: float) -> np.float32:
+    """``exp(-sigma)`` in single precision, to about two units in the last place; sigma is clamped to 80."""
+    power = -LOG2_E * min(sigma, np.float32(80))
+    # Adding ROUNDING rounds to an integer, which is then in the low bits of the sum.
+    rounded = power + ROUNDING
+    part = power - (rounded - ROUNDING)
+    # The Taylor series of 2 ** part for |part| <= 0.5, in pairs of terms that can be evaluated in parallel.
+    square = part * part
+    low = ONE + np.float32(6.9314718055994531e-1) * part
+    middle = np.float32(2.4022650695910072e-1) + np.float32(5.5504108664821580e-2) * part
+    high = np.float32(9.6181291076284772e-3) + np.float32(1.3333558146428443e-3) * part
+    high += np.float32(1.5403530393381610e-4) * square
+    value = low + square * (middle + square * high)
+    exponent = np.float32(rounded).view(np.int32) << np.int32(23)
+    return np.int32(np.float32(value).view(np.int32) + exponent).view(np.float32)
+
+
+WIDE = np.uint64(WIDTH)
+"""Unsigned, as are loop indices: numba wraps negative indices of signed ones, which prevents vectorisation."""
+
+
+@compiled
+def blend(splats: Array, lists: Array, offsets: Array, top: int, cap: float, image: Array, last: Array) -> None:
+    """Blend one row of tiles.
+
+    Args:
+        splats: ``[n, SPLAT]``.
+        lists: The splats of each tile; see :func:`~anystyle_cpu_renderer.sorting.tiles_of`.
+        offsets: ``[columns + 1]``: where the list of each tile begins and ends.
+        top: The first row of pixels.
+        cap: The largest alpha of one splat in a pixel.
+        image: ``[5, H, W]``, written: red, green, blue, depth and transmittance.
+        last: ``[H, W]``, written: the last entry of the tile's list before the pixel was full; -1 for none.
+    """
+    for column in range(offsets.shape[0] - 1):
+        entries = lists[offsets[column] : offsets[column + 1]]
+        blend_tile(splats, entries, top, column * WIDTH, cap, image, last)
+
+
+@compiled
+def gather(splats: Array, entries: Array, count: int, top: int, left: int) -> Array:
+    """Copy the first entries of a tile into contiguous memory, which hides the latency of scattered reads.
+
+    Returns:
+        ``[count, 10]``: column and row from the centre of the tile's first pixel, conic with its diagonal halved,
+        opacity, colour and depth.
+    """
+    near = np.empty((count, 10), np.float32)
+    for e in range(count):
+        g = np.uint64(entries[e, 0])
+        near[e, 0], near[e, 1] = splats[g, 0] - left - 0.5, splats[g, 1] - top - 0.5
+        near[e, 2], near[e, 3], near[e, 4] = HALF * splats[g, 2], splats[g, 3], HALF * splats[g, 4]
+        for k in range(5, 10):
+            near[e, k] = splats[g, k]
+    return near
+
+
+@compiled
+def blend_tile(splats: Array, entries: Array, top: int, left: int, cap: float, image: Array, last: Array) -> None:
+    """Blend the splats ``entries`` of one tile; arguments as in :func:`blend`."""
+    tall, wide = min(HEIGHT, last.shape[0] - top), min(WIDTH, last.shape[1] - left)
+    # Planes: red, green, blue, depth, transmittance (negative once the pixel is full), last entry, column, row.
+    tile = np.empty((8, HEIGHT * WIDTH), np.float32)
+    for i in range(HEIGHT * WIDTH):
+        for k in range(4):
+            tile[k, i] = ZERO
+        tile[4, i] = ONE if (i // WIDTH < tall) & (i % WIDTH < wide) else ZERO
+        tile[5, i] = -ONE
+        tile[6, i], tile[7, i] = np.float32(i % WIDTH), np.float32(i // WIDTH)
+    near = gather(splats, entries, entries.shape[0], top, left)
+    for entry in range(entries.shape[0]):
+        index, e = np.float32(entry), np.uint64(entry)
+        x, y, xx, xy, yy, opacity = near[e, 0], near[e, 1], near[e, 2], near[e, 3], near[e, 4], near[e, 5]
+        red, green, blue, depth = near[e, 6], near[e, 7], near[e, 8], near[e, 9]
+        for i in range(np.uint64(entries[entry, 2]) * WIDE, np.uint64(entries[entry, 3]) * WIDE):
+            dx, dy = tile[6, i] - x, tile[7, i] - y
+            sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
+            alpha = min(cap, opacity * falloff(sigma))
+            alpha = alpha if (sigma >= ZERO) & (alpha >= MIN_ALPHA) else ZERO
+            before = tile[4, i]
+            after = before - before * alpha
+            full = after <= MIN_TRANSMITTANCE
+            weight = ZERO if full else alpha * before
+            tile[0, i] += weight * red
+            tile[1, i] += weight * green
+            tile[2, i] += weight * blue
+            tile[3, i] += weight * depth
+            tile[4, i] = -abs(before) if full else after
+            tile[5, i] = tile[5, i] if full else index
+        if entry % 16 == 15 and passing(tile) == ZERO:
+            break
+    for j in range(tall):
+        for i in range(wide):
+            at = j * WIDTH + i
+            for k in range(4):
+                image[k, top + j, left + i] = tile[k, at]
+            image[4, top + j, left + i] = abs(tile[4, at])
+            last[top + j, left + i] = int(tile[5, at])
+
+
+@summed
+def passing(tile: Array) -> np.float32:
+    """The sum of transmittance over the pixels of a tile that are not full."""
+    value = ZERO
+    for i in range(HEIGHT * WIDTH):
+        value += max(tile[4, i], ZERO)
+    return value
+
+
+@compiled
+def blend_backward(
+    splats: Array,
+    lists: Array,
+    offsets: Array,
+    top: int,
+    cap: float,
+    image: Array,
+    last: Array,
+    d_image: Array,
+    moments: Array,
+) -> None:
+    """Accumulate ``moments [m, MOMENTS]`` of the splats of one row of tiles; other arguments as in :func:`blend`."""
+    for column in range(offsets.shape[0] - 1):
+        entries = lists[offsets[column] : offsets[column + 1]]
+        blend_tile_backward(splats, entries, top, column * WIDTH, cap, image, last, d_image, moments)
+
+
+@compiled
+def scatter(members: Array, row_moments: Array, moments: Array) -> None:
+    """Add the moments ``[m, MOMENTS]`` of the splats ``members`` of one row of tiles to those of all splats."""
+    for i in range(members.shape[0]):
+        for k in range(MOMENTS):
+            moments[members[i], k] += row_moments[i, k]
+
+
+@compiled
+def tile_backward(top: int, left: int, image: Array, last: Array, d_image: Array) -> tuple[Array, int]:
+    """The initial state of the backward pass through one tile, and the last entry that any of its pixels blended."""
+    tall, wide = min(HEIGHT, last.shape[0] - top), min(WIDTH, last.shape[1] - left)
+    # Planes: gradients of red, green, blue and depth, transmittance, gradient-weighted colour behind the current
+    # splat, last entry, column, row.
+    tile = np.empty((9, HEIGHT * WIDTH), np.float32)
+    deepest = -1
+    for i in range(HEIGHT * WIDTH):
+        for k in range(6):
+            tile[k, i] = ZERO
+        tile[6, i] = -ONE
+        tile[7, i], tile[8, i] = np.float32(i % WIDTH), np.float32(i // WIDTH)
+    for j in range(tall):
+        for i in range(wide):
+            at = j * WIDTH + i
+            for k in range(4):
+                tile[k, at] = d_image[k, top + j, left + i]
+            tile[4, at] = image[4, top + j, left + i]
+            tile[5, at] = d_image[4, top + j, left + i] * image[4, top + j, left + i]
+            tile[6, at] = last[top + j, left + i]
+            deepest = max(deepest, last[top + j, left + i])
+    return tile, deepest
+
+
+@summed
+def blend_tile_backward(
+    splats: Array,
+    entries: Array,
+    top: int,
+    left: int,
+    cap: float,
+    image: Array,
+    last: Array,
+    d_image: Array,
+    moments: Array,
+) -> None:
+    """Accumulate gradients of the splats ``entries`` of one tile; arguments as in :func:`blend_backward`."""
+    tile, deepest = tile_backward(top, left, image, last, d_image)
+    near = gather(splats, entries, deepest + 1, top, left)
+    for entry in range(deepest, -1, -1):
+        index, e = np.float32(entry), np.uint64(entry)
+        x, y, xx, xy, yy, opacity = near[e, 0], near[e, 1], near[e, 2], near[e, 3], near[e, 4], near[e, 5]
+        red, green, blue, depth = near[e, 6], near[e, 7], near[e, 8], near[e, 9]
+        d_red = d_green = d_blue = d_depth = m0 = mx = my = mxx = mxy = myy = ZERO
+        for i in range(np.uint64(entries[entry, 2]) * WIDE, np.uint64(entries[entry, 3]) * WIDE):
+            dx, dy = tile[7, i] - x, tile[8, i] - y
+            sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
+            covered = opacity * falloff(sigma)
+            alpha = min(cap, covered)
+            shown = (sigma >= ZERO) & (alpha >= MIN_ALPHA) & (index <= tile[6, i])
+            alpha = alpha if shown else ZERO
+            inverse = ONE / (ONE - alpha)
+            before = tile[4, i] * inverse
+            weight = alpha * before
+            value = red * tile[0, i] + green * tile[1, i] + blue * tile[2, i] + depth * tile[3, i]
+            slope = covered * (tile[5, i] * inverse - before * value)
+            slope = slope if shown & (covered <= cap) else ZERO
+            tile[4, i] = before
+            tile[5, i] += weight * value
+            d_red += weight * tile[0, i]
+            d_green += weight * tile[1, i]
+            d_blue += weight * tile[2, i]
+            d_depth += weight * tile[3, i]
+            m0 += slope
+            mx += slope * dx
+            my += slope * dy
+            mxx += slope * dx * dx
+            mxy += slope * dx * dy
+            myy += slope * dy * dy
+        part = np.uint64(entries[entry, 1])
+        moments[part, 0] += d_red
+        moments[part, 1] += d_green
+        moments[part, 2] += d_blue
+        moments[part, 3] += d_depth
+        moments[part, 4] += m0
+        moments[part, 5] += mx
+        moments[part, 6] += my
+        moments[part, 7] += mxx
+        moments[part, 8] += mxy
+        moments[part, 9] += myy

@@ -1,0 +1,136 @@
+"""The renderer for CPUs: compiled kernels with hand-written gradients."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from anystyle.geometry.harmonics import degree_of, normalisation
+from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single
+from anystyle.types import Cameras, Gaussians
+from anystyle_cpu_renderer import stages
+
+
+class CpuRenderer(CappedRasterizer):
+    """Compiled tiles on ``torch.get_num_threads()`` threads; results are bit-identical for any number of threads.
+
+    Computes in single precision; once differentiable in the Gaussians, the poses and the intrinsics.
+    """
+
+    devices = ("cpu",)
+    priority = 10
+
+    def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
+        with torch.autocast("cpu", enabled=False):
+            gaussians, cameras = at_least_single(gaussians, cameras)
+            image = _Splatting.apply(
+                gaussians.means.float(),
+                gaussians.rotations.float(),
+                gaussians.scales.float(),
+                gaussians.opacities.float(),
+                gaussians.harmonics.float(),
+                cameras.camera_from_world.double(),
+                cameras.world_from_camera[..., :3, 3].double(),
+                cameras.intrinsics.double(),
+                _Settings(*cameras.size, self.near, self.far, self.eps2d, self.alpha_cap),
+            )
+        assert isinstance(image, Tensor)
+        return image.to(gaussians.means.dtype)
+
+
+class _Settings(NamedTuple):
+    height: int
+    width: int
+    near: float
+    far: float
+    eps2d: float
+    alpha_cap: float
+
+
+class _Splatting(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, *inputs: Any) -> Tensor:
+        *tensors, settings = inputs
+        scenes, views = _read(tensors, settings)
+        size = len(scenes), tensors[-1].shape[1], settings.height, settings.width
+        images, last = torch.empty(*size[:2], 5, *size[2:]), np.empty(size, np.int32)
+        # The splats of a single view are kept for the backward pass; those of many would take too much memory, and are
+        # projected again.
+        keep = size[0] * size[1] == 1 and any(ctx.needs_input_grad)
+        ctx.kept = []
+        with stages.workers() as run:
+            for b, scene in enumerate(scenes):
+                stages.shape(scene, run)
+                for v, view in enumerate(views[b]):
+                    splats = stages.project(scene, view, settings.height, run)
+                    cap, image = np.float32(settings.alpha_cap), images[b, v].numpy()
+                    tiles = stages.blend(splats, cap, image, last[b, v], run, keep=keep)
+                    if keep:
+                        ctx.kept.append((splats, tiles, scene.shapes))
+        ctx.save_for_backward(*tensors, images)
+        ctx.last, ctx.settings = last, settings
+        return images
+
+    @staticmethod
+    @once_differentiable
+    def backward(  # pyright: ignore[reportIncompatibleMethodOverride]
+        ctx: Any, *grad_outputs: Tensor
+    ) -> tuple[Tensor | None, ...]:
+        *tensors, images = ctx.saved_tensors
+        scenes, views = _read(tensors, ctx.settings)
+        cap = np.float32(ctx.settings.alpha_cap)
+        posed = any(ctx.needs_input_grad[5:8])
+        sums = [torch.zeros(tensor.shape, dtype=tensor.dtype) for tensor in tensors]
+        with stages.workers() as run:
+            for b, scene in enumerate(scenes):
+                if ctx.kept:
+                    scene = scene._replace(shapes=ctx.kept[0][2])
+                else:
+                    stages.shape(scene, run)
+                into = stages.Scene._make([*(total[b].numpy() for total in sums[:5]), np.zeros_like(scene.shapes)])
+                for v, view in enumerate(views[b]):
+                    if ctx.kept:
+                        splats, tiles, _ = ctx.kept[0]
+                    else:
+                        splats, tiles = stages.project(scene, view, ctx.settings.height, run), []
+                    image, d_image = images[b, v].numpy(), grad_outputs[0][b, v].contiguous().numpy()
+                    moments = stages.blend_backward(splats, tiles, cap, image, ctx.last[b, v], d_image, run)
+                    d_camera = stages.project_backward(scene, view, splats, moments, into, posed, run)
+                    _write(torch.from_numpy(d_camera), *(total[b, v] for total in sums[5:]))
+                stages.shape_backward(scene, into, run)
+        return *sums, None
+
+
+def _read(tensors: list[Tensor], settings: _Settings) -> tuple[list[stages.Scene], list[list[stages.View]]]:
+    """The arguments of the kernels: the scenes, their covariances allocated but not computed, and the views of each."""
+    *gaussians, poses, origins, intrinsics = (tensor.detach() for tensor in tensors)
+    rows = [[tensor[b].contiguous().numpy() for tensor in gaussians] for b in range(len(poses))]
+    scenes = [stages.Scene._make([*row, np.empty((len(row[0]), 6), np.float32)]) for row in rows]
+    rotation, translation = poses[..., :3, :3].flatten(-2), poses[..., :3, 3]
+    focal, center = intrinsics.diagonal(dim1=-2, dim2=-1)[..., :2], intrinsics[..., :2, 2]
+    cameras = torch.cat([rotation, translation, origins, focal, center], dim=-1).contiguous().numpy()
+    limits = np.array([settings.width, settings.height, settings.near, settings.far, settings.eps2d])
+    tables = _tables(degree_of(gaussians[-1].shape[2]))
+    return scenes, [[stages.View(camera, limits, tables) for camera in row] for row in cameras]
+
+
+def _tables(degree: int) -> np.ndarray:
+    """The tables that :func:`anystyle_cpu_renderer.projection.harmonics_at` takes."""
+    tables = np.zeros((3, degree + 1, degree + 1))
+    for n in range(degree + 1):
+        for m in range(n + 1):
+            tables[0, n, m] = normalisation(n, m)
+            if n > m:
+                tables[1:, n, m] = (2 * n - 1) / (n - m), (n + m - 1) / (n - m)
+    return tables
+
+
+def _write(d_camera: Tensor, d_pose: Tensor, d_origin: Tensor, d_intrinsics: Tensor) -> None:
+    d_pose[:3, :3] = d_camera[:9].view(3, 3)
+    d_pose[:3, 3] = d_camera[9:12]
+    d_origin[:] = d_camera[12:15]
+    d_intrinsics.diagonal()[:2] = d_camera[15:17]
+    d_intrinsics[:2, 2] = d_camera[17:]

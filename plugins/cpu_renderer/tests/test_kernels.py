@@ -1,0 +1,70 @@
+"""Compiled kernels by themselves."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numba import njit
+
+from anystyle_cpu_renderer import raster, sorting
+from anystyle_cpu_renderer.compiled import compiled
+
+
+def function_without_a_file() -> Any:
+    """A function for which numba finds no folder to keep machine code in, as in an installation nobody can write."""
+    namespace: dict[str, Any] = {}
+    exec(compile("def double(x):\n    return 2 * x\n", "/nowhere/kernel.py", "exec"), namespace)
+    return namespace["double"]
+
+
+def test_compiles_where_nothing_can_be_written() -> None:
+    with pytest.raises(RuntimeError, match="no locator"):
+        njit(cache=True)(function_without_a_file())
+    assert compiled(function_without_a_file())(21) == 42
+
+
+def test_falloff_is_exp() -> None:
+    sigma = np.concatenate([np.linspace(0, 6, 5001), np.linspace(6, 80, 500)]).astype(np.float32)
+    actual = np.array([raster.falloff(value) for value in sigma], np.float64)
+    np.testing.assert_allclose(actual, np.exp(-sigma.astype(np.float64)), rtol=4e-6)
+    np.testing.assert_allclose(actual[:5001], np.exp(-sigma[:5001].astype(np.float64)), rtol=8e-7)
+    assert raster.falloff(np.float32(np.inf)) < 1e-30
+
+
+def test_sorting_is_stable() -> None:
+    rng = np.random.default_rng(0)
+    splats = np.zeros((5000, 12), np.float32)
+    splats[:, 9] = np.exp(rng.normal(size=5000) * 10).round(3) + np.float32(1e-10)
+    rows = np.flatnonzero(rng.random(5000) < 0.7)
+    order = sorting.nearest_first(splats, rows)
+    assert np.array_equal(order, np.argsort(splats[rows, 9], kind="stable"))
+
+
+def test_tiles_list_the_splats_that_they_show_and_no_others() -> None:
+    """Every pixel that an ellipse covers is in the rows that its tile lists for it."""
+    rng = np.random.default_rng(0)
+    width, height = 40, sorting.HEIGHT - 5
+    axes = rng.uniform(0.4, 6, (60, 2))
+    turn = rng.uniform(0, np.pi, 60)
+    turned = np.stack([np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)], 1).reshape(60, 2, 2)
+    shape = turned @ (axes[..., None] ** 2 * turned.transpose(0, 2, 1))
+    xx, xy, yy = shape[:, 0, 0], shape[:, 0, 1], shape[:, 1, 1]
+    root = np.sqrt(xx * yy - xy**2)
+    center = rng.uniform(-4, [width + 4, height + 4], (60, 2))
+    splats = np.zeros((60, 16), np.float32)
+    splats[:, :2], splats[:, 10], splats[:, 11] = center, np.sqrt(xx), np.sqrt(yy)
+    splats[:, 12], splats[:, 13], splats[:, 14] = xy / np.sqrt(yy), xy / xx, root / xx
+    offsets = np.empty(-(-width // sorting.WIDTH) + 1, np.int64)
+    lists = sorting.tiles_of(splats, np.arange(60, dtype=np.int32), 0, height - 1, width, offsets)
+    assert np.array_equal(lists[:, 0], lists[:, 1])
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height), indexing="xy"), -1) + 0.5
+    away = pixels - center[:, None, None]
+    covered = np.einsum("nhwi,nij,nhwj->nhw", away, np.linalg.inv(shape), away) <= 1
+    listed = np.zeros_like(covered)
+    for column in range(len(offsets) - 1):
+        rows = lists[offsets[column] : offsets[column + 1]]
+        assert (np.diff(rows[:, 0]) > 0).all() and (rows[:, 3] > rows[:, 2]).all()
+        for splat, _, first, stop in rows:
+            listed[splat, first:stop, column * sorting.WIDTH : (column + 1) * sorting.WIDTH] = True
+    assert not (covered & ~listed).any()
+    assert listed.any((1, 2)).sum() <= covered.any((1, 2)).sum() + 6  # those that pass between centres of pixels

@@ -1,0 +1,1 @@
+"""File formats of Gaussian scenes, one a module."""

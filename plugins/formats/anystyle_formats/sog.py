@@ -1,0 +1,127 @@
+"""SOG, version 2: quantised attributes as lossless WebP images and ``meta.json`` in one archive.
+
+The format is described in PlayCanvas's user manual (developer.playcanvas.com, "The SOG format"). Its axes are those of
+3DGS PLY files: programs that read both rotate both alike.
+"""
+
+import io
+import json
+import zipfile
+from math import ceil, isqrt, sqrt
+from pathlib import Path
+
+import numpy as np
+import torch.nn.functional as F
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.spatial import KDTree
+
+from anystyle.contracts import Format
+from anystyle.io.atomic import atomic_path
+from anystyle.io.packing import morton_order, smallest_three
+from anystyle.io.ply import MAX_DEGREE
+from anystyle.types import StyledScene
+
+PALETTE = 65_536
+"""The format's limit on distinct sets of higher harmonics."""
+_LEVELS = 256
+_SCALE_FLOOR = 1e-12
+
+
+class Sog(Format):
+    """SOG, as PlayCanvas reads it: attributes as images in one ZIP file."""
+
+    has_notes = True
+
+    def write(self, scene: StyledScene, path: Path) -> None:
+        splats = scene.splats()
+        order = morton_order(splats.means.detach().double().cpu().numpy())
+        means, _, scales, opacities, harmonics = (tensor.detach().double().cpu().numpy()[order] for tensor in splats)
+        far = np.sign(means) * np.log1p(np.abs(means))
+        low, high = far.min(0), far.max(0)
+        positions = np.round((far - low) / np.maximum(high - low, 1e-12) * 65535).astype(np.uint16)
+        largest, others = smallest_three(F.normalize(splats.rotations.detach().double().cpu(), dim=-1).numpy()[order])
+        scale_book, scale_index = codebook(np.log(np.maximum(scales, _SCALE_FLOOR)))
+        color_book, color_index = codebook(harmonics[:, 0])
+        alpha = np.round(opacities * 255).clip(0, 255)[:, None]
+        quaternions = np.concatenate([np.round((others / sqrt(2) + 0.5) * 255), 252 + largest[:, None]], 1)
+        pictures = {
+            "means_l.webp": positions & 255,
+            "means_u.webp": positions >> 8,
+            "quats.webp": quaternions,
+            "scales.webp": scale_index,
+            "sh0.webp": np.concatenate([color_index, alpha], 1),
+        }
+        meta = {
+            "version": 2,
+            "asset": {"generator": "anystyle", "copyright": "\n".join(scene.notes)},
+            "count": len(means),
+            "antialias": False,
+            "means": {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]},
+            "scales": {"codebook": scale_book.tolist(), "files": ["scales.webp"]},
+            "quats": {"files": ["quats.webp"]},
+            "sh0": {"codebook": color_book.tolist(), "files": ["sh0.webp"]},
+        }
+        width = max(4, ceil(sqrt(len(means)) / 4) * 4)
+        images = {name: _webp(values, width) for name, values in pictures.items()}
+        degree = min(isqrt(harmonics.shape[1]) - 1, MAX_DEGREE)
+        if degree:
+            rest = harmonics[:, 1 : (degree + 1) ** 2]
+            centroids, labels = palette(rest.reshape(len(rest), -1))
+            book, index = codebook(centroids)
+            blocks = index.reshape(len(centroids), -1, 3)
+            images["shN_centroids.webp"] = _webp(blocks.reshape(-1, 3), 64 * blocks.shape[1])
+            images["shN_labels.webp"] = _webp(np.stack([labels & 255, labels >> 8, 0 * labels], 1), width)
+            files = ["shN_centroids.webp", "shN_labels.webp"]
+            meta["shN"] = {"count": len(centroids), "bands": degree, "codebook": book.tolist(), "files": files}
+        with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
+            for name, data in {"meta.json": json.dumps(meta).encode(), **images}.items():
+                archive.writestr(zipfile.ZipInfo(name), data)
+
+
+def codebook(values: NDArray[np.float64], rounds: int = 32) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Scalar quantisation: 256 ascending levels by Lloyd's algorithm, and the index of the level of each value.
+
+    Half of the levels start at quantiles, which cover the bulk, half evenly spaced, which covers outliers.
+    """
+    flat = np.sort(values.ravel())
+    half = _LEVELS // 2
+    steps = np.linspace(flat[0], flat[-1], half)
+    levels = np.sort(np.concatenate([np.quantile(flat, (np.arange(half) + 0.5) / half), steps]))
+    sums = np.concatenate([[0.0], np.cumsum(flat)])
+    for _ in range(rounds):
+        edges = np.searchsorted(flat, (levels[1:] + levels[:-1]) / 2)
+        bounds = np.concatenate([[0], edges, [len(flat)]])
+        counts = np.diff(bounds)
+        means = (sums[bounds[1:]] - sums[bounds[:-1]]) / np.maximum(counts, 1)
+        levels = np.sort(np.where(counts > 0, means, levels))
+    index = np.searchsorted((levels[1:] + levels[:-1]) / 2, values)
+    return levels, index.astype(np.uint8)
+
+
+def palette(vectors: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Vector quantisation: at most :data:`PALETTE` centroids, and the index of the centroid of each vector.
+
+    Centroids start as a random sample; each vector is assigned to the nearest along the six principal directions, and
+    the mean of its vectors replaces each centroid.
+    """
+    if len(vectors) <= PALETTE:
+        return vectors, np.arange(len(vectors))
+    centered = vectors - vectors.mean(0)
+    directions = np.linalg.eigh(centered.T @ centered)[1][:, -6:]
+    drawn = np.sort(np.random.default_rng(0).choice(len(vectors), PALETTE, replace=False))
+    labels = np.asarray(KDTree(centered[drawn] @ directions).query(centered @ directions)[1])
+    counts = np.bincount(labels, minlength=PALETTE)
+    sums = np.stack([np.bincount(labels, column, PALETTE) for column in vectors.T], 1)
+    return np.where(counts[:, None] > 0, sums / np.maximum(counts, 1)[:, None], vectors[drawn]), labels
+
+
+def _webp(values: NDArray[np.generic], width: int) -> bytes:
+    """Rows of three or four bytes as the pixels of a lossless WebP image, padded with zeros."""
+    height = max(1, -(-len(values) // width))
+    pixels = np.zeros((height * width, values.shape[1]), np.uint8)
+    pixels[: len(values)] = values
+    stream = io.BytesIO()
+    # `exact` keeps colours under transparent pixels.
+    Image.fromarray(pixels.reshape(height, width, -1)).save(stream, "WEBP", lossless=True, exact=True, method=4)
+    return stream.getvalue()

@@ -1,0 +1,179 @@
+"""Every format is read by others' readers, and rendered from the same camera: the same picture, the right way round."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from export_readers import READERS, SPLAT_TRANSFORM, read_with_splat_transform
+
+from anystyle.commands import export as command
+from anystyle.contracts import Format
+from anystyle.errors import UserError
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.io.packing import from_smallest_three, smallest_three
+from anystyle.pipeline.export import export, from_axes
+from anystyle.pipeline.options import AXES
+from anystyle.registry.build import build
+from anystyle.registry.catalog import catalog
+from anystyle.renderers.torch import TorchRenderer
+from anystyle.types import Cameras, Gaussians
+from anystyle.vision.weights import license_meaning, licenses
+from anystyle_formats.sog import codebook, palette
+
+SIZE = (60, 80)
+LEAST = {"ply": 80, "glb": 80, "spz": 36, "sog": 34, "splat": 36}
+"""PSNR in dB of a picture from the file against one from the scene; quantised formats lose a little."""
+
+
+def scene(coefficients=4, count=400):
+    """Nothing alike left and right, up and down: a red cloud above right, a green one below left, rods that lean."""
+    generator = torch.Generator().manual_seed(0)
+    means = torch.randn(count, 3, generator=generator) * torch.tensor([0.25, 0.2, 0.2])
+    right = torch.arange(count) % 2 == 0
+    means += torch.where(right[:, None], torch.tensor([0.5, -0.35, 3.0]), torch.tensor([-0.45, 0.3, 3.5]))
+    rgb = torch.where(right[:, None], torch.tensor([0.9, 0.15, 0.1]), torch.tensor([0.1, 0.7, 0.2]))
+    harmonics = torch.randn(count, coefficients, 3, generator=generator) * 0.15
+    harmonics[:, 0] = constant_from_rgb(rgb + 0.05 * torch.randn(count, 3, generator=generator))
+    lean = torch.tensor([0.9, 0.1, 0.2, 0.37])
+    return Gaussians(
+        means=means[None],
+        rotations=(lean + 0.1 * torch.randn(count, 4, generator=generator))[None],
+        scales=(torch.tensor([0.12, 0.02, 0.03]) * (0.5 + torch.rand(count, 3, generator=generator)))[None],
+        opacities=(0.2 + 0.75 * torch.rand(count, generator=generator))[None],
+        harmonics=harmonics[None],
+    )
+
+
+def camera():
+    intrinsics = torch.tensor([[70.0, 0, 40], [0, 70.0, 30], [0, 0, 1]])
+    return Cameras(torch.eye(4)[None, None], intrinsics[None, None], SIZE)
+
+
+def picture(gaussians):
+    return TorchRenderer()(gaussians, camera()).color[0, 0]
+
+
+def psnr(first, second):
+    return float(-10 * torch.log10((first - second).square().mean().clamp_min(1e-12)))
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_file_shows_the_same_picture_to_other_readers(name, tmp_path):
+    gaussians = scene(1 if name == "splat" else 4)
+    export(gaussians, tmp_path / f"scene.{name}", name)
+    read = from_axes(build(Format, name).up, READERS[name](tmp_path / f"scene.{name}"))
+    assert read.means.shape == gaussians.means.shape
+    assert psnr(picture(read), picture(gaussians)) > LEAST[name]
+
+
+@pytest.mark.parametrize("name", ["spz", "sog", "splat", "ply"])
+def test_splat_transform_sees_the_same_picture(name, tmp_path):
+    """Its PLY of a file is neither mirrored nor upside down."""
+    if SPLAT_TRANSFORM is None:
+        pytest.skip("splat-transform is not installed (npm install -g @playcanvas/splat-transform)")
+    gaussians = scene(1 if name == "splat" else 16)
+    export(gaussians, tmp_path / f"scene.{name}", name)
+    read = read_with_splat_transform(tmp_path / f"scene.{name}", tmp_path)
+    assert psnr(picture(read), picture(gaussians)) > LEAST[name] - 2
+
+
+@pytest.mark.parametrize("up", AXES)
+def test_an_asymmetric_scene_stands_upright_and_unmirrored_in_any_axes(up, tmp_path):
+    """The red cloud is right of and above the green one, along the axes that a file says."""
+    export(scene(), tmp_path / "scene.ply", "ply", up=up)
+    read = Gaussians.load(tmp_path / "scene.ply")
+    red = read.harmonics[0, :, 0, 0] > read.harmonics[0, :, 0, 1]
+    right, top, away = (
+        {"opencv": (means[:, 0], -means[:, 1], means[:, 2]), "y": (means[:, 0], means[:, 1], -means[:, 2]),
+         "z": (means[:, 0], means[:, 2], means[:, 1])}[up] for means in [read.means[0]]
+    ).__next__()  # fmt: skip
+    for along, sign in ((right, 1), (top, 1), (away, -1)):
+        assert sign * float(along[red].mean() - along[~red].mean()) > 0.3
+    assert psnr(picture(from_axes(up, read)), picture(scene())) > 80
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_a_file_of_others_stands_upright_once_its_axes_are_said(up, tmp_path, capsys):
+    """Degree 1: the directions of colours turn with the scene."""
+    export(scene(4), tmp_path / "theirs.ply", "ply", up=up)
+    words = [str(tmp_path / "theirs.ply"), "--out", str(tmp_path / "ours.glb"), "--from-up", up]
+    command.export(command.parser().parse_args(words))
+    read = from_axes("y", READERS["glb"](tmp_path / "ours.glb"))
+    assert psnr(picture(read), picture(scene(4))) > 80
+    assert psnr(picture(Gaussians.load(tmp_path / "theirs.ply")), picture(scene(4))) < 30
+    with pytest.raises(UserError, match="a folder of results is in OpenCV's axes"):
+        command.export(command.parser().parse_args([str(tmp_path), *words[1:]]))
+
+
+@pytest.mark.parametrize("coefficients", [1, 4, 9, 16])
+@pytest.mark.parametrize("name", ["glb", "spz", "sog"])
+def test_harmonics_of_every_degree_are_kept(name, coefficients, tmp_path):
+    gaussians = scene(coefficients)
+    export(gaussians, tmp_path / f"scene.{name}", name, up="opencv")
+    read = READERS[name](tmp_path / f"scene.{name}")
+    assert read.harmonics.shape == gaussians.harmonics.shape
+    nearest = torch.cdist(gaussians.means[0], read.means[0]).argmin(1)
+    worst = (read.harmonics[0, nearest] - gaussians.harmonics[0]).abs()[:, 1:]
+    assert coefficients == 1 or float(worst.max()) < (1e-6 if name == "glb" else 0.03)
+
+
+def test_notes_are_in_the_file_or_beside_it(tmp_path):
+    notes = "backbone: weights.pt, CC-BY-NC-4.0"
+    for name in catalog().names("format"):
+        export(scene(), tmp_path / f"scene.{name}", name, notes=notes)
+        held = b"CC-BY-NC-4.0" in (tmp_path / f"scene.{name}").read_bytes()
+        beside = tmp_path / f"scene.{name}.txt"
+        assert held == build(Format, name).has_notes and beside.is_file() != held
+
+
+def test_what_licences_mean():
+    known = licenses({"backbone": {"file": "tiny_backbone.safetensors"}, "branch": {"file": "nobody.pt"}})
+    assert known["backbone"]["license"] == "Apache-2.0" and "freely" in known["backbone"]["means"]
+    assert known["branch"]["license"] == "not stated" and "ask" in known["branch"]["means"]
+    assert "commercially" in license_meaning("CC-BY-NC-4.0") and "ask" in license_meaning("see the record")
+
+
+def test_a_codebook_is_no_worse_than_quantiles_and_even_steps():
+    values = np.random.default_rng(0).standard_normal(5000) ** 3
+    levels, index = codebook(values)
+    error = np.square(levels[index] - values).mean()
+    quantiles = np.quantile(values, (np.arange(256) + 0.5) / 256)
+    steps = np.linspace(values.min(), values.max(), 256)
+    for other in (quantiles, steps):
+        assert error < np.square(other[np.abs(other - values[:, None]).argmin(1)] - values).mean()
+    few, chosen = codebook(np.array([1.0, 2.0, 2.0]))
+    np.testing.assert_allclose(few[chosen], [1, 2, 2])
+
+
+def test_a_palette_stands_for_more_vectors_than_it_has(monkeypatch):
+    monkeypatch.setattr("anystyle_formats.sog.PALETTE", 64)
+    generator = np.random.default_rng(0)
+    kinds = generator.standard_normal((16, 9))
+    vectors = kinds[generator.integers(0, 16, 500)]
+    centroids, labels = palette(vectors)
+    assert len(centroids) == 64
+    np.testing.assert_allclose(centroids[labels], vectors, atol=1e-12)
+
+
+def test_three_of_four_components_are_a_rotation():
+    unit = torch.nn.functional.normalize(torch.randn(100, 4, generator=torch.Generator().manual_seed(0)), dim=1)
+    again = from_smallest_three(*smallest_three(unit.double().numpy()))
+    np.testing.assert_allclose(np.abs((again * unit.numpy()).sum(1)), 1, atol=1e-6)
+
+
+def test_the_command_converts_a_file_and_refuses_what_makes_no_sense(tmp_path, capsys):
+    export(scene(), tmp_path / "scene.ply", "ply")
+    command.export(command.parser().parse_args([str(tmp_path / "scene.ply"), "--out", str(tmp_path / "scene.glb")]))
+    read = from_axes("y", READERS["glb"](tmp_path / "scene.glb"))
+    assert psnr(picture(read), picture(scene())) > 80
+    assert "scene.glb" in capsys.readouterr().out
+    for words in ([str(tmp_path / "scene.ply"), "--out", str(tmp_path / "scene.ply")],
+                  [str(tmp_path / "scene.ply"), "--out", str(tmp_path / "scene.xyz")],
+                  [str(tmp_path), "--out", str(tmp_path / "scene.glb")]):  # fmt: skip
+        with pytest.raises(ValueError):
+            command.export(command.parser().parse_args(words))
+    nothing = replace(scene(), opacities=torch.zeros(1, 400))
+    with pytest.raises(ValueError, match="no Gaussians that are visible"):
+        export(nothing, tmp_path / "nothing.glb", "glb")
+    assert not (tmp_path / "nothing.glb").exists()

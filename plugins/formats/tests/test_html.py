@@ -1,0 +1,185 @@
+"""The page in a real browser: a picture of the scene, the right way round, in the style that is chosen."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from anystyle.commands import export as export_command
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.renderers.torch import TorchRenderer
+from anystyle.types import Cameras, Gaussians, StyledScene
+from anystyle_formats.html import Html
+from chromium import SOFTWARE_GL, browser, find_chromium
+
+SIZE = (150, 200)
+CHROMIUM = find_chromium()
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt install chromium)")
+
+
+def scene(count=3000):
+    """A red sheet of Gaussians above right, a green one below left of it and behind, on grey ground."""
+    generator = torch.Generator().manual_seed(0)
+    third = torch.arange(count) % 3
+    spread = torch.tensor([[0.3, 0.2, 0.1], [0.3, 0.2, 0.1], [1.5, 0.05, 1.0]])[third]
+    middle = torch.tensor([[0.5, -0.35, 3.0], [-0.45, 0.1, 3.4], [0.0, 0.7, 3.5]])[third]
+    rgb = torch.tensor([[0.85, 0.15, 0.1], [0.1, 0.6, 0.2], [0.5, 0.5, 0.55]])[third]
+    return Gaussians(
+        means=(middle + spread * torch.randn(count, 3, generator=generator))[None],
+        rotations=torch.randn(1, count, 4, generator=generator),
+        scales=0.02 + 0.06 * torch.rand(1, count, 3, generator=generator),
+        opacities=0.3 + 0.69 * torch.rand(1, count, generator=generator),
+        harmonics=constant_from_rgb(rgb + 0.05 * torch.randn(count, 3, generator=generator))[None, :, None],
+    )
+
+
+def cameras():
+    poses = torch.eye(4).repeat(1, 2, 1, 1)
+    angle = torch.tensor(0.25)
+    poses[0, 1, :3, :3] = torch.tensor([[angle.cos(), 0, angle.sin()], [0, 1, 0], [-angle.sin(), 0, angle.cos()]])
+    poses[0, 1, :3, 3] = torch.tensor([-0.8, -0.2, 0.1])
+    intrinsics = torch.tensor([[170.0, 0, 96], [0, 165.0, 78], [0, 0, 1]]).repeat(1, 2, 1, 1)
+    return Cameras(poses, intrinsics, SIZE)
+
+
+def blue(gaussians):
+    shown = constant_from_rgb(torch.tensor([0.1, 0.2, 0.8])) + 0 * gaussians.harmonics
+    return replace(gaussians, harmonics=shown, rotations=gaussians.rotations.flip(1))
+
+
+def write(path, styles, title="", notes=()):
+    Html().write(StyledScene(tuple(styles), cameras(), ("front", "side"), notes, title), path)
+
+
+def psnr(first, second):
+    return float(-10 * np.log10(np.square(first - second).mean()))
+
+
+def canvas(page, path):
+    page.picture(path)
+    return np.asarray(Image.open(path).convert("RGB")).astype(float) / 255
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "scene.html"
+    styles = [("unstyled", scene()), ("blue </script>", blue(scene()))]
+    write(path, styles, "A scene & <b>more</b>", ("backbone: Apache-2.0", "second line"))
+    return path
+
+
+@pytest.fixture(scope="module")
+def page(written, tmp_path_factory):
+    if CHROMIUM is None:
+        pytest.skip("there is no Chromium (apt install chromium)")
+    with browser(CHROMIUM, tmp_path_factory.mktemp("browser"), SOFTWARE_GL) as page:
+        page.size(SIZE[1], SIZE[0])
+        page.call("Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=0, uploadThroughput=0)
+        page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "light"}])
+        page.call("Page.navigate", url=written.as_uri())
+        page.wait("document.body && document.body.dataset.ready")
+        assert page.value("document.body.dataset.ready") == "true", page.value("document.body.innerText")
+        page.value("document.body.classList.add('bare')")
+        yield page
+
+
+@needs_browser
+def test_every_style_and_camera_shows_what_the_renderer_renders(page, tmp_path):
+    for style, gaussians in enumerate((scene(), blue(scene()))):
+        for view in range(2):
+            page.value(f"anystyle.choose({style}).then(() => anystyle.go({view}))")
+            shown = canvas(page, tmp_path / f"{style}{view}.png")
+            expected = TorchRenderer()(gaussians, cameras().select([view])).color[0, 0].permute(1, 2, 0).numpy()
+            assert psnr(shown, expected) > 36, (style, view)
+            assert psnr(shown[:, ::-1], expected) < 25 and psnr(shown[::-1], expected) < 25
+    assert page.errors == []
+
+
+@needs_browser
+def test_two_styles_meet_where_the_divider_is(page, tmp_path):
+    page.value("anystyle.choose(1).then(() => anystyle.go(0))")
+    whole = canvas(page, tmp_path / "whole.png")
+    page.value("anystyle.compare(true, 0.5)")
+    page.value("document.getElementById('divider').hidden = true")
+    split = canvas(page, tmp_path / "split.png")
+    np.testing.assert_array_equal(split[:, 100:], whole[:, 100:])
+    page.value("anystyle.compare(false).then(() => anystyle.choose(0))")
+    np.testing.assert_array_equal(split[:, :100], canvas(page, tmp_path / "other.png")[:, :100])
+
+
+@needs_browser
+def test_keys_choose_turn_and_go_back(page, tmp_path):
+    page.value("anystyle.choose(0).then(() => anystyle.go(0))")
+    before = canvas(page, tmp_path / "before.png")
+    page.value("document.getElementById('canvas').focus()")
+    page.call("Input.dispatchKeyEvent", type="keyDown", key="2", text="2")
+    assert page.value("document.querySelector('input[value=\"1\"]').checked")
+    page.call("Input.dispatchKeyEvent", type="keyDown", key="1", text="1")
+    page.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft")
+    page.value("anystyle.stands()")
+    assert np.abs(canvas(page, tmp_path / "turned.png") - before).mean() > 0.01
+    page.call("Input.dispatchKeyEvent", type="keyDown", key="r", text="r")
+    page.value("anystyle.stands()")
+    np.testing.assert_array_equal(canvas(page, tmp_path / "back.png"), before)
+
+
+@needs_browser
+def test_a_phone_in_the_dark_has_all_controls_on_its_screen(page, tmp_path):
+    page.value("document.body.classList.remove('bare')")
+    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
+    page.size(360, 640, mobile=True)
+    page.click("#about")
+    text = page.value("document.getElementById('caption').innerText")
+    assert "Apache-2.0" in text and "second line" in text
+    assert page.value("document.getElementById('title').textContent") == "A scene & <b>more</b>"
+    inside = "(e => { const r = e.getBoundingClientRect(); return r.left >= 0 && r.right <= innerWidth })"
+    for element in ("#panel", "#about", "#compare", "header"):
+        assert page.value(f"{inside}(document.querySelector('{element}'))"), element
+    page.value("anystyle.stands()")
+    shown = canvas(page, tmp_path / "phone.png")
+    assert shown[5, 180].max() < 0.2  # the ground is dark
+    names = {node["name"] for node in page.accessible() if node["role"] in ("radio", "button", "RadioButton")}
+    assert {"unstyled", "blue </script>", "Compare", "About"} <= names
+    page.click("#about")
+    page.size(SIZE[1], SIZE[0])
+    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "light"}])
+    page.value("document.body.classList.add('bare')")
+
+
+def test_a_page_asks_nothing_of_the_network(written):
+    text = written.read_text(encoding="utf-8")
+    assert not re.search(r"https?://", text) and not re.search(r"(src|href)=", text.replace("script-src", ""))
+    assert "default-src 'none'" in text and text.count("</script>") == 3
+
+
+def test_five_styles_of_a_hundred_thousand_gaussians_fit_into_eight_megabytes(tmp_path):
+    generator = torch.Generator().manual_seed(0)
+    whole = scene(100_000)
+    styles = [
+        (f"style {index}", replace(whole, harmonics=torch.randn(1, 100_000, 1, 3, generator=generator)))
+        for index in range(5)
+    ]
+    write(tmp_path / "scene.html", styles)
+    assert (tmp_path / "scene.html").stat().st_size <= 8_000_000
+
+
+def test_styles_of_other_scenes_are_refused(tmp_path):
+    other = replace(scene(), means=scene().means + 1)
+    for wrong in (other, scene(30)):
+        with pytest.raises(ValueError, match="one page, one scene"):
+            write(tmp_path / "scene.html", [("one", scene()), ("other", wrong)])
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_ply_of_anybody_becomes_a_page(tmp_path):
+    scene().save(tmp_path / "theirs.ply")
+    words = [str(tmp_path / "theirs.ply"), "--out", str(tmp_path / "theirs.html")]
+    export_command.export(export_command.parser().parse_args(words))
+    text = Path(tmp_path / "theirs.html").read_text(encoding="utf-8")
+    manifest = json.loads(re.search(r'id="manifest">(.*?)</script>', text, re.S)[1])
+    assert manifest["count"] == 3000 and manifest["styles"] == [{"title": "theirs", "rotation": 0}]

@@ -1,0 +1,10 @@
+"""Makes the package importable through the catalog, as a user's session does, and the helpers beside the tests."""
+
+import sys
+from pathlib import Path
+
+from anystyle.registry.catalog import catalog
+
+sys.path.insert(0, str(Path(__file__).parent))
+catalog().find("injector", "magenta").load()
+catalog().find("styles", "procedural").load()  # the text tower learnt its captions

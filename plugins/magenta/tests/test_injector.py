@@ -1,0 +1,107 @@
+"""The injector at the colours of a scene, and the networks in 2D."""
+
+import pytest
+import torch
+import torch.nn.functional as F
+
+from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
+from anystyle.testing import assert_contract
+from anystyle.testing.inputs import images
+from anystyle.types import Tokens
+from anystyle_magenta import MagentaEncoder, MagentaInjector, stylize_images
+from anystyle_magenta.stylize import working_shape
+from anystyle_magenta.transfer import conditional_instance_norm
+
+GRID = (24, 32)
+
+
+@pytest.fixture(scope="module")
+def style():
+    with torch.no_grad():
+        return MagentaEncoder().embed_images(images(2, (48, 64), seed=3))
+
+
+def _tokens(batch: int = 1, num_views: int = 3) -> Tokens:
+    rows = torch.stack([images(num_views, GRID, seed=seed) for seed in range(batch)])
+    return Tokens(constant_from_rgb(rows.flatten(-2).mT), grid=GRID)
+
+
+def _pictures(tokens: Tokens) -> torch.Tensor:
+    return rgb_from_constant(tokens.data).mT.unflatten(-1, tokens.grid)
+
+
+def test_both_keep_their_contracts_with_published_weights():
+    assert_contract("style_encoder", MagentaEncoder, pretrained=True)
+
+
+@torch.no_grad()
+def test_an_open_gate_gives_the_stylized_views(style):
+    tokens = _tokens(2)
+    injector = MagentaInjector(dim=3, style_dim=100, gate=1.0, working_size=64)
+    expected = stylize_images(injector.network, _pictures(tokens), style, working_size=64, joint=True)
+    torch.testing.assert_close(_pictures(injector(tokens, style)), expected, rtol=0, atol=1e-6)
+    half = MagentaInjector(dim=3, style_dim=100, gate=0.5, working_size=64)(tokens, style)
+    torch.testing.assert_close(_pictures(half), (_pictures(tokens) + expected) / 2, rtol=0, atol=1e-6)
+
+
+@torch.no_grad()
+def test_special_tokens_stay(style):
+    tokens = _tokens()
+    special = torch.randn(1, 3, 2, 3, generator=torch.Generator().manual_seed(0))
+    longer = Tokens(torch.cat([special, tokens.data], dim=2), grid=GRID, special=2)
+    injector = MagentaInjector(dim=3, style_dim=100, gate=1.0, working_size=32)
+    result = injector(longer, style[:1])
+    assert torch.equal(result.data[:, :, :2], special)
+    torch.testing.assert_close(result.patches, injector(tokens, style[:1]).data, rtol=0, atol=1e-4)
+
+
+@torch.no_grad()
+def test_chunks_are_a_matter_of_memory_alone(style):
+    network = MagentaInjector(dim=3, style_dim=100).network
+    pictures = images(5, GRID)[None]
+    for joint in (True, False):
+        whole, parts = (stylize_images(network, pictures, style[:1], joint=joint, chunk=chunk) for chunk in (5, 2))
+        torch.testing.assert_close(parts, whole, rtol=0, atol=2e-5)
+
+
+def test_the_normalisation_is_instance_norm_of_the_joined_views():
+    source = torch.Generator().manual_seed(0)
+    maps = torch.randn(2, 3, 4, 5, 6, generator=source, dtype=torch.float64) * 3 + 1
+    scale, shift = (torch.randn(2, 4, generator=source, dtype=torch.float64) for _ in range(2))
+    joined = maps.transpose(1, 2).flatten(2)  # B C (V h w): instance normalisation of one long signal
+    expected = F.instance_norm(joined) * scale[..., None] + shift[..., None]
+    result = torch.cat(conditional_instance_norm(maps.split(2, dim=1), scale, shift), dim=1)
+    torch.testing.assert_close(result.transpose(1, 2).flatten(2), expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("size", "working_size", "expected"),
+    [
+        ((112, 154), 224, (224, 308)),
+        ((720, 405), 224, (400, 224)),
+        ((3, 900), None, (8, 900)),
+        ((30, 31), None, (32, 32)),
+    ],
+)
+def test_working_sizes_keep_the_aspect(size, working_size, expected):
+    assert working_shape(size, working_size) == expected
+
+
+def test_what_published_weights_cannot_take_is_refused():
+    for dim, style_dim in ((12, 100), (3, 128)):
+        with pytest.raises(
+            ValueError, match=r"stylizes colours, 3 channels, by the 100 numbers.*placement=color"
+        ) as caught:
+            MagentaInjector(dim=dim, style_dim=style_dim)
+        assert "\n" not in str(caught.value)
+    for options in ({"working_size": 4}, {"chunk": 0}):
+        with pytest.raises(ValueError, match="give at least 8 and 1"):
+            MagentaInjector(dim=3, style_dim=100, pretrained=False, **options)
+
+
+@torch.no_grad()
+def test_the_middle_of_a_picture_is_what_counts():
+    encoder = MagentaEncoder()
+    square = images(1, (256, 256))
+    wide = torch.cat([torch.zeros(1, 3, 256, 40), square, torch.ones(1, 3, 256, 40)], dim=-1)
+    torch.testing.assert_close(encoder.embed_images(wide), encoder.embed_images(square), rtol=0, atol=1e-6)

@@ -1,0 +1,235 @@
+"""Problems found in the answers, participants excluded by which rule, and the answers that remain for analysis."""
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from statistics import fmean
+from typing import Any
+
+import numpy as np
+
+from anystyle.errors import UserError
+from anystyle_study.contract import Responses, Scale
+from anystyle_study.protocol import Rules
+from anystyle_study.reading import Answer, Records
+
+_MAX_OUTSIDE = 0.1  # fraction of a question's answers outside the scale; above it, the scale must be another one
+_MIN_STRAIGHT = 8  # equal answers that count as straight-lining
+_MIN_KEPT = 0.5  # fraction of the participants; with fewer left, there is no conclusion
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A problem."""
+
+    # ``missing``, ``duplicated``, ``out_of_range``, ``fast``, ``straight_lining`` or ``failed_attention_check``
+    kind: str
+    participant: str  # whose answers
+    detail: str  # details for the reader
+    rule: str = ""  # the rule by which it excludes the participant; empty if it does not
+
+
+@dataclass
+class Checks:
+    """The result of all checks."""
+
+    participants_read: int  # number of participants
+    answers_read: int  # rows of the files, attention checks included
+    attention_answers: int  # of these, answers to attention checks
+    answers_used: int = 0  # rows that the analysis uses
+    findings: list[Finding] = field(default_factory=list)  # problems, by kind and participant
+    exclusions: list[Finding] = field(default_factory=list)  # the first reason to leave out each excluded participant
+    notes: list[str] = field(default_factory=list)  # caveats for the reader
+
+    def of_kind(self, kind: str) -> list[Finding]:
+        """Findings of a kind."""
+        return [finding for finding in self.findings if finding.kind == kind]
+
+    def add(self, kind: str, participant: str, detail: str, rule: str = "") -> None:
+        """Record a problem; with a ``rule``, the participant is excluded by it unless an earlier one did so."""
+        self.findings.append(Finding(kind, participant, detail, rule))
+        if rule and participant not in {exclusion.participant for exclusion in self.exclusions}:
+            self.exclusions.append(self.findings[-1])
+
+    @property
+    def doubt(self) -> str:
+        """Why there is no conclusion, whatever the tests find; empty if there may be one."""
+        kept = self.participants_read - len(self.exclusions)
+        if kept < 2:
+            return "one participant is left, and nothing is known about any other person"
+        excluded = f"{len(self.exclusions)} of {self.participants_read} participants were excluded"
+        return excluded if kept < _MIN_KEPT * self.participants_read else ""
+
+
+def check(
+    records: Records, *, scale: Scale, rules: Rules, scales: Mapping[str, Scale] | None = None
+) -> tuple[Checks, tuple[Responses, ...]]:
+    """Check the answers, exclude participants by the rules, and undo the positions; ``scales`` are by question."""
+    by_question = {answer.question: (scales or {}).get(answer.question, scale) for answer in records.answers}
+    attention = [answer for answer in records.answers if answer.is_check]
+    checks = Checks(len({answer.participant for answer in records.answers}), len(records.answers), len(attention))
+    main = [answer for answer in records.answers if not answer.is_check]
+    main = _deduplicated(_in_range(main, by_question, checks), checks)
+    _check_attention(attention, main, by_question, rules, checks)
+    people = _grouped(main, "participant")
+    for person, answers in people.items():
+        scores = [answer.score for answer in answers if not math.isnan(answer.score)]
+        if len(scores) >= _MIN_STRAIGHT and len(set(scores)) == 1:
+            detail = f"all {len(scores)} answers are {scores[0]:g}, whichever side ours was on"
+            checks.add("straight_lining", person, detail, "one answer throughout" if rules.straight_lining else "")
+    asked = len({(answer.question, answer.method) for answer in main})
+    for person, answers in people.items():
+        # Without a design, only sets with a row count as assigned.
+        expected = asked * records.assigned.get(person, len({answer.item for answer in answers}))
+        missing = expected - sum(not math.isnan(answer.score) for answer in answers)
+        if missing > 0:
+            rule = f"more than {rules.missing_share:.0%} of the assigned answers missing"
+            excludes = missing > rules.missing_share * expected
+            checks.add("missing", person, f"{missing} of {expected} answers", rule if excludes else "")
+        # A set takes as long as the slowest of its answers.
+        timed = _grouped((answer for answer in answers if not math.isnan(answer.seconds)), "item").values()
+        fast = sum(max(answer.seconds for answer in same) < rules.min_seconds for same in timed)
+        if fast:
+            rule = f"more than {rules.fast_share:.0%} of the sets answered too fast"
+            detail = f"{fast} of {len(timed)} sets in less than {rules.min_seconds:g} s"
+            checks.add("fast", person, detail, rule if fast > rules.fast_share * len(timed) else "")
+    excluded = {exclusion.participant for exclusion in checks.exclusions}
+    remaining = [answer for answer in main if not math.isnan(answer.score) and answer.participant not in excluded]
+    responses = tuple(part for part in split(remaining, by_question) if part.count)
+    if not responses:
+        names = [exclusion.rule for exclusion in checks.exclusions]
+        reasons = [f"{names.count(rule)} participant(s) with {rule}" for rule in dict.fromkeys(names)]
+        why = "; ".join(reasons) or "every score is missing or outside the scale"
+        raise UserError(f"no answers are left of {checks.answers_read}: {why}")
+    checks.answers_used = len(remaining)
+    checks.notes += _notes(records, remaining, checks)
+    return checks, responses
+
+
+def split(answers: Sequence[Answer], scales: Mapping[str, Scale]) -> list[Responses]:
+    """One :class:`Responses` a question, in order of appearance; several comparisons are kept apart.
+
+    Ratings of the two methods become their difference, theirs minus ours, where a person gave both.
+    """
+    several = len({answer.comparison for answer in answers}) > 1
+    responses = []
+    for (question, comparison), rows in _grouped(answers, "question", "comparison").items():
+        scale, ratings = scales[question], None
+        if rows[0].method:
+            theirs = {(row.participant, row.item): row.score for row in rows if row.method == "theirs"}
+            rows = [row for row in rows if row.method == "ours" and (row.participant, row.item) in theirs]
+            pairs = [(row.score, theirs[row.participant, row.item]) for row in rows]
+            deviations = [other - own for own, other in pairs]
+            ratings = (fmean(own for own, _ in pairs), fmean(other for _, other in pairs)) if pairs else None
+            scale = Scale(scale.low - scale.high, scale.high - scale.low)
+        else:
+            deviations = [_undone(row, scales) for row in rows]
+        people, person = np.unique([row.participant for row in rows], return_inverse=True)
+        items, first, item = np.unique([row.item for row in rows], return_index=True, return_inverse=True)
+        scenes, styles = (tuple(getattr(rows[index], name) for index in first) for name in ("scene", "style"))
+        responses.append(
+            Responses(
+                question=f"{question} vs {comparison}" if several else question,
+                deviations=np.array(deviations, dtype=float),
+                participants=person,
+                items=item,
+                ours_is_a=np.array([row.ours_is_a for row in rows], dtype=bool),
+                scale=scale,
+                participant_names=tuple(people.tolist()),
+                item_names=tuple(items.tolist()),
+                item_scenes=scenes if all(scenes) else (),
+                item_styles=styles if all(styles) else (),
+                ratings=ratings,
+            )
+        )
+    return responses
+
+
+def _grouped(answers: Iterable[Answer], *names: str) -> dict[Any, list[Answer]]:
+    """Answers by one or more of their fields, in order of appearance."""
+    groups: dict[Any, list[Answer]] = defaultdict(list)
+    for answer in answers:
+        key = [getattr(answer, name) for name in names]
+        groups[tuple(key) if names[1:] else key[0]].append(answer)
+    return groups
+
+
+def _undone(answer: Answer, scales: Mapping[str, Scale]) -> float:
+    """Deviation of a comparison from the neutral answer; negative prefers ours."""
+    return (answer.score - scales[answer.question].midpoint) * (1 if answer.ours_is_a else -1) + 0.0
+
+
+def _check_attention(
+    answers: Sequence[Answer], main: Sequence[Answer], scales: Mapping[str, Scale], rules: Rules, checks: Checks
+) -> None:
+    """Checks have a given answer, ask to prefer the intact side, or must not reverse the first preference."""
+    first = {(answer.participant, answer.item, answer.question): answer for answer in main}
+
+    def failed(answer: Answer) -> bool:
+        if not answer.check:
+            return answer.score != answer.expected
+        if answer.method:
+            return False
+        again = np.sign(_undone(answer, scales))
+        if answer.check == "degraded":
+            return not again < 0
+        before = first.get((answer.participant, answer.of, answer.question))
+        return before is not None and bool(np.sign(_undone(before, scales)) * again < 0)
+
+    for person, given in _grouped(answers, "participant").items():
+        names = list(dict.fromkeys(answer.item for answer in given if failed(answer)))
+        if names:
+            detail = f"{len(names)} of {len({answer.item for answer in given})} failed: {', '.join(names)}"
+            strict = rules.failed_checks is not None and len(names) > rules.failed_checks
+            rule = f"more than {rules.failed_checks} attention checks failed" if strict else ""
+            checks.add("failed_attention_check", person, detail, rule)
+
+
+def _in_range(answers: Sequence[Answer], scales: Mapping[str, Scale], checks: Checks) -> list[Answer]:
+    def outside(answer: Answer) -> bool:
+        return answer.score < scales[answer.question].low or answer.score > scales[answer.question].high
+
+    for question, given in _grouped(answers, "question").items():
+        scale, scores = scales[question], [answer.score for answer in given if not math.isnan(answer.score)]
+        if sum(map(outside, given)) > _MAX_OUTSIDE * len(scores):
+            raise UserError(
+                f"question {question!r} has answers from {min(scores):g} to {max(scores):g} where the "
+                f"scale is {scale.low:g} to {scale.high:g}; do not mix scales, or give the right one with --scale"
+            )
+    for answer in filter(outside, answers):
+        detail = f"{answer.item}, {answer.question}: {answer.score:g}, left out"
+        checks.add("out_of_range", answer.participant, detail)
+    return [answer for answer in answers if not outside(answer)]
+
+
+def _deduplicated(answers: Sequence[Answer], checks: Checks) -> list[Answer]:
+    """Keep the first of several answers to the same question of the same set."""
+    cells = _grouped(answers, "participant", "item", "question", "comparison", "method").values()
+    for first, *others in cells:
+        if others:
+            scores = ", ".join(f"{answer.score:g}" for answer in (first, *others))
+            checks.add("duplicated", first.participant, f"{first.item}, {first.question}: {scores}; the first is used")
+    return [same[0] for same in cells]
+
+
+def _notes(records: Records, answers: Sequence[Answer], checks: Checks) -> Iterable[str]:
+    sides = [answer.ours_is_a for answer in answers if not answer.method]
+    fraction = sum(sides) / len(sides) if sides else 0.5
+    if fraction in (0.0, 1.0):
+        yield f"Ours was always shown as {'A' if fraction else 'B'}: a preference for a side would look like one."
+    elif abs(fraction - 0.5) > 0.05:
+        yield f"Ours was shown as A in {fraction:.0%} of the answers: positions are not balanced."
+    excluded, read = len(checks.exclusions), checks.participants_read
+    if excluded:
+        yield f"{excluded} of {read} participants ({excluded / read:.0%}) were excluded."
+    if len({answer.participant for answer in answers}) == 1:
+        yield "One participant answered: nothing is known about any other person."
+    if len({answer.item for answer in answers}) == 1:
+        yield "One item was judged: nothing is known about any other scene or style."
+    if not records.assigned:
+        yield "Without the design, only empty scores count as missing: participants who stopped early are not detected."
+    if not all(answer.scene and answer.style for answer in answers):
+        yield "The items' scenes and styles are not known: claims hold for these scenes and styles."
+    if records.unused:
+        yield f"Columns not used: {', '.join(records.unused)}."

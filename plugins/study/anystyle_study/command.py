@@ -1,0 +1,24 @@
+"""``anystyle study``: one of its commands."""
+
+import importlib
+from collections.abc import Sequence
+
+from anystyle.commands._flags import parse, subcommand
+from anystyle.registry.socket import Command
+
+SUBCOMMANDS = {
+    "design": "from folders of results to a study: sets, positions, orders, pictures",
+    "form": "the page that participants see: one file, or served with answers kept in SQLite",
+    "analyze": "from answers to tests, tables, figures and a report",
+    "power": "by simulation: power and false positives of each test, participants needed",
+}
+
+
+class Study(Command):
+    """Design, run, analyse and plan user studies."""
+
+    def __call__(self, words: Sequence[str]) -> None:
+        name = subcommand("study", self.__doc__, SUBCOMMANDS, words)
+        if name is not None:
+            module = importlib.import_module(f"anystyle_study.commands.{name}")
+            module.command(parse(module.parser(), words[1:]))

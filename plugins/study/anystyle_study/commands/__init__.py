@@ -1,0 +1,1 @@
+"""The commands of ``anystyle study``, one a file."""

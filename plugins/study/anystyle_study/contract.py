@@ -1,0 +1,229 @@
+"""The contract of a statistical test of a user study: its input, its output and what it guarantees.
+
+Sign convention: a score of 1 says that A is much better, and once the display positions are undone a low score prefers
+*ours*. Tests see deviations from the neutral answer, so a negative estimate means that ours is preferred.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, replace
+from typing import ClassVar, Literal
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from anystyle.errors import UserError
+from anystyle.registry.socket import Socket
+
+Unit = Literal["response", "participant", "item"]
+"""What a test counts as one independent observation."""
+
+Alternative = Literal["less", "greater", "two-sided"]
+"""Which side of the neutral point is the claim; ``less`` claims that ours is preferred."""
+
+Population = Literal["participants", "items", "scenes", "styles"]
+"""What a claim generalises to; ``items`` are new sets of the scenes and styles that were shown."""
+
+MIN_LEVELS = 3
+"""Fewer scenes (or styles) are treated as fixed: claims do not generalise to others."""
+
+TINY = 5e-324
+"""The smallest positive double, reported for p-values below it; their logarithm is exact."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """An answer scale, ends included; its middle is the neutral answer."""
+
+    low: float = 1.0
+    high: float = 5.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.low) and math.isfinite(self.high) and self.low < self.high):
+            raise UserError(f"scale {self.low:g} to {self.high:g}: expected two finite numbers, the lower one first")
+
+    @property
+    def midpoint(self) -> float:
+        """The neutral answer."""
+        return (self.low + self.high) / 2
+
+    @property
+    def levels(self) -> tuple[float, ...]:
+        """The whole-step answers from low to high."""
+        return tuple(self.low + step for step in range(int(self.high - self.low) + 1))
+
+
+@dataclass(frozen=True)
+class Responses:
+    """The answers to one question, one row an observation.
+
+    Args:
+        question: Its name.
+        deviations: Score minus the neutral answer, positions undone; negative prefers ours.
+        participants: Index into ``participant_names``; -1 after averaging over participants.
+        items: Index into ``item_names``; -1 after averaging over items.
+        participant_names: Names of all participants.
+        item_names: Names of all items (sets).
+        ours_is_a: Whether ours was shown as A; ``None`` after averaging.
+        scale: The answer scale.
+        item_scenes: The scene of each item; empty if unknown.
+        item_styles: The style of each item; empty if unknown.
+        ratings: Mean ratings of ours and of theirs, if the deviations are differences of ratings.
+        unit: What one row is.
+    """
+
+    question: str
+    deviations: Float[np.ndarray, " N"]
+    participants: Int[np.ndarray, " N"]
+    items: Int[np.ndarray, " N"]
+    participant_names: tuple[str, ...]
+    item_names: tuple[str, ...]
+    ours_is_a: Bool[np.ndarray, " N"] | None = None
+    scale: Scale = Scale()
+    item_scenes: tuple[str, ...] = ()
+    item_styles: tuple[str, ...] = ()
+    ratings: tuple[float, float] | None = None
+    unit: Unit = "response"
+
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        return len(self.deviations)
+
+    @property
+    def item_titles(self) -> tuple[str, ...]:
+        """Display names of the items: scene and style where both are known."""
+        if not (self.item_scenes and self.item_styles):
+            return self.item_names
+        return tuple(f"{scene}, {style}" for scene, style in zip(self.item_scenes, self.item_styles, strict=True))
+
+    @property
+    def factors(self) -> dict[Population, Int[np.ndarray, " N"]]:
+        """Level of every answer in each random factor; only factors with at least two levels.
+
+        Scenes and styles count as random from :data:`MIN_LEVELS` levels, unless every item has a level of its own.
+        """
+        shared = self._shared
+        codes: dict[Population, np.ndarray] = {"participants": self.participants, "items": self.items}
+        codes |= {factor: np.array(names)[self.items] for factor, names in shared.items()}
+        levels: dict[Population, np.ndarray] = {
+            factor: np.unique(of, return_inverse=True)[1] for factor, of in codes.items()
+        }
+        num = {factor: level.max(initial=0) for factor, level in levels.items()}
+        own = [factor for factor in shared if num[factor] == num["items"]]
+        return {factor: level for factor, level in levels.items() if num[factor] and factor not in own}
+
+    @property
+    def _shared(self) -> dict[Population, tuple[str, ...]]:
+        """Scene and style name of each item, where enough of them were judged to count as random."""
+        named: dict[Population, tuple[str, ...]] = {"scenes": self.item_scenes, "styles": self.item_styles}
+        judged = np.unique(self.items).tolist()
+        num = {factor: len({names[item] for item in judged}) if names else 0 for factor, names in named.items()}
+        return {factor: names for factor, names in named.items() if num[factor] >= MIN_LEVELS}
+
+    @property
+    def populations(self) -> tuple[Population, ...]:
+        """What a test generalises to that treats every factor as random."""
+        populations: list[Population] = [factor for factor in ("participants", "items") if factor in self.factors]
+        if "items" in populations and self._shared:
+            populations[-1:] = self._shared
+        return tuple(populations)
+
+    def at(self, unit: Unit) -> "Responses":
+        """Mean deviation of each ``unit`` as one row; participants and items without answers are dropped."""
+        if unit == self.unit:
+            return self
+        if self.unit != "response":
+            raise ValueError(f"rows are one a {self.unit} already; average the responses by {unit} instead")
+        by_person = unit == "participant"
+        codes = self.participants if by_person else self.items
+        present, code, counts = np.unique(codes, return_inverse=True, return_counts=True)
+        means = np.bincount(code, weights=self.deviations) / counts
+        absent = np.full(len(present), -1)
+        return replace(
+            self,
+            deviations=means,
+            participants=present if by_person else absent,
+            items=absent if by_person else present,
+            ours_is_a=None,
+            unit=unit,
+        )
+
+
+@dataclass(frozen=True)
+class TestResult:
+    """Result of one test.
+
+    Args:
+        unit: What was counted as one observation.
+        statistic: The test statistic; ``nan`` if the test is undefined.
+        log_pvalue: Natural logarithm of the p-value, which may be far below the smallest double.
+        alternative: The alternative hypothesis.
+        estimate: The preference, in ``estimate_unit``; negative means ours is preferred.
+        interval: Confidence interval of the estimate, one-sided if ``alternative`` is; ``nan`` if there is none.
+        n: Number of observations.
+        effect: A standardised effect, signed like the estimate unless it is a probability.
+        effect_name: Such as ``cohens_d``.
+        effect_interval: Confidence interval of the effect.
+        confidence: Level of both intervals.
+        method: One line that says exactly what was computed.
+        note: A caveat for the reader; empty if there is none.
+        generalizes_to: Populations that the p-value generalises to.
+        estimate_unit: ``points`` of the answer scale, or another unit.
+    """
+
+    __test__: ClassVar[bool] = False  # pytest would collect the name
+
+    unit: Unit
+    statistic: float
+    log_pvalue: float
+    alternative: str
+    estimate: float
+    interval: tuple[float, float]
+    n: int
+    effect: float = math.nan
+    effect_name: str = ""
+    effect_interval: tuple[float, float] = (math.nan, math.nan)
+    confidence: float = 0.95
+    method: str = ""
+    note: str = ""
+    generalizes_to: tuple[Population, ...] = ()
+    estimate_unit: str = "points"
+
+    @property
+    def pvalue(self) -> float:
+        """The p-value, never 0: at least :data:`TINY`."""
+        return math.nan if math.isnan(self.log_pvalue) else max(math.exp(self.log_pvalue), TINY)
+
+    @property
+    def log10_pvalue(self) -> float:
+        """Decimal logarithm of the p-value, exact even where the p-value underflows."""
+        return self.log_pvalue / math.log(10)
+
+    @classmethod
+    def untestable(cls, responses: Responses, *, reason: str, alternative: str, method: str = "") -> "TestResult":
+        """A result without a p-value, with the reason in its note."""
+        mean, nan = float(np.mean(responses.deviations)) if responses.count else math.nan, math.nan
+        values = (responses.unit, nan, nan, alternative, mean, (nan, nan), responses.count)
+        return cls(*values, method=method, note=reason)
+
+
+class StudyTest(Socket, ABC):
+    """A statistical test of one question.
+
+    Swapping ours and theirs (negating every deviation) negates the estimate. Answers that do not allow the test, such
+    as those of one participant or without any variation, give :meth:`TestResult.untestable`, never an error.
+    """
+
+    many = True
+    units: ClassVar[tuple[Unit, ...]]
+    """Units it is run at; responses are averaged to each before the call."""
+
+    @abstractmethod
+    def __call__(self, responses: Responses) -> TestResult:
+        """Test whether the answers differ from no preference."""
+
+
+def generalization(unit: Unit) -> tuple[Population, ...]:
+    """What a p-value generalises to that treats each ``unit`` as independent; nothing for single responses."""
+    return {"response": (), "participant": ("participants",), "item": ("items",)}[unit]

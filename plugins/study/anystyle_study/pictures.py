@@ -1,0 +1,110 @@
+"""Results, photographs and styles in folders, and their pictures in one size."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TypeVar
+
+import av
+from PIL import Image, ImageOps
+
+from anystyle.errors import UserError
+from anystyle.io.images import decodable, opened
+
+_T = TypeVar("_T")
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
+_LONGEST = 4096
+
+Results = Mapping[tuple[str, str], Sequence[Path]]
+"""One method's frames of each scene and style, in order."""
+
+
+def frames_in(path: Path) -> list[Path]:
+    """The images of a file or a folder, or of the folder ``renders`` or ``images`` in it, sorted by name."""
+    if path.is_file():
+        return [path] if path.suffix.lower() in SUFFIXES else []
+    inner = next((path / name for name in ("renders", "images") if (path / name).is_dir()), path)
+    return sorted(file for file in inner.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
+
+
+def _frames(folder: Path, kind: str) -> dict[str, list[Path]]:
+    """Images of the files and folders in a folder, by their names without suffix."""
+    if not folder.is_dir():
+        raise UserError(f"{kind} {folder} is no folder")
+    entries = [entry for entry in sorted(folder.iterdir()) if not entry.name.startswith(".")]
+    frames = {entry.stem if entry.is_file() else entry.name: frames_in(entry) for entry in entries}
+    return {name: found for name, found in frames.items() if found}
+
+
+def find_results(method: str, folder: Path) -> Results:
+    """Results laid out as ``SCENE/STYLE.png`` or ``SCENE/STYLE/FRAMES``."""
+    if not folder.is_dir():
+        raise UserError(f"method {method}: {folder} is no folder")
+    scenes = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
+    frames_of = {(path.name, style): frames for path in scenes for style, frames in _frames(path, "scene").items()}
+    if not frames_of:
+        raise UserError(f"method {method}: {folder} holds no results; expected SCENE/STYLE.png or SCENE/STYLE/*.png")
+    return frames_of
+
+
+def find_contents(folder: Path) -> dict[str, list[Path]]:
+    """Photographs laid out as ``SCENE.jpg`` or ``SCENE/FRAMES``, by scene."""
+    return _frames(folder, "contents")
+
+
+def find_styles(folder: Path) -> dict[str, Path]:
+    """Styles laid out as ``STYLE.jpg``, or ``STYLE.txt`` for a style in words, by name."""
+    if not folder.is_dir():
+        raise UserError(f"styles {folder} is no folder")
+    files = sorted(file for file in folder.iterdir() if file.is_file())
+    return {file.stem: file for file in files if file.suffix.lower() in (*SUFFIXES, ".txt")}
+
+
+def matching_frames(groups: Sequence[Sequence[Path]], count: int) -> list[list[Path]]:
+    """``count`` evenly spaced frames of each group, of the names that all groups share if there are enough."""
+    few = min(groups, key=len)
+    if len(few) < count:
+        raise UserError(f"{few[0].parent} has {len(few)} view(s) where {count} are planned; add some or plan fewer")
+    common = sorted(set.intersection(*({frame.stem for frame in group} for group in groups)))
+    if len(common) >= count:
+        names = spread(common, count)
+        return [[frame for frame in group if frame.stem in names] for group in groups]
+    return [spread(group, count) for group in groups]
+
+
+def spread(entries: Sequence[_T], count: int) -> list[_T]:
+    """``count`` evenly spaced entries, the middle one for 1; all where there are fewer."""
+    count = min(count, len(entries))
+    return [entries[(2 * index + 1) * len(entries) // (2 * count)] for index in range(count)]
+
+
+def read_picture(path: Path) -> Image.Image:
+    """An image as RGB, upright, transparency over white, without any metadata."""
+    with opened(path) as image:
+        decodable(image, _LONGEST)
+        upright = ImageOps.exif_transpose(image).convert("RGBA")
+    return Image.alpha_composite(Image.new("RGBA", upright.size, "white"), upright).convert("RGB")
+
+
+def fitted_size(size: tuple[int, int], longest: int) -> tuple[int, int]:
+    """Width and height with the same proportions and ``longest`` as the longer side."""
+    scale = longest / max(size)
+    return max(1, round(size[0] * scale)), max(1, round(size[1] * scale))
+
+
+def degraded(image: Image.Image) -> Image.Image:
+    """A gray copy, blurred to a sixteenth of the resolution."""
+    small = ImageOps.grayscale(image).resize((max(1, image.width // 16), max(1, image.height // 16)))
+    return small.resize(image.size, Image.Resampling.BICUBIC).convert("RGB")
+
+
+def write_video(images: Sequence[Image.Image], path: Path, frames_per_second: int) -> None:
+    """An H.264 file that browsers play, without sound and without metadata."""
+    with av.open(str(path), "w", options={"movflags": "+faststart"}) as container:
+        stream = container.add_stream("libx264", rate=frames_per_second, options={"crf": "18", "preset": "fast"})
+        stream.pix_fmt = "yuv420p"
+        stream.width, stream.height = (side - side % 2 for side in images[0].size)
+        for image in images:
+            frame = av.VideoFrame.from_image(image.crop((0, 0, stream.width, stream.height)))
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())

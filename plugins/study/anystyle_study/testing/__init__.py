@@ -1,0 +1,1 @@
+"""The contract of the kinds that this package declares."""

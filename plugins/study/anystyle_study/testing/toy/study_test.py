@@ -1,0 +1,49 @@
+"""The sign test: how often ours won, against the toss of a coin."""
+
+import math
+from typing import ClassVar
+
+import numpy as np
+from scipy.stats import binom, binomtest
+
+from anystyle_study.contract import Responses, StudyTest, TestResult, Unit, generalization
+
+
+class ToyStudyTest(StudyTest):
+    """The exact sign test on mean answers; the estimate is their median.
+
+    Args:
+        confidence: Of the interval of the median.
+    """
+
+    units: ClassVar[tuple[Unit, ...]] = ("participant", "item")
+
+    def __init__(self, *, confidence: float = 0.95) -> None:
+        if not 0 < confidence < 1:
+            raise ValueError(f"confidence={confidence}: give a share between 0 and 1")
+        self.confidence = confidence
+
+    def __call__(self, responses: Responses) -> TestResult:
+        values = responses.deviations
+        ours, decided = int((values < 0).sum()), int((values != 0).sum())
+        if decided < 2:
+            return TestResult.untestable(responses, reason="fewer than two prefer either", alternative="less")
+        test = binomtest(ours, decided, alternative="greater")
+        # The median lies between the k-th values from both ends with at least this confidence, where k is not below 1.
+        rank = max(int(binom.ppf((1 - self.confidence) / 2, len(values), 0.5)), 1) - 1
+        low, high = np.sort(values)[[rank, len(values) - 1 - rank]]
+        return TestResult(
+            unit=responses.unit,
+            statistic=float(ours),
+            log_pvalue=math.log(test.pvalue),
+            alternative="less",
+            estimate=float(np.median(values)),
+            interval=(float(low), float(high)),
+            effect=ours / decided,
+            effect_name="share_preferring_ours",
+            effect_interval=tuple(test.proportion_ci(self.confidence)),
+            n=decided,
+            confidence=self.confidence,
+            method="exact sign test, ties left out",
+            generalizes_to=generalization(responses.unit),
+        )

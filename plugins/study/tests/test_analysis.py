@@ -1,0 +1,299 @@
+"""The analysis as a whole: its files, its words, its speed, and that no text gets out of hand."""
+
+import html.parser
+import json
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from scipy import stats
+from study_cases import answer_rows, small_study, write_csv
+
+from anystyle_study.analysis import Settings, analyze, as_json
+from anystyle_study.command import Study
+from anystyle_study.reading import read_responses
+from anystyle_study.report import html as report_html
+from anystyle_study.report import latex, markdown
+from anystyle_study.significance.crossed_t import CrossedT
+from anystyle_study.significance.one_sample_t import OneSampleT
+from anystyle_study.significance.ordinal_mixed import OrdinalMixed
+from anystyle_study.significance.sign_flip import SignFlip
+from anystyle_study.significance.wilcoxon import Wilcoxon
+from anystyle_study.wording import p_text, response_level, took_part, verdict
+
+TESTS = {
+    "one_sample_t": OneSampleT(),
+    "wilcoxon": Wilcoxon(),
+    "sign_flip": SignFlip(resamples=499),
+    "crossed_t": CrossedT(),
+    "ordinal_mixed": OrdinalMixed(),
+}
+QUESTIONS = ("style", "content", "overall")
+
+
+def study(*arguments, cwd, check=None):
+    """Run ``anystyle study`` as a person does."""
+    command = [sys.executable, "-m", "anystyle", "study", *map(str, arguments)]
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True)
+    if check is not None:
+        assert done.returncode == check, done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def analysis(tmp_path_factory):
+    rows = answer_rows(people=20, items=10, questions=QUESTIONS)
+    path = write_csv(tmp_path_factory.mktemp("answers") / "r.csv", rows)
+    return analyze(read_responses([path]), TESTS, Settings())
+
+
+def test_every_test_is_run_at_every_unit(analysis):
+    for question in as_json(analysis)["questions"].values():
+        run = [(row["name"], row["unit"]) for row in question["tests"]]
+        three = [(name, unit) for name in ("one_sample_t", "wilcoxon") for unit in ("response", "participant", "item")]
+        assert run == [*three, *((name, "participant") for name in ("sign_flip", "crossed_t", "ordinal_mixed"))]
+        for row in question["tests"]:
+            assert {"statistic", "pvalue", "alternative", "estimate", "interval", "effect", "n"} <= set(row)
+            assert row["interval"] == [None, None] or row["interval"][0] <= row["estimate"] <= row["interval"][1]
+
+
+def test_the_published_tests_come_from_the_plain_scores(tmp_path):
+    rows = answer_rows(people=20, items=10)
+    found = as_json(analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, Settings()))
+    scores = np.array([score if side == "A" else 6 - score for _, _, _, score, side in rows]).reshape(20, 10)
+    tests = {(row["name"], row["unit"]): row for row in found["questions"]["style"]["tests"]}
+    for unit, values in (("response", scores.ravel()), ("participant", scores.mean(1)), ("item", scores.mean(0))):
+        t = stats.ttest_1samp(values, 3)
+        w = stats.wilcoxon(values - 3, method="approx", correction=False)
+        assert tests["one_sample_t", unit]["pvalue"] == pytest.approx(t.pvalue, rel=1e-10)
+        assert tests["one_sample_t", unit]["statistic"] == pytest.approx(t.statistic, rel=1e-10)
+        assert tests["wilcoxon", unit]["pvalue"] == pytest.approx(w.pvalue, rel=1e-10)
+    assert found["questions"]["style"]["mean"] == pytest.approx(scores.mean())
+    assert found["questions"]["style"]["distribution"] == {str(k): int((scores == k).sum()) for k in range(1, 6)}
+
+
+def test_holm_is_over_the_questions(analysis):
+    rows = [question["tests"][1] for question in as_json(analysis)["questions"].values()]
+    ordered = sorted(rows, key=lambda row: row["pvalue"])
+    assert ordered[0]["pvalue_holm"] == pytest.approx(min(1, 3 * ordered[0]["pvalue"]), rel=1e-9)
+    assert all(row["pvalue_holm"] >= row["pvalue"] * (1 - 1e-9) for row in rows)
+
+
+def test_the_report_says_what_response_level_tests_do(analysis):
+    page = report_html(analysis)
+    assert "counts every answer as an independent one" in page
+    assert "instead of 5 %" in response_level(analysis)
+    rate = analysis.questions[0].variation.naive_error_rate
+    assert f"{100 * rate:.0f} %" in page
+
+
+def test_nothing_reassures_about_participants_who_are_too_few(tmp_path):
+    rows = answer_rows(people=4, items=10)
+    few = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, Settings())
+    assert "too few to show how much people differ" in response_level(few)
+
+
+SCENES = "participant,item,question,score,ours_is,scene,style"
+
+
+def judged(tmp_path, deviations, settings):
+    """An analysis of a table of deviations, participants by items, ours always A."""
+    rows = [
+        (f"P{person:02d}", f"S{item:02d}", "style", 3 + deviation, "A", f"c{item % 5}", f"t{item // 5}")
+        for person, row in enumerate(deviations)
+        for item, deviation in enumerate(row)
+    ]
+    records = read_responses([write_csv(tmp_path / "r.csv", rows, SCENES)])
+    return analyze(records, {"crossed_t": CrossedT(confidence=settings.confidence)}, settings)
+
+
+@pytest.mark.parametrize(
+    ("shift", "spread", "words"),
+    [
+        (-0.9, 0.5, "Ours is preferred, and"),
+        (0.9, 0.5, "Theirs is preferred, and"),
+        (-0.12, 0.4, "Ours is preferred, by less than the margin of 0.5 points"),
+        (0.0, 0.5, "Comparable for new participants, scenes and styles"),
+        (0.0, 1.9, "No preference is shown"),
+    ],
+)
+def test_a_verdict_is_a_preference_or_comparable_and_never_both(tmp_path, shift, spread, words):
+    random = np.random.default_rng(1)
+    latent = shift + random.normal(0, 0.6, (30, 20)) + (random.normal(0, 0.5, (30, 1)) if spread > 1 else 0)
+    latent += random.normal(0, 0.8, (1, 20)) if spread > 1 else 0
+    latent -= latent.mean() - shift
+    found = judged(tmp_path, np.clip(np.rint(latent), -2, 2).astype(int), Settings(margin=0.25))
+    (question,) = found.questions
+    text = verdict(found, question)
+    assert text.startswith(words)
+    assert ("preferred" in text) + ("Comparable" in text) + ("No preference" in text) == 1
+    low, high = question.primary.result.interval
+    assert question.equivalence.shown == (low > -0.5 and high < 0.5)
+    assert (question.equivalence.pvalue < 0.025) == question.equivalence.shown
+
+
+def test_confidence_and_alternative_reach_every_figure(tmp_path):
+    rows = answer_rows(people=20, items=10)
+    write_csv(tmp_path / "r.csv", rows)
+    results = {}
+    for words in (("--confidence", 0.9), ("--confidence", 0.99), ("--alternative", "less"), ("--seed", 5)):
+        study("analyze", "r.csv", "--out", f"out{words[-1]}", "--no-report", *words, cwd=tmp_path, check=0)
+        content = json.loads((tmp_path / f"out{words[-1]}" / "analysis.json").read_text())
+        results[words[-1]] = content["questions"]["style"]
+
+    def intervals(question):
+        listed = [*question["tests"], *question["effects"], *question["items"], question["position"]]
+        return np.array([one["interval"] for one in listed], dtype=float)
+
+    narrow, wide = (np.diff(intervals(results[share])).ravel() for share in (0.9, 0.99))
+    given = np.isfinite(narrow) & np.isfinite(wide)
+    assert given.sum() >= 15
+    assert (narrow[given] < wide[given]).all()
+    assert all(test["interval"][0] is None for test in results["less"]["tests"])
+    assert {test["alternative"] for test in results["less"]["tests"]} == {"less"}
+    flips = [next(t for t in results[key]["tests"] if t["name"] == "sign_flip")["interval"] for key in (0.9, 5)]
+    assert flips[0] != flips[1]
+
+
+def test_no_verdict_where_most_are_excluded_or_one_is_left(tmp_path):
+    rows = [(*row, "") for row in answer_rows(people=10, items=8, shift=-1.5)]
+    rows += [(f"P{person:02d}", "check", "style", 1 if person < 6 else 5, "", 5) for person in range(10)]
+    path = write_csv(tmp_path / "r.csv", rows, "participant,item,question,score,ours_is,expected")
+    found = analyze(read_responses([path]), TESTS, Settings())
+    assert verdict(found, found.questions[0]) == "No conclusion is possible: 6 of 10 participants were excluded."
+    assert "6 were left out (6 for more than 0 attention checks failed)" in took_part(found)
+    one = answer_rows(people=1, items=8, shift=-1.5)
+    found = analyze(read_responses([write_csv(tmp_path / "s.csv", one)]), TESTS, Settings())
+    assert "No conclusion is possible: one participant" in verdict(found, found.questions[0])
+
+
+def test_a_designed_study_is_undone_and_reported(tmp_path):
+    """Answers as the form keeps them: the design says where ours was, what is a check, and who was to answer what."""
+    designed, _ = small_study(tmp_path, participants=12, repeats=1)
+    rows = []
+    for number, participant in enumerate(designed.participants):
+        for name in participant.order[: 2 if number == 5 else None]:
+            prefers = name in participant.ours_is_a  # everybody likes ours, and what is intact
+            rows.append((designed.id, participant.id, name, "style", "", 2 if prefers else 4, 9))
+            for side in "AB":
+                rows.append(
+                    (designed.id, participant.id, name, "content", side, 3 if (side == "A") == prefers else 2, 9)
+                )
+    write_csv(tmp_path / "a.csv", rows, "study,participant,item,question,side,score,seconds")
+    done = study("analyze", "a.csv", "--study", "study", "--out", "out", cwd=tmp_path, check=0)
+    assert "style: " in done.stdout
+    content = json.loads((tmp_path / "out" / "analysis.json").read_text())
+    assert content["questions"]["style"]["mean"] == 2
+    assert content["questions"]["content"]["ratings"] == {"ours": 3.0, "theirs": 2.0}
+    assert [one["participant"] for one in content["checks"]["missing"]] == ["P06"]
+    assert [one["participant"] for one in content["checks"]["excluded"]] == ["P06"]
+    assert content["checks"]["failed_attention_check"] == []
+    page, paper = ((tmp_path / "out" / name).read_text() for name in ("report.html", "results.md"))
+    assert page.index("Registered plan") < page.index("Results") < page.index("Best for ours")
+    assert page.count('<img alt="ours"') == page.count('<img alt="other"') > 0
+    assert all(f"{item.scene}</td><td>{item.style}" in page for item in designed.items)
+    assert designed.id in paper and "nan" not in paper.replace("anan", "")
+    refused = study("analyze", "a.csv", "--out", "other", cwd=tmp_path, check=2)
+    assert "does not say where ours was" in refused.stderr
+
+
+class Texts(html.parser.HTMLParser):
+    """The tags of a page, and what it loads."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.tags, self.links = set(), []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.add(tag)
+        self.links += [
+            value
+            for name, value in attrs
+            if name in ("src", "href", "xlink:href") and value and not value.startswith("#")
+        ]
+
+
+def test_no_text_gets_out_of_hand(tmp_path):
+    evil = "<script>alert(1)</script>"
+    rows = [(*row, "") for row in answer_rows(people=4, items=4)]
+    rows = [(row[0].replace("P01", f"{evil}&"), row[1].replace("S01", "$x_1$ | `a`"), *row[2:]) for row in rows]
+    rows = [(*row[:2], f"style {evil}", *row[3:]) for row in rows]
+    rows[0] = (*rows[0][:5], "=HYPERLINK(1) <img src=x onerror=alert(1)>")
+    path = write_csv(tmp_path / "r.csv", rows, "participant,item,question,score,ours_is,comment")
+    found = analyze(read_responses([path]), {"one_sample_t": OneSampleT()}, Settings())
+    page = report_html(found, title=evil)
+    parser = Texts()
+    parser.feed(page)
+    assert "<script" not in page
+    assert "<img" not in page
+    assert not parser.tags & {"script", "img", "iframe", "object", "link"}
+    assert parser.links == []
+    assert "&lt;img src=x onerror=alert(1)&gt;" in page
+    assert "<script" not in markdown(found)
+    assert "<script" not in latex(found)
+
+
+@pytest.mark.parametrize("score", [3, 2])
+@pytest.mark.parametrize(("people", "items"), [(1, 6), (6, 1), (1, 1), (6, 6)])
+def test_answers_that_say_little_give_a_report_all_the_same(tmp_path, people, items, score):
+    rows = [(*row[:3], score if row[4] == "A" else 6 - score, row[4]) for row in answer_rows(people, items)]
+    found = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, Settings())
+    content = json.loads(json.dumps(as_json(found), allow_nan=False))
+    for row in content["questions"]["style"]["tests"]:
+        assert row["pvalue"] is not None or row["note"]
+    assert content["questions"]["style"]["mean"] == score
+    assert len(report_html(found)) > 10_000
+    for text in (markdown(found), latex(found), "".join(verdict(found, one) for one in found.questions)):
+        assert "nan" not in text
+    if people == 1:
+        assert any("One participant" in note for note in found.checks.notes)
+
+
+def test_p_values_as_people_write_them():
+    texts = ["= 0.050", "= 1.000", "= 0.0004", "= 3.47e-40", "n/a"]
+    assert [p_text(p) for p in (0.0499, 0.99999, 0.00042, 3.47e-40, math.nan)] == texts
+    assert p_text(5e-324, -591.2) == "= 1e-591"
+
+
+def test_the_command_writes_everything_twice_the_same(tmp_path):
+    write_csv(tmp_path / "r.csv", answer_rows(people=10, items=6, questions=("style", "content")))
+    words = ("analyze", "r.csv", "sign_flip.resamples=199")
+    done = study(*words, "--out", "one", cwd=tmp_path, check=0)
+    assert "style: " in done.stdout
+    study(*words, "--out", "two", cwd=tmp_path, check=0)
+    names = sorted(path.relative_to(tmp_path / "one").as_posix() for path in (tmp_path / "one").rglob("*.*"))
+    assert names == [
+        ".anystyle",  # what was written here, so that nothing else is ever replaced
+        "analysis.json",
+        *(f"figures/{name}.{suffix}" for name in ("likert", "means", "positions") for suffix in ("pdf", "svg")),
+        "report.html",
+        "results.md",
+        "results.tex",
+    ]
+    for name in names:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes(), name
+    tests = json.loads((tmp_path / "one" / "analysis.json").read_text())["questions"]["style"]["tests"]
+    assert any("199 sign patterns" in row["method"] for row in tests)
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("nowhere.csv", "--out", "out"), "no table of answers nowhere.csv"),
+        (("r.csv", "--out", "out", "--scale", "5", "1"), "scale 5 to 1"),
+        (("r.csv", "--out", "out", "--test", "t_tset"), "t_tset"),
+        (("r.csv", "nothing=1", "--out", "out"), "TEST.OPTION=VALUE"),
+        (("r.csv", "--out", "out", "--confidence", "95"), "0.95"),
+        (("r.csv", "--out", "out", "--margin", "5"), "--margin 5"),
+        (("r.csv", "--out", "out", "--margin", "0.1", "--alternative", "less"), "two-sided"),
+    ],
+)
+def test_errors_leave_nothing(tmp_path, words, told, monkeypatch):
+    write_csv(tmp_path / "r.csv", answer_rows(people=4, items=4))
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ValueError) as error:
+        Study()(["analyze", *words])
+    assert told in str(error.value)
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,213 @@
+"""The statistics against scipy, brute force and high precision."""
+
+import itertools
+import math
+from dataclasses import replace
+
+import mpmath
+import numpy as np
+import pytest
+from scipy import stats
+
+from anystyle_study import clmm
+from anystyle_study.contract import Responses
+from anystyle_study.crossed import Crossing
+from anystyle_study.effects import effects, krippendorff_alpha
+from anystyle_study.probability import holm, log_t_cdf
+from anystyle_study.significance.crossed_t import CrossedT
+from anystyle_study.significance.one_sample_t import OneSampleT
+from anystyle_study.significance.ordinal_mixed import OrdinalMixed
+from anystyle_study.significance.sign_flip import SignFlip
+from anystyle_study.significance.wilcoxon import Wilcoxon
+
+
+def table(deviations, ours_is_a=None) -> Responses:
+    """Responses of a complete table, participants by items."""
+    deviations = np.asarray(deviations, dtype=float)
+    people, items = deviations.shape
+    participant, item = np.divmod(np.arange(people * items), items)
+    return Responses(
+        question="style",
+        deviations=deviations.ravel(),
+        participants=participant,
+        items=item,
+        ours_is_a=None if ours_is_a is None else np.asarray(ours_is_a).ravel(),
+        participant_names=tuple(f"P{index}" for index in range(people)),
+        item_names=tuple(f"S{index}" for index in range(items)),
+    )
+
+
+def answers(seed: int, people: int = 40, items: int = 20, shift: float = -0.3) -> Responses:
+    random = np.random.default_rng(seed)
+    latent = random.normal(shift, 1, (people, items)) + random.normal(0, 0.5, (people, 1))
+    return table(np.clip(np.round(latent), -2, 2), random.random((people, items)) < 0.5)
+
+
+@pytest.mark.parametrize("alternative", ["less", "greater", "two-sided"])
+@pytest.mark.parametrize("unit", ["response", "participant", "item"])
+@pytest.mark.parametrize("seed", range(4))
+def test_t_equals_scipy(seed, unit, alternative):
+    rows = answers(seed).at(unit)
+    mine, theirs = (
+        OneSampleT(alternative=alternative)(rows),
+        stats.ttest_1samp(rows.deviations, 0, alternative=alternative),
+    )
+    assert mine.statistic == pytest.approx(theirs.statistic, rel=1e-12)
+    assert mine.pvalue == pytest.approx(theirs.pvalue, rel=1e-10)
+    interval = theirs.confidence_interval()
+    assert mine.interval == pytest.approx((interval.low, interval.high), rel=1e-10)
+    assert mine.n == rows.count and mine.estimate == pytest.approx(rows.deviations.mean(), abs=1e-14)
+
+
+@pytest.mark.parametrize("zero_method", ["wilcox", "pratt", "zsplit"])
+@pytest.mark.parametrize("alternative", ["less", "greater", "two-sided"])
+@pytest.mark.parametrize("unit", ["response", "participant", "item"])
+def test_wilcoxon_equals_scipy_with_ties_and_zeros(unit, alternative, zero_method):
+    for seed in range(3):
+        rows = answers(seed).at(unit)
+        mine = Wilcoxon(alternative=alternative, zero_method=zero_method, method="approx")(rows)
+        theirs = stats.wilcoxon(
+            rows.deviations, alternative=alternative, zero_method=zero_method, method="approx", correction=False
+        )
+        if alternative != "two-sided":  # where scipy reports the smaller rank sum
+            assert mine.statistic == theirs.statistic
+        assert mine.pvalue == pytest.approx(theirs.pvalue, rel=1e-10)
+
+
+@pytest.mark.parametrize(("shift", "exponent"), [(-0.52, -50), (-1.05, -150), (-1.9, -299)])
+def test_tiny_p_values_agree_and_do_not_underflow(shift, exponent):
+    random = np.random.default_rng(1)
+    values = random.normal(shift, 1, 1500)
+    rows = table(values[:, None])
+    for mine, theirs in (
+        (OneSampleT(alternative="less")(rows), stats.ttest_1samp(values, 0, alternative="less")),
+        (
+            Wilcoxon(alternative="less", method="approx")(rows),
+            stats.wilcoxon(values, alternative="less", method="approx", correction=False),
+        ),
+    ):
+        assert mine.pvalue > 0
+        if theirs.pvalue > 1e-300:
+            assert mine.pvalue == pytest.approx(theirs.pvalue, rel=1e-10)
+            assert mine.log10_pvalue == pytest.approx(math.log10(theirs.pvalue), rel=1e-12)
+    assert OneSampleT(alternative="less")(rows).log10_pvalue < exponent
+
+
+@pytest.mark.parametrize(
+    ("statistic", "df"),
+    [(-2.0, 39), (-14.0, 799), (-60.0, 5000), (-37.1, 100_000), (-1e8, 39), (-300.0, 99_999), (2.0, 5)],
+)
+def test_t_tail_against_forty_digits(statistic, df):
+    with mpmath.workdps(40):
+        half, ratio = mpmath.mpf(df) / 2, df / (df + mpmath.mpf(statistic) ** 2)
+        tail = mpmath.betainc(half, mpmath.mpf(1) / 2, 0, ratio, regularized=True) / 2
+        expected = float(mpmath.log(tail if statistic < 0 else 1 - tail))
+    assert log_t_cdf(statistic, float(df)) == pytest.approx(expected, rel=1e-12)
+
+
+def test_holm_equals_its_definition():
+    pvalues = np.sort(np.random.default_rng(0).random(9) ** 3)
+    expected = [min(1.0, max((9 - j) * pvalues[j] for j in range(i + 1))) for i in range(9)]
+    shuffle = np.random.default_rng(1).permutation(9)
+    assert np.exp(holm(np.log(pvalues[shuffle]).tolist())) == pytest.approx(np.array(expected)[shuffle], rel=1e-12)
+    assert holm([math.nan, math.log(0.01)]) == pytest.approx([math.nan, math.log(0.01)], nan_ok=True)
+
+
+def test_sign_flip_equals_enumeration():
+    sums = np.random.default_rng(3).integers(-9, 8, 11)
+    result = SignFlip(alternative="less")(table(sums[:, None] / 4))
+    flipped = [np.dot(signs, sums) for signs in itertools.product((-1, 1), repeat=11)]
+    assert result.pvalue == pytest.approx(np.mean(np.array(flipped) <= sums.sum()), rel=1e-10)
+    two_sided = SignFlip()(table(sums[:, None] / 4)).pvalue
+    assert two_sided == pytest.approx(np.mean(np.abs(flipped) >= abs(sums.sum())), rel=1e-10)
+
+
+def test_effects_equal_their_definitions():
+    rows = answers(2)
+    results = {effect.name: effect for effect in effects(rows)}
+    d = rows.deviations
+    assert results["cohens_d"].estimate == pytest.approx(d.mean() / d.std(ddof=1), rel=1e-12)
+    assert results["probability_of_superiority"].estimate == pytest.approx(np.mean(d < 0) + np.mean(d == 0) / 2)
+    ranks = stats.rankdata(np.abs(d[d != 0]))
+    signed = (ranks * np.sign(d[d != 0])).sum() / ranks.sum()
+    assert Wilcoxon()(rows).effect == pytest.approx(signed, rel=1e-12)
+    assert all(effect.interval[0] < effect.estimate < effect.interval[1] for effect in results.values())
+
+
+def test_krippendorff_alpha_of_the_published_example():
+    # Krippendorff (2011), "Computing Krippendorff's Alpha-Reliability": four observers, twelve units, ordinal 0.815.
+    observers = [
+        "1 2 3 3 2 1 4 1 2 . . .",
+        "1 2 3 3 2 2 4 1 2 5 . 3",
+        ". 3 3 3 2 3 4 2 2 5 1 .",
+        "1 2 3 3 2 4 4 1 2 5 1 .",
+    ]
+    counts = np.zeros((12, 5))
+    for line in observers:
+        for unit, value in enumerate(line.split()):
+            if value != ".":
+                counts[unit, int(value) - 1] += 1
+    assert krippendorff_alpha(counts) == pytest.approx(0.815, abs=5e-4)
+
+
+def test_crossed_moments_are_unbiased_in_an_incomplete_table():
+    """The expected squares of independent effects, by trace, against plain linear algebra."""
+    random = np.random.default_rng(0)
+    factors = {name: random.integers(0, size, 60) for name, size in (("participants", 9), ("items", 7), ("styles", 3))}
+    members = [np.eye(int(codes.max()) + 1)[codes] for codes in factors.values()]
+    variances, center = (0.5, 0.3, 0.2, 1.1), np.eye(60) - 1 / 60
+    covariance = sum(v * m @ m.T for v, m in zip(variances, [*members, np.eye(60)], strict=True))
+    root = np.linalg.cholesky(covariance)
+    # Columns whose outer products sum to the covariance stand for all draws: moments are quadratic.
+    crossing = Crossing(factors=factors)
+    raw = crossing._inverse @ np.array(
+        [*(((m.T @ center @ root) ** 2).sum() for m in members), ((center @ root) ** 2).sum()]
+    )
+    assert raw == pytest.approx(variances, rel=1e-9)
+
+
+def test_scenes_and_styles_widen_the_interval_and_the_claim():
+    rows = answers(3)
+    names = [tuple(f"{i % 5}" for i in range(20)), tuple(f"{i // 5}" for i in range(20))]
+    shared = replace(rows, item_scenes=names[0], item_styles=names[1])
+    assert CrossedT()(rows).generalizes_to == ("participants", "items")
+    assert CrossedT()(shared).generalizes_to == ("participants", "scenes", "styles")
+    two = replace(shared, item_scenes=tuple(f"{i % 2}" for i in range(20)))
+    assert two.populations == ("participants", "styles")  # two scenes speak of no others
+    alone = replace(rows, item_scenes=rows.item_names, item_styles=rows.item_names)
+    assert alone.populations == ("participants", "scenes", "styles")
+    assert CrossedT()(alone).interval == CrossedT()(rows).interval
+
+
+def test_one_sided_claims_have_one_sided_intervals():
+    rows = answers(4)
+    for test in (OneSampleT, Wilcoxon, SignFlip, CrossedT, OrdinalMixed):
+        unit = test.units[-1]
+        both, less, greater = (
+            test(alternative=alternative)(rows.at(unit)) for alternative in ("two-sided", "less", "greater")
+        )
+        assert less.interval[0] == -math.inf and greater.interval[1] == math.inf, test
+        assert both.interval[0] < greater.interval[0] < less.interval[1] < both.interval[1], test
+        assert both.pvalue == pytest.approx(2 * min(less.pvalue, greater.pvalue), rel=0.05)
+
+
+def test_ties_that_leave_no_interval_are_told():
+    result = Wilcoxon()(table(np.repeat([0.0, -1.0, 1.0], [80, 12, 8])[:, None]))
+    assert math.isnan(result.interval[0])
+    assert "ties" in result.note
+
+
+@pytest.mark.parametrize("shape", [(12, 7), (5, 9)])
+@pytest.mark.parametrize("neutral", [True, False])
+def test_ordinal_likelihood_gradient_equals_differences(shape, neutral):
+    random = np.random.default_rng(0)
+    values = random.integers(-2, 3, shape) + (0.0 if neutral else 0.5)
+    rows = table(values, random.random(shape) < 0.5)
+    model = clmm.OrdinalModel(responses=replace(rows, item_styles=tuple(f"{i % 3}" for i in range(shape[1]))))
+    place = np.concatenate(
+        [[-0.3, 0.2], random.normal(0, 0.3, model.num_thresholds), [0.8, 0.5, 0.4][: len(model.levels)]]
+    )
+    _, gradient = model.loglikelihood(place)
+    moves = 1e-5 * np.eye(len(place))
+    differences = [(model.loglikelihood(place + m)[0] - model.loglikelihood(place - m)[0]) / 2e-5 for m in moves]
+    assert gradient == pytest.approx(differences, abs=2e-5)

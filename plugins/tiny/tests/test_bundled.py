@@ -1,0 +1,73 @@
+"""The bundled tiny encoder on styles held out from its training: the figures its model card states."""
+
+import pytest
+import torch
+
+from anystyle.contracts import neutral_embedding
+from anystyle.io.checkpoint import Header, load_part
+from anystyle.vision import weights
+from anystyle_tiny.procedural.scenes import ProceduralScenes
+from anystyle_tiny.procedural.styles import ProceduralStyles
+from anystyle_tiny.style_encoder import KNOTS, Tiny, ramp
+from anystyle_tiny.training.perceptual import palette_loss
+
+COUNT = 200
+
+
+@pytest.fixture(scope="module")
+def loaded() -> tuple[Tiny, Header]:
+    encoder = Tiny().eval().requires_grad_(False)
+    return encoder, load_part(weights.find("tiny_style_encoder"), encoder, "style_encoder")
+
+
+@pytest.fixture(scope="module")
+def encoder(loaded: tuple[Tiny, Header]) -> Tiny:
+    return loaded[0]
+
+
+@pytest.fixture(scope="module")
+def heldout(encoder: Tiny) -> dict[str, torch.Tensor]:
+    styles = ProceduralStyles(size=96, split="heldout")
+    read = [styles.read(style) for style in range(COUNT)]
+    images = torch.cat([style.image for style in read])
+    return {
+        "images": images,
+        "pictures": encoder.embed_images(images),
+        "captions": encoder.embed_texts([style.text[0] for style in read]),
+    }
+
+
+def test_captions_and_pictures_of_unseen_combinations_find_each_other(heldout: dict[str, torch.Tensor]) -> None:
+    """The right one of 100, both ways."""
+    own = torch.arange(100)
+    hits = [
+        (similarity.argmax(axis) == own).float().mean()
+        for start in (0, 100)
+        for similarity in (heldout["pictures"][start : start + 100] @ heldout["captions"][start : start + 100].T,)
+        for axis in (0, 1)
+    ]
+    assert min(hits) > 0.8
+    assert torch.stack(hits).mean() > 0.85
+
+
+def test_embeddings_tell_the_palette(encoder: Tiny, heldout: dict[str, torch.Tensor]) -> None:
+    for kind in ("pictures", "captions"):
+        own = palette_loss(encoder.palette(heldout[kind]), heldout["images"]).sqrt().mean()
+        other = palette_loss(encoder.palette(heldout[kind].roll(7, 0)), heldout["images"]).sqrt().mean()
+        assert own < 0.6 * other
+
+
+def test_palettes_are_the_ramps_of_pictures_from_dark_to_light(encoder: Tiny, heldout: dict[str, torch.Tensor]) -> None:
+    """To 1.5 % of what ramps vary for pictures; a caption leaves shades and shares open."""
+    wanted = ramp(heldout["images"], KNOTS)
+    varies = (wanted - wanted.mean(0)).square().mean()
+    for kind, left in (("pictures", 0.015), ("captions", 0.3)):
+        assert (encoder.palette(heldout[kind]) - wanted).square().mean() < left * varies
+
+
+def test_photographs_lie_at_the_neutral_prompt(encoder: Tiny, heldout: dict[str, torch.Tensor]) -> None:
+    scenes = ProceduralScenes(size=64, split="heldout", num_scenes=8, views=2)
+    photos = torch.cat([scenes.read(scene, [0]).images[0] for scene in range(8)])
+    neutral = neutral_embedding(encoder)[0]
+    # The one that is farthest from it is still nearer than all but a few pictures of styles.
+    assert (encoder.embed_images(photos) @ neutral).min() > (heldout["pictures"] @ neutral).quantile(0.98)

@@ -1,0 +1,84 @@
+"""The tiny style encoder: its contract's numbers, and what whitening does."""
+
+import pytest
+import torch
+
+from anystyle_tiny.style_encoder import COLORS, KNOTS, Tiny, colors, ramp
+from oracle import smooth_image
+
+TEXTS = ("red dots", "thick swirling strokes in deep blue and gold, very large", "a photo", "a")
+
+
+@pytest.fixture(scope="module")
+def encoder() -> Tiny:
+    torch.manual_seed(0)
+    return Tiny().eval()
+
+
+def test_a_text_means_the_same_alone_and_in_company(encoder: Tiny) -> None:
+    together = encoder.embed_texts(TEXTS)
+    alone = torch.cat([encoder.embed_texts([text]) for text in TEXTS])
+    torch.testing.assert_close(together, alone, rtol=1e-4, atol=1e-5)
+    torch.testing.assert_close(together.norm(dim=-1), torch.ones(4))
+
+
+def test_order_of_words_matters_and_case_does_not(encoder: Tiny) -> None:
+    first, second, shouted = encoder.embed_texts(["red dots on blue", "blue dots on red", "RED dots, on BLUE!"])
+    torch.testing.assert_close(first, shouted)
+    assert (first - second).norm() > 1e-3
+
+
+def test_gradients_reach_every_pixel_even_of_a_flat_image(encoder: Tiny) -> None:
+    images = torch.stack([smooth_image(3, [3, 63, 63]), torch.full((3, 63, 63), 0.5)]).requires_grad_()
+    encoder.embed_images(images)[:, :7].sum().backward()
+    assert torch.isfinite(images.grad).all()
+    assert (images.grad[0].abs().amax(0) > 0).all()
+
+
+def test_whitening_levels_the_spectrum_and_centres_both_modalities() -> None:
+    torch.manual_seed(0)
+    encoder = Tiny(dim=8).eval()
+    images = smooth_image(50, [32, 3, 35, 35]) * torch.rand(32, 3, 1, 1)
+    texts = [f"{color} {shape} {place}" for color in "abcd" for shape in "efgh" for place in "ijklmn"]
+
+    def spread(vectors: torch.Tensor) -> float:
+        values = torch.linalg.eigvalsh(torch.cov(vectors.T))
+        return (values[-1] / values[2]).item()
+
+    with torch.no_grad():
+        before = spread(encoder.embed_images(images))
+        encoder.whiten(images, texts, floor=0.001)
+        raw = torch.cat(
+            [
+                encoder.image_tower(images) - encoder.image_mean,
+                encoder.text_tower(texts) - encoder.text_mean,
+            ]
+        )
+        torch.testing.assert_close(raw.mean(0), torch.zeros(8), atol=1e-5, rtol=0)
+        # W C W with the floor: eigenvalues s / (s + floor) up to one common factor.
+        covariance = torch.cov((encoder.image_tower(images) - encoder.image_mean).T)
+        covariance = (covariance + torch.cov((encoder.text_tower(texts) - encoder.text_mean).T)) / 2
+        values = torch.linalg.eigvalsh(covariance)
+        found = torch.linalg.eigvalsh(encoder.whitening @ covariance @ encoder.whitening)
+        expected = (values / (values + 0.001 * values[-1])).sort().values
+        torch.testing.assert_close(found / found[-1], expected / expected[-1], rtol=2e-2, atol=1e-3)
+        assert spread(encoder.embed_images(images)) < before
+
+
+def test_the_palette_of_a_mixture_is_the_mixture_of_the_palettes(encoder: Tiny) -> None:
+    vectors = encoder.embed_texts(TEXTS)
+    palette = encoder.palette(vectors)
+    assert palette.shape == (4, KNOTS, 3)
+    torch.testing.assert_close(
+        encoder.palette(vectors.lerp(vectors.roll(1, 0), 0.3)), palette.lerp(palette.roll(1, 0), 0.3)
+    )
+
+
+def test_colours_are_read_off_more_pixels_than_textures(encoder: Tiny) -> None:
+    """Lines of one pixel survive at 96 pixels and are grey at 64: the ramp is that of the image."""
+    lines = torch.zeros(1, 3, 96, 96)
+    lines[..., ::2] = 1
+    read = colors(lines)[0, :, 0]
+    torch.testing.assert_close(read, (torch.arange(len(read)) >= len(read) // 2).float())
+    small = torch.rand(1, 3, 20, 30, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(colors(small), ramp(small, COLORS))

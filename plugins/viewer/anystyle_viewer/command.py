@@ -1,0 +1,80 @@
+"""``anystyle view``: a scene in the browser, or as one HTML file."""
+
+import argparse
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+from anystyle.commands._flags import new_parser, split
+from anystyle.pipeline.export import export_styles
+from anystyle.pipeline.load import load_model
+from anystyle.pipeline.options import PoseOptions
+from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.saved import UNSTYLED, is_saved, read_saved
+from anystyle.pipeline.stages import Stages
+from anystyle.pipeline.stylize import encode_inputs
+from anystyle.registry.compose import compose, options
+from anystyle.registry.socket import Command
+from anystyle.vision.weights import license_lines, licenses
+from anystyle_viewer.session import CACHE_SIZE, Session
+
+
+def parser() -> argparse.ArgumentParser:
+    """The flags of ``anystyle view``; all other words are Hydra's, as those of ``anystyle stylize``."""
+    about = "Look at a scene, and give it styles: photographs, a folder of anystyle stylize, or a PLY file."
+    flags = new_parser("view", about)
+    flags.add_argument("input", type=Path, help="a folder of photographs or of results, a video, or a .ply file")
+    flags.add_argument("--html", type=Path, metavar="FILE", help="write one page with all saved styles, and end")
+    flags.add_argument("--port", type=int, default=8080, help="0 takes a free one (default: %(default)s)")
+    flags.add_argument(
+        "--keep", type=Path, default=Path("out/view"), help="stores styles and uploaded images (default: %(default)s)"
+    )
+    return flags
+
+
+def open_session(path: Path, words: Sequence[str], folder: Path | None = None) -> Session:
+    """Encode photographs, or a saved scene by its renders, ready for styles."""
+    config = compose("stylize", list(words))
+    stages = Stages(lambda stage, progress: print(f"{stage} {progress.line} …", file=sys.stderr, flush=True))
+    with stages("load", "the model"):
+        model = load_model(config)
+    encoded = encode_inputs(
+        path,
+        model.stylizer,
+        options(config, "views"),
+        PoseOptions(config.poses or model.poses, config.poses_from),
+        options(config, "splat"),
+        model.reconstruction,
+        stages,
+    )
+    styles, notes = {}, list(license_lines(licenses(model.weights)))
+    if is_saved(path) and path.is_dir():
+        saved = read_saved(path)
+        styles = {title: scene for title, scene in saved.styles if title != UNSTYLED}
+        notes = list(dict.fromkeys((*saved.notes, *notes)))
+    return Session(Restyler(encoded, model.method, keep=CACHE_SIZE), saved=styles, folder=folder, notes=notes)
+
+
+class View(Command):
+    """A scene in the browser, restyled while one looks; or as one HTML file that needs no network."""
+
+    def __call__(self, words: Sequence[str]) -> None:
+        arguments, overrides = split(parser(), words)
+        if arguments.html is not None:
+            saved = read_saved(arguments.input)
+            export_styles(replace(saved, title=arguments.input.resolve().stem), arguments.html, "html")
+            size = arguments.html.stat().st_size / 1e6
+            print(f"{arguments.html}: {len(saved.styles)} styles, {size:.2f} MB; open it in any browser")
+            return
+        if find_spec("viser") is None:
+            raise ImportError('anystyle view needs viser; pip install "anystyle[viewer]"')
+        from anystyle_viewer.viewer import Viewer
+
+        opened, folder = (str(arguments.input), overrides), arguments.keep
+        with Viewer(open_session(arguments.input, overrides, folder), folder, opened, arguments.port) as viewer:
+            print(f"{viewer.server.url} shows {arguments.input}; Ctrl-C ends it", flush=True)
+            while True:
+                time.sleep(3600)

@@ -1,0 +1,234 @@
+"""The viewer: a session on viser's page. The style is shared by all browsers; each has a view of its own."""
+
+import contextlib
+import io
+import tempfile
+import threading
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import viser
+
+from anystyle.errors import UserError, one_line
+from anystyle.io.sheet import to_pil
+from anystyle.pipeline.export import export, export_styles
+from anystyle.registry.catalog import catalog
+from anystyle.types import Gaussians, StyledScene
+from anystyle_viewer.camera_path import CameraPath, pose_of
+from anystyle_viewer.client_view import ClientView, splat_arrays
+from anystyle_viewer.page import MAX_UPLOAD, data_url, page, store_upload, style_row, title_of
+from anystyle_viewer.server import LOOPBACK, PageServer
+from anystyle_viewer.session import Session, StyleRequest
+
+NO_STYLE = "—"
+THUMBNAIL_HEIGHT = 72
+VISER_PAGE = Path(viser.__file__).parent / "client" / "build" / "index.html"
+
+OnFrame = Callable[[int, int], None]
+
+
+class Viewer(contextlib.AbstractContextManager["Viewer"]):
+    """A running viewer; as a context manager it is closed at the end."""
+
+    def __init__(self, session: Session, folder: Path, command: tuple[str, Sequence[str]], port: int = 0) -> None:
+        self.session, self._folder, self._command_words = session, folder, command
+        self.encoded, self.unstyled = session.restyler.encoded, session.restyler.unstyled
+        self.path = CameraPath(self.encoded, self.unstyled)
+        with contextlib.redirect_stdout(io.StringIO()):  # viser prints its own port
+            self.viser = viser.ViserServer(LOOPBACK[0], 0, label="anystyle", verbose=False)
+        self._lock = threading.Lock()
+        self._views: dict[int, ClientView] = {}
+        self._thumbnails: dict[str, str] = {}
+        self._before = self._after = splat_arrays(self.unstyled, self.path)
+        self._shown: StyleRequest | None = None
+        self.style = session.current.style
+        self._set_first_camera()
+        self._add_style_controls()
+        self._add_path_controls()
+        self._add_save_controls()
+        session.on_change, session.on_status = self._style_changed, self._show_status
+        self._style_changed()
+        threading.Thread(target=self._render_saved_thumbnails, daemon=True).start()
+        self.viser.on_client_connect(self._connected)
+        self.viser.on_client_disconnect(self._disconnected)
+        self.server = PageServer(
+            port=port,
+            viser_port=self.viser.get_port(),
+            page=page(VISER_PAGE),
+            on_post={
+                "/picture": lambda query, body: self.request(str(store_upload(folder, query.get("name", ""), body))),
+                "/style": lambda _, body: self.request(body.decode("utf-8", errors="replace")),
+            },
+            max_body=MAX_UPLOAD,
+        )
+
+    def __exit__(self, *_: object) -> None:
+        self.server.close()
+        self.session.close()
+        self.viser.stop()
+
+    def _set_first_camera(self) -> None:
+        self.viser.gui.configure_theme(control_width="medium", show_share_button=False, show_logo=False)
+        self.viser.scene.set_up_direction((0.0, -1.0, 0.0))
+        pose = self.encoded.cameras.world_from_camera[0, 0].cpu().double().numpy()
+        camera = self.viser.initial_camera
+        # Behind the first camera of the photographs, so that its frustum is seen and covers little.
+        camera.position, camera.up = pose[:3, 3] - pose[:3, 2] * self.path.distance / 4, -pose[:3, 1]
+        camera.look_at = pose[:3, 3] + pose[:3, 2] * self.path.distance
+        camera.fov = self.path.field_of_view
+        camera.near = self.path.distance / 1000
+
+    def _connected(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            view = ClientView(client, self.encoded, self.path, self._before, order=2)
+            self._views[client.client_id] = view
+            view.show(self._after, is_new=False)
+
+    def _disconnected(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            if view := self._views.pop(client.client_id, None):
+                view.timer.cancel()
+
+    def _add_style_controls(self) -> None:
+        gui = self.viser.gui
+        with gui.add_folder("Style", order=1):
+            with gui.add_form(None) as form:
+                self.text = gui.add_text("Text", "", hint="What the scene should look like; Enter paints it")
+            paint = gui.add_button("Paint", icon=viser.Icon.BRUSH)
+            upload = gui.add_upload_button(
+                "Upload or drop a picture", mime_type="image/*", icon=viser.Icon.UPLOAD, hint="Drop it anywhere"
+            )
+            self.progress = gui.add_progress_bar(0, visible=False, animated=True)
+            self.status = gui.add_markdown("")
+            self.row = gui.add_html("")
+            self.second = gui.add_dropdown("Towards", [NO_STYLE], hint="A second style to mix in")
+            self.amount = gui.add_slider("Amount", 0.0, 1.0, 0.05, 0.5, hint="0 is the first style, 1 the second")
+            self.strength = gui.add_slider("Strength", 0.0, 1.0, 0.05, 1.0)
+            self.preserve = gui.add_checkbox("Preserve colour", False, hint="The style's strokes in the scene's hues")
+        paint.on_click(lambda _: form.submit())
+        form.on_submit(lambda _: self.request(self.text.value.strip()))
+        upload.on_upload(lambda event: self._uploaded(event.target.value))
+        for control in (self.second, self.amount, self.strength, self.preserve):
+            # Values that the program sets come without a client.
+            control.on_update(lambda event: event.client and self.request(self.style))
+
+    def _add_path_controls(self) -> None:
+        gui = self.viser.gui
+        with gui.add_folder("Camera path", expand_by_default=False, order=3):
+            add, clear = gui.add_button("Add keyframe"), gui.add_button("Clear")
+            count = gui.add_markdown("")
+            self.seconds = gui.add_slider("Seconds", 1, 20, 1, 4)
+            preview, render = gui.add_button("Preview"), gui.add_button("Render MP4")
+
+        def show_count() -> None:
+            number = len(self.path.keyframes)
+            words = f"{number} keyframe{'s' * (number > 1)}."
+            count.content = words if number else "No keyframes: the path goes through the photographs."
+
+        def set_keyframes(camera: viser.CameraHandle | None) -> None:
+            self.path.keyframes = [] if camera is None else [*self.path.keyframes, pose_of(camera)]
+            show_count()
+
+        add.on_click(lambda event: event.client and set_keyframes(event.client.camera))
+        clear.on_click(lambda _: set_keyframes(None))
+        show_count()
+        preview.on_click(lambda event: event.client and self.path.preview(event.client, self.seconds.value))
+
+        def write_video(path: Path, on_frame: OnFrame) -> None:
+            self.path.write_video(self.session.gaussians, path, self.seconds.value, on_frame)
+
+        render.on_click(lambda event: event.client and self._download(event.client, "video.mp4", write_video))
+
+    def _add_save_controls(self) -> None:
+        gui = self.viser.gui
+        with gui.add_folder("Save", expand_by_default=False, order=4):
+            self.format = gui.add_dropdown("Format", catalog().names("format"))
+            save = gui.add_button("Download", icon=viser.Icon.DOWNLOAD)
+            gui.add_markdown("The command line of what is shown:")
+            self.command = gui.add_markdown("")
+
+        def download(client: viser.ClientHandle, name: str) -> None:
+            self._download(client, f"scene.{name}", lambda path, _: self._write_scene(path, name))
+
+        save.on_click(lambda event: event.client and download(event.client, self.format.value))
+
+    def request(self, style: str) -> None:
+        """Request a style with the current values of the controls."""
+        self.style = style
+        second = next((other for other in self.session.styles() if title_of(other) == self.second.value), "")
+        mixed = bool(style and second and second != style)
+        mixture = (second, self.amount.value) if mixed else ("", 0.5)
+        self.session.request(StyleRequest(style, *mixture, self.strength.value, float(self.preserve.value)))
+
+    def _uploaded(self, file: viser.UploadedFile) -> None:
+        try:
+            self.request(str(store_upload(self._folder, file.name, file.content)))
+        except (UserError, OSError) as error:
+            self.status.content = one_line(error)
+
+    def _show_status(self) -> None:
+        request, done = self.session.in_progress, self.session.done
+        self.progress.visible = request is not None
+        self.progress.animated = done is None
+        self.progress.value = 100.0 if done is None else 100 * done
+        if request is not None:
+            self.status.content = f"{title_of(request.style)}: {self.session.status} …"
+        else:
+            shown = " → ".join(title_of(style) for style in self.session.current.styles) or "unstyled"
+            self.status.content = self.session.status or f"Shown: {shown}"
+
+    def _style_changed(self) -> None:
+        """Show the session's current style in every browser."""
+        with self._lock:
+            request, gaussians = self.session.current, self.session.gaussians
+            is_new = self._shown is not None and request != self._shown
+            self._shown = request
+            self._after = splat_arrays(gaussians, self.path)
+            for view in self._views.values():
+                view.show(self._after, is_new=is_new)
+        self._show_status()
+        self.command.content = f"```\n{self.session.command(*self._command_words)}\n```"
+        if request == StyleRequest(request.style) or request.style not in self._thumbnails:
+            self._render_thumbnail(request.style, gaussians)
+        self._show_row()
+        titles = (NO_STYLE, *(title_of(style) for style in self.session.styles()))
+        if self.second.options != titles:
+            self.second.options = titles
+
+    def _render_saved_thumbnails(self) -> None:
+        for style, gaussians in self.session.saved.items():
+            self._render_thumbnail(style, gaussians)
+
+    def _render_thumbnail(self, style: str, gaussians: Gaussians) -> None:
+        self._thumbnails[style] = data_url(to_pil(self.path.thumbnail(gaussians, THUMBNAIL_HEIGHT)))
+        self._show_row()
+
+    def _show_row(self) -> None:
+        self.row.content = style_row(["", *self.session.styles()], self.session.current.style, dict(self._thumbnails))
+
+    def _download(self, client: viser.ClientHandle, name: str, write: Callable[[Path, OnFrame], None]) -> None:
+        """Write a file, and send it to one browser."""
+        note = client.add_notification(f"Writing {name}", "", loading=True)
+
+        def on_frame(done: int, total: int) -> None:
+            note.body = f"{done} of {total} frames"
+
+        try:
+            with tempfile.TemporaryDirectory() as folder:
+                write(Path(folder) / name, on_frame)
+                client.send_file_download(name, (Path(folder) / name).read_bytes(), save_immediately=True)
+        except (ValueError, OSError) as error:
+            client.add_notification(f"{name} could not be written", one_line(error), color="red")
+        finally:
+            note.remove()
+
+    def _write_scene(self, path: Path, name: str) -> None:
+        session, title = self.session, title_of(self.session.current.style) or "unstyled"
+        if name == "html":
+            styles = {"unstyled": self.unstyled, **session.cached(), title: session.gaussians}
+            styles[title] = styles.pop(title)  # the last one is shown at first
+            cameras, names = self.encoded.cameras, tuple(self.encoded.names)
+            page_title = Path(self._command_words[0]).stem
+            export_styles(StyledScene(tuple(styles.items()), cameras, names, session.notes, page_title), path, "html")
+        else:
+            export(session.gaussians, path, name, notes="\n".join((title, *session.notes)))

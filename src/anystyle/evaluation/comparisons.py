@@ -1,0 +1,131 @@
+"""Paired image files as comparisons, and the files beside them: depth, cameras, seconds."""
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.data.images import image_size, open_image, to_tensor
+from anystyle.errors import UserError
+from anystyle.evaluation.pairing import Cell
+from anystyle.io.arrays import read_array, read_arrays
+from anystyle.io.documents import read_json
+from anystyle.io.limits import require
+from anystyle.types import Cameras, Comparison, Style
+
+_CAMERAS = (
+    "file of cameras: frames (names), world_from_camera [V, 4, 4], intrinsics [V, 3, 3] in pixels and size (height, "
+    "width)"
+)
+
+
+class Reader:
+    """Reads cells as comparisons; the photographs of a scene are decoded once and stay the same tensor."""
+
+    def __init__(self) -> None:
+        self._content = lru_cache(1)(_read_stack)
+        self._reference = lru_cache(256)(read)
+        self._depth = lru_cache(1)(_read_depths)
+
+    def __call__(self, cell: Cell) -> Comparison:
+        """One cell as a batch of one; a UserError where a file cannot be read or sizes differ."""
+        sizes = [image_size(path) for path in (*cell.stylized, *cell.content)]
+        require(
+            sum(width * height * 3 * (1 + 4 + 4) for width, height in sizes),
+            f"{len(sizes)} images of {cell.scene} in {cell.style}, of up to {'x'.join(map(str, max(sizes)))}",
+            "give fewer frames a scene, or smaller ones",
+        )
+        stylized, content = _read_stack(cell.stylized), self._content(cell.content)
+        if stylized.shape[-2:] != content.shape[-2:]:
+            raise UserError(
+                f"{cell.stylized[0]} has {_size(stylized)} pixels and its photograph {cell.content[0]} "
+                f"{_size(content)}; give both in one size"
+            )
+        seconds = seconds_file(cell.stylized[0].parent, cell.style)
+        return Comparison(
+            content=content,
+            stylized=stylized,
+            style=Style(image=self._reference(cell.reference)[None], names=(cell.style,)),
+            depth=self._depth(cell.depth) if cell.depth else None,
+            cameras=_read_cameras(cell, (stylized.shape[-2], stylized.shape[-1])),
+            scenes=(cell.scene,),
+            styles=(cell.style,),
+            seconds=torch.tensor([read_seconds(seconds)]) if seconds.is_file() else None,
+        )
+
+
+def read(path: Path) -> Float[Tensor, "3 H W"]:
+    """An image at its own size, sRGB in [0, 1]."""
+    return to_tensor(open_image(path, longest=1 << 16))
+
+
+def _read_stack(paths: tuple[Path, ...]) -> Float[Tensor, "1 V 3 H W"]:
+    images = [read(path) for path in paths]
+    for path, image in zip(paths, images, strict=True):
+        if image.shape != images[0].shape:
+            raise UserError(
+                f"{path} has {_size(image)} pixels and {paths[0]} {_size(images[0])}; "
+                "the images of one scene need one size"
+            )
+    return torch.stack(images)[None]
+
+
+def _read_depths(paths: tuple[Path, ...]) -> Float[Tensor, "1 V H W"]:
+    maps = [torch.from_numpy(read_array(path, what="array of finite depth of shape [H, W]")).float() for path in paths]
+    for path, values in zip(paths, maps, strict=True):
+        if values.ndim != 2 or values.shape != maps[0].shape:
+            raise UserError(f"{path} has shape {list(values.shape)}; the depth of one scene needs one shape [H, W]")
+    return torch.stack(maps)[None]
+
+
+def _read_cameras(cell: Cell, size: tuple[int, int]) -> Cameras | None:
+    if cell.cameras is None:
+        return None
+    arrays = read_arrays(cell.cameras, ("world_from_camera", "intrinsics", "size"), ("frames",), what=_CAMERAS)
+    names, poses, intrinsics = arrays["frames"].tolist(), arrays["world_from_camera"], arrays["intrinsics"]
+    shapes = (poses.shape, intrinsics.shape, arrays["size"].shape)
+    if shapes != ((len(names), 4, 4), (len(names), 3, 3), (2,)) or not (arrays["size"] >= 1).all():
+        raise UserError(f"{cell.cameras} is no {_CAMERAS}")
+    if absent := [frame for frame in cell.frames if frame not in names]:
+        raise UserError(f"{cell.cameras} does not hold the cameras of {cell.scene}: {absent[0]!r} is not in it")
+    indices = [names.index(frame) for frame in cell.frames]
+    height, width = (int(side) for side in arrays["size"])
+    poses, intrinsics = (torch.from_numpy(values[indices]).float()[None] for values in (poses, intrinsics))
+    return Cameras(poses, intrinsics, (height, width)).resized(size)
+
+
+def write_cameras(path: Path, frames: Sequence[str], cameras: Cameras) -> None:
+    """Write the cameras of one scene as :class:`Reader` reads them from beside depth maps."""
+    with path.open("wb") as file:
+        np.savez(
+            file,
+            frames=np.array(list(frames)),
+            world_from_camera=cameras.world_from_camera[0].cpu().numpy(),
+            intrinsics=cameras.intrinsics[0].cpu().numpy(),
+            size=np.array(cameras.size),
+        )
+
+
+class _Seconds(msgspec.Struct):
+    seconds: Annotated[float, msgspec.Meta(ge=0)]
+
+
+def seconds_file(folder: Path, style: str) -> Path:
+    """The file with the seconds that a scene's images in a style took; written when they are complete."""
+    return folder / f".{style}"
+
+
+def read_seconds(path: Path) -> float:
+    """The seconds in a :func:`seconds_file`."""
+    stored: _Seconds = read_json(path, _Seconds, what="file of seconds; delete it and evaluate again")
+    return stored.seconds
+
+
+def _size(image: Tensor) -> str:
+    return f"{image.shape[-1]}x{image.shape[-2]}"

@@ -1,0 +1,167 @@
+"""Figures that papers printed, the tables they stand in, and whether they are consistent."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+
+from anystyle.errors import UserError
+from anystyle.io.documents import read_json
+
+BUNDLED = Path(__file__).with_name("published.json")
+
+
+@dataclass(frozen=True)
+class PublishedFigure:
+    """One cell of a paper's table; ``known_as`` is the method's name in the paper's other tables.
+
+    The scene is empty for all scenes; values are numbers: times in seconds, properties 1 or 0.
+    """
+
+    method: str
+    scene: str
+    figure: str
+    value: float
+    printed: str
+    table: str
+    source: str
+    known_as: str
+    origin: str = ""
+    mark: str = ""
+
+    @property
+    def half_unit(self) -> float:
+        """Half a unit of the last printed digit: how far the exact value may be off."""
+        return 0.5 * 10.0 ** -len(self.printed.partition(".")[2])
+
+
+class PublishedTable(msgspec.Struct, frozen=True):
+    """The layout of a paper's table."""
+
+    title: str
+    source: str
+    figures: tuple[str, ...]
+    scenes: tuple[str, ...]
+    """Empty where the table compares methods over all scenes."""
+    notes: tuple[str, ...]
+
+
+class Disagreement(NamedTuple):
+    """A printed ArtFID that differs from the one recomputed from its printed parts."""
+
+    method: str
+    scene: str
+    printed: float
+    recomputed: float
+
+
+class _Row(msgspec.Struct):
+    """A method's row of a table: for each figure its cells by scene, as printed."""
+
+    method: str
+    source: str
+    table: str
+    figures: dict[str, dict[str, str | float]]
+    marks: dict[str, dict[str, str]] = {}
+    family: str | None = None
+    origin: str | None = None
+
+
+class _File(msgspec.Struct):
+    sources: dict[str, str]
+    rows: list[_Row]
+    aliases: dict[str, str] = {}
+    tables: dict[str, PublishedTable] = {}
+    better: dict[str, str] = {}
+
+
+@lru_cache(1)
+def _bundled() -> _File:
+    return read_json(BUNDLED, _File)
+
+
+def tables() -> dict[str, PublishedTable]:
+    """The tables of the AnyStyle paper, by the name that ``anystyle report --paper`` takes."""
+    stored = _bundled()
+    return {
+        name: msgspec.structs.replace(table, source=stored.sources[table.source])
+        for name, table in stored.tables.items()
+    }
+
+
+def better() -> dict[str, str]:
+    """``higher`` or ``lower`` for each figure of the tables that has a direction."""
+    return dict(_bundled().better)
+
+
+def load(more: Sequence[Path] = ()) -> list[PublishedFigure]:
+    """The figures that come with the package, and those of further JSON files of the same form."""
+    figures = _cells(_bundled())
+    for path in more:
+        what = f"file of published figures, with 'sources' and 'rows' as in {BUNDLED.name}"
+        try:
+            figures += _cells(read_json(path, _File, what=what))
+        except UserError:
+            raise
+        except (KeyError, ValueError) as error:  # an unknown source, or a text that is no figure
+            raise UserError(f"{path} is no {what} ({str(error)[:80]})") from None
+    return figures
+
+
+def _cells(stored: _File) -> list[PublishedFigure]:
+    return [
+        PublishedFigure(
+            method=row.method,
+            scene=scene,
+            figure=figure,
+            value=_value(str(printed)),
+            printed=str(printed),
+            table=row.table,
+            source=stored.sources[row.source],
+            known_as=stored.aliases.get(row.method, row.method),
+            origin="; ".join(filter(None, (row.family, row.origin))),
+            mark=row.marks.get(figure, {}).get(scene, ""),
+        )
+        for row in stored.rows
+        for figure, cells in row.figures.items()
+        for scene, printed in cells.items()
+    ]
+
+
+def _value(printed: str) -> float:
+    if printed in ("yes", "no"):
+        return float(printed == "yes")
+    value = float(printed.rstrip("sm ")) * (60.0 if printed.endswith("m") else 1.0)
+    if not math.isfinite(value):
+        raise ValueError(f"{printed} is no figure")
+    return value
+
+
+def disagreements(figures: Sequence[PublishedFigure]) -> list[Disagreement]:
+    """Each printed ArtFID that differs from that of its printed parts by more than their rounding explains."""
+    rows: dict[tuple[str, str, str], dict[str, PublishedFigure]] = {}
+    for item in figures:
+        rows.setdefault((item.known_as, item.scene, item.source), {})[item.figure] = item
+    disagreements: list[Disagreement] = []
+    for (method, scene, _), row in rows.items():
+        if {"art_fid", "lpips", "fid"} <= row.keys():
+            printed, lpips, fid = row["art_fid"], row["lpips"], row["fid"]
+            low = art_fid(lpips.value - lpips.half_unit, fid.value - fid.half_unit) - printed.half_unit
+            high = art_fid(lpips.value + lpips.half_unit, fid.value + fid.half_unit) + printed.half_unit
+            if not low <= printed.value <= high:
+                disagreements.append(Disagreement(method, scene, printed.value, art_fid(lpips.value, fid.value)))
+    return disagreements
+
+
+def art_fid(lpips: float, fid: float) -> float:
+    """``(1 + LPIPS)(1 + FID)`` (Wright and Ommer, 2022).
+
+    Example:
+        >>> art_fid(0.5, 20.0)
+        31.5
+    """
+    return (1 + lpips) * (1 + fid)

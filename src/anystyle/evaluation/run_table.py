@@ -1,0 +1,262 @@
+"""Runs side by side, in the layout of the paper's tables: a row for each variant, columns of figures."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from anystyle.data.folder import image_files
+from anystyle.data.images import open_image
+from anystyle.errors import UserError
+from anystyle.evaluation.paper_folder import SCENES
+from anystyle.evaluation.published_figures import PublishedFigure, PublishedTable, disagreements
+from anystyle.evaluation.runs import Run
+from anystyle.evaluation.tables import STAND_IN, Table, number, titled
+from anystyle.io.names import natural
+from anystyle.io.sheet import Cell, TextCard
+
+Column = tuple[str, str]
+"""A scene and the name of a figure."""
+
+ALL = ""
+"""The scene of a figure over all scenes."""
+
+_FIRST = ("art_score", "art_fid")
+_SCENES = {name.casefold(): name for name in SCENES}
+
+
+@dataclass(frozen=True)
+class Line:
+    """One row of the table: a variant or a published method.
+
+    ``source`` is the origin in words, ``samples`` the values of each figure (one for each seed), ``state`` the text
+    instead of figures where there are none, ``printed`` the text of a figure that is shown as it was printed.
+    """
+
+    title: str
+    origin: Literal["ours", "stand-in", "published", "none"]
+    source: str
+    samples: Mapping[Column, tuple[float, ...]] = field(default_factory=dict)
+    state: str = ""
+    runs: tuple[Run, ...] = ()
+    printed: Mapping[Column, str] = field(default_factory=dict)
+
+    def values(self, column: Column) -> list[float]:
+        """The values of a figure that are not ``nan``."""
+        return [value for value in self.samples.get(column, ()) if not math.isnan(value)]
+
+    def value(self, scene: str, name: str) -> float:
+        """The mean over seeds; ``nan`` where there is no figure."""
+        values = self.values((scene, name))
+        return math.fsum(values) / len(values) if values else math.nan
+
+    def cell(self, column: Column) -> str:
+        """A figure as text, with the half-width of its interval where there are several seeds."""
+        if self.state or column in self.printed:
+            return self.state or self.printed[column]
+        values = self.values(column)
+        interval = f" ± {number(half_width(values))}" if len(values) > 1 else ""
+        return number(self.value(*column)) + interval
+
+
+def half_width(values: Sequence[float]) -> float:
+    """Half the width of the 95 % interval of a mean, by Student's t."""
+    from scipy import stats
+
+    return float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
+
+
+def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
+    """Rows of runs, and the better direction of their figures.
+
+    Runs that differ in the seed alone are one row; figures of stand-in networks are rows of their own.
+    """
+    common = set.intersection(*(set(run.words) for run in runs)) if len(runs) > 1 else set()
+    variants: dict[str, list[Run]] = {}
+    for run in runs:
+        variants.setdefault(_title(run, common), []).append(run)
+    lines: list[Line] = []
+    better: dict[str, str] = {}
+    for title, members in variants.items():
+        finished = tuple(run for run in members if run.state == "finished")
+        if not finished:
+            lines.append(Line(title, "none", "", state=members[0].state, runs=tuple(members)))
+            continue
+        states = "/".join(sorted({run.state for run in members} - {"finished"}))
+        title += f" ({len(members) - len(finished)} of {len(members)} seeds {states})" if states else ""
+        samples: dict[Column, tuple[float, ...]] = {}
+        stand_ins: set[str] = set()
+        for record in [run.record() for run in finished]:
+            better.update(record.better)
+            stand_ins |= record.stand_ins.keys()
+            for folder, figures in {ALL: record.figures, **record.scenes}.items():
+                scene = _SCENES.get(folder.casefold(), folder)
+                for name, value in figures.items():
+                    samples[scene, name] = (*samples.get((scene, name), ()), value)
+        ours = {column: values for column, values in samples.items() if column[1] not in stand_ins}
+        theirs = {column: values for column, values in samples.items() if column[1] in stand_ins}
+        if ours:
+            lines.append(Line(title, "ours", "computed here", ours, runs=finished))
+        if theirs:
+            lines.append(Line(title, "stand-in", STAND_IN, theirs, runs=finished))
+    return lines, better
+
+
+def _title(run: Run, common: set[str]) -> str:
+    """The words of a run that others do not have, without its seed."""
+    words = [word for word in run.words if word.partition("=")[0].lstrip("+") != "seed"]
+    words = [word for word in words if word not in common] or (words if common else [])
+    if not words:
+        return run.folder.resolve().name
+    # A single word needs no name before its value: `ablation=base` is `base`.
+    return words[0].partition("=")[2] or words[0] if len(words) == 1 else " ".join(words)
+
+
+def published_lines(figures: Sequence[PublishedFigure]) -> tuple[list[Line], list[str]]:
+    """Rows of published figures, one a method and source, and a note for each source."""
+    rows: dict[tuple[str, str], list[PublishedFigure]] = {}
+    for item in figures:
+        rows.setdefault((item.known_as, item.source), []).append(item)
+    sources = list(dict.fromkeys(source for _, source in rows))
+    lines = [
+        _published_line(method, f"published [{sources.index(source) + 1}]", items)
+        for (method, source), items in rows.items()
+    ]
+    return lines, [f"[{number}] {source}" for number, source in enumerate(sources, 1)]
+
+
+def _published_line(title: str, source: str, items: Sequence[PublishedFigure]) -> Line:
+    samples: dict[Column, tuple[float, ...]] = {}
+    printed: dict[Column, str] = {}
+    for item in items:
+        # A paper repeats rows in a later table, where it marks nothing.
+        samples.setdefault((item.scene, item.figure), (item.value,))
+        printed.setdefault((item.scene, item.figure), f"{item.printed} ({item.mark})" if item.mark else item.printed)
+    return Line(title, "published", source, samples, printed=printed)
+
+
+def paper_table(
+    name: str,
+    form: PublishedTable,
+    figures: Sequence[PublishedFigure],
+    ours: Sequence[Line],
+    better: Mapping[str, str],
+) -> Table:
+    """A table of the paper as it is printed, our rows below it, with contradictions in its notes.
+
+    ``figures`` are those of all tables: an ArtFID is recomputed from parts that another table has.
+    """
+    paper = [item for item in figures if item.source == form.source]
+    rows: dict[str, list[PublishedFigure]] = {}
+    for item in paper:
+        if item.table == name:
+            rows.setdefault(item.method, []).append(item)
+    theirs = [_published_line(method, items[0].origin or "published", items) for method, items in rows.items()]
+    lines = [*theirs, *ours]
+    shown = {(item.known_as, item.scene) for items in rows.values() for item in items}
+    parts = [item for item in paper if (item.known_as, item.scene) in shown]
+    notes = [*form.notes, *(consistency_notes(parts) if "art_fid" in form.figures else []), *state_notes(ours)]
+    columns = columns_of(lines, form.figures, form.scenes)
+    return table(lines, columns, better, caption=f"{form.title} ({form.source}, {name})", notes=notes)
+
+
+def figures_of(lines: Sequence[Line], requested: Sequence[str] = ()) -> list[str]:
+    """The names of the figures to show: the requested ones, or all, with the paper's own first."""
+    ours = [line for line in lines if line.origin != "published"]
+    known = list(dict.fromkeys(name for line in ours or lines for _, name in line.samples))
+    if unknown := [name for name in requested if name not in known]:
+        raise UserError(f"no run has the figure {unknown[0]!r}; there are {', '.join(known) or 'none'}")
+    # A protocol may have a figure for each guide: `art_fid_text` is one of `art_fid`.
+    first = [name for prefix in _FIRST for name in known if name == prefix or name.startswith(f"{prefix}_")]
+    return list(requested) or first + [name for name in known if name not in first]
+
+
+def scenes_of(lines: Sequence[Line], names: Sequence[str]) -> list[str]:
+    """The scenes for which any row has one of these figures."""
+    return list(dict.fromkeys(scene for line in lines for scene, name in line.samples if scene and name in names))
+
+
+def columns_of(lines: Sequence[Line], names: Sequence[str], scenes: Sequence[str]) -> list[Column]:
+    """The figures of each scene for which any row has a value, then those that exist only over all scenes."""
+    known = {column for line in lines for column in line.samples}
+    columns = [(scene, name) for scene in scenes for name in names]
+    columns = [column for column in columns if column in known] or columns
+    shown = {name for scene, name in columns if scene != ALL}
+    overall = [(ALL, name) for name in names if name not in shown and (ALL, name) in known]
+    return columns + [column for column in overall if column not in columns]
+
+
+def table(
+    lines: Sequence[Line],
+    columns: Sequence[Column],
+    better: Mapping[str, str],
+    *,
+    caption: str = "",
+    notes: Sequence[str] = (),
+) -> Table:
+    """A row for each line and a column for each figure of a scene, or of all scenes together."""
+    titles = [f"{scene} {titled(name, better)}".strip() for scene, name in columns]
+    rows = tuple(
+        (line.title, line.source or line.state, *map(line.cell, columns))
+        for line in lines
+        if line.origin != "published" or any(column in line.samples for column in columns)
+    )
+    num_seeds = max((len(values) for line in lines for values in line.samples.values()), default=1)
+    more = [f"± is half the width of the 95 % t interval of the mean over {num_seeds} seeds."] if num_seeds > 1 else []
+    return Table(("variant", "source", *titles), rows, caption, (*notes, *more))
+
+
+def consistency_notes(figures: Sequence[PublishedFigure]) -> list[str]:
+    """A line for each published method whose ArtFID does not agree with its own parts."""
+    by_method: dict[str, list[str]] = {}
+    for item in disagreements(figures):
+        by_method.setdefault(item.method, []).append(f"{item.scene} {item.printed:g}, not {item.recomputed:.2f}")
+    return [
+        f"{method}: printed ArtFID does not equal (1 + LPIPS)(1 + FID) of its own row: {'; '.join(differences)}."
+        for method, differences in by_method.items()
+    ]
+
+
+def state_notes(lines: Sequence[Line]) -> list[str]:
+    """Notes on runs without figures, and on stand-ins."""
+    states = [f"{line.title} ({line.state})" for line in lines if line.state]
+    notes = [f"{len(states)} of {len(lines)} rows have no figures: {', '.join(states)}."] if states else []
+    if any(line.origin == "stand-in" for line in lines):
+        notes.append(f"Rows marked “{STAND_IN}” come from networks that replace the published ones.")
+    return notes
+
+
+def sheet_cells(lines: Sequence[Line], *, num_styles: int = 6) -> tuple[list[list[Cell]], list[str], list[str]] | None:
+    """A contact sheet's rows of cells, their titles and those of its columns; ``None`` without any picture.
+
+    It has a row for each variant and a column for each style, with the middle frame of the first scene.
+    """
+    shown: dict[str, Line] = {}
+    for line in lines:
+        if line.origin != "published":
+            shown.setdefault(line.title, line)
+    pictures = {title: _stylized(line) for title, line in shown.items()}
+    first = next((files for files in pictures.values() if files), None)
+    if first is None:
+        return None
+    names = list(first)[:num_styles]
+    references = {path.stem: path for path in image_files(first[names[0]].parents[2] / "style")}
+    cells: list[list[Cell]] = [[_opened(references.get(name), "") for name in names]]
+    cells += [[_opened(pictures[title].get(name), line.state or "no picture") for name in names]
+              for title, line in shown.items()]  # fmt: skip
+    return cells, ["style", *shown], [f"style {name}" for name in names]
+
+
+def _opened(path: Path | None, otherwise: str) -> Cell:
+    return TextCard(otherwise) if path is None else open_image(path, longest=640)
+
+
+def _stylized(line: Line) -> dict[str, Path]:
+    """For each style the middle frame of the first scene, of the first run that has any."""
+    folders = (run.evaluation / "images" / "stylized" for run in line.runs if run.evaluation)
+    scenes = next((found for folder in folders if (found := list(folder.glob("[!.]*")))), [])
+    by_style: dict[str, list[Path]] = {}
+    for path in image_files(min(scenes, key=lambda path: natural(path.name))) if scenes else ():
+        by_style.setdefault(path.stem.rpartition("_")[0], []).append(path)
+    return {style: paths[len(paths) // 2] for style, paths in by_style.items()}

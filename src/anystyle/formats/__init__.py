@@ -1,0 +1,1 @@
+"""The file formats of Gaussian scenes that the core reads and writes."""

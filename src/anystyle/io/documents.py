@@ -1,0 +1,170 @@
+"""Reading JSON, YAML, TOML and text from outside against a declared shape.
+
+A reader returns a value of the shape that it asked for, or raises one line that names the file, the key and what was
+expected. Only regular files of bounded size, depth and number of values are read; numbers are finite and of 64 bits.
+"""
+
+import math
+import stat
+import tomllib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
+
+from anystyle.errors import UserError, one_line
+
+T = TypeVar("T")
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+Count = Annotated[int, msgspec.Meta(ge=0)]
+Figure = float | Literal["inf", "-inf"] | None
+"""A number as JSON can hold it: ``None`` is not a number, and infinities are words."""
+
+
+def as_figure(value: float) -> Figure:
+    """A number as JSON can hold it."""
+    return value if math.isfinite(value) else None if math.isnan(value) else "inf" if value > 0 else "-inf"
+
+
+def plain(value: Any) -> Any:
+    """A value of nested lists and tables as JSON can hold it."""
+    if isinstance(value, float):
+        return as_figure(value)
+    if isinstance(value, Mapping):
+        return {key: plain(part) for key, part in value.items()}
+    return [plain(part) for part in value] if isinstance(value, (list, tuple)) else value
+
+
+def as_number(figure: Figure) -> float:
+    """The inverse of :func:`as_figure`."""
+    return math.nan if figure is None else float(figure)
+
+
+# Limits of bytes, nested levels and values; the parser of YAML is slow, and what its aliases repeat counts each time.
+MAX_BYTES, MAX_YAML = 64 << 20, 1 << 20
+MAX_DEPTH = 48
+MAX_PARTS, MAX_YAML_PARTS = 2_000_000, 100_000
+
+
+def regular(path: str | Path, *, most: int | None = MAX_BYTES, what: str = "file") -> Path:
+    """A path that is a regular file of at most so many bytes: no folder, pipe, device or link to itself."""
+    path = Path(path)
+    try:
+        state = path.stat()
+    except FileNotFoundError:
+        raise UserError(f"there is no {what} {path}") from None
+    except (OSError, ValueError) as error:  # links in a circle, names that no system can hold
+        raise UserError(f"{path} cannot be read ({getattr(error, 'strerror', error)})") from None
+    if not stat.S_ISREG(state.st_mode):
+        raise UserError(f"{path} is no regular file; a {what} is expected")
+    if most is not None and state.st_size > most:
+        raise UserError(f"{path} has {state.st_size:,} bytes; a {what} of at most {most:,} is expected")
+    return path
+
+
+def read_bytes(path: str | Path, *, most: int = MAX_BYTES, what: str = "file") -> bytes:
+    """The content of a regular file of at most so many bytes."""
+    try:
+        with regular(path, most=most, what=what).open("rb") as file:
+            return file.read(most)
+    except OSError as error:
+        raise UserError(f"{path} cannot be read ({error.strerror})") from None
+
+
+def read_text(path: str | Path, *, most: int = MAX_BYTES, what: str = "text file") -> str:
+    """The content of a regular file as UTF-8 text; a byte-order mark is dropped."""
+    try:
+        return read_bytes(path, most=most, what=what).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise UserError(f"{path} is not UTF-8 text (at byte {error.start}); a {what} is expected") from None
+
+
+def read_json(path: str | Path, shape: type[T] | Any, *, what: str = "JSON file") -> T:
+    """A JSON file as a value of a shape.
+
+    Args:
+        path: Of the file.
+        shape: A type that msgspec knows: built-in ones, dataclasses, typed dictionaries, ``Annotated`` bounds.
+        what: What the file is called in messages.
+
+    Raises:
+        UserError: It is no JSON, or does not fit the shape; the message names the file, the key and what is expected.
+    """
+    return parse_json(read_bytes(path, what=what), shape, source=str(path), what=what)
+
+
+def kept_json(path: str | Path, shape: type[T] | Any) -> T | None:
+    """The content of a JSON file of an earlier run; ``None`` where it is absent or damaged."""
+    try:
+        return read_json(path, shape)
+    except UserError:
+        return None
+
+
+def parse_json(text: str | bytes, shape: type[T] | Any, *, source: str, what: str = "JSON") -> T:
+    """JSON text, such as the header of another file, as a value of a shape."""
+    return _shaped(lambda: msgspec.json.decode(text), shape, source, what)
+
+
+def read_toml(path: str | Path, shape: type[T] | Any, *, what: str = "TOML file") -> T:
+    """A TOML file as a value of a shape."""
+    text = read_text(path, most=MAX_YAML, what=what)
+    return _shaped(lambda: tomllib.loads(text), shape, str(path), what)
+
+
+def read_yaml(path: str | Path, shape: type[T] | Any = Any, *, what: str = "YAML file", limit: bool = True) -> T:
+    """A YAML file as a value of a shape; scalars are parsed as OmegaConf does, and interpolations stay text.
+
+    Without ``limit`` numbers may be infinite.
+    """
+    import yaml
+    from omegaconf import OmegaConf
+
+    text = read_text(path, most=MAX_YAML, what=what)
+
+    def parse() -> Any:
+        value = yaml.safe_load(text)
+        _check(value, MAX_YAML_PARTS, limit)  # first: aliases that repeat each other grow without bound when copied
+        return OmegaConf.to_container(OmegaConf.create(text)) if isinstance(value, (dict, list)) else value
+
+    return _shaped(parse, shape, str(path), what, limit=limit)
+
+
+def fit(value: Any, shape: type[T] | Any, *, source: str, what: str = "document") -> T:
+    """A value of plain lists, tables, texts and numbers as one of a shape."""
+    return _shaped(lambda: value, shape, source, what)
+
+
+def _shaped(parse: Callable[[], Any], shape: Any, source: str, what: str, *, limit: bool = True) -> Any:
+    try:
+        value = parse()
+        _check(value, MAX_PARTS, limit)
+        return msgspec.convert(value, shape)
+    except RecursionError:
+        raise UserError(f"{source} is nested deeper than {MAX_DEPTH} levels; expected a {what}") from None
+    except Exception as error:  # parsers of damaged text raise nearly anything
+        reason = one_line(error).replace("`", "'").replace("'$'", "the top").replace("'$.", "'")
+        raise UserError(f"{source} is no {what} ({reason[:300] or type(error).__name__})") from None
+
+
+def _check(value: Any, parts: int, limit: bool) -> None:
+    """Refuse values that are nested too deep, too many, infinite, or whole numbers of more than 64 bits."""
+    stack: list[tuple[Any, int]] = [(value, 0)]
+    count = 0
+    while stack:
+        item, depth = stack.pop()
+        count += 1
+        if depth > MAX_DEPTH:
+            raise UserError(f"nested deeper than {MAX_DEPTH} levels")
+        if count > parts:
+            raise UserError(f"more than {parts:,} values")
+        if isinstance(item, dict):
+            stack.extend((part, depth + 1) for pair in item.items() for part in pair)
+        elif isinstance(item, (list, tuple)):
+            stack.extend((part, depth + 1) for part in item)
+        elif limit and isinstance(item, float) and not math.isfinite(item):
+            raise UserError(f"the number {item}, where finite ones are expected")
+        elif isinstance(item, int) and not -(1 << 63) <= item < 1 << 63:
+            raise UserError("a whole number of more than 64 bits")

@@ -1,0 +1,291 @@
+"""Colours of given Gaussians for given pictures, by least squares: a render is linear in its colours."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from anystyle.contracts import Renderer
+from anystyle.errors import UserError
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.io.cache import LRUCache
+from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, Tokens, Views
+
+MIN_WEIGHT = 1e-3
+"""A Gaussian that all views together show less of than so many pixels keeps its colour."""
+MIN_CONFIDENCE = 1e-3
+"""Of a pixel all of whose Gaussians are seen larger elsewhere."""
+
+
+FitColors = Literal["off", "mean"] | int
+"""``off``: each Gaussian has the colour of the pixel it comes from; ``mean``: the weighted mean of the pixels that show
+it; a number: so many steps of least squares, in which each place is coloured by the view that shows it largest."""
+
+
+def checked_steps(value: str | int) -> FitColors:
+    """A configured value of :data:`FitColors`.
+
+    Raises:
+        UserError: It is none.
+    """
+    if value in ("off", "mean"):
+        return value  # pyright: ignore[reportReturnType]
+    if not str(value).isdigit():
+        raise UserError(f"fit_colors={value}; give off, mean, or a number of steps")
+    return int(value)
+
+
+def color_gaussians(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    targets: Float[Tensor, "V 3 H W"],
+    renderer: Renderer,
+    origins: Int[Tensor, "N 3"] | None,
+    how: FitColors,
+    *,
+    keep: bool = False,
+) -> Gaussians:
+    """Colour Gaussians by pictures of them.
+
+    Args:
+        gaussians: A batch of one scene.
+        cameras: A batch of one scene, for images of the targets' size.
+        targets: sRGB in [0, 1].
+        renderer: Differentiable in colours.
+        origins: View, row and column of the pixel that each Gaussian comes from, where they are known.
+        how: See :data:`FitColors`.
+        keep: Whether harmonics above degree 0 stay, where colours are not those of single pixels.
+
+    Raises:
+        UserError: Origins are asked for, and there are none.
+    """
+    if how != "off":
+        steps = 0 if how == "mean" else how
+        return fit_colors(
+            gaussians, cameras, targets, renderer, steps=steps, largest=how != "mean", keep=keep, origins=origins
+        )
+    if origins is None:
+        raise UserError("fit_colors=off takes colours from pixels, and it is not known which Gaussian comes from which")
+    return replace(gaussians, harmonics=constant_from_rgb(_at(targets, origins))[None, :, None])
+
+
+def _at(pictures: Float[Tensor, "V 3 H W"], pixels: Int[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+    view, row, column = pixels.unbind(1)
+    return pictures[view, :, row, column]
+
+
+def fit_colors(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    targets: Float[Tensor, "V 3 H W"],
+    renderer: Renderer,
+    *,
+    steps: int = 4,
+    damping: float = 0.0,
+    largest: bool = False,
+    keep: bool = False,
+    origins: Int[Tensor, "N 3"] | None = None,
+) -> Gaussians:
+    """Colour Gaussians so that their renders are as near as can be to targets, in squared error.
+
+    It begins with the mean of the pixels that each Gaussian is seen in, weighted by how much of them it covers, and
+    goes on with steps of preconditioned conjugate gradients on the normal equations. Colours lie in [0, 1], and do
+    not depend on the direction afterwards unless the harmonics that do are kept: what these show is then taken out
+    of the targets.
+
+    Pictures painted one by one disagree about strokes, and their mean has none. With ``largest`` a pixel counts
+    by the square of the share that Gaussians have in it which no other view shows larger, so that each place is painted
+    by one view, as surfaces are textured from photographs (Lempitsky and Ivanov 2007).
+
+    Args:
+        gaussians: A batch of one scene; their colours are kept only where no view sees them, and
+            no origin is known.
+        cameras: A batch of one scene, for images of the targets' size.
+        targets: sRGB in [0, 1].
+        renderer: Differentiable in colours; what it has behind the scene is taken out of the targets.
+        steps: Of conjugate gradients; none gives the weighted means. A step costs a render of every view and its
+            backward pass.
+        damping: Pulls each colour towards its weighted mean, with this share of its own weight.
+        largest: Whether pixels count where their view shows a place largest; all count alike otherwise.
+        keep: Whether harmonics above degree 0 stay as they are.
+        origins: View, row and column of the pixel that each Gaussian comes from, for what no view sees.
+
+    Raises:
+        UserError: There are several scenes, or targets and cameras do not belong together.
+    """
+    if gaussians.means.shape[0] != 1 or cameras.world_from_camera.shape[:2] != (1, len(targets)):
+        raise UserError(
+            f"fit_colors got Gaussians of {gaussians.means.shape[0]} scenes, cameras "
+            f"{tuple(cameras.world_from_camera.shape[:2])} and {len(targets)} targets; "
+            "give one scene and a camera a target"
+        )
+    if cameras.size != tuple(targets.shape[-2:]):
+        raise UserError(f"targets of {tuple(targets.shape[-2:])} and cameras for {cameras.size}; resize one of the two")
+    system = _system(gaussians.detach(), cameras.detach(), renderer)
+    higher = gaussians.harmonics[0, :, 1:] if keep else gaussians.harmonics[0, :, :0]
+    if higher.shape[1]:
+        targets = torch.stack([targets[view] - system.change_by(view, higher) for view in range(len(targets))])
+    if largest:
+        system = system.confident
+    weights = system.weights
+    means = system.backproject(lambda view: targets[view]) / weights.clamp_min(MIN_WEIGHT)[:, None]  # N 3
+    seen = weights > MIN_WEIGHT
+    colors = _conjugate_gradients(system, targets, weights * seen, means, steps, damping) if steps else means
+    constant = constant_from_rgb(colors.clamp(0, 1))
+    unseen = gaussians.harmonics[0, :, 0] if origins is None else constant_from_rgb(_at(targets, origins))
+    constant = torch.where(seen[:, None], constant, unseen)
+    return replace(gaussians, harmonics=torch.cat([constant[:, None], higher], dim=1)[None])
+
+
+def _conjugate_gradients(
+    system: "_System",
+    targets: Float[Tensor, "V 3 H W"],
+    weights: Float[Tensor, " N"],
+    means: Float[Tensor, "N 3"],
+    steps: int,
+    damping: float,
+) -> Float[Tensor, "N 3"]:
+    """Solve ``(AᵀA + damping W) c = Aᵀ targets + damping W means``, each channel by itself, beginning at the means.
+
+    ``W`` holds the weights, the sums of rows of ``Aᵀ``; where pixels are opaque they are the sums of rows of ``AᵀA``
+    too, which makes them the preconditioner.
+    """
+    inverse = torch.where(weights > 0, 1 / weights.clamp_min(MIN_WEIGHT), 0.0)[:, None]
+    colors = means
+    residual = system.backproject(lambda view: targets[view] - system.render(view, colors)) * (inverse > 0)
+    direction = inverse * residual
+    energy = (residual * direction).sum(0)  # 3
+    for step in range(steps):
+        curvature = system.normal(direction) * (inverse > 0) + damping * weights[:, None] * direction
+        length = energy / (direction * curvature).sum(0).clamp_min(1e-20)
+        colors = colors + length * direction
+        if step + 1 == steps:
+            break
+        residual = residual - length * curvature
+        previous, energy = energy, (residual * inverse * residual).sum(0)
+        direction = inverse * residual + energy / previous.clamp_min(1e-20) * direction
+    return colors
+
+
+@dataclass(frozen=True)
+class _System:
+    """Renders as a linear map ``A`` of colours, but for what shines through: a pass backward is ``Aᵀ``.
+
+    With ``confidence`` of the pixels of each view, ``Aᵀ`` is ``Aᵀ diag(confidence)`` everywhere: least squares count
+    squared errors so much.
+    """
+
+    gaussians: Gaussians
+    cameras: Cameras
+    renderer: Renderer
+    confidence: tuple[Float[Tensor, "1 H W"], ...] | None = None
+
+    @cached_property
+    def confident(self) -> "_System":
+        """The same with confidence in what a view shows larger than all others."""
+        ones = self.gray.new_ones(3, *self.cameras.size).detach()
+        views = range(len(self.gray_renders))
+        largest = torch.stack([self.transposed(view, ones)[:, 0] for view in views]).argmax(0)
+
+        def largest_in(view: int) -> Float[Tensor, "1 H W"]:
+            shown = 0.5 + 0.45 * (largest == view).to(self.gray)[:, None].expand_as(self.gray)
+            with torch.no_grad():
+                return (self.render(view, shown) - self.gray_renders[view])[:1] / 0.45
+
+        confidence = tuple((largest_in(view).clamp(0, 1) + MIN_CONFIDENCE).square() for view in views)
+        system = replace(self, confidence=confidence)
+        vars(system).update(gray=self.gray, gray_renders=self.gray_renders)
+        return system
+
+    def render(self, view: int, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
+        """A view of colours in [0, 1], over the renderer's background."""
+        harmonics = constant_from_rgb(colors)[None, :, None]
+        return self.renderer(replace(self.gaussians, harmonics=harmonics), self.cameras.select([view])).color[0, 0]
+
+    @cached_property
+    def gray(self) -> Float[Tensor, "N 3"]:
+        """Colours far from both cuts: of those below 0, and of renders above 1."""
+        return self.gaussians.means.new_full((self.gaussians.means.shape[1], 3), 0.5).requires_grad_()
+
+    @cached_property
+    def gray_renders(self) -> list[Float[Tensor, "3 H W"]]:
+        """Each view of these colours, rendered once: every pass backward goes through them."""
+        return [self.render(view, self.gray) for view in range(self.cameras.intrinsics.shape[1])]
+
+    def change_by(self, view: int, higher: Float[Tensor, "N K 3"]) -> Float[Tensor, "3 H W"]:
+        """What harmonics above degree 0 add to a view of grey."""
+        harmonics = torch.cat([torch.zeros_like(higher[:, :1]), higher], dim=1)[None]
+        with torch.no_grad():
+            render = self.renderer(replace(self.gaussians, harmonics=harmonics), self.cameras.select([view]))
+        return render.color[0, 0] - self.gray_renders[view].detach()
+
+    def transposed(self, view: int, pixels: Float[Tensor, "3 H W"]) -> Float[Tensor, "N 3"]:
+        """``Aᵀ`` of one view's pixels."""
+        if self.confidence is not None:
+            pixels = pixels * self.confidence[view]
+        return torch.autograd.grad(self.gray_renders[view], self.gray, pixels, retain_graph=True)[0]
+
+    def backproject(self, pixels: Callable[[int], Float[Tensor, "3 H W"]]) -> Float[Tensor, "N 3"]:
+        """``Aᵀ`` of what ``pixels`` gives for each view."""
+        total = torch.zeros_like(self.gray)
+        for view in range(len(self.gray_renders)):
+            total += self.transposed(view, pixels(view))
+        return total
+
+    def normal(self, direction: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+        """``AᵀA`` of a change of colours, by the difference of two renders."""
+        scale = direction.abs().amax(0).clamp_min(1e-20) / 0.45  # 3
+
+        def change(view: int) -> Float[Tensor, "3 H W"]:
+            with torch.no_grad():
+                return self.render(view, 0.5 + direction / scale) - self.gray_renders[view]
+
+        return self.backproject(change) * scale
+
+    @cached_property
+    def weights(self) -> Float[Tensor, " N"]:
+        """How many pixels each Gaussian covers in all views together."""
+        size = self.cameras.size
+        return self.backproject(lambda view: self.gray.new_ones(3, *size).detach())[:, 0]
+
+
+_SYSTEMS: LRUCache[tuple[object, ...], _System] = LRUCache(1)
+"""That of the last scene: its grey renders and weights serve every style."""
+
+
+def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _System:
+    tensors = *vars(gaussians).values(), cameras.world_from_camera, cameras.intrinsics
+    # A system holds its tensors, so that no others can lie where they do.
+    identity = [(tensor.data_ptr(), tensor.shape, tensor._version) for tensor in tensors]
+    return _SYSTEMS.get((*identity, cameras.size, id(renderer)), lambda: _System(gaussians, cameras, renderer))
+
+
+def colors_alone(views: Views) -> Scene:
+    """Views with cameras, as a style branch at ``placement=color`` reads them: colours; no tokens, depth or Gaussians.
+
+    Raises:
+        UserError: The views have no cameras.
+    """
+    if views.cameras is None:
+        raise UserError("colours alone are encoded of views with cameras")
+    images, cameras = views.images, views.cameras
+    batch, number, _, height, width = images.shape
+    pixels = images.new_zeros(batch, number, height, width)
+    rotation = torch.tensor([1.0, 0.0, 0.0, 0.0]).to(images).expand(*pixels.shape, 4)
+    return Scene(
+        views=views,
+        stem=Tokens(images.new_zeros(batch, number, 0, 0), grid=(0, 0)),
+        features={},
+        geometry=Geometry(cameras, pixels, pixels),
+        attributes=Attributes(
+            opacity=pixels,
+            scale=pixels[..., None].expand(*pixels.shape, 3),
+            rotation=rotation,
+            color=constant_from_rgb(images.movedim(2, -1))[..., None],
+        ),
+        clusters=None,
+    )

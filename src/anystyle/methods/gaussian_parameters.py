@@ -1,0 +1,115 @@
+"""Gaussians in the parametrisation that is optimised."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from anystyle.geometry.rotations import matrix_from_wxyz
+from anystyle.types import Gaussians
+
+NAMES = ("offsets", "scales", "rotations", "opacities", "colors", "harmonics")
+"""Offsets of centres in ``units``, log scales, quaternions, opacity logits, and constant and higher harmonics."""
+
+SMALLEST, MARGIN = 1e-12, 1e-6
+"""Scales and opacities are clamped so that logarithms and logits are finite."""
+
+SPLIT = 1.6
+"""A split replaces a Gaussian by two that are narrower by this factor (3D Gaussian splatting, section 5.2)."""
+
+
+class GaussianParameters:
+    """Gaussians of one scene, some of whose attributes are optimised, and their optimiser.
+
+    ``rates`` are learning rates by name of :data:`NAMES`; attributes without one are constant. ``units`` is the length
+    in world space that each offset is measured in.
+    """
+
+    def __init__(self, gaussians: Gaussians, rates: Mapping[str, float], units: Float[Tensor, " N"]) -> None:
+        self.fixed, self.units = gaussians.detach(), units
+        g = self.fixed
+        values = {
+            "offsets": torch.zeros_like(g.means[0]),
+            "scales": g.scales[0].clamp_min(SMALLEST).log(),
+            "rotations": g.rotations[0],
+            "opacities": g.opacities[0].clamp(MARGIN, 1 - MARGIN).logit(),
+            "colors": g.harmonics[0, :, :1],
+            "harmonics": g.harmonics[0, :, 1:],
+        }
+        self.parameters = {name: values[name].clone().requires_grad_() for name in NAMES if name in rates}
+        groups = [{"params": [value], "name": name, "lr": rates[name]} for name, value in self.parameters.items()]
+        self.optimizer = torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-15, fused=True)
+
+    def __len__(self) -> int:
+        return len(self.units)
+
+    def gaussians(self) -> Gaussians:
+        """The current Gaussians, differentiable in the parameters."""
+        p, g = self.parameters, self.fixed
+        constant, higher = p.get("colors", g.harmonics[0, :, :1]), p.get("harmonics", g.harmonics[0, :, 1:])
+        return Gaussians(
+            means=(g.means[0] + self.units[:, None] * p["offsets"])[None] if "offsets" in p else g.means,
+            rotations=p["rotations"][None] if "rotations" in p else g.rotations,
+            scales=p["scales"].exp()[None] if "scales" in p else g.scales,
+            opacities=p["opacities"].sigmoid()[None] if "opacities" in p else g.opacities,
+            harmonics=torch.cat([constant, higher], dim=1)[None],
+        )
+
+    def set_rates(self, rates: Mapping[str, float]) -> None:
+        for group in self.optimizer.param_groups:
+            group["lr"] = rates[group["name"]]
+
+    def step(self) -> None:
+        self.optimizer.step()
+        self.optimizer.zero_grad(set_to_none=True)
+
+    @torch.no_grad()
+    def select(self, index: Int[Tensor, " n"]) -> None:
+        """Keep the Gaussians at these indices, which may repeat, with their part of the optimiser's state."""
+        self.fixed, self.units = self.fixed.map(lambda tensor: tensor[:, index]), self.units[index]
+        for group in self.optimizer.param_groups:
+            old = group["params"][0]
+            new = old.detach()[index].requires_grad_()
+            state = self.optimizer.state.pop(old, {})
+            self.optimizer.state[new] = {
+                key: value[index] if value.shape == old.shape else value for key, value in state.items()
+            }
+            group["params"][0] = self.parameters[group["name"]] = new
+
+    @torch.no_grad()
+    def split(self, parents: Int[Tensor, " n"]) -> Int[Tensor, " m"]:
+        """Replace Gaussians by two along their longest axis each, and return the former index of every Gaussian."""
+        before, count = self.gaussians(), len(self)
+        length, axis = before.scales[0, parents].max(-1)
+        turned = matrix_from_wxyz(before.rotations[0, parents])  # n 3 3
+        shift = 0.5 * length[:, None] * turned.gather(2, axis[:, None, None].expand(-1, 3, 1))[..., 0]
+        index = torch.cat([torch.arange(count, device=parents.device), parents])
+        self.select(index)
+        pair = torch.cat([parents, torch.arange(count, len(index), device=parents.device)])
+        means, scales = self.fixed.means.clone(), self.fixed.scales.clone()
+        means[0, pair] += torch.cat([shift, -shift])
+        scales[0, pair, axis.repeat(2)] /= SPLIT
+        self.fixed = replace(self.fixed, means=means, scales=scales)
+        if "scales" in self.parameters:
+            self.parameters["scales"][pair, axis.repeat(2)] -= torch.tensor(SPLIT).log().to(scales)
+        return index
+
+    def state_dict(self) -> dict[str, Any]:
+        """All that is needed to resume; ``torch.save`` can write it."""
+        return {
+            "fixed": {name: getattr(self.fixed, name) for name in self.fixed.__dataclass_fields__},
+            "units": self.units,
+            "parameters": {name: value.detach() for name, value in self.parameters.items()},
+            "optimizer": self.optimizer.state_dict(),
+        }
+
+    def load_state_dict(self, state: Mapping[str, Any]) -> None:
+        """Restore the result of :meth:`state_dict`; the number of Gaussians may differ."""
+        self.fixed, self.units = Gaussians(**state["fixed"]), state["units"]
+        for group in self.optimizer.param_groups:
+            value = state["parameters"][group["name"]].clone().requires_grad_()
+            group["params"][0] = self.parameters[group["name"]] = value
+        self.optimizer.load_state_dict(state["optimizer"])

@@ -1,0 +1,150 @@
+"""What metrics share: pairs of images in batches, means over rows, and frozen networks with their weights on record."""
+
+import warnings
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import ClassVar, NamedTuple, final
+
+import torch
+from jaxtyping import Float, Shaped
+from torch import Tensor
+from torchmetrics.utilities import dim_zero_cat
+
+from anystyle.contracts import Metric
+from anystyle.errors import UserError
+from anystyle.types import Comparison
+from anystyle.vision import preprocess
+from anystyle.vision.embeddings import SourcedNetwork
+from anystyle.vision.feature_cache import CACHE, batch_size
+from anystyle.vision.lpips import Lpips
+from anystyle.vision.preprocess import checked, finite
+from anystyle.vision.weights import Source, checksums, stand_ins
+
+
+class Pairs(NamedTuple):
+    """Views of one row of a comparison."""
+
+    row: int
+    preds: Float[Tensor, "M 3 H W"]
+    target: Float[Tensor, "M 3 H W"]
+
+
+def pairs(comparison: Comparison) -> Iterator[Pairs]:
+    """All pairs of a comparison, row by row in batches that a network processes at once."""
+    for row, views in enumerate(zip(comparison.stylized, comparison.content, strict=True)):
+        for preds, target in zip(*(images.split(batch_size(images)) for images in views), strict=True):
+            yield Pairs(row, preds, target)
+
+
+def with_style_images(comparison: Comparison) -> tuple[Comparison, Float[Tensor, "R 3 h w"]]:
+    """The rows of a comparison that have a style image, and these images; checked."""
+    style = checked(comparison).style
+    given = None if style is None else style.has_image
+    if style is None or style.image is None or (given is not None and not bool(given.any())):
+        raise UserError("the comparison has no style image; this metric compares with one: give style images")
+    image = style.image
+    if given is not None and not bool(given.all()):
+        kept = given.nonzero().flatten().tolist()
+        scenes, styles = (
+            tuple(names[row] for row in kept if names) for names in (comparison.scenes, comparison.styles)
+        )
+        comparison = replace(comparison.map(lambda tensor: tensor[kept]), scenes=scenes, styles=styles)
+        image = image[kept]
+    return comparison, finite(image, "the style images")
+
+
+def mean_per_row(comparison: Comparison, value: Callable[[Pairs], Float[Tensor, " M"]]) -> Float[Tensor, " R"]:
+    """The mean over each row's views, in float64, of ``value``, which returns a number for each pair."""
+    rows: dict[int, list[Tensor]] = {}
+    for batch in pairs(comparison):
+        rows.setdefault(batch.row, []).append(value(batch))
+    return torch.stack([torch.cat(values).double().mean() for values in rows.values()])
+
+
+class RowMean(Metric, ABC):
+    """A metric with one figure, the mean of one number a row: each style of each scene counts alike.
+
+    A row's number that is ``nan`` is left out. ``lacking`` is the warning where no row had a number.
+    """
+
+    lacking: ClassVar[str] = "no image that can be judged"
+    full_state_update = False
+    total: Tensor
+    rows: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.add_state("total", torch.zeros((), dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("rows", torch.zeros((), dtype=torch.long), dist_reduce_fx="sum")
+
+    @abstractmethod
+    def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
+        """One number for each row that can be judged."""
+
+    @final
+    @torch.no_grad()
+    def update(self, comparison: Comparison) -> None:
+        values = self.of_rows(checked(comparison))
+        values = values[~values.isnan()].to(self.total)
+        self.total += values.sum()
+        self.rows += values.numel()
+
+    @final
+    def compute(self) -> dict[str, Tensor]:
+        (name,) = self.better
+        if int(self.rows) == 0:
+            warnings.warn(f"{name}: {self.lacking}; the figure is nan", stacklevel=2)
+        return {name: (self.total / self.rows).float()}  # nan where there is no row
+
+
+class NetworkMetric(Metric, ABC):
+    """A metric whose figures rest on published weights or on stand-ins."""
+
+    full_state_update = False
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        return {"weights": "stand_in"}
+
+    def declare(self, *sources: Source, figures: Iterable[str] = ()) -> None:
+        """Record the weights that figures rest on; all figures if none is named."""
+        self.stand_ins = {**self.stand_ins, **stand_ins(figures or self.better, *sources)}
+        self.weights = {**self.weights, **checksums(*sources)}
+
+
+def image_vectors(
+    network: SourcedNetwork, images: Float[Tensor, "M 3 H W"], *, size: int, rounded: bool
+) -> Float[Tensor, "M D"]:
+    """A network's vectors of images, computed once each; ``size`` and ``rounded`` as for ``preprocess.resized``."""
+
+    def embed(batch: Tensor) -> list[Tensor]:
+        return [network(preprocess.resized(batch, size, rounded=rounded))]
+
+    return CACHE.features(images, ("vectors", network.source.identity, size, rounded), embed)[0]
+
+
+def lpips_of_pairs(
+    network: Lpips, batch: Pairs, *, size: int | None, rounded: bool, gray: bool = False
+) -> Float[Tensor, " M"]:
+    """LPIPS of stylized images and photographs, whose shorter side is resized to ``size`` unless it is ``None``."""
+
+    def prepared(images: Tensor) -> Tensor:
+        if size is not None:
+            images = preprocess.resized(images, size, rounded=rounded)
+        elif rounded:
+            images = preprocess.eight_bit(images)
+        return preprocess.gray(images, rounded=rounded) if gray else images
+
+    def distances() -> Tensor:
+        target = CACHE.features(batch.target, ("lpips maps", *key), lambda images: network.describe(prepared(images)))
+        return network.compare(network.describe(prepared(batch.preds)), target)
+
+    key = (network.source.identity, size, rounded, gray)
+    return CACHE.scores(batch.preds, batch.target, ("lpips", *key), distances)
+
+
+def stacked(state: list[Tensor] | Tensor) -> Shaped[Tensor, "N *shape"]:
+    """The rows of a list state, which a reduction over processes has made one tensor; none before any update."""
+    return dim_zero_cat(state) if len(state) else torch.zeros(0, 1, 1)

@@ -1,0 +1,148 @@
+"""What people turn while they look: strength, colour preservation, size of strokes, and where style enters.
+
+Each is a function of embeddings, images or colours that any model shares; none knows a backbone.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.errors import UserError
+from anystyle.pipeline.masks import Mask
+from anystyle.types import Gaussians
+
+LUMA = (0.2126, 0.7152, 0.0722)
+"""Shares of red, green and blue in the brightness of sRGB (ITU-R BT.709)."""
+
+MAX_SCALE = 8.0
+
+
+@dataclass(frozen=True)
+class Controls:
+    """How a style is applied.
+
+    Args:
+        strength: In [0, 1]; 0 is the unstyled scene, bit for bit.
+        preserve_color: In [0, 1]: how much of the scene's own hues stays under the style's strokes.
+        scale: Size of strokes, for styles given as images: 2 shows the encoder strokes twice as large.
+        mask: Where style enters; everywhere without one.
+
+    Raises:
+        UserError: One is out of its range.
+    """
+
+    strength: float = 1.0
+    preserve_color: float = 0.0
+    scale: float = 1.0
+    mask: Mask | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("strength", "preserve_color"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise UserError(f"{name} is {getattr(self, name)}; expected a number between 0 and 1")
+        if not 1 / MAX_SCALE <= self.scale <= MAX_SCALE:
+            raise UserError(f"scale is {self.scale}; expected a number between {1 / MAX_SCALE} and {MAX_SCALE:g}")
+
+    @property
+    def label(self) -> str:
+        """What differs from the defaults, for people; empty where nothing does."""
+        default = Controls()
+        changed = [item.name for item in fields(self) if getattr(self, item.name) != getattr(default, item.name)]
+        values = {name: getattr(self, name) for name in changed}
+        return ", ".join(
+            name if name == "mask" else f"{name.replace('_', ' ')} {value:g}" for name, value in values.items()
+        )
+
+
+def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tensor, "B N"]) -> Gaussians:
+    """The Gaussians at a share of the way from unstyled to styled: attributes straight, rotations on the sphere.
+
+    Where a share is 0 or 1 the result has the bits of that end.
+
+    Raises:
+        UserError: They are not of one scene.
+    """
+    if unstyled.means.shape != styled.means.shape:
+        raise UserError(f"{unstyled.means.shape[1]} and {styled.means.shape[1]} Gaussians are not of one scene")
+    degree = max(unstyled.harmonics.shape[2], styled.harmonics.shape[2])
+    amount = torch.as_tensor(weights, dtype=styled.means.dtype, device=styled.means.device).expand(
+        styled.opacities.shape
+    )
+
+    def between(name: str) -> Tensor:
+        start, end = getattr(unstyled, name), getattr(styled, name)
+        if name == "harmonics":
+            start, end = (F.pad(tensor, (0, 0, 0, degree - tensor.shape[2])) for tensor in (start, end))
+        part = amount.reshape(*amount.shape, *[1] * (start.ndim - 2))
+        if name == "rotations":
+            lengths = [tensor.norm(dim=-1, keepdim=True).clamp_min(1e-12) for tensor in (start, end)]
+            sign = torch.where((start * end).sum(-1, keepdim=True) < 0, -1.0, 1.0)
+            middle = F.normalize(torch.lerp(start / lengths[0], sign * end / lengths[1], part), dim=-1)
+        else:
+            middle = torch.lerp(start, end, part)
+        return torch.where(part == 0, start, torch.where(part == 1, end, middle))
+
+    return Gaussians(**{item.name: between(item.name) for item in fields(Gaussians)})
+
+
+def with_colors_of(unstyled: Gaussians, styled: Gaussians, amount: float = 1.0) -> Gaussians:
+    """Styled Gaussians in the hues of unstyled ones: their brightness alone changes.
+
+    The luminance transfer of Gatys et al. 2016 (arXiv:1606.05897, section 4) for Gaussians: brightness is linear in
+    the coefficients of harmonics, so it holds from every direction. An amount of 0 keeps the style's own
+    colours.
+    """
+    degree = max(unstyled.harmonics.shape[2], styled.harmonics.shape[2])
+    content, style = (
+        F.pad(gaussians.harmonics, (0, 0, 0, degree - gaussians.harmonics.shape[2])) for gaussians in (unstyled, styled)
+    )
+    brighter = (style - content) @ content.new_tensor(LUMA)  # B N K
+    return replace(styled, harmonics=torch.lerp(style, content + brighter[..., None], amount))
+
+
+def applied(
+    controls: Controls, unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tensor, "B N"] = 1.0
+) -> Gaussians:
+    """A styled scene under the controls of strength and of colours, weighted by a mask.
+
+    Raises:
+        UserError: They are not of one scene.
+    """
+    if controls.preserve_color > 0:
+        styled = with_colors_of(unstyled, styled, controls.preserve_color)
+    return blended(unstyled, styled, controls.strength * weights)
+
+
+def rescaled(image: Float[Tensor, "3 H W"], scale: float) -> Float[Tensor, "3 H W"]:
+    """An image of a style with strokes ``scale`` times as large: the middle enlarged, or all among its mirrors."""
+    if scale == 1:
+        return image
+    height, width = image.shape[1:]
+    y, x = (((torch.arange(side) + 0.5) / side * 2 - 1) / scale for side in (height, width))
+    grid = torch.stack(torch.meshgrid(x, y, indexing="xy"), dim=-1)[None].to(image)
+    if scale > 1:
+        return F.grid_sample(image[None], grid, "bicubic", "reflection", align_corners=False)[0].clamp(0, 1)
+    size = (max(1, round(height * scale)), max(1, round(width * scale)))
+    small = F.interpolate(image[None], size, mode="bilinear", antialias=True, align_corners=False)
+    return F.grid_sample(small, grid, "bilinear", "reflection", align_corners=False)[0].clamp(0, 1)
+
+
+def combinations(
+    strength: Sequence[float] = (),
+    preserve_color: Sequence[float] = (),
+    scale: Sequence[float] = (),
+    mask: Sequence[Mask] = (),
+) -> list[Controls]:
+    """Controls for every combination of the values given, defaults for what is not."""
+    default = Controls()
+    return [
+        Controls(one, two, three, four)
+        for four in mask or (default.mask,)
+        for three in scale or (default.scale,)
+        for two in preserve_color or (default.preserve_color,)
+        for one in strength or (default.strength,)
+    ]

@@ -1,0 +1,339 @@
+"""The first step: from a configuration to a model with its weights."""
+
+import contextlib
+import logging
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf
+from torch import Tensor, nn
+
+from anystyle.branch import StyleBranch, sites_of
+from anystyle.contracts import Backbone, Injector, Loss, Placement, Reconstruction, Renderer, StyleEncoder
+from anystyle.errors import UserError, did_you_mean
+from anystyle.io.checkpoint import Header, has_header, load_part, read_header, sha256
+from anystyle.io.limits import require
+from anystyle.methods.base import Method
+from anystyle.methods.branch import Branch
+from anystyle.pipeline.precision import modules_in_bf16, set_precision
+from anystyle.published import Published
+from anystyle.registry.build import build, build_all
+from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import compose
+from anystyle.registry.schema import runtime_arguments
+from anystyle.stylizer import Stylizer
+from anystyle.types import Site
+from anystyle.vision import weights
+
+_log = logging.getLogger(__name__)
+
+PARTS = ("backbone", "style_encoder", "branch")
+State = Mapping[str, Tensor]
+_SMALLER = "choose a smaller one with model=NAME"
+
+
+def weights_file(name: object) -> Path:
+    """The file of a name that ``anystyle weights`` lists, or of a path.
+
+    Raises:
+        UserError: It is neither.
+    """
+    if not isinstance(name, str):
+        raise UserError(f"weights are named by a text, not by {name!r}")
+    known = weights.files()
+    path = weights.find(name) if name in known else Path(name).expanduser()
+    if not path.is_file():
+        raise weights.MissingWeights(
+            f"there is no weights file {path}, and no weights of that name.{did_you_mean(name, known)} "
+            "`anystyle weights list` names them"
+        )
+    return path
+
+
+def make_branch(config: DictConfig, backbone: Backbone, style_dim: int) -> StyleBranch:
+    """A style branch at initialisation: copies of the backbone's parts, and injectors that are identities."""
+    placement = build(Placement, config.placement)
+
+    def make_injector(site: Site) -> Injector:
+        return build(Injector, config.injector, dim=site.dim, style_dim=style_dim)
+
+    return StyleBranch(
+        backbone,
+        sites=placement.select(sites_of(backbone, config.branch.sh_degree)),
+        make_injector=make_injector,
+        styled=tuple(config.branch.styled),
+        sh_degree=config.branch.sh_degree,
+        single_view=config.branch.get("single_view", False),
+    )
+
+
+def published_by(config: DictConfig) -> Published:
+    """How checkpoints of the configured backbone load that others published.
+
+    Raises:
+        UserError: None are known.
+    """
+    plugin = catalog().owner("backbone", config.backbone._target_)
+    backbone = plugin.load()
+    published = backbone.published if issubclass(backbone, Backbone) else None
+    if published is None:
+        raise UserError(
+            f"no published checkpoints of backbone={plugin.name} are known; give a file that anystyle wrote, or null"
+        )
+    return published
+
+
+def room_for_backbone(config: DictConfig, *, learns: bool = False) -> None:
+    """Refuse a backbone whose weights memory does not hold, before there is one.
+
+    Args:
+        config: Its node ``backbone``.
+        learns: Whether gradients and the optimiser's two moments come to them.
+
+    Raises:
+        UserError: They take more than there is.
+    """
+    try:
+        with torch.random.fork_rng([]), _on_meta(True):
+            tensors = build(Backbone, config.backbone).state_dict().values()
+    except RuntimeError:
+        return  # its constructor asks for values
+    needed = sum(tensor.nbytes for tensor in tensors) * (4 if learns else 1)
+    require(needed, f"the weights of the backbone{', with what learning adds' if learns else ''}", _SMALLER)
+
+
+def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
+    """Build a stylizer and load its weights.
+
+    Args:
+        config: Nodes ``backbone, style_encoder, placement, injector, renderer, branch, precision`` and ``weights``,
+            which names a file for each of ``backbone, style_encoder, branch``, or ``null`` for a part left as
+            initialised. A file is one of ours, or holds weights under the names that their publishers gave them.
+        learns: Whether the style branch is going to be trained; if not, an untrained one is warned of.
+
+    Returns:
+        The stylizer, and what was loaded: file name, SHA-256, provenance; by part, and where one has several networks
+        the further ones by ``part/network``.
+
+    Raises:
+        UserError: A file does not fit, or was trained on top of other weights than those named.
+        FileNotFoundError: A file is missing.
+    """
+    files = {part: weights_file(name) for part, name in config.weights.items() if name is not None}
+    if "backbone" not in files:
+        room_for_backbone(config)
+    for file in set(files.values()):
+        require(file.stat().st_size, f"the weights in {file}", _SMALLER)
+    sums = {file: sha256(file) for file in set(files.values()) if file.is_file()}
+    digests = {part: sums[file] for part, file in files.items() if file in sums}
+    ours = {part: file for part, file in files.items() if has_header(file)}
+    # A file that several parts come from is read once.
+    states = {file: weights.read(file) for file in {files[part] for part in files if part not in ours}}
+    if "branch" in ours:
+        _check_base(ours["branch"], digests)
+    published = {part: states[file] for part, file in files.items() if part not in ours}
+    stylizer, headers = build_and_load(config, ours, published)
+    loaded = {
+        part: {
+            "file": file.name,
+            "sha256": digests[part],
+            "provenance": dict(headers[part].provenance) if part in headers else {},
+        }
+        for part, file in files.items()
+    }
+    for part, sources in (("style_encoder", stylizer.style_encoder.sources), ("branch", stylizer.branch.sources)):
+        for index, source in enumerate(() if part in files else sources):
+            name = part if index == 0 else f"{part}/{source.network}"
+            loaded[name] = {"file": source.file, "sha256": source.sha256, "provenance": {}}
+    if "branch" not in loaded and not learns:
+        _log.warning(
+            "the style branch is untrained and changes nothing, for no weights of one on this backbone are named; "
+            "train one, or give its file as weights.branch"
+        )
+    return stylizer, loaded
+
+
+def assemble_frozen(config: DictConfig) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
+    """As :func:`assemble`, for inference: in ``eval`` mode, without gradients."""
+    stylizer, loaded = assemble(config)
+    return stylizer.requires_grad_(False).eval(), loaded
+
+
+def make_method(config: DictConfig, style_encoder: StyleEncoder) -> Method:
+    """The configured method with its losses; nothing of it learns."""
+    losses = build_all(Loss, config.get("loss"), style_encoder=style_encoder) if "losses" in _named(config) else {}
+    for loss in losses.values():
+        loss.requires_grad_(False)
+    return build(Method, config.method, losses=losses)
+
+
+def _named(config: DictConfig) -> Mapping[str, bool]:
+    return runtime_arguments(catalog().owner("method", str(config.method._target_)))
+
+
+@dataclass(frozen=True)
+class LoadedModel:
+    """What a stylization needs of a model.
+
+    Args:
+        stylizer: With its weights, in ``eval`` mode, on the device to compute on.
+        method: How a scene takes a style.
+        reconstruction: What makes a scene of views; ``None`` where that depends on whether their cameras are found.
+        poses: Where cameras come from unless it is said.
+        weights: What was loaded; see :func:`assemble`.
+    """
+
+    stylizer: Stylizer
+    method: Method
+    reconstruction: Reconstruction | None
+    poses: str
+    weights: dict[str, dict[str, Any]]
+
+
+def load_model(
+    model: str | DictConfig | Stylizer | None,
+    reconstruction: str | Reconstruction | None = None,
+    method: str | Method | None = None,
+) -> LoadedModel:
+    """Load a model with its method and reconstruction; see :func:`anystyle.stylize` for the arguments."""
+    words = [f"{group}={name}" for group, name in (("model", model), ("method", method)) if isinstance(name, str)]
+    config = model if isinstance(model, DictConfig) else compose("stylize", words)
+    if isinstance(model, Stylizer):
+        stylizer, weights, poses = model, {}, "predicted"
+        how = method or Branch()
+    else:
+        stylizer, weights = assemble_frozen(config)
+        stylizer, poses = stylizer.to(default_device()), default_poses(config)
+        how = method or config.method
+    if not isinstance(how, Method):
+        how = make_method(config, stylizer.style_encoder)
+    made = reconstruction or (None if isinstance(model, Stylizer) else config.get("reconstruction"))
+    if made is not None and not isinstance(made, Reconstruction):
+        made = build(Reconstruction, made)
+    return LoadedModel(stylizer, how, made, poses, weights)
+
+
+def load(model: str | None = None, overrides: Sequence[str] = ()) -> Stylizer:
+    """Build a stylizer with its weights, ready for use: in ``eval`` mode, without gradients.
+
+    Args:
+        model: A preset of the group ``model``; ``None`` for the default, which goes with any backbone.
+        overrides: In Hydra's grammar, as ``anystyle stylize`` takes them, such as ``renderer=gsplat``.
+
+    Raises:
+        UserError: The preset or an override is unknown, or weights do not fit.
+        FileNotFoundError: A file of weights is missing.
+    """
+    preset = [] if model is None else [f"model={model}"]
+    return assemble_frozen(compose("stylize", [*preset, *overrides]))[0]
+
+
+def default_poses(config: DictConfig) -> str:
+    """Where cameras come from unless it is said: a small bundled network predicts them badly."""
+    known = weights.files()
+    name = config.weights.backbone
+    return "auto" if name in known and known[name].bundled else "predicted"
+
+
+def default_device() -> torch.device:
+    """A CUDA device if there is one, else the CPU."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def build_and_load(
+    config: DictConfig,
+    ours: Mapping[str, Path],
+    published: Mapping[str, State],
+    style_encoder: StyleEncoder | None = None,
+) -> tuple[Stylizer, dict[str, Header]]:
+    """Build the parts and load each from our file or from a published state dict, which is taken without a copy.
+
+    Returns:
+        The stylizer, and the headers of our files.
+    """
+    headers: dict[str, Header] = {}
+    encoder = style_encoder or _style_encoder(config, ours, published, headers)
+    whole = "backbone" in published and published_by(config).parts(published["backbone"])["backbone"]
+    with _on_meta(whole):
+        backbone = build(Backbone, config.backbone)
+    branch = None
+    if whole and "branch" in published:
+        with _on_meta(True):
+            branch = make_branch(config, backbone, encoder.dim)
+    if whole:
+        # While nothing is in memory: tensors are cast to these types as they come from their file.
+        for module in modules_in_bf16(config.precision, backbone, branch):
+            module.to(torch.bfloat16)
+    if "backbone" in published:
+        published_by(config).load("backbone", backbone, published["backbone"])
+    elif "backbone" in ours:
+        headers["backbone"] = load_part(ours["backbone"], backbone, "backbone")
+    branch = branch or make_branch(config, backbone, encoder.dim)
+    if "branch" in published:
+        published_by(config).load("branch", branch, published["branch"])
+    elif "branch" in ours:
+        headers["branch"] = load_part(ours["branch"], branch, "branch")
+    renderer = build(Renderer, config.renderer)
+    stylizer = Stylizer(
+        backbone=backbone,
+        style_encoder=encoder,
+        branch=branch,
+        renderer=renderer,
+    )
+    return set_precision(stylizer, config.precision), headers
+
+
+def _style_encoder(
+    config: DictConfig, ours: Mapping[str, Path], published: Mapping[str, State], headers: dict[str, Header]
+) -> StyleEncoder:
+    with _on_meta("style_encoder" in published):
+        encoder = build(StyleEncoder, config.style_encoder)
+    if "style_encoder" in ours:
+        headers["style_encoder"] = load_part(ours["style_encoder"], encoder, "style_encoder")
+    if "style_encoder" in published:
+        encoder.load_published(published["style_encoder"])
+    if "branch" in published:
+        published_by(config).load("style_encoder", encoder, published["branch"])
+    return encoder
+
+
+@contextlib.contextmanager
+def _on_meta(enabled: bool) -> Iterator[None]:
+    """Build modules on the meta device where it is enabled: without memory, and without initial values."""
+    with torch.device("meta") if enabled else contextlib.nullcontext():
+        yield
+
+
+def _check_base(file: Path, digests: dict[str, str]) -> None:
+    """Refuse a branch that was trained on top of other weights."""
+    for part, digest in read_header(file).base.items():
+        if digests.get(part) != digest:
+            raise UserError(
+                f"{file} was trained on a {part} with SHA-256 {digest[:12]}…, and weights.{part} is "
+                f"{digests.get(part, 'not given')[:12]}; name the file it was trained on"
+            )
+
+
+def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str, Any]) -> Header:
+    """The header of a style branch trained under ``config``; copies that did not learn are left out of its file."""
+    files = {part: weights_file(name) for part, name in config.weights.items() if name is not None and part != "branch"}
+    if not any(name in ("aggregator", "gaussian_head") for name, _ in branch.named_children()):
+        # It holds nothing of the backbone, and fits any.
+        files.pop("backbone", None)
+    nodes = ("backbone", "style_encoder", "placement", "injector", "branch")
+    return Header(
+        part="branch",
+        config={name: OmegaConf.to_container(config[name], resolve=True, enum_to_str=True) for name in nodes},
+        base={part: sha256(file) for part, file in files.items()},
+        provenance=dict(provenance),
+        # Without a file of the backbone nothing says what was copied.
+        omitted=tuple(name for name, part in branch.named_children() if "backbone" in files and _is_frozen(part)),
+    )
+
+
+def _is_frozen(part: nn.Module) -> bool:
+    parameters = list(part.parameters())
+    return bool(parameters) and not any(parameter.requires_grad for parameter in parameters)

@@ -1,0 +1,162 @@
+"""Where style enters: a mask for each photograph, or a box or a sphere in the scene; edges may be soft."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from kornia.filters import gaussian_blur2d
+from torch import Tensor
+
+from anystyle.contracts import Renderer
+from anystyle.data.folder import SourceImage
+from anystyle.data.images import SUFFIXES, open_image, to_tensor
+from anystyle.errors import UserError
+from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
+from anystyle.methods.colors import color_gaussians
+from anystyle.types import Cameras, Gaussians
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SeenScene:
+    """The views of a scene, for masks that are drawn on photographs.
+
+    Args:
+        sources: Where each view comes from.
+        cameras: Of the views, in the frame of the Gaussians.
+        renderer: Differentiable in colours.
+    """
+
+    sources: Sequence[SourceImage]
+    cameras: Cameras
+    renderer: Renderer
+
+
+class Mask(ABC):
+    """How much of the style each Gaussian takes."""
+
+    @abstractmethod
+    def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
+        """In [0, 1], 0 unstyled and 1 styled, for Gaussians of one scene and the views that it comes from."""
+
+
+@dataclass(frozen=True)
+class Sphere(Mask):
+    """Style inside a sphere.
+
+    Args:
+        center: In the units and OpenCV axes of ``scene.safetensors``.
+        radius: Above 0.
+        soft: Width of the edge, half of it on either side.
+    """
+
+    center: Vector
+    radius: float
+    soft: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not self.radius > 0 or not self.soft >= 0:
+            raise UserError(f"a sphere of radius {self.radius} with an edge of {self.soft}; expected > 0 and >= 0")
+
+    def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
+        """1 inside."""
+        distance = (gaussians.means - gaussians.means.new_tensor(self.center)).norm(dim=-1) - self.radius
+        return inside(distance, self.soft)
+
+
+@dataclass(frozen=True)
+class Box(Mask):
+    """Style inside a box along the axes.
+
+    Args:
+        low: One corner, in the units and OpenCV axes of ``scene.safetensors``.
+        high: The opposite one, larger in every coordinate.
+        soft: Width of the edge, half of it on either side.
+    """
+
+    low: Vector
+    high: Vector
+    soft: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not all(low < high for low, high in zip(self.low, self.high, strict=True)) or not self.soft >= 0:
+            raise UserError(f"a box from {self.low} to {self.high} with an edge of {self.soft} has no inside")
+
+    def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
+        """1 inside."""
+        low, high = (gaussians.means.new_tensor(corner) for corner in (self.low, self.high))
+        beyond = (gaussians.means - (low + high) / 2).abs() - (high - low) / 2
+        return inside(beyond.clamp_min(0).norm(dim=-1) + beyond.amax(-1).clamp_max(0), self.soft)
+
+
+@dataclass(frozen=True)
+class Photographs(Mask):
+    """Style where masks of the photographs are white: a Gaussian has the mean of the pixels that show it.
+
+    Args:
+        folder: An image named as each photograph, drawn on it as it came from the camera; dark is unstyled.
+        soft: The masks are blurred by so many times their shorter side.
+    """
+
+    folder: Path
+    soft: float = 0.01
+
+    def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
+        """The masks through the renderer."""
+        masks = torch.stack([self._of(source) for source in seen.sources]).to(gaussians.means)
+        if self.soft > 0:
+            sigma = self.soft * min(masks.shape[-2:])
+            width = 2 * int(3 * sigma + 1) + 1
+            kernel = tuple(min(width, side - 1 + side % 2) for side in masks.shape[-2:])
+            masks = gaussian_blur2d(masks, (kernel[0], kernel[1]), (sigma, sigma), border_type="replicate")
+        dark = constant_from_rgb(torch.zeros_like(gaussians.means))[:, :, None]
+        with torch.enable_grad():
+            lifted = color_gaussians(
+                replace(gaussians, harmonics=dark), seen.cameras, masks, seen.renderer, None, "mean"
+            )
+        return rgb_from_constant(lifted.harmonics[:, :, 0]).mean(-1).clamp(0, 1).detach()
+
+    def _of(self, source: SourceImage) -> Float[Tensor, "3 H W"]:
+        stem = source.name if source.path is None else source.path.stem
+        files = [self.folder / f"{stem}{suffix}" for suffix in sorted(SUFFIXES)]
+        file = next((file for file in files if file.is_file()), None)
+        if file is None:
+            raise UserError(f"{self.folder} has no mask for the photograph {stem}; expected an image of its name")
+        return to_tensor(source.of_view(open_image(file)))
+
+
+def inside(distance: Float[Tensor, "*batch"], soft: float) -> Float[Tensor, "*batch"]:
+    """1 at negative signed distances, 0 at positive ones, smooth over a width of ``soft`` around the edge."""
+    if soft == 0:
+        return (distance <= 0).to(distance.dtype)
+    way = (0.5 - distance / soft).clamp(0, 1)
+    return way * way * (3 - 2 * way)
+
+
+def parsed(word: str) -> Mask:
+    """A mask in words: a folder, ``sphere:X,Y,Z,RADIUS`` or ``box:X,Y,Z,X,Y,Z``; ``,soft=WIDTH`` at its end."""
+    word, _, soft = word.partition(",soft=")
+    kind, colon, rest = word.partition(":")
+    try:
+        options = {"soft": float(soft)} if soft else {}
+        if colon and kind in ("sphere", "box"):
+            numbers = [float(number) for number in rest.split(",")]
+            first: Vector = (numbers[0], numbers[1], numbers[2])
+            if kind == "sphere" and len(numbers) == 4:
+                return Sphere(first, numbers[3], **options)
+            if kind == "box" and len(numbers) == 6:
+                return Box(first, (numbers[3], numbers[4], numbers[5]), **options)
+            raise IndexError
+    except (ValueError, IndexError) as error:
+        reason = f" ({error})" if "has no inside" in str(error) or "expected >" in str(error) else ""
+        raise UserError(
+            f"the mask {word!r} is none{reason}; give a folder, sphere:X,Y,Z,RADIUS or box:X,Y,Z,X,Y,Z, each with "
+            ",soft=WIDTH if its edge is soft"
+        ) from None
+    if not Path(word).is_dir():
+        raise UserError(f"the mask {word!r} is no folder, and neither sphere:X,Y,Z,RADIUS nor box:X,Y,Z,X,Y,Z")
+    return Photographs(Path(word), **options)

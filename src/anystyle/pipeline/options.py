@@ -1,0 +1,150 @@
+"""The options of ``anystyle stylize`` that belong to no plugin.
+
+These dataclasses are the schema of the configuration, too: ``conf/stylize.yaml`` names them, and has no defaults of
+its own.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass, field
+
+from anystyle.errors import UserError
+from anystyle.registry.catalog import catalog
+
+AXES = ("opencv", "y", "z")
+"""Axes: x right, y down, z forward; x right, y up, z back; x right, y forward, z up. All are right-handed."""
+
+
+@dataclass(frozen=True)
+class BranchOptions:
+    """What the style branch predicts; :class:`anystyle.branch.StyleBranch` documents each option."""
+
+    styled: list[str] = field(default_factory=lambda: ["rotation", "color"])
+    sh_degree: int = 0
+    single_view: bool = False
+
+    def __post_init__(self) -> None:
+        _between("branch.sh_degree", self.sh_degree, 0, 4)
+
+
+@dataclass(frozen=True)
+class ViewOptions:
+    """How photographs are read, and how many are encoded together.
+
+    Args:
+        short_side: Shorter side of the views in pixels; ``None`` is the size that the reconstruction is made for.
+        resize: Whether photographs are brought to one size; otherwise they are taken pixel by pixel, and their sides
+            must be multiples of the backbone's patch size.
+        take: The most photographs that are read; of more, evenly spaced ones.
+        max_views: More views than this are encoded in overlapping groups; ``None`` encodes all in one pass.
+        overlap: Views that neighbouring groups share; ``None`` is a quarter of a group.
+    """
+
+    short_side: int | None = None
+    resize: bool = True
+    take: int = 48
+    max_views: int | None = None
+    overlap: int | None = None
+
+    def __post_init__(self) -> None:
+        _between("views.short_side", self.short_side, 1, 1 << 16)
+        _between("views.take", self.take, 1, 1 << 20)
+        _between("views.max_views", self.max_views, 1, 1 << 20)
+        _between("views.overlap", self.overlap, 1, 1 << 20)
+        if self.short_side is not None and not self.resize:
+            raise UserError(f"views.short_side={self.short_side} with views.resize=false; give one of them")
+
+
+@dataclass(frozen=True)
+class PoseOptions:
+    """Where the cameras of photographs come from.
+
+    Args:
+        use: ``predicted``: from the backbone. ``known``: stored beside the photographs (COLMAP, ``transforms.json``,
+            ``poses_bounds.npy``). ``target``: predicted, and the scene is rendered from the stored ones. ``auto``:
+            estimated by a plugin of kind ``pose_estimator`` where that succeeds, else predicted; or such a plugin.
+            ``None`` is ``auto`` for a backbone with bundled weights, which predicts cameras badly, else ``predicted``.
+        folder: Where stored cameras lie, if not in the photographs' folder or the one above.
+    """
+
+    use: str | None = None
+    folder: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.use is not None:
+            _expect("poses", self.use, ("predicted", "target", "known", "auto", *catalog().names("pose_estimator")))
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """Which files a result has besides its scene.
+
+    Args:
+        colmap: ``binary`` or ``text`` writes a COLMAP model, ``none`` does not.
+        up: Axes of the scene's files: ``opencv``, ``y`` or ``z`` up; ``None`` is what readers of each format expect,
+            which for PLY is OpenCV's.
+        formats: Further files of the scene, by plugins of kind ``format``.
+    """
+
+    colmap: str = "none"
+    up: str | None = None
+    formats: list[str] = field(default_factory=list)
+
+    @property
+    def folders(self) -> list[str]:
+        """Folders that a result has; where a capture's is in the way, that is refused before any work."""
+        return ["renders", *(["sparse"] if self.colmap != "none" else [])]
+
+    def __post_init__(self) -> None:
+        _expect("export.colmap", self.colmap, ("none", "binary", "text"))
+        _expect("export.up", str(self.up), ("None", *AXES))
+        for name in self.formats:
+            catalog().find("format", name)
+
+
+@dataclass(frozen=True)
+class SplatOptions:
+    """Where a scene that is given as Gaussians is seen from.
+
+    Args:
+        cameras: The most views.
+        folder: Where cameras are stored (COLMAP or ``transforms.json``), if not beside the file or one folder above.
+        up: Axes of the file: ``opencv``, which 3DGS has, ``y`` or ``z`` up. Results are in OpenCV's.
+    """
+
+    cameras: int = 24
+    folder: str | None = None
+    up: str = "opencv"
+
+    def __post_init__(self) -> None:
+        _expect("splat.up", self.up, AXES)
+        _between("splat.cameras", self.cameras, 1, 1 << 16)
+
+
+@dataclass(frozen=True)
+class VideoOptions:
+    """A flight through the cameras.
+
+    Args:
+        frames: How many frames.
+        fps: Frames a second.
+        scale: Size of a frame relative to the input views.
+    """
+
+    frames: int = 90
+    fps: int = 30
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        _between("video.frames", self.frames, 1, 100_000)
+        _between("video.fps", self.fps, 1, 1000)
+        _between("video.scale", self.scale, 0.01, 8)
+
+
+def _expect(option: str, value: str, choices: Collection[str]) -> None:
+    if value not in choices:
+        raise UserError(f"{option}={value}; choose one of {', '.join(choices)}")
+
+
+def _between(option: str, value: int | float | None, low: int | float, high: int | float) -> None:
+    if value is not None and not low <= value <= high:
+        raise UserError(f"{option}={value}; give a number from {low} to {high}")

@@ -1,0 +1,170 @@
+"""The second step: photographs, a video, views or a saved scene, as views of one size with the cameras asked for."""
+
+import logging
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import Backbone, Reconstruction
+from anystyle.data.folder import SourceImage, covering, read_originals, read_views
+from anystyle.errors import UserError
+from anystyle.pipeline.cameras import KnownCameras, from_files, from_views
+from anystyle.pipeline.options import PoseOptions, ViewOptions
+from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
+from anystyle.pipeline.stages import Stages
+from anystyle.reconstructions.feedforward import Feedforward
+from anystyle.registry.build import build
+from anystyle.registry.catalog import catalog
+from anystyle.types import Cameras, Views
+
+_log = logging.getLogger(__name__)
+
+Inputs = str | Path | Sequence[str | Path] | Views
+"""A folder, files, a pattern or a video; or views of one scene."""
+
+
+@dataclass(frozen=True)
+class ReadViews:
+    """The views of a scene as they were read.
+
+    Args:
+        views: On the CPU, all of one size.
+        sources: Where each view comes from.
+        reconstruction: Makes a scene of them.
+        cameras: Of all views, stored or estimated; ``None`` where the backbone predicts them.
+        points: For each view, sparse points in the cameras' world that it shows, where some are known.
+        targets: Stored cameras that the scene is to be rendered from, too.
+        report: What ``report.json`` says of the cameras.
+    """
+
+    views: Views
+    sources: tuple[SourceImage, ...]
+    reconstruction: Reconstruction
+    cameras: Cameras | None = None
+    points: Sequence[Float[Tensor, "_ 3"]] | None = None
+    targets: KnownCameras | None = None
+    report: Mapping[str, object] = field(default_factory=dict)
+
+
+def read(
+    inputs: Inputs,
+    backbone: Backbone,
+    options: ViewOptions,
+    poses: PoseOptions,
+    reconstruction: Reconstruction | None,
+    stages: Stages,
+) -> ReadViews:
+    """Read the views of a scene, with cameras where they are known or can be estimated.
+
+    Args:
+        inputs: What to read, or views that were read already.
+        backbone: The network that will see the views; sides are multiples of its patch size.
+        options: How photographs are read.
+        poses: Where cameras come from.
+        reconstruction: What will make a scene of the views; ``None`` is the choice of the plugin that estimates
+            cameras where it succeeds, and the backbone's single pass elsewhere.
+        stages: Times the work.
+    """
+    report: Mapping[str, object] = {}
+    estimator = None if isinstance(inputs, Views) else pose_estimator(poses.use)
+    if estimator is not None and not isinstance(inputs, Views):
+        chosen = reconstruction or build(Reconstruction, estimator.reconstruction)
+        posed = _estimated(_paths(inputs), backbone, options, chosen, estimator, stages)
+        if isinstance(posed, PosedViews):
+            cameras = posed.views.cameras
+            return ReadViews(posed.views, posed.sources, chosen, cameras, posed.points, report=posed.verdict.report())
+        reason = "; ".join(posed.reasons)
+        if poses.use != "auto" or (reconstruction is not None and reconstruction.needs_cameras):
+            raise UserError(f"no cameras are found: {reason}; reconstruction=feedforward poses=predicted does without")
+        _log.warning(
+            "no cameras are found: %s. The scene is what the backbone predicts in a single pass, and nothing confirms "
+            "it",
+            reason,
+        )
+        report = posed.report()
+    chosen = reconstruction or Feedforward()
+    if isinstance(inputs, Views):
+        views, sources = inputs, _own_sources(inputs, backbone.patch_size)
+    else:
+        short_side, enlarge = view_size(backbone, options, chosen)
+        with stages("read", "the views"):
+            views, found = read_views(
+                _paths(inputs),
+                short_side=short_side if options.resize else None,
+                enlarge=enlarge,
+                multiple=backbone.patch_size,
+                max_views=options.take,
+            )
+        sources = tuple(found)
+    if poses.use not in ("known", "target"):
+        return ReadViews(views, sources, chosen, report=report)
+    names = [source.name for source in sources]
+    if sources[0].path is None:
+        known = from_views(views.cameras, names)
+    else:
+        known = from_files(sources, None if poses.folder is None else Path(poses.folder))
+    if poses.use == "target":
+        return ReadViews(views, sources, chosen, targets=known)
+    return ReadViews(views, sources, chosen, known.of_all(names))
+
+
+def pose_estimator(use: str | None) -> PoseEstimator | None:
+    """The plugin that estimates cameras: the named one, the first there is for ``auto``, ``None`` for other words."""
+    names = catalog().names("pose_estimator")
+    name = next(iter(names), None) if use == "auto" else use if use in names else None
+    return None if name is None else build(PoseEstimator, name)
+
+
+def _estimated(
+    paths: Sequence[Path],
+    backbone: Backbone,
+    options: ViewOptions,
+    reconstruction: Reconstruction,
+    estimator: PoseEstimator,
+    stages: Stages,
+) -> PosedViews | Verdict:
+    with stages("read", "the photographs"):
+        originals = read_originals(paths, longest=estimator.longest, max_views=options.take)
+    if len(originals) < estimator.min_views:
+        few = f"{len(originals)} photographs are too few for their cameras to be found"
+        return Verdict("failed", (f"{few}, which takes {estimator.min_views} that overlap",), {})
+    short_side, enlarge = view_size(backbone, options, reconstruction)
+    with stages("cameras", f"of {len(originals)} photographs") as on_progress:
+        posed = estimator(
+            originals,
+            short_side=short_side,
+            enlarge=enlarge,
+            multiple=backbone.patch_size,
+            on_progress=on_progress,
+        )
+    if isinstance(posed, PosedViews):
+        if posed.cached:
+            stages.note("cameras", "were read from the cache of an earlier run with these photographs")
+        for doubt in posed.verdict.reasons:
+            _log.warning("cameras: %s", doubt)
+    return posed
+
+
+def view_size(backbone: Backbone, options: ViewOptions, reconstruction: Reconstruction) -> tuple[int, bool]:
+    """The shorter side of views in pixels, and whether smaller photographs are enlarged to it.
+
+    They are to what somebody asks for or a network was trained at; a fit gains nothing from enlarged pixels.
+    """
+    if options.short_side is None and reconstruction.short_side is not None:
+        return reconstruction.short_side, False
+    return options.short_side or backbone.resolution, True
+
+
+def _paths(inputs: str | Path | Sequence[str | Path]) -> list[Path]:
+    return [Path(path) for path in ([inputs] if isinstance(inputs, (str, Path)) else inputs)]
+
+
+def _own_sources(views: Views, multiple: int) -> tuple[SourceImage, ...]:
+    """Views that were read already, as their own sources."""
+    if any(side % multiple for side in views.size):
+        raise UserError(f"the scene's images are {views.size}; their sides must be multiples of {multiple}")
+    names = [f"view_{index:02d}" for index in range(views.images.shape[1])]
+    return tuple(covering(name, views.size, views.size) for name in names)

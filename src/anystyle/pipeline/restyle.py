@@ -1,0 +1,90 @@
+"""The fourth step: an encoded capture in a style, as its controls say."""
+
+from dataclasses import fields, replace
+from functools import cached_property
+
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.errors import UserError
+from anystyle.io.cache import LRUCache
+from anystyle.methods.base import Method
+from anystyle.pipeline.controls import Controls, applied
+from anystyle.pipeline.encode import EncodedCapture
+from anystyle.pipeline.masks import Mask, SeenScene
+from anystyle.pipeline.styles import EmbeddedStyle
+from anystyle.types import Gaussians, OnProgress, Scene, StyleEmbedding, no_progress
+
+
+class Restyler:
+    """Gives one capture its styles; what several of them share is computed once.
+
+    Args:
+        encoded: The capture.
+        method: How it takes a style.
+        on_progress: Called every few seconds while a method works.
+        keep: How many styled scenes are kept, to apply further controls to them.
+    """
+
+    def __init__(
+        self,
+        encoded: EncodedCapture,
+        method: Method,
+        on_progress: OnProgress = no_progress,
+        keep: int = 1,
+    ) -> None:
+        self.encoded, self.method, self.on_progress = encoded, method, on_progress
+        # The identity of an embedding is the key; the entry holds it, so that the identity stays unique.
+        self._styled: LRUCache[int, tuple[StyleEmbedding, Gaussians]] = LRUCache(keep)
+        self._weights: dict[Mask, Float[Tensor, "B N"]] = {}
+
+    @cached_property
+    def unstyled(self) -> Gaussians:
+        """The reconstruction itself."""
+        return _finite(self.encoded.capture.gaussians(self.encoded.stylizer.unstyled), "the unstyled scene")
+
+    def __call__(self, style: EmbeddedStyle) -> Gaussians:
+        """The scene in a style."""
+        controls = style.controls
+        if controls.strength == 0:
+            return self.unstyled
+        embedding = style.embedding
+        _, styled = self._styled.get(id(embedding), lambda: (embedding, self._restyle(style)))
+        if controls == replace(Controls(), scale=controls.scale):
+            return styled
+        if styled.means.shape != self.unstyled.means.shape:
+            raise UserError(
+                "controls need a fixed number of Gaussians, and this method adds some; set method.split_every=0"
+            )
+        return applied(controls, self.unstyled, styled, self._mask_weights(controls.mask))
+
+    def _restyle(self, style: EmbeddedStyle) -> Gaussians:
+        stylizer = self.encoded.stylizer
+        given = style.style.to(stylizer.device)
+
+        def restyle(scene: Scene) -> Gaussians:
+            return self.method(stylizer, scene, given, style.embedding, on_progress=self.on_progress)
+
+        return _finite(self.encoded.capture.gaussians(restyle), f"the scene in the style {style.title}")
+
+    def _mask_weights(self, mask: Mask | None) -> float | Float[Tensor, "B N"]:
+        if mask is None:
+            return 1.0
+        if mask not in self._weights:
+            seen = SeenScene(self.encoded.sources, self.encoded.cameras, self.encoded.stylizer.renderer)
+            self._weights[mask] = mask.weights(self.unstyled, seen)
+        return self._weights[mask]
+
+
+def _finite(gaussians: Gaussians, what: str) -> Gaussians:
+    """The Gaussians themselves, if all their numbers are finite: NaN would be written without complaint."""
+    for item in fields(gaussians):
+        values: Tensor = getattr(gaussians, item.name)
+        lost = values.numel() - int(values.isfinite().sum())
+        if lost:
+            raise UserError(
+                f"{lost} of {values.numel()} numbers of the {item.name} of {what} are NaN or infinite. `anystyle "
+                "plugins check backbone NAME` finds where a backbone of your own makes them; trained weights may need "
+                "precision=fp32"
+            )
+    return gaussians

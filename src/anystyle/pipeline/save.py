@@ -1,0 +1,286 @@
+"""The last step: results of a stylization, computed one at a time, and their files."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+from importlib.metadata import version
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from anystyle.geometry.cameras import smooth_path
+from anystyle.geometry.harmonics import rgb_from_constant
+from anystyle.io import colmap, ply
+from anystyle.io.atomic import atomic_directory, write_json
+from anystyle.io.checkpoint import save_tensors
+from anystyle.io.sheet import Cell, style_sheet, to_pil
+from anystyle.io.video import write_video
+from anystyle.methods.base import Method
+from anystyle.pipeline.encode import EncodedCapture
+from anystyle.pipeline.export import export_styles
+from anystyle.pipeline.options import ExportOptions, VideoOptions
+from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.stages import Stages
+from anystyle.pipeline.styles import EmbeddedStyle
+from anystyle.registry.catalog import catalog
+from anystyle.types import Cameras, Gaussians, OnProgress, StyledScene, no_progress
+from anystyle.vision.weights import license_lines, licenses
+
+CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
+MAX_POINTS = 100_000
+"""Points of a COLMAP export: what an optimisation of Gaussians starts from."""
+
+Column = tuple[str, Cell, Sequence[Cell]]
+"""Of a sheet: title, style image if there is one, one render for each view."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A scene in one style."""
+
+    style: EmbeddedStyle
+    gaussians: Gaussians
+    results: "Results"
+
+    @property
+    def encoded(self) -> EncodedCapture:
+        """The views it was made from, with their sources and cameras."""
+        return self.results.encoded
+
+    @property
+    def cameras(self) -> Cameras:
+        """The cameras of the input views, in the frame of the Gaussians."""
+        return self.encoded.cameras
+
+    @property
+    def report(self) -> dict[str, object]:
+        """What was run on what, for ``report.json``."""
+        encoded, stages = self.encoded, self.results.stages
+        return {
+            "style": self.style.title,
+            **({"controls": self.style.controls.label} if self.style.controls.label else {}),
+            **({"texts": [asdict(match) for match in self.style.matches]} if self.style.matches else {}),
+            "gaussians": int((self.gaussians.opacities > 0).sum()),
+            "views": len(encoded.sources),
+            "groups": len(encoded.capture.groups),
+            "reconstruction": {**encoded.reconstruction, "num_gaussians": int((self.gaussians.opacities > 0).sum())},
+            "method": _method_report(self.results.method),
+            "inputs": [source.name for source in encoded.sources],
+            "size": list(encoded.views.size),
+            "seconds": {stage: round(seconds, 4) for stage, seconds in stages.seconds.items()},
+            **self.results.provenance,
+            "licenses": licenses(self.results.provenance.get("weights")),
+            "versions": {name: version(name) for name in ("anystyle", "torch", "numpy")},
+        }
+
+    def render(self, cameras: Cameras | None = None) -> Iterator[Float[Tensor, "3 H W"]]:
+        """Render views one by one, on the CPU; the input views unless cameras are given."""
+        return self.encoded.render(self.gaussians, cameras)
+
+    def save(self, folder: str | Path) -> None:
+        """Write all files of this result; those of the same names are replaced, whole or not at all."""
+        with atomic_directory(folder) as temporary:
+            self.write(temporary)
+
+    def write(self, folder: Path) -> Column:
+        """Write all files into a folder that has none of them, and return the column of a sheet over several styles."""
+        with self.results.stages("write", "scene, renders and video"):
+            renders = self._write_scene(folder)
+        column = (self.style.title, self.style.cell, renders)
+        self.results.write_sheet(folder, [column])
+        write_json(folder / "report.json", self.report)
+        return column
+
+    def _write_scene(self, folder: Path) -> list[Image.Image]:
+        gaussians, encoded, options = self.gaussians, self.encoded, self.results.export
+        folder.mkdir(parents=True, exist_ok=True)
+        unstyled, title = self.results.restyler.unstyled, self.style.title
+        notes = (title, *license_lines(licenses(self.results.provenance.get("weights"))))
+        styles = [("unstyled", unstyled)] if unstyled.means.shape == gaussians.means.shape else []
+        scene = StyledScene((*styles, (title, gaussians)), self.cameras, tuple(encoded.names), notes, title)
+        for name in dict.fromkeys(["ply", *options.formats]):
+            export_styles(scene, folder / f"scene.{name}", name, up=options.up)
+        untouched = options.up in (None, "opencv") and _same_geometry(gaussians, unstyled)
+        if self.encoded.splat is not None and untouched:
+            # A trip through float32 logarithms and back moves the last bits.
+            ply.recolor(self.encoded.splat, gaussians.harmonics[0], folder / "scene.ply")
+        save_gaussians(gaussians, folder / "scene.safetensors")
+        renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
+        followed = self.cameras
+        if encoded.targets is not None:
+            names, followed = encoded.targets
+            self._write_renders(folder / "targets", names, followed)
+        self._write_video(folder / "video.mp4", followed)
+        write_cameras(folder / "cameras.json", encoded)
+        if options.colmap != "none":
+            write_colmap(folder / "sparse" / "0", gaussians, encoded, binary=options.colmap == "binary")
+        return renders
+
+    def _write_renders(self, folder: Path, names: Sequence[str], cameras: Cameras) -> list[Image.Image]:
+        folder.mkdir()
+        renders: list[Image.Image] = []
+        for name, image in zip(names, self.render(cameras), strict=True):
+            renders.append(to_pil(image))
+            renders[-1].save(folder / f"{name}.png")
+        return renders
+
+    def _write_video(self, path: Path, cameras: Cameras) -> None:
+        options = self.results.video
+        height, width = (max(2, round(side * options.scale / 2) * 2) for side in cameras.size)
+        route = smooth_path(cameras, options.frames).resized((height, width))
+        write_video(self.render(route), path, fps=options.fps)
+
+
+class Results:
+    """One result a style, each computed when it is asked for: memory holds the one that is looked at.
+
+    Args:
+        encoded: The capture.
+        styles: The styles, at least one.
+        method: How it takes a style.
+        export: Which files a result has.
+        video: The flight through the cameras.
+        provenance: What reports say of the model: weights, configuration, seed.
+        stages: Times the work.
+    """
+
+    def __init__(
+        self,
+        encoded: EncodedCapture,
+        styles: Sequence[EmbeddedStyle],
+        *,
+        method: Method,
+        export: ExportOptions,
+        video: VideoOptions,
+        provenance: Mapping[str, object],
+        stages: Stages,
+    ) -> None:
+        self.encoded, self.styles, self.method = encoded, tuple(styles), method
+        self.restyler = Restyler(encoded, method, lambda progress: self._on_progress(progress))
+        self._on_progress: OnProgress = no_progress
+        self.export, self.video = export, video
+        self.provenance, self.stages = provenance, stages
+
+    def __len__(self) -> int:
+        return len(self.styles)
+
+    def __getitem__(self, index: int) -> Result:
+        style = self.styles[index]
+        note = f"{range(len(self))[index] + 1}/{len(self)}: {' '.join(style.title.split())[:70]}"
+        with self.stages("restyle", note) as self._on_progress:
+            return Result(style, self.restyler(style), self)
+
+    def __iter__(self) -> Iterator[Result]:
+        for index in range(len(self)):
+            yield self[index]
+
+    def save(self, folder: str | Path) -> None:
+        """Write all results and what they have in common; files of the same names are replaced, all or none.
+
+        A single result lies in the folder itself, several in folders of their own beside a sheet of all.
+        """
+        with atomic_directory(folder) as temporary:
+            self.write(temporary)
+
+    def write(self, folder: Path) -> None:
+        """Write all results into a folder that has none of their files."""
+        columns: list[Column] = [self.unstyled]
+        report: dict[str, object] = {}
+        for index in range(len(self)):
+            result = self[index]
+            inside = folder if len(self) == 1 else folder / f"{index + 1:02d}-{result.style.name}"
+            columns.append(result.write(inside))
+            report = result.report
+            del result  # before the next one is computed
+        save_gaussians(self.restyler.unstyled, folder / "unstyled.safetensors")
+        if len(self) > 1:
+            self.write_sheet(folder, columns[1:])
+            write_json(folder / "report.json", report | {"style": [style.title for style in self.styles]})
+
+    def write_sheet(self, folder: Path, columns: Sequence[Column]) -> None:
+        """Write ``sheet.png``: photographs, the unstyled scene and the columns of some styles."""
+        photographs = [to_pil(image) for image in self.encoded.views.images[0]]
+        style_sheet(photographs, [self.unstyled, *columns]).save(folder / "sheet.png")
+
+    @cached_property
+    def unstyled(self) -> Column:
+        """The column of the reconstruction itself."""
+        with self.stages("render", "the unstyled scene"):
+            return "unstyled", None, [to_pil(image) for image in self.encoded.render(self.restyler.unstyled)]
+
+
+def _same_geometry(first: Gaussians, second: Gaussians) -> bool:
+    """Whether two scenes differ in nothing but colours."""
+    names = ("means", "rotations", "scales", "opacities")
+    return all(torch.equal(getattr(first, name), getattr(second, name)) for name in names)
+
+
+def _method_report(method: Method) -> dict[str, object]:
+    """What stylized a scene, for ``report.json``: the method, and the networks that it uses."""
+    return {
+        "kind": catalog().name_of("method", type(method)),
+        "networks": [asdict(source) for source in method.sources],
+    }
+
+
+def save_gaussians(gaussians: Gaussians, path: Path) -> None:
+    """Write every tensor of some Gaussians, without the loss of the PLY's conventions, as safetensors."""
+    tensors = {item.name: getattr(gaussians, item.name).detach().cpu().contiguous() for item in fields(gaussians)}
+    save_tensors(path, tensors, {"format": "anystyle/1 gaussians"})
+
+
+def write_cameras(path: Path, encoded: EncodedCapture) -> None:
+    """Write the cameras of the input views as readable JSON, whole or not at all.
+
+    Intrinsics are in pixels of the source images; where known cameras were given, the similarity from their frame to
+    the scene's is written, too.
+    """
+    cameras = encoded.cameras.to("cpu")
+    rows = zip(
+        encoded.sources, _source_intrinsics(encoded, cameras.intrinsics[0]), cameras.world_from_camera[0], strict=True
+    )
+    views = [
+        {
+            "name": source.name,
+            "height": source.size[0],
+            "width": source.size[1],
+            "intrinsics": intrinsics.tolist(),
+            "world_from_camera": pose.tolist(),
+        }
+        for source, intrinsics, pose in rows
+    ]
+    content: dict[str, object] = {"convention": CONVENTION, "views": views}
+    if encoded.scene_from_known is not None:
+        scale, rotation, translation = encoded.scene_from_known
+        content["scene_from_known"] = {
+            "meaning": "scene = scale * rotation @ known + translation",
+            "scale": float(scale),
+            "rotation": rotation.tolist(),
+            "translation": translation.tolist(),
+        }
+    write_json(path, content)
+
+
+def write_colmap(folder: Path, gaussians: Gaussians, encoded: EncodedCapture, *, binary: bool) -> None:
+    """Write one scene as a COLMAP model: cameras in source pixels, images, and the surest Gaussians as points."""
+    opacities = gaussians.opacities[0].cpu()
+    surest = opacities.argsort(descending=True, stable=True)[: min(MAX_POINTS, int((opacities > 0).sum()))]
+    rgb = rgb_from_constant(gaussians.harmonics[0, :, 0].cpu()[surest])
+    cameras = encoded.cameras.to("cpu").to(torch.float64)
+    model = colmap.pinhole_model(
+        [f"{source.name}.png" if source.path is None else source.path.name for source in encoded.sources],
+        [source.size for source in encoded.sources],
+        _source_intrinsics(encoded, cameras.intrinsics[0]).numpy(),
+        cameras.camera_from_world[0].numpy(),
+        gaussians.means[0].cpu()[surest].double().numpy(),
+        (rgb.clamp(0, 1) * 255).round().byte().numpy(),
+    )
+    colmap.write(model, folder, binary=binary)
+
+
+def _source_intrinsics(encoded: EncodedCapture, intrinsics: Float[Tensor, "V 3 3"]) -> Float[Tensor, "V 3 3"]:
+    pairs = zip(encoded.sources, intrinsics, strict=True)
+    return torch.stack([source.source_intrinsics(matrix) for source, matrix in pairs])

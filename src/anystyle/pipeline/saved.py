@@ -1,0 +1,133 @@
+"""Reading saved scenes: a folder that ``anystyle stylize`` wrote, or a PLY file."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Annotated
+
+import torch
+from msgspec import Meta
+from safetensors import SafetensorError, safe_open
+
+from anystyle.data.poses import StoredCamera
+from anystyle.errors import UserError
+from anystyle.geometry.cameras import looking_at
+from anystyle.io.documents import Count, read_json, regular
+from anystyle.pipeline.export import from_axes
+from anystyle.types import Cameras, Gaussians, StyledScene
+from anystyle.vision import weights
+
+UNSTYLED = "unstyled"
+_Row3 = tuple[float, float, float]
+_Row4 = tuple[float, float, float, float]
+_Side = Annotated[int, Meta(gt=0, le=100_000)]
+
+
+@dataclass(frozen=True)
+class SavedCamera:
+    """A view in ``cameras.json``."""
+
+    name: str
+    height: _Side
+    width: _Side
+    intrinsics: tuple[_Row3, _Row3, _Row3]
+    world_from_camera: tuple[_Row4, _Row4, _Row4, _Row4]
+
+
+@dataclass(frozen=True)
+class SavedCameras:
+    """``cameras.json``."""
+
+    views: Annotated[list[SavedCamera], Meta(min_length=1)]
+
+
+@dataclass(frozen=True)
+class SavedReport:
+    """What is read of ``report.json``."""
+
+    style: str | list[str] = ""
+    gaussians: Count = 0
+    views: Count = 0
+    licenses: dict[str, dict[str, str]] = field(default_factory=dict)
+
+
+def unstyled_of(scene: StyledScene) -> Gaussians:
+    """The scene itself; where it was not saved, the last of the styles."""
+    return dict(scene.styles).get(UNSTYLED, scene.styles[-1][1])
+
+
+def is_saved(path: Path) -> bool:
+    """Whether this is a PLY file or a folder that ``anystyle stylize`` wrote, and no capture."""
+    if path.is_dir():
+        return (path / "report.json").is_file() and any(path.glob("*.safetensors"))
+    return path.suffix.lower() == ".ply"
+
+
+def saved_path(inputs: object) -> Path | None:
+    """The file or folder, where the inputs are one saved scene."""
+    given = list(inputs) if isinstance(inputs, (list, tuple)) else [inputs]
+    single = given[0] if len(given) == 1 else None
+    return Path(single) if isinstance(single, (str, Path)) and is_saved(Path(single)) else None
+
+
+def read_saved(path: Path, up: str = "opencv") -> StyledScene:
+    """Read a folder of results or a PLY file.
+
+    Args:
+        path: The folder or the file.
+        up: The axes of a file, one of :data:`~anystyle.pipeline.options.AXES`.
+    """
+    if path.is_file():
+        gaussians = from_axes(up, Gaussians.load(path))
+        cameras = looking_at(gaussians.means[0], gaussians.opacities[0])
+        return StyledScene(((path.stem, gaussians),), cameras, ("all",), (path.name,))
+    if not (path / "report.json").is_file():
+        raise UserError(f"{path} has no scene that anystyle stylize wrote, and is no PLY file")
+    whole = read_json(path / "report.json", SavedReport, what="report")
+    # A folder may hold results of earlier runs beside those that its report is of.
+    folders = [path] if isinstance(whole.style, str) else sorted(file.parent for file in path.glob("*/report.json"))
+    reports = [read_json(folder / "report.json", SavedReport, what="report") for folder in folders]
+    styles = [
+        (str(report.style), read_gaussians(folder / "scene.safetensors"))
+        for folder, report in zip(folders, reports, strict=True)
+        if report.style in (whole.style if isinstance(whole.style, list) else [whole.style])
+    ]
+    if not styles:
+        raise UserError(f"{path / 'report.json'} tells of results that are not there")
+    unstyled = path / "unstyled.safetensors"
+    if unstyled.is_file():
+        styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))
+    cameras, names = _cameras(folders[0] / "cameras.json")
+    return StyledScene(tuple(styles), cameras, names, tuple(_notes(reports[0])))
+
+
+def read_gaussians(path: Path) -> Gaussians:
+    """Read what :func:`anystyle.pipeline.save.save_gaussians` wrote."""
+    try:
+        with safe_open(regular(path, most=None), framework="pt") as file:
+            return Gaussians(**{item.name: file.get_tensor(item.name) for item in fields(Gaussians)})
+    except (SafetensorError, OSError) as error:
+        raise UserError(f"{path} holds no Gaussians of anystyle ({error})") from None
+
+
+def results_cameras(folder: Path) -> dict[str, StoredCamera]:
+    """The cameras of a folder of results by the name of their view."""
+    saved = read_saved(folder)
+    poses, intrinsics = saved.cameras.world_from_camera[0].double(), saved.cameras.intrinsics[0].double()
+    stored = zip(saved.names, poses.numpy(), intrinsics.numpy(), strict=True)
+    return {name: StoredCamera(pose, matrix, saved.cameras.size) for name, pose, matrix in stored}
+
+
+def _cameras(path: Path) -> tuple[Cameras, tuple[str, ...]]:
+    """The cameras of ``cameras.json``, those of one size as the first."""
+    views = read_json(path, SavedCameras, what="file of cameras").views
+    first = views[0]
+    alike = [view for view in views if (view.height, view.width) == (first.height, first.width)]
+    poses = torch.tensor([view.world_from_camera for view in alike], dtype=torch.float32)
+    intrinsics = torch.tensor([view.intrinsics for view in alike], dtype=torch.float32)
+    return Cameras(poses[None], intrinsics[None], (first.height, first.width)), tuple(view.name for view in alike)
+
+
+def _notes(report: "SavedReport") -> Iterator[str]:
+    yield f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
+    yield from weights.license_lines(report.licenses)

@@ -1,0 +1,133 @@
+"""A 3D Gaussian scene that somebody has: cameras for it, its renders as views, and its file with other colours."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.data.folder import SourceImage, covering
+from anystyle.data.poses import StoredCamera, stored_cameras, view_camera
+from anystyle.errors import UserError
+from anystyle.geometry.cameras import look_at
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.io.limits import USABLE
+from anystyle.pipeline import memory
+from anystyle.pipeline.options import SplatOptions, ViewOptions
+from anystyle.pipeline.saved import results_cameras
+from anystyle.types import Cameras, Gaussians, Geometry, Renders, Scene, Views
+
+ELEVATIONS = (10.0, 35.0)
+"""Degrees above the scene's middle, of two rings of chosen cameras."""
+FOCAL = 1.2
+"""Of chosen cameras, in sides of their square images: 45 degrees."""
+DISTANCE = 3.0
+"""Of chosen cameras from the middle, in radii."""
+BYTES, BYTES_A_VIEW = 800, 60
+"""Memory that colouring takes: of each Gaussian, and of each in each view; measured with renderer=cpu at degree 3."""
+
+
+def memory_needed(num_gaussians: int, num_views: int) -> int:
+    """Bytes that rendering and colouring take beside the process as it is."""
+    return num_gaussians * (BYTES + BYTES_A_VIEW * num_views)
+
+
+def check_memory(num_gaussians: int, num_views: int, device: torch.device) -> str:
+    """A line on what a scene will take."""
+    needed, free = memory_needed(num_gaussians, num_views), memory.available(device)
+    line = f"{num_gaussians:,} Gaussians from {num_views} views take about {needed / 2**30:.2g} GiB"
+    if free is not None and needed > USABLE * free:
+        raise UserError(f"{line}, and {free / 2**30:.2g} GiB are free; set fewer views with splat.cameras")
+    return line
+
+
+def cameras_of(
+    path: Path, gaussians: Gaussians, views: ViewOptions, options: SplatOptions, multiple: int, resolution: int
+) -> tuple[Cameras, tuple[SourceImage, ...], str]:
+    """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
+
+    Sides of renders are multiples of ``multiple``; the shorter is ``resolution`` unless ``views`` give it.
+
+    Returns:
+        Cameras, what their images are called, and where they come from.
+    """
+    side = max(multiple, round((views.short_side or resolution) / multiple) * multiple)
+    stored = results_cameras(path) if path.is_dir() and not options.folder else {}
+    for folder in [Path(options.folder)] if options.folder else [path.parent, path.parent.parent]:
+        stored = stored or stored_cameras(folder)
+    if not stored:
+        names = [f"view_{index:02d}" for index in range(options.cameras)]
+        sources = tuple(covering(name, (side, side), (side, side)) for name in names)
+        return around(gaussians, options.cameras, side), sources, "chosen around the scene"
+    names = list(stored)
+    chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
+    first = stored[names[chosen[0]]]
+    size = common_shape(first, side, multiple)
+    sources = tuple(covering(Path(names[index]).stem, stored[names[index]].size, size) for index in chosen)
+    cameras = [view_camera(stored[names[index]], source) for index, source in zip(chosen, sources, strict=True)]
+    return Cameras.cat(cameras, dim=1), sources, "stored beside it"
+
+
+def common_shape(camera: StoredCamera, side: int, multiple: int) -> tuple[int, int]:
+    """Height and width of renders with the aspect of a stored camera's image."""
+    scale = side / min(camera.size)
+    height, width = (max(multiple, round(length * scale / multiple) * multiple) for length in camera.size)
+    return height, width
+
+
+def around(gaussians: Gaussians, number: int, side: int) -> Cameras:
+    """Cameras on two rings around the middle of a scene, looking at it; -y is up, as in OpenCV's axes.
+
+    Middle and radius are medians weighted by opacity, so that a few floaters far away move neither.
+    """
+    means, weights = gaussians.means[0], gaussians.opacities[0]
+    middle = torch.stack([_weighted_quantile(means[:, axis], weights, 0.5) for axis in range(3)])
+    radius = _weighted_quantile((means - middle).norm(dim=1), weights, 0.8)
+    turn = 2 * torch.pi * torch.arange(number, dtype=torch.float32) / number
+    rise = torch.deg2rad(torch.tensor(ELEVATIONS))[torch.arange(number) % len(ELEVATIONS)]
+    towards = torch.stack([rise.cos() * turn.cos(), -rise.sin(), rise.cos() * turn.sin()], dim=1).to(means)
+    eye = middle + DISTANCE * radius * towards
+    intrinsics = torch.tensor([[FOCAL * side, 0.0, side / 2], [0.0, FOCAL * side, side / 2], [0.0, 0.0, 1.0]])
+    return Cameras(
+        look_at(eye, middle.expand_as(eye))[None], intrinsics.expand(1, number, 3, 3).to(means), (side, side)
+    )
+
+
+def _weighted_quantile(values: Float[Tensor, " N"], weights: Float[Tensor, " N"], fraction: float) -> Tensor:
+    order = values.argsort()
+    total = weights[order].double().cumsum(0)
+    index = int(torch.searchsorted(total, fraction * total[-1]))
+    return values[order[min(index, len(order) - 1)]]
+
+
+@torch.no_grad()
+def scene_of_splat(
+    gaussians: Gaussians,
+    cameras: Cameras,
+    render: Callable[[Gaussians, Cameras], Renders],
+    encode: Callable[[Views], Scene],
+) -> Scene:
+    """The renders of given Gaussians, encoded with known cameras, as a scene that has these Gaussians.
+
+    Args:
+        gaussians: A batch of one, in the frame of the cameras.
+        cameras: For images whose sides are multiples of the backbone's patch.
+        render: Renders a batch of scenes.
+        encode: Encodes views with cameras.
+    """
+    renders = [render(gaussians, cameras.select([view])) for view in range(cameras.intrinsics.shape[1])]
+    images, alpha = (torch.cat([getattr(render, name) for render in renders], dim=1) for name in ("color", "alpha"))
+    depth = torch.cat([render.depth for render in renders], dim=1) / alpha.clamp_min(1e-6)
+    views = Views(images.clamp(0, 1), cameras)
+    encoded = encode(views)
+    # The colours that are styled are those of the renders, as the encoder saw them.
+    color = constant_from_rgb(views.images.movedim(2, -1))[..., None]
+    return replace(
+        encoded,
+        geometry=Geometry(cameras, depth, alpha),
+        attributes=replace(encoded.attributes, color=color.to(encoded.attributes.color.dtype)),
+        clusters=None,
+        gaussians=gaussians,
+    )

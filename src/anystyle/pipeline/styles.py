@@ -1,0 +1,168 @@
+"""Styles as people give them: texts, images, and points between two styles."""
+
+import logging
+import re
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.data.images import read_image
+from anystyle.errors import UserError
+from anystyle.io.sheet import Cell, to_pil
+from anystyle.pipeline.controls import Controls, rescaled
+from anystyle.stylizer import Stylizer
+from anystyle.types import Style, StyleEmbedding, TextMatch
+
+_log = logging.getLogger(__name__)
+
+MAX_TEXT = 2000
+"""Characters of a description."""
+
+
+@dataclass(frozen=True)
+class Mixture:
+    """The point at ``amount`` of the way from one style to another.
+
+    Raises:
+        UserError: The amount is outside.
+    """
+
+    first: "StyleInput"
+    second: "StyleInput"
+    amount: float
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.amount <= 1:
+            raise UserError(f"a mixture takes an amount between 0 and 1, not {self.amount}")
+
+
+StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture
+"""A description, an image file, a batch of one style, an sRGB image in [0, 1], or a mixture."""
+
+
+@dataclass(frozen=True)
+class EmbeddedStyle:
+    """A style as the network reads it, with what people see of it.
+
+    Args:
+        name: Lower-case words joined by hyphens, for a folder.
+        title: For a heading.
+        cell: Its picture, where there is one.
+        embedding: A batch of one.
+        style: The image or the text itself; neither for a point between two styles.
+        matches: Of each text that it is made of, what the encoder says of it.
+        controls: How it is applied.
+    """
+
+    name: str
+    title: str
+    cell: Cell
+    embedding: StyleEmbedding
+    style: Style = field(default_factory=Style)
+    matches: tuple[TextMatch, ...] = ()
+    controls: Controls = field(default_factory=Controls)
+
+    def under(self, controls: Controls) -> "EmbeddedStyle":
+        """This style applied as controls say, named after what they change."""
+        if not controls.label:
+            return self
+        name = f"{self.name}_{slug(controls.label.replace('.', '-'), 60)}"
+        return replace(self, name=name, title=f"{self.title}, {controls.label}", controls=controls)
+
+
+def check_text(text: str, what: str = "the text of a style") -> None:
+    """Refuse a description that says nothing or does not end.
+
+    Raises:
+        UserError: It is empty, or longer than :data:`MAX_TEXT`.
+    """
+    if not text.strip():
+        raise UserError(f"{what} is empty; say what the result should look like")
+    if len(text) > MAX_TEXT:
+        raise UserError(f"{what} has {len(text)} characters; describe the style in at most {MAX_TEXT}")
+
+
+def embed_styles(
+    styles: Sequence[StyleInput], stylizer: Stylizer, controls: Sequence[Controls] = (Controls(),)
+) -> list[EmbeddedStyle]:
+    """Embed styles in their order, each under all controls; one that occurs several times is embedded once.
+
+    Raises:
+        UserError: A text is empty or too long, a file is no image, or a :class:`~anystyle.types.Style` has neither an
+            image nor a text.
+    """
+    embedded: dict[tuple[int, float], EmbeddedStyle] = {}
+
+    def embed(style: StyleInput, scale: float) -> EmbeddedStyle:
+        if (id(style), scale) not in embedded:
+            if isinstance(style, Mixture):
+                mixed = mix(embed(style.first, scale), embed(style.second, scale), style.amount)
+                embedded[id(style), scale] = mixed
+            else:
+                embedded[id(style), scale] = _embed(style, stylizer, scale)
+        return embedded[id(style), scale]
+
+    return [embed(style, one.scale).under(one) for style in styles for one in controls]
+
+
+def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylizer, scale: float) -> EmbeddedStyle:
+    match style:
+        case Style(image=None, text=(str() as text, *_)):
+            return _embed(text, stylizer, scale)
+        case str():
+            check_text(style)
+            if scale != 1:
+                raise UserError(f"scale={scale:g} is of strokes in a picture; the style {style[:40]!r} is a text")
+            title = f"“{' '.join(style.split())}”"
+            embedding = stylizer.embed(text=style)
+            given = Style(text=(style,))
+            return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer))
+        case Path():
+            title, image = style.stem, read_image(style)[None]
+        case Tensor():
+            title, image = "image", style[None]
+        case Style(image=Tensor() as image, names=names):
+            title = names[0] if names else "image"
+        case _:
+            raise UserError("a style has neither an image nor a text")
+    cell, image = to_pil(image[0]), rescaled(image[0], scale)[None]
+    embedding = stylizer.embed(image=image.to(stylizer.device))
+    return EmbeddedStyle(slug(title), title, cell, embedding, Style(image=image, names=(title,)))
+
+
+def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
+    match = stylizer.style_encoder.match_text(text)
+    if match is None:
+        return ()
+    if match.unknown_words:
+        _log.warning(
+            "of the style %r the encoder never learnt: %s; it comes nearest to %r (similarity %.2f of 1)",
+            text,
+            ", ".join(match.unknown_words),
+            match.description,
+            match.similarity,
+        )
+    return (match,)
+
+
+def mix(first: EmbeddedStyle, second: EmbeddedStyle, amount: float) -> EmbeddedStyle:
+    """The point between two styles, at ``amount`` in [0, 1] of the way from the first."""
+    return EmbeddedStyle(
+        name=f"{slug(first.name, 24)}_{amount:.2f}_{slug(second.name, 24)}",
+        title=f"{1 - amount:.0%} {first.title}, {amount:.0%} {second.title}",
+        cell=first.cell if amount == 0 else second.cell if amount == 1 else None,
+        embedding=first.embedding.toward(second.embedding, amount),
+        style=first.style if amount == 0 else second.style if amount == 1 else Style(),
+        matches=tuple(dict.fromkeys(first.matches + second.matches)),
+    )
+
+
+def slug(text: str, limit: int = 40) -> str:
+    """A text as part of a file name: lower-case ASCII words joined by hyphens."""
+    plain = unicodedata.normalize("NFKD", text).encode("ascii", "ignore").decode().lower()
+    words = re.sub(r"[^a-z0-9]+", "-", plain).strip("-")
+    return words[:limit].rstrip("-") or "style"

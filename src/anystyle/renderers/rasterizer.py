@@ -1,0 +1,121 @@
+"""The base of renderers: options and checks that they share, and compositing over the background."""
+
+from abc import abstractmethod
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import Renderer
+from anystyle.errors import UserError
+from anystyle.geometry.harmonics import degree_of
+from anystyle.types import Cameras, Gaussians, Renders
+
+
+class Rasterizer(Renderer):
+    """Accumulates Gaussians over black, and composites the result over a background.
+
+    Args:
+        background: Colour in [0, 1] behind the scene.
+        near: Distance along z, above 0, under which centres are culled; the default is the published renderer's.
+        far: Distance along z over which centres are culled.
+        eps2d: Low-pass filter of a pixel: variance in pixels² added to every Gaussian in the image.
+    """
+
+    def __init__(
+        self,
+        *,
+        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        near: float = 1e-10,
+        far: float = 1e10,
+        eps2d: float = 0.3,
+    ) -> None:
+        self.background = background
+        self.near = near
+        self.far = far
+        self.eps2d = eps2d
+
+    def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        """Render every camera of every scene.
+
+        Raises:
+            UserError: The renderer does not run on the tensors' device, or the tensors do not belong together.
+            ImportError: What the renderer needs is not installed.
+        """
+        check(gaussians, cameras, self.background, self.near)
+        device = gaussians.means.device
+        if self.devices and device.type not in self.devices:
+            raise UserError(
+                f"{type(self).__name__} runs on {' and '.join(self.devices)}, and the tensors are on {device}; use "
+                f"renderer=auto, or move Gaussians and cameras with .to({self.devices[0]!r})"
+            )
+        return composite(self.accumulate(gaussians, cameras), self.background)
+
+    @abstractmethod
+    def accumulate(self, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "B V 5 H W"]:
+        """Red, green, blue and depth over black, not clamped, and the transmittance."""
+
+
+class CappedRasterizer(Rasterizer):
+    """A rasteriser with a configurable cap on alpha.
+
+    Args:
+        alpha_cap: The largest alpha of one Gaussian in a pixel: 0.999 in gsplat to 1.5.3, which the published models
+            used, 0.99 in gsplat 1.6.
+    """
+
+    def __init__(
+        self,
+        *,
+        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
+        near: float = 1e-10,
+        far: float = 1e10,
+        eps2d: float = 0.3,
+        alpha_cap: float = 0.999,
+    ) -> None:
+        super().__init__(background=background, near=near, far=far, eps2d=eps2d)
+        self.alpha_cap = alpha_cap
+
+
+def check(gaussians: Gaussians, cameras: Cameras, background: Sequence[float], near: float) -> None:
+    """Check that Gaussians and cameras belong together, and that the options make sense.
+
+    Raises:
+        UserError: Gaussians and cameras differ in batch or device, or a size, colour or distance is out of range.
+    """
+    if gaussians.means.shape[0] != cameras.world_from_camera.shape[0]:
+        raise UserError(
+            f"Gaussians of {gaussians.means.shape[0]} scenes and cameras of {cameras.world_from_camera.shape[0]}; "
+            "give the cameras of each scene, or expand one of the two"
+        )
+    if gaussians.means.device != cameras.world_from_camera.device:
+        raise UserError(
+            f"Gaussians on {gaussians.means.device} and cameras on {cameras.world_from_camera.device}; "
+            "move one of the two with .to(device)"
+        )
+    if min(cameras.size) < 1:
+        raise UserError(f"an image of {cameras.size[0]}x{cameras.size[1]} pixels; expected at least 1x1")
+    if len(background) != 3:
+        raise UserError(f"a background of {len(background)} values; expected 3, one a channel in [0, 1]")
+    if not near > 0:
+        raise UserError(f"near is {near}; expected a distance above 0, such as 0.01")
+    degree_of(gaussians.harmonics.shape[-2])
+
+
+def at_least_single(gaussians: Gaussians, cameras: Cameras) -> tuple[Gaussians, Cameras]:
+    """Both in the Gaussians' precision, or in single where that is half, whose rounding would shift them by pixels."""
+    dtype = torch.promote_types(gaussians.means.dtype, torch.float32)
+    return gaussians.to(dtype), cameras.to(dtype)
+
+
+def composite(image: Float[Tensor, "B V 5 H W"], background: Sequence[float]) -> Renders:
+    """Composite accumulated images over a background, and clamp colours to [0, 1].
+
+    Args:
+        image: Red, green, blue and depth over black, and the transmittance.
+        background: A colour in [0, 1].
+    """
+    color, depth, transmittance = image[:, :, :3], image[:, :, 3], image[:, :, 4:]
+    behind = image.new_tensor(list(background))[:, None, None]  # 3 1 1
+    return Renders(color=(color + transmittance * behind).clamp(0, 1), depth=depth, alpha=1 - transmittance[:, :, 0])

@@ -1,0 +1,106 @@
+"""Features of images, kept for the next metric that needs them.
+
+A protocol shows the same photographs in every style, and several metrics run the same network on the same images.
+Entries are found by an image's content, not by the tensor that holds it.
+"""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from itertools import count
+from weakref import WeakKeyDictionary
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.io.cache import LRUCache
+
+Key = tuple[object, ...]
+Compute = Callable[[Tensor], Sequence[Tensor]]
+"""From images ``M 3 H W`` to any number of tensors whose first axis is ``M``."""
+
+LIMIT = 1 << 30
+"""Bytes that are kept."""
+PIXELS = 1 << 20
+"""Pixels that a network processes at once."""
+CPU_PIXELS = 1 << 18
+"""The same on a CPU, where larger activations are slow to allocate and fit no cache."""
+
+
+class FeatureCache:
+    """Results of frozen networks by image, up to ``limit`` bytes; the least recently used go first."""
+
+    def __init__(self, limit: int = LIMIT) -> None:
+        self._entries: LRUCache[Key, tuple[Tensor, ...]] = LRUCache(
+            limit, lambda tensors: sum(t.nbytes for t in tensors)
+        )
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def features(self, images: Float[Tensor, "M C H W"], key: Key, compute: Compute) -> list[Tensor]:
+        """What ``compute`` returns for each distinct image, stacked.
+
+        The ``key`` is everything else that the result depends on: network, weights, size.
+        """
+        keys = [(*key, str(images.device), images.dtype, digest) for digest in digests(images)]
+        results = {entry: self._entries[entry] for entry in keys if entry in self._entries}
+        new = sorted({entry: index for index, entry in enumerate(keys) if entry not in results}.values())
+        size = batch_size(images)
+        for batch in (new[start : start + size] for start in range(0, len(new), size)):
+            outputs = compute(images[batch])
+            for row, index in enumerate(batch):
+                results[keys[index]] = tuple(output[row].clone() for output in outputs)
+        for entry in dict.fromkeys(keys):
+            self._entries[entry] = results[entry]
+        return [torch.stack(column) for column in zip(*(results[entry] for entry in keys), strict=True)]
+
+    def scores(
+        self,
+        preds: Float[Tensor, "M C H W"],
+        target: Float[Tensor, "M C H W"],
+        key: Key,
+        compute: Callable[[], Float[Tensor, " M"]],
+    ) -> Float[Tensor, " M"]:
+        """One number for each pair; ``compute`` is called for all pairs unless all are known under ``key``."""
+        pairs = zip(digests(preds), digests(target), strict=True)
+        keys = [(*key, str(preds.device), preds.dtype, *pair) for pair in pairs]
+        if not all(entry in self._entries for entry in keys):
+            for entry, value in zip(keys, compute().detach(), strict=True):
+                self._entries[entry] = (value.clone(),)
+        return torch.stack([self._entries[entry][0] for entry in keys])
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self._entries.clear()
+
+
+CACHE = FeatureCache()
+"""The one of this process."""
+
+
+def digests(images: Float[Tensor, "M *shape"]) -> list[str]:
+    """A hash of each row, equal where shape and content are; one stands for all rows of an expanded tensor."""
+    if images.shape[0] > 1 and images.stride(0) == 0:
+        return digests(images[:1]) * images.shape[0]
+    rows = images.detach().cpu().contiguous()
+    shape = str(tuple(rows.shape[1:])).encode()
+    return [hashlib.blake2b(row.numpy().data, digest_size=16, key=shape[:64]).hexdigest() for row in rows]
+
+
+def batch_size(images: Float[Tensor, "M C H W"]) -> int:
+    """How many images of this size a network processes at once."""
+    pixels = CPU_PIXELS if images.device.type == "cpu" else PIXELS
+    return max(1, pixels // max(1, images.shape[-1] * images.shape[-2]))
+
+
+_NUMBERS: "WeakKeyDictionary[nn.Module, int]" = WeakKeyDictionary()
+_NEXT = count()
+
+
+def identity(network: nn.Module) -> str:
+    """The same for the same module with the same weights, in this process."""
+    if network not in _NUMBERS:
+        _NUMBERS[network] = next(_NEXT)
+    versions = [tensor._version for tensor in (*network.parameters(), *network.buffers()) if not tensor.is_inference()]
+    return f"{_NUMBERS[network]}:{sum(versions)}"

@@ -1,0 +1,84 @@
+"""Preparing images for networks of metrics: resizing, rounding to 8 bits, removing colour."""
+
+import kornia
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from anystyle.errors import UserError
+from anystyle.types import Comparison
+
+
+def eight_bit(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 H W"]:
+    """Images in [0, 1] as a file of 8 bits holds them."""
+    return (images.clamp(0, 1) * 255).round() / 255
+
+
+def resized(
+    images: Float[Tensor, "M 3 H W"], size: int, *, rounded: bool = False, mode: str = "bilinear"
+) -> Float[Tensor, "M 3 h w"]:
+    """Images in [0, 1] whose shorter side is ``size``; with antialiasing, the longer side rounded down.
+
+    With ``rounded`` they have 8 bits before and after, as Pillow's do: the published scripts resize files.
+    """
+    height, width = images.shape[-2:]
+    other = int(size * max(height, width) / min(height, width))
+    shape = (size, other) if height <= width else (other, size)
+    if rounded:
+        return as_pillow(images, shape)
+    return F.interpolate(images, size=shape, mode=mode, antialias=True) if shape != (height, width) else images
+
+
+def as_pillow(images: Float[Tensor, "M 3 H W"], shape: tuple[int, int]) -> Float[Tensor, "M 3 h w"]:
+    """Images resized by Pillow as in the published scripts: bilinear with antialiasing, 8 bits before and after."""
+    eight = (images.clamp(0, 1) * 255).round().byte().cpu().permute(0, 2, 3, 1).contiguous().numpy()
+    height, width = shape
+    resized = [np.asarray(Image.fromarray(one).resize((width, height), Image.Resampling.BILINEAR)) for one in eight]
+    back = torch.from_numpy(np.stack(resized)).to(images.device).permute(0, 3, 1, 2)
+    return back.to(images.dtype).contiguous() / 255
+
+
+def shrunk(images: Float[Tensor, "M 3 H W"], longest: int | None) -> Float[Tensor, "M 3 h w"]:
+    """Images whose longest side is at most ``longest``, their shape kept."""
+    height, width = images.shape[-2:]
+    if longest is None or max(height, width) <= longest:
+        return images
+    factor = longest / max(height, width)
+    size = (max(1, round(height * factor)), max(1, round(width * factor)))
+    return F.interpolate(images, size=size, mode="bilinear", align_corners=False, antialias=True)
+
+
+def gray(images: Float[Tensor, "M 3 H W"], *, rounded: bool) -> Float[Tensor, "M 3 H W"]:
+    """Luma (ITU-R BT.601) of sRGB in [0, 1] in all three channels; ``rounded`` to 8 bits as Pillow does."""
+    if rounded:
+        parts = (images * 255).round() * images.new_tensor([19595.0, 38470.0, 7471.0]).view(3, 1, 1)
+        channel = ((parts.sum(1, keepdim=True) + 0x8000) / 0x10000).floor() / 255
+    else:
+        channel = kornia.color.rgb_to_grayscale(images)
+    return channel.expand(-1, 3, -1, -1)
+
+
+def finite(images: Float[Tensor, "*batch"], what: str) -> Float[Tensor, "*batch"]:
+    """The same images, or a UserError if a value is NaN or infinite."""
+    num_bad = int((~torch.isfinite(images)).sum())
+    if num_bad:
+        raise UserError(f"{what} hold {num_bad} values that are NaN or infinite; a figure needs numbers in [0, 1]")
+    return images
+
+
+def checked(comparison: Comparison) -> Comparison:
+    """The same comparison, or a UserError if photographs and stylized images are not finite and of one size."""
+    content, stylized = comparison.content, comparison.stylized
+    where = " in style ".join([*comparison.scenes[:1], *comparison.styles[:1]]) + ": " if comparison.scenes else ""
+    if content.shape != stylized.shape:
+        photographs, others = (
+            f"{rows} x {views} of {width}x{height} pixels"
+            for rows, views, _, height, width in (content.shape, stylized.shape)
+        )
+        raise UserError(f"{where}photographs are {photographs} and stylized images {others}; give as many of one size")
+    finite(content[:1] if content.stride(0) == 0 else content, f"{where}the photographs")
+    finite(stylized, f"{where}the stylized images")
+    return comparison

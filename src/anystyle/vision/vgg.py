@@ -1,0 +1,109 @@
+"""Convolutions of AlexNet and VGG as LPIPS and style losses read them, and the bundled texture network.
+
+The texture network is small and was trained on procedural patterns alone (``anystyle train
+experiment=tiny_perceptual``) to tell stripes from dots, mosaics, hatching and strokes, in any colours and scale.
+Stand-ins need it: features of random weights can be matched without any visible pattern.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.vision.features import RGB, FeatureNetwork, walk
+
+MEAN = (0.485, 0.456, 0.406)
+"""Of sRGB images of ImageNet in [0, 1], by which the published weights expect them to be normalised."""
+STD = (0.229, 0.224, 0.225)
+
+Blocks = Sequence[tuple[int, int]]
+"""Channels and number of convolutions of each block."""
+BLOCKS_16: Blocks = ((64, 2), (128, 2), (256, 3), (512, 3), (512, 3))
+BLOCKS_19: Blocks = ((64, 2), (128, 2), (256, 4), (512, 4), (512, 4))
+TEXTURE_BLOCKS: Blocks = ((32, 2), (64, 2), (96, 2), (128, 1))
+
+
+class Chain(FeatureNetwork):
+    """Modules in a row, under torchvision's keys (``features.N.weight``), and which of them each layer's output is."""
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(
+        self,
+        stages: Iterator[nn.Module],
+        names: dict[str, int],
+        mean: Sequence[float] = MEAN,
+        std: Sequence[float] = STD,
+    ) -> None:
+        super().__init__()
+        self.features, self.names, self.layers = nn.Sequential(*stages), names, (RGB, *names)
+        self.register_buffer("mean", torch.tensor(mean).view(3, 1, 1), persistent=False)
+        self.register_buffer("std", torch.tensor(std).view(3, 1, 1), persistent=False)
+
+    def forward(self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str]) -> list[Float[Tensor, "M _ _ _"]]:
+        return walk(self.features, self.names, images, (images - self.mean) / self.std, layers)
+
+
+class VGG16(Chain):
+    """The convolutions of VGG-16; layers are named ``relu{block}_{convolution}``, up to ``relu5_3``."""
+
+    def __init__(self) -> None:
+        super().__init__(_vgg(BLOCKS_16), _names(BLOCKS_16))
+
+
+class VGG19(Chain):
+    """The convolutions of VGG-19; layers are named ``relu{block}_{convolution}``, up to ``relu5_4``."""
+
+    def __init__(self) -> None:
+        super().__init__(_vgg(BLOCKS_19), _names(BLOCKS_19))
+
+
+class Texture(Chain):
+    """Seven convolutions with reflecting borders and average pooling, 0.32 M parameters.
+
+    Layers are named as VGG's are: ``relu1_1, relu1_2, relu2_1, relu2_2, relu3_1, relu3_2, relu4_1``.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(_texture(), _names(TEXTURE_BLOCKS), (0.5,) * 3, (0.25,) * 3)
+
+
+class AlexNet(Chain):
+    """The convolutions of AlexNet; layers are named ``relu1`` to ``relu5``."""
+
+    def __init__(self) -> None:
+        super().__init__(_alexnet(), {"relu1": 1, "relu2": 4, "relu3": 7, "relu4": 9, "relu5": 11})
+
+
+def _names(blocks: Blocks) -> dict[str, int]:
+    """The index of each rectified output ``relu{block}_{convolution}``: one pooling lies between blocks."""
+    names = [f"relu{block}_{number + 1}" for block, (_, count) in enumerate(blocks, start=1) for number in range(count)]
+    return {name: 2 * index + int(name[4]) for index, name in enumerate(names)}
+
+
+def _vgg(blocks: Blocks) -> Iterator[nn.Module]:
+    channels = 3
+    for width, num_convolutions in blocks:
+        for _ in range(num_convolutions):
+            yield from (nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(inplace=True))
+            channels = width
+        yield nn.MaxPool2d(2)
+
+
+def _texture() -> Iterator[nn.Module]:
+    channels = 3
+    for block, (width, num_convolutions) in enumerate(TEXTURE_BLOCKS):
+        if block:
+            yield nn.AvgPool2d(2)
+        for _ in range(num_convolutions):
+            yield from (nn.Conv2d(channels, width, 3, padding=1, padding_mode="reflect"), nn.ReLU())
+            channels = width
+
+
+def _alexnet() -> Iterator[nn.Module]:
+    yield from (nn.Conv2d(3, 64, 11, stride=4, padding=2), nn.ReLU(inplace=True), nn.MaxPool2d(3, stride=2))
+    yield from (nn.Conv2d(64, 192, 5, padding=2), nn.ReLU(inplace=True), nn.MaxPool2d(3, stride=2))
+    for channels, width in ((192, 384), (384, 256), (256, 256)):
+        yield from (nn.Conv2d(channels, width, 3, padding=1), nn.ReLU(inplace=True))

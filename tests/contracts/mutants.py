@@ -1,0 +1,248 @@
+"""Small plugins that break one promise each, and the promise.
+
+``MUTANTS[kind]`` lists pairs of a class and the name of the promise that finds it, without ``test_``; others may
+find it, too.
+"""
+
+from dataclasses import replace
+
+import torch
+from torch import nn
+
+from anystyle.testing.toy.backbone import ToyAdapter, ToyAggregator, ToyBackbone, ToyGaussianHead, ToyGeometryHead
+from anystyle.testing.toy.command import ToyCommand
+from anystyle.testing.toy.correspondence import ToyCorrespondence
+from anystyle.testing.toy.format import ToyFormat
+from anystyle.testing.toy.injector import ToyInjector
+from anystyle.testing.toy.loss import ToyLoss
+from anystyle.testing.toy.method import ToyMethod
+from anystyle.testing.toy.metric import ToyMetric
+from anystyle.testing.toy.placement import ToyPlacement
+from anystyle.testing.toy.pose_estimator import ToyPoseEstimator
+from anystyle.testing.toy.protocol import ToyProtocol
+from anystyle.testing.toy.reconstruction import ToyReconstruction
+from anystyle.testing.toy.renderer import ToyRenderer
+from anystyle.testing.toy.scenes import ToyScenes
+from anystyle.testing.toy.style_encoder import ToyStyleEncoder
+from anystyle.testing.toy.styles import ToyStyles
+from anystyle.testing.toy.training import ToyTraining
+from anystyle.types import Site, no_progress
+from anystyle_study.testing.toy.study_test import ToyStudyTest
+
+
+def changed(toy, method, change):
+    """A toy whose method returns ``change`` of what it returned."""
+
+    def call(self, *args, **options):
+        return change(getattr(super(cls, self), method)(*args, **options))
+
+    cls = type(f"Changed{toy.__name__}", (toy,), {method: call, "__doc__": toy.__doc__})
+    return cls
+
+
+def given(toy, method, change):
+    """A toy whose method gets ``change`` of its first argument."""
+
+    def call(self, first, *args, **options):
+        return getattr(super(cls, self), method)(change(first), *args, **options)
+
+    cls = type(f"Given{toy.__name__}", (toy,), {method: call, "__doc__": toy.__doc__})
+    return cls
+
+
+def scale(name, factor):
+    """Multiply one field of a value."""
+    return lambda value: replace(value, **{name: getattr(value, name) * factor})
+
+
+def backbone(part, make):
+    """A toy backbone with another part."""
+
+    def init(self):
+        ToyBackbone.__init__(self, dim=12, depth=2, patch_size=4)
+        setattr(self, part, make())
+
+    return type("Changed", (ToyBackbone,), {"__init__": init, "example": classmethod(lambda cls, folder: {})})
+
+
+def geometry(change):
+    return backbone("geometry_head", lambda: changed(ToyGeometryHead, "forward", change)(dim=12, patch_size=4))
+
+
+def aggregator(cls):
+    return backbone("aggregator", lambda: cls(dim=12, depth=2))
+
+
+class Unvisited(ToyAggregator):
+    @property
+    def sites(self):
+        return (*super().sites, Site("aggregator/norm", self.dim))
+
+
+class SharedHead(ToyGaussianHead):
+    def __deepcopy__(self, memory):
+        return self
+
+
+def mix_scenes(tokens):
+    return tokens.with_data(tokens.data - 0.5 * tokens.data.mean(0, keepdim=True))
+
+
+class Biased(ToyInjector):
+    def __init__(self, *, dim, style_dim):
+        super().__init__(dim=dim, style_dim=style_dim)
+        nn.init.normal_(self.scale.bias, std=1e-4)
+
+
+class FirstViewOnly(ToyInjector):
+    def forward(self, tokens, style):
+        result = super().forward(tokens, style).data
+        return tokens.with_data(torch.cat([result[:, :1], tokens.data[:, 1:]], dim=1))
+
+
+class MixedStyles(ToyInjector):
+    def forward(self, tokens, style):
+        return super().forward(tokens, style - 0.5 * style.mean(0, keepdim=True))
+
+
+class ReadsAbsentImages(ToyLoss):
+    def forward(self, result):
+        image = result.style.image
+        return super().forward(result) if image is None else (result.renders.color.mean() - image.mean()).square()
+
+
+class Painting(ToyMethod):
+    def __call__(self, stylizer, scene, style, embedding, *, on_progress=no_progress):
+        result = super().__call__(stylizer, scene, style, embedding)
+        scene.views.images.mul_(0.5)
+        return result
+
+
+class Forgetful(ToyProtocol):
+    def run(self, out, progress):
+        with (out / "runs").open("a") as file:
+            file.write("one\n")
+        figures = {"runs": float(len((out / "runs").read_text().splitlines()))}
+        return replace(super().run(out, progress), figures=figures, better={})
+
+
+class FarFirst(ToyRenderer):
+    def __call__(self, gaussians, cameras):
+        return super().__call__(replace(gaussians, means=gaussians.means * torch.tensor([1.0, 1.0, -1.0])), cameras)
+
+
+class Careless(ToyFormat):
+    def write(self, scene, path):
+        path.with_suffix(".part").write_bytes(b"")
+        super().write(scene, path)
+
+
+class Reversed(ToyStudyTest):
+    def __call__(self, responses):
+        return super().__call__(replace(responses, deviations=-responses.deviations))
+
+
+MUTANTS = {
+    "backbone": [
+        (geometry(lambda value: replace(value, depth=value.depth.int())), "encodes_two_views"),
+        (geometry(scale("confidence", float("nan"))), "numbers_are_finite"),
+        (aggregator(given(ToyAggregator, "forward", mix_scenes)), "encodes_several_scenes_at_once"),
+        (aggregator(Unvisited), "every_site_is_visited"),
+        (backbone("gaussian_head", lambda: SharedHead(dim=12, patch_size=4)), "copies_compute_the_same"),
+        (backbone("adapter", changed(ToyAdapter, "forward", scale("opacities", 2.5))), "gaussians_are_renderable"),
+        (backbone("adapter", changed(ToyAdapter, "forward", lambda g: g.detach())), "attributes_carry_gradients"),
+    ],
+    "injector": [
+        (Biased, "changes_nothing_at_initialisation"),
+        (FirstViewOnly, "views_have_no_order"),
+        (MixedStyles, "styles_of_a_batch_stay_apart"),
+    ],
+    "placement": [
+        (changed(ToyPlacement, "select", lambda sites: sites[::-1]), "selects_sites_of_the_backbone"),
+    ],
+    "loss": [
+        (changed(ToyLoss, "forward", torch.Tensor.double), "value_is_one_finite_number"),
+        (given(ToyLoss, "forward", lambda result: result.detach()), "something_learns_from_it"),
+        (ReadsAbsentImages, "absent_images_are_not_read"),
+    ],
+    "metric": [
+        (changed(ToyMetric, "compute", lambda f: {"change": f["change"].nan_to_num(0)}), "too_little_is_not_an_error"),
+        (
+            given(ToyMetric, "update", lambda c: replace(c, stylized=c.stylized.clamp_(0.2, 0.8))),
+            "inputs_are_left_alone",
+        ),
+    ],
+    "style_encoder": [
+        (changed(ToyStyleEncoder, "embed_images", lambda vectors: 2 * vectors), "images_become_vectors"),
+        (given(ToyStyleEncoder, "embed_images", lambda i: i - 0.5 * i.mean(0, keepdim=True)), "batches_are_loops"),
+        (given(ToyStyleEncoder, "embed_texts", lambda texts: ["grey"] * len(texts)), "empty_text_is_refused"),
+    ],
+    "renderer": [
+        (FarFirst, "near_hides_far"),
+        (
+            given(ToyRenderer, "__call__", lambda g: replace(g, rotations=g.rotations.detach())),
+            "everything_carries_gradients",
+        ),
+        (given(ToyRenderer, "__call__", lambda g: replace(g, means=g.means + 0.1)), "points_appear_where_they_project"),
+    ],
+    "pose_estimator": [
+        (changed(ToyPoseEstimator, "__call__", lambda posed: posed.verdict), "gives_cameras_or_a_verdict"),
+    ],
+    "reconstruction": [
+        (
+            changed(ToyReconstruction, "__call__", lambda r: r._replace(measures={"psnr": float("nan")})),
+            "makes_a_scene_of_the_views",
+        ),
+    ],
+    "method": [
+        (changed(ToyMethod, "__call__", scale("opacities", float("nan"))), "gives_gaussians"),
+        (Painting, "leaves_the_scene_alone"),
+    ],
+    "correspondence": [
+        (
+            changed(ToyCorrespondence, "__call__", lambda f: replace(f, displacement=f.displacement.flip(1))),
+            "moved_cameras_are_followed",
+        ),
+        (changed(ToyCorrespondence, "displacement", lambda flow: 0.5 * flow), "pairs_are_independent"),
+    ],
+    "scenes": [
+        (changed(ToyScenes, "name", lambda name: "wall"), "scenes_have_distinct_names"),
+        (changed(ToyScenes, "read", scale("images", 255.0)), "views_are_images"),
+    ],
+    "styles": [
+        (changed(ToyStyles, "read", lambda s: replace(s, image=None, text=None)), "styles_have_an_image_or_a_text"),
+        (changed(ToyStyles, "read", lambda s: replace(s, image=s.image * torch.rand(()))), "reading_twice_is_the_same"),
+    ],
+    "training": [
+        (changed(ToyTraining, "exports", lambda modules: {}), "exports_what_it_trains"),
+        (changed(ToyTraining, "training_step", lambda loss: loss * 0), "steps_train_what_is_exported"),
+    ],
+    "protocol": [
+        (changed(ToyProtocol, "run", lambda evaluation: replace(evaluation, figures={})), "figures_are_numbers"),
+        (Forgetful, "interrupted_runs_resume"),
+    ],
+    "format": [
+        (Careless, "writes_one_file"),
+    ],
+    "command": [(given(ToyCommand, "__call__", lambda words: []), "unknown_words_are_refused")],
+    "study_test": [(Reversed, "negative_means_ours")],
+}
+
+
+class ColorsAsScales(ToyAdapter):
+    def forward(self, attributes, geometry, clusters):
+        brightness = attributes.color.mean((-1, -2))[..., None]
+        return super().forward(replace(attributes, scale=attributes.scale + 0.1 * brightness), geometry, clusters)
+
+
+def head(cls):
+    return backbone("gaussian_head", lambda: cls(dim=12, patch_size=4))
+
+
+COMPOSED = [
+    (ToyBackbone, Biased, "nothing_changes_at_initialisation"),
+    (head(SharedHead), ToyInjector, "the_backbone_does_not_learn"),
+    (backbone("adapter", ColorsAsScales), ToyInjector, "what_is_not_styled_stays"),
+    (ToyBackbone, MixedStyles, "many_styles_are_one_batch"),
+]
+"""Backbones and injectors that break a promise of compositions, and which."""

@@ -1,0 +1,25 @@
+"""The examples in public docstrings give the results that they show."""
+
+import doctest
+import importlib
+
+import pytest
+
+MODULES = (
+    "anystyle.evaluation.published_figures",
+    "anystyle.evaluation.tables",
+    "anystyle.geometry.harmonics",
+    "anystyle.geometry.rotations",
+    "anystyle.geometry.similarity",
+    "anystyle.metrics.psnr",
+    "anystyle.registry.build",
+    "anystyle.registry.catalog",
+    "anystyle.types.views",
+)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_examples_are_right(module):
+    result = doctest.testmod(importlib.import_module(module), optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert result.attempted > 0, f"{module} has no example"
+    assert result.failed == 0

@@ -1,0 +1,86 @@
+"""The evaluation's networks against the published implementations, filled by the same hash."""
+
+import pytest
+import torch
+
+from anystyle import vision
+from anystyle.vision import inception, raft
+from oracle import assert_matches, fill_named, fill_sorted, golden, hashed
+
+RAFT_ALIASES = tuple(
+    f"cnet.layer{stage}.0.norm3.{leaf}"
+    for stage in (2, 3)
+    for leaf in ("weight", "bias", "running_mean", "running_var", "num_batches_tracked")
+)
+
+
+def with_aliases(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """The original's state dict: one module under two names."""
+    return {**state, **{key: state[key.replace(".norm3.", ".downsample.1.")] for key in RAFT_ALIASES}}
+
+
+def with_classifiers(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """The published Inception's state dict: two classifiers beside the features."""
+    shapes = dict(state)
+    for number in (1, 2):
+        for name, out, kernel in (("conv0", 128, (128, 768, 1, 1)), ("conv1", 768, (768, 128, 5, 5))):
+            stem = f"AuxLogits{number}.{name}"
+            shapes[f"{stem}.conv.weight"] = torch.empty(kernel, device="meta")
+            for leaf in ("weight", "bias", "running_mean", "running_var"):
+                shapes[f"{stem}.bn.{leaf}"] = torch.empty(out, device="meta")
+            shapes[f"{stem}.bn.num_batches_tracked"] = torch.zeros((), dtype=torch.long)
+        for stem, width in ((f"AuxLogits{number}.fc", 768), (f"fc{number}", 2048)):
+            shapes[f"{stem}.weight"] = torch.empty(1000, width, device="meta")
+            shapes[f"{stem}.bias"] = torch.empty(1000, device="meta")
+    return shapes
+
+
+def test_inception_matches_the_reference() -> None:
+    record = golden("anystyle_golden")["art_inception"]
+    net = inception.ArtInception().eval()
+    published = with_classifiers(net.state_dict())
+    assert len(published) == record["n_keys"]
+    state = inception.without_classifiers(fill_sorted(published))
+    net.load_state_dict(state)
+    with torch.no_grad():
+        assert_matches(net(hashed(1120, (1, 3, 128, 160))), record["features"])
+
+
+def test_raft_matches_the_reference() -> None:
+    record = golden("anystyle_golden")["raft"]
+    net = raft.Raft().eval()
+    published = with_aliases(net.state_dict())
+    assert len(published) == record["n_keys"]
+    filled = {f"module.{key}": value for key, value in fill_sorted(published).items()}
+    net.load_state_dict(raft.original_keys(filled))
+    source, target = (hashed(index, (1, 3, 128, 160), 0, 255) / 255 for index in (1110, 1111))
+    with torch.no_grad():
+        described = net.describe(source), net.describe(target)
+        flow = net.flow(*described, net.context(source), iterations=record["iters"])
+    assert_matches(flow, record["flow_up"], rtol=1e-4, atol=1e-4)
+
+
+def test_loading_is_strict(tmp_path) -> None:
+    net = raft.Raft()
+    state = with_aliases(net.state_dict())
+    torch.save({f"module.{key}": value for key, value in state.items()}, tmp_path / "right.pth")
+    raft.load(path=tmp_path / "right.pth")
+    del state["fnet.conv1.bias"]
+    torch.save(state, tmp_path / "wrong.pth")
+    with pytest.raises(ValueError, match=r"wrong.pth does not fit this Raft: 1 missing \(fnet"):
+        raft.load(path=tmp_path / "wrong.pth")
+
+
+def test_alexnet_and_vgg16_have_the_published_shapes() -> None:
+    alex = {key: list(value.shape) for key, value in vision.AlexNet().state_dict().items() if "weight" in key}
+    assert alex == {
+        "features.0.weight": [64, 3, 11, 11],
+        "features.3.weight": [192, 64, 5, 5],
+        "features.6.weight": [384, 192, 3, 3],
+        "features.8.weight": [256, 384, 3, 3],
+        "features.10.weight": [256, 256, 3, 3],
+    }
+    assert [key for key in vision.VGG16().state_dict() if "weight" in key] == [
+        f"features.{place}.weight" for place in (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)
+    ]
+    assert fill_named(vision.VGG16().state_dict()).keys() == vision.VGG16().state_dict().keys()

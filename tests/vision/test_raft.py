@@ -1,0 +1,51 @@
+"""What RAFT computes with less work against the same as published, and against SciPy."""
+
+import numpy as np
+import torch
+from scipy.ndimage import map_coordinates
+
+from anystyle.vision import raft
+from anystyle.vision.raft import RADIUS, WINDOW, correlation_pyramid, look_up
+from benchmarks.evaluation_units import published_upsampling
+from oracle import hashed
+
+
+@torch.no_grad()
+def test_windows_of_correlations_are_scipys_linear_interpolation():
+    source, target = hashed(5, (2, 2, 8, 16, 20), -1, 1)
+    pyramid = correlation_pyramid(source, target)
+    coords = hashed(6, (2, 2, 16, 20), -14, 34)
+    # On whole pixels, on the border, and far outside.
+    coords[0, :, 0, :4] = torch.tensor([[3, 0, 19, 1e6], [5, 15, -5, -1e6]])
+    windows = look_up(pyramid, coords).unflatten(1, (4, WINDOW, WINDOW))
+    steps = np.arange(-RADIUS, RADIUS + 1)
+    for image, row, column in ((0, 0, 0), (0, 0, 1), (0, 0, 2), (0, 0, 3), (1, 9, 4), (0, 15, 19)):
+        x, y = coords[image, :, row, column].double().numpy()
+        for index, level in enumerate(pyramid):
+            correlation = level[(image * 16 + row) * 20 + column, 0].double().numpy()
+            ys, xs = np.meshgrid(y / 2**index + steps, x / 2**index + steps)  # the first axis is x
+            expected = map_coordinates(correlation, [ys, xs], order=1, mode="grid-constant")
+            np.testing.assert_allclose(windows[image, index, :, :, row, column], expected, rtol=0, atol=2e-5)
+    assert bool((windows != 0).any()) and bool((windows[0, ..., 0, 3] == 0).all())
+
+
+@torch.no_grad()
+def test_the_recurrent_unit_is_the_published_one():
+    """Three convolutions of state, context and motion together in each half, one for each gate."""
+    unit = raft.Recurrent()
+    for index, parameter in enumerate(unit.parameters()):
+        parameter.copy_(hashed(10 + index, parameter.shape, -1, 1) / 30)
+    start, context, motion = hashed(7, (3, 1, 128, 9, 14), -1, 1)
+    state = start
+    for half in (1, 2):
+        z, r, q = (unit.get_submodule(f"conv{gate}{half}") for gate in "zrq")
+        inputs = torch.cat([state, context, motion], dim=1)
+        update, reset = z(inputs).sigmoid(), r(inputs).sigmoid()
+        state = (1 - update) * state + update * q(torch.cat([reset * state, context, motion], dim=1)).tanh()
+    torch.testing.assert_close(unit(start, unit.prepare(context), motion), state, rtol=0, atol=1e-5)
+
+
+@torch.no_grad()
+def test_upsampling_is_the_published_one():
+    flow, logits = hashed(8, (2, 2, 5, 7), -9, 9), hashed(9, (2, 576, 5, 7), -3, 3)
+    torch.testing.assert_close(raft.upsample(flow, logits), published_upsampling(flow, logits), rtol=0, atol=2e-5)

@@ -1,0 +1,91 @@
+"""EfficientNet-Lite0 and what styles are told apart by."""
+
+import numpy as np
+import pytest
+import torch
+from skimage.exposure import equalize_hist
+
+from anystyle import vision
+from anystyle.data.images import read_image
+from anystyle.metrics.style_retrieval import StyleRetrieval
+from anystyle.testing.inputs import images
+from anystyle.types import Comparison, Style
+from anystyle.vision.statistics import equalized_gray
+from real_data import real
+
+
+def pattern(side, phase):
+    """Stripes and rings in closed form, (1, 3, side, side) in [0, 1]."""
+    y, x = np.meshgrid(np.linspace(-1, 1, side), np.linspace(-1, 1, side), indexing="ij")
+    radius = np.hypot(x - 0.2, y + 0.1)
+    waves = [np.sin(9 * x + 5 * y + phase), np.sin(14 * radius + 2 * phase), np.sin(7 * x * y - 3 * y + 3 * phase)]
+    return torch.from_numpy((0.5 + 0.5 * np.stack(waves)).astype(np.float32))[None]
+
+
+@pytest.fixture(scope="module")
+def network():
+    try:
+        return vision.load("efficientnet_lite0")
+    except FileNotFoundError as error:
+        pytest.skip(str(error))
+
+
+# Logits of classes on closed-form pictures, by the published implementation, efficientnet_lite_pytorch 0.1.0.
+PUBLISHED = {
+    0.3: {506: 9.58305, 723: 5.67388, 782: 5.19442, 0: 1.39016, 2: -2.20263},
+    1.1: {506: 10.75606, 111: 5.59293, 723: 5.57744, 0: 1.03773, 2: -2.53318},
+}
+
+
+@torch.no_grad()
+@pytest.mark.parametrize("phase", PUBLISHED)
+def test_the_classifier_gives_the_published_implementations_scores(network, phase):
+    logits = network.logits(pattern(224, phase))[0]
+    classes = list(PUBLISHED[phase])
+    assert logits.argmax() == classes[0]
+    np.testing.assert_allclose(logits[classes], list(PUBLISHED[phase].values()), rtol=0, atol=3e-5)
+
+
+def test_layers_are_those_asked_for_and_no_others(network):
+    picture = images(1, (64, 80))
+    features = network(picture, ["expand4", "rgb", "expand1"])
+    assert [tuple(each.shape) for each in features] == [(1, 240, 8, 10), (1, 3, 64, 80), (1, 96, 32, 40)]
+    with pytest.raises(ValueError, match="choose from rgb, expand1"):
+        network(picture, ["relu1_1"])
+
+
+def test_equalized_gray_is_histogram_equalization():
+    pictures = images(3, (40, 56)) * torch.tensor([1.0, 0.3, 0.7]).view(3, 1, 1, 1)
+    ours = equalized_gray(pictures)
+    luma = (pictures * torch.tensor([0.299, 0.587, 0.114]).view(3, 1, 1)).sum(1)
+    for index in range(3):
+        levels = (luma[index] * 255).round().byte().numpy()
+        expected = np.searchsorted(np.sort(levels.ravel()), levels, side="right") / levels.size
+        np.testing.assert_allclose(ours[index, 0], expected, rtol=0, atol=1e-6)
+        # skimage interpolates its cumulative histogram between the centres of 256 bins over the range of levels.
+        np.testing.assert_allclose(
+            ours[index, 0], equalize_hist(levels, nbins=int(np.ptp(levels)) + 1), rtol=0, atol=0.01
+        )
+
+
+@pytest.fixture(scope="module")
+def paintings():
+    files = [real(f"styles/style_{index:02d}.jpg") for index in (0, 3, 7, 12)]
+    return torch.stack([_square(read_image(file)) for file in files])
+
+
+def test_scenes_that_show_their_painting_are_found_and_others_not(network, paintings):
+    """Stylized views are crops of the paintings: each its own, or each the next one's."""
+    for shift, expected in ((0, 1.0), (1, 0.0)):
+        metric = StyleRetrieval()
+        crops = paintings.roll(shift, 0)[:, None, :, 20:148, 10:138].expand(-1, 2, -1, -1, -1)
+        style = Style(image=paintings)
+        metric.update(Comparison(content=crops, stylized=crops, style=style, scenes=("one",) * 4))
+        assert {name: float(value) for name, value in metric.compute().items()} == {
+            "style_retrieval": expected,
+            "style_retrieval_gray": expected,
+        }
+
+
+def _square(image):
+    return torch.nn.functional.interpolate(image[None], size=(168, 168), mode="bicubic", antialias=True)[0].clamp(0, 1)
