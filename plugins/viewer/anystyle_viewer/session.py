@@ -1,12 +1,13 @@
 """Styles of one scene on request: computed in the background, the newest request first, the last few cached."""
 
+import logging
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from shlex import join
 
-from anystyle.errors import one_line
+from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import kept_json
@@ -15,6 +16,8 @@ from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.styles import EmbeddedStyle, Mixture, embed_styles, slug
 from anystyle.types import Gaussians, Progress
 from anystyle_viewer.page import title_of
+
+_log = logging.getLogger(__name__)
 
 CACHE_SIZE = 8
 """Styled scenes in memory, so that going back to one is instant."""
@@ -158,7 +161,9 @@ class Session:
                 gaussians = self._scenes.get(request, lambda: self.scene(request))  # noqa: B023
             except Superseded:
                 continue
-            except (ValueError, OSError, MemoryError) as error:
+            except Exception as error:
+                if not isinstance(error, UserError | OSError | MemoryError):
+                    _log.exception("the style could not be computed")  # a bug, of the project or of a plugin
                 self.in_progress, self.status = None, one_line(error) or type(error).__name__
                 self.on_status()
             else:

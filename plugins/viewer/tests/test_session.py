@@ -12,6 +12,7 @@ from viewer_scene import write_scene
 from anystyle.commands import stylize
 from anystyle.commands._compose import main
 from anystyle.methods.base import Method
+from anystyle.methods.branch import Branch
 from anystyle.pipeline.controls import blended, with_colors_of
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import read_gaussians
@@ -74,8 +75,8 @@ class Slow(Method):
     def __call__(self, stylizer, scene, style, embedding, *, on_progress=lambda _: None):
         self.begun.append(style.text[0])
         while not self.go.wait(0.01):
-            on_progress(Progress("step 1 of 4", None, 0.25))
-        return stylizer.restyle(scene, embedding)
+            on_progress(Progress("step 1 of 4", 0.25))
+        return Branch()(stylizer, scene, style, embedding)
 
 
 def test_controls_of_a_style_that_was_painted_paint_nothing(restyler):
@@ -111,6 +112,21 @@ def test_the_newest_request_ends_what_is_being_painted_and_those_between_are_nev
     session.close()
     assert "second" not in method.begun or "third" not in method.begun
     assert session.recent == ["fourth"]
+
+
+def test_a_bug_of_a_method_is_said_and_logged_and_the_next_style_is_painted(restyler, caplog):
+    class Broken(Branch):
+        def __call__(self, stylizer, scene, style, *others, **more):
+            if style.text[0] == "broken":
+                raise RuntimeError("a bug")
+            return super().__call__(stylizer, scene, style, *others, **more)
+
+    session = Session(Restyler(restyler.encoded, Broken()))
+    session.request(StyleRequest("broken"))
+    until(lambda: session.status == "a bug")
+    assert "Traceback" in caplog.text
+    settled(session, StyleRequest("red dots"))
+    session.close()
 
 
 def test_saved_styles_are_scenes_that_controls_and_mixtures_hold_for(restyler):
