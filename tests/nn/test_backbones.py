@@ -115,9 +115,7 @@ class TestScratch:
         torch.testing.assert_close(fov, torch.full_like(fov, 55.0), rtol=0, atol=5)
 
     def test_every_parameter_learns_within_two_steps(self, name: str) -> None:
-        # Cameras that are not given, and rays, are no part of encoding.
-        unused = {"camera_encoder_depth": 0, "rays": False} if name == "depth_anything" else {}
-        backbone = network(name, init="scratch", **unused).train()
+        backbone = network(name, init="scratch").train()
         optimizer = torch.optim.Adam(backbone.parameters(), lr=1e-3)
         for _ in range(2):
             scene = backbone.encode(views(3))

@@ -18,7 +18,7 @@ from anystyle.training.supervision import (
     transfer_loss,
 )
 from anystyle.types import Cameras, Geometry, Views
-from anystyle_tiny.training.match_supervision import patch_matches
+from anystyle_tiny.training.matched_reconstruction import patch_matches
 from oracle import hashed
 
 SIZE = 24

@@ -1,24 +1,26 @@
-"""The network: five parts, and every option that its weights fix."""
+"""The network: five parts, every option that its weights fix, and initial values for training without weights."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
 
+import torch
+from torch import nn
+
 from anystyle import contracts
 from anystyle.errors import UserError
+from anystyle.geometry.harmonics import CONSTANT
+from anystyle.nn import scratch as initial
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.dpt import Dpt
 from anystyle.nn.heads import check_options
 from anystyle.nn.reference_view import Strategy
 from anystyle.published import Published
 from anystyle_anysplat.adapter import Adapter
-from anystyle_anysplat.aggregator import Aggregator
-from anystyle_anysplat.camera_head import CameraHead
-from anystyle_anysplat.embedder import Embedder
-from anystyle_anysplat.gaussian_head import GaussianHead
-from anystyle_anysplat.geometry_head import GeometryHead
+from anystyle_anysplat.heads import CameraHead, GaussianHead, GeometryHead
 from anystyle_anysplat.keys import Checkpoints
-from anystyle_anysplat.scratch import start_from_scratch
+from anystyle_anysplat.transformer import Aggregator, Embedder
 
 
 class AnySplat(contracts.Backbone):
@@ -67,7 +69,7 @@ class AnySplat(contracts.Backbone):
         checkpointing: Whether training recomputes blocks of the aggregator to save memory.
         init: ``published``: initial values as DINOv2's, VGGT's and AnySplat's; ``scratch``: values from which
             photographs are reproduced on a plane at depth 1, for training without pretrained weights (see
-            :mod:`anystyle_anysplat.scratch`). The computation is the same.
+            :mod:`anystyle.nn.scratch`). The computation is the same.
 
     Raises:
         UserError: Options contradict each other.
@@ -200,4 +202,30 @@ class AnySplat(contracts.Backbone):
             scale_max=scale_max,
         )
         if init == "scratch":
-            start_from_scratch(self, focal_epsilon=focal_epsilon, scale_unit=scale_unit)
+            start_geometry(self.embedder, self.geometry_head)
+            footprint = 2 * (math.tan(initial.FIELD_OF_VIEW / 2) + focal_epsilon) / resolution  # of a pixel at depth 1
+            start_gaussians(self.gaussian_head, initial.PIXELS * footprint / scale_unit)
+
+
+@torch.no_grad()
+def start_geometry(embedder: Embedder, head: GeometryHead) -> None:
+    """Cameras at the origin and depth of about 1 (see :mod:`anystyle.nn.scratch`)."""
+    for token in (embedder.camera_token, embedder.register_token):
+        nn.init.normal_(token, std=0.02)  # else the layer norms of the first block see no difference between views
+    step = torch.tensor([0, 0, 0, 0, 0, 0, 1, initial.FIELD_OF_VIEW, initial.FIELD_OF_VIEW]) / head.camera.iterations
+    last = head.camera.pose_branch.fc2
+    nn.init.normal_(last.weight, std=0.1 * initial.SMALL)
+    last.bias.copy_(step)
+    initial.start_small(head.depth.output[2])
+
+
+@torch.no_grad()
+def start_gaussians(head: GaussianHead, scale: float) -> None:
+    """Gaussians of their pixel's own colour, of opacity 0.9."""
+    bias = initial.start_small(head.dpt.output[2])
+    bias[0] = initial.OPACITY_LOGIT
+    bias[1:4] = scale + math.log(-math.expm1(-scale))  # the inverse of softplus
+    bias[7] = 1.0  # the real part of xyzw
+    for color, (carrier, _) in enumerate(initial.carriers(head.direct_dim)):
+        initial.connect(head.direct, carrier, color, 0.0)
+    initial.pass_colors_on(head.dpt, 8, head.coefficients, [1 / CONSTANT] * 3, [-0.5 / CONSTANT] * 3)

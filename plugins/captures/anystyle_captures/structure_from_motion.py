@@ -16,8 +16,7 @@ from anystyle.methods.order import canonical_order
 from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
 from anystyle.types import Cameras, OnProgress, Progress
 from anystyle_captures.cache import cached, key_of
-from anystyle_captures.sfm.lenses import Lens, Photograph
-from anystyle_captures.sfm.model import SparseModel
+from anystyle_captures.sfm.model import Lens, Photograph, SparseModel
 from anystyle_captures.sfm.trust import judge
 from anystyle_captures.sfm.view_graph import MIN_VIEWS, SearchOptions
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from anystyle_cpu_renderer import covariances, projection, projection_gradients, raster, sorting
+from anystyle_cpu_renderer import projection, raster
 
 CHUNK = 8192
 """Gaussians per job; fixed, so that the order of summation does not depend on the number of threads."""
@@ -56,13 +56,13 @@ class Splats(NamedTuple):
 
     def tiles(self, row: int, size: tuple[int, ...]) -> "Tiles":
         """The splats of each tile in a row of tiles of an image of a height and width."""
-        offsets, top = np.empty(-(-size[1] // sorting.WIDTH) + 1, np.int64), row * sorting.HEIGHT
-        bottom = min(sorting.HEIGHT, size[0] - top) - 1
-        return Tiles(sorting.tiles_of(self.data, self.members(row), top, bottom, size[1], offsets), offsets)
+        offsets, top = np.empty(-(-size[1] // raster.WIDTH) + 1, np.int64), row * raster.HEIGHT
+        bottom = min(raster.HEIGHT, size[0] - top) - 1
+        return Tiles(raster.tiles_of(self.data, self.members(row), top, bottom, size[1], offsets), offsets)
 
 
 class Tiles(NamedTuple):
-    """The splats of each tile in a row of tiles; see :func:`anystyle_cpu_renderer.sorting.tiles_of`."""
+    """The splats of each tile in a row of tiles; see :func:`anystyle_cpu_renderer.raster.tiles_of`."""
 
     lists: np.ndarray
     offsets: np.ndarray
@@ -94,7 +94,7 @@ def shape(scene: Scene, run: Run) -> None:
     """Write the covariances of a scene."""
 
     def job(start: int, stop: int) -> None:
-        covariances.covariances(scene.rotations, scene.scales, start, stop, scene.shapes)
+        projection.covariances(scene.rotations, scene.scales, start, stop, scene.shapes)
 
     list(run(job, *chunks(scene.means)))
 
@@ -103,7 +103,7 @@ def shape_backward(scene: Scene, into: Scene, run: Run) -> None:
     """Write the gradients of rotations and scales, given those of the covariances."""
 
     def job(start: int, stop: int) -> None:
-        covariances.covariances_backward(
+        projection.covariances_backward(
             scene.rotations, scene.scales, start, stop, into.shapes, into.rotations, into.scales
         )
 
@@ -123,9 +123,9 @@ def project(scene: Scene, view: View, height: int, run: Run) -> Splats:
 
     rows = np.concatenate([np.empty(0, np.int64), *run(job, *chunks(scene.means))])
     nearest, ranks = np.empty((len(rows), projection.SPLAT), np.float32), np.empty(len(rows), np.int32)
-    sorting.arrange(data, rows, sorting.nearest_first(data, rows), nearest, ranks)
-    offsets = np.empty(-(-height // sorting.HEIGHT) + 1, np.int64)
-    lists = sorting.rows_of(nearest, offsets)
+    raster.arrange(data, rows, raster.nearest_first(data, rows), nearest, ranks)
+    offsets = np.empty(-(-height // raster.HEIGHT) + 1, np.int64)
+    lists = raster.rows_of(nearest, offsets)
     return Splats(nearest, owners[rows], ranks, lists, offsets)
 
 
@@ -136,7 +136,7 @@ def project_backward(
 
     def job(start: int, stop: int) -> np.ndarray:
         d_camera = np.zeros(projection.CAMERA)
-        projection_gradients.project_backward(
+        projection.project_backward(
             scene.means, scene.shapes, scene.harmonics, *view, start, stop,
             splats.data, splats.owners, splats.ranks, moments,
             into.means, into.shapes, into.opacities, into.harmonics, posed, d_camera,
@@ -153,7 +153,7 @@ def blend(
 
     def job(row: int) -> Tiles | None:
         tiles = splats.tiles(row, last.shape)
-        raster.blend(splats.data, *tiles, row * sorting.HEIGHT, cap, image, last)
+        raster.blend(splats.data, *tiles, row * raster.HEIGHT, cap, image, last)
         return tiles if keep else None
 
     return [tiles for tiles in run(job, range(len(splats.offsets) - 1)) if tiles is not None]
@@ -173,7 +173,7 @@ def blend_backward(
     def job(row: int) -> np.ndarray:
         tiles = kept[row] if kept else splats.tiles(row, last.shape)
         moments = np.zeros((len(splats.members(row)), raster.MOMENTS), np.float32)
-        raster.blend_backward(splats.data, *tiles, row * sorting.HEIGHT, cap, image, last, d_image, moments)
+        raster.blend_backward(splats.data, *tiles, row * raster.HEIGHT, cap, image, last, d_image, moments)
         return moments
 
     moments = np.zeros((len(splats.data), raster.MOMENTS), np.float32)

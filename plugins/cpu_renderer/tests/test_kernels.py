@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numba import njit
 
-from anystyle_cpu_renderer import raster, sorting
-from anystyle_cpu_renderer.compiled import compiled
+from anystyle.compiled import compiled
+from anystyle_cpu_renderer import raster
 
 
 def function_without_a_file() -> Any:
@@ -36,14 +36,14 @@ def test_sorting_is_stable() -> None:
     splats = np.zeros((5000, 12), np.float32)
     splats[:, 9] = np.exp(rng.normal(size=5000) * 10).round(3) + np.float32(1e-10)
     rows = np.flatnonzero(rng.random(5000) < 0.7)
-    order = sorting.nearest_first(splats, rows)
+    order = raster.nearest_first(splats, rows)
     assert np.array_equal(order, np.argsort(splats[rows, 9], kind="stable"))
 
 
 def test_tiles_list_the_splats_that_they_show_and_no_others() -> None:
     """Every pixel that an ellipse covers is in the rows that its tile lists for it."""
     rng = np.random.default_rng(0)
-    width, height = 40, sorting.HEIGHT - 5
+    width, height = 40, raster.HEIGHT - 5
     axes = rng.uniform(0.4, 6, (60, 2))
     turn = rng.uniform(0, np.pi, 60)
     turned = np.stack([np.cos(turn), -np.sin(turn), np.sin(turn), np.cos(turn)], 1).reshape(60, 2, 2)
@@ -54,8 +54,8 @@ def test_tiles_list_the_splats_that_they_show_and_no_others() -> None:
     splats = np.zeros((60, 16), np.float32)
     splats[:, :2], splats[:, 10], splats[:, 11] = center, np.sqrt(xx), np.sqrt(yy)
     splats[:, 12], splats[:, 13], splats[:, 14] = xy / np.sqrt(yy), xy / xx, root / xx
-    offsets = np.empty(-(-width // sorting.WIDTH) + 1, np.int64)
-    lists = sorting.tiles_of(splats, np.arange(60, dtype=np.int32), 0, height - 1, width, offsets)
+    offsets = np.empty(-(-width // raster.WIDTH) + 1, np.int64)
+    lists = raster.tiles_of(splats, np.arange(60, dtype=np.int32), 0, height - 1, width, offsets)
     assert np.array_equal(lists[:, 0], lists[:, 1])
     pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height), indexing="xy"), -1) + 0.5
     away = pixels - center[:, None, None]
@@ -65,6 +65,6 @@ def test_tiles_list_the_splats_that_they_show_and_no_others() -> None:
         rows = lists[offsets[column] : offsets[column + 1]]
         assert (np.diff(rows[:, 0]) > 0).all() and (rows[:, 3] > rows[:, 2]).all()
         for splat, _, first, stop in rows:
-            listed[splat, first:stop, column * sorting.WIDTH : (column + 1) * sorting.WIDTH] = True
+            listed[splat, first:stop, column * raster.WIDTH : (column + 1) * raster.WIDTH] = True
     assert not (covered & ~listed).any()
     assert listed.any((1, 2)).sum() <= covered.any((1, 2)).sum() + 6  # those that pass between centres of pixels

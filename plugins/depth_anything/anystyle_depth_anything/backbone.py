@@ -1,23 +1,26 @@
-"""The network: five parts, and every option that its weights fix."""
+"""The network: five parts, every option that its weights fix, and initial values for training without weights."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import ClassVar, Literal
 
+import torch
+from torch import nn
+
 from anystyle import contracts
 from anystyle.errors import UserError
+from anystyle.geometry.harmonics import CONSTANT
+from anystyle.nn import scratch as initial
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.heads import check_options
+from anystyle.nn.pixels import IMAGENET_MEAN, IMAGENET_STD
 from anystyle.nn.reference_view import Strategy
 from anystyle.published import Published
 from anystyle_depth_anything.adapter import Adapter
-from anystyle_depth_anything.aggregator import Aggregator
-from anystyle_depth_anything.cameras import CameraEncoder
-from anystyle_depth_anything.embedder import Embedder
-from anystyle_depth_anything.gaussian_head import GaussianHead
-from anystyle_depth_anything.geometry_head import GeometryHead
+from anystyle_depth_anything.heads import GaussianHead, GeometryHead
 from anystyle_depth_anything.keys import Checkpoints
-from anystyle_depth_anything.scratch import start_from_scratch, start_gaussians
+from anystyle_depth_anything.transformer import Aggregator, Embedder
 
 
 class DepthAnything(contracts.Backbone):
@@ -42,9 +45,6 @@ class DepthAnything(contracts.Backbone):
         reference: How the view is chosen that others are seen from, where there are three or more; see
             :func:`anystyle.nn.reference_view.reference_view`.
         taps: The four layers that the heads read; the last is the trunk's last.
-        camera_encoder_depth: Blocks of the encoder of known cameras; at 0 there is none.
-        camera_encoder_heads: Its attention heads.
-        rays: Whether the geometry head has a decoder of rays.
         poses: ``regressed`` from camera tokens, as published, or ``aligned`` by matching points with the reference's,
             which a network of a few million parameters can learn (see :class:`anystyle.nn.aligner.Aligner`).
         depth_features: Channels of the depth head's decoder.
@@ -62,7 +62,7 @@ class DepthAnything(contracts.Backbone):
         checkpointing: Whether training recomputes blocks of the aggregator to save memory.
         init: ``published``: initial values as DINOv2's; ``scratch``: values from which photographs are reproduced on
             a plane at depth 1, for training without pretrained weights (see
-            :func:`anystyle_depth_anything.scratch.start_from_scratch`). The computation is the same.
+            :mod:`anystyle.nn.scratch`). The computation is the same.
 
     Raises:
         UserError: Options contradict each other.
@@ -82,8 +82,6 @@ class DepthAnything(contracts.Backbone):
             "alternate_from": 3,
             "layer_scale": 0.5,
             "taps": (4, 5, 6, 7),
-            "camera_encoder_depth": 1,
-            "camera_encoder_heads": 2,
             "depth_features": 16,
             "depth_channels": (8, 8, 8, 8),
             "gaussian_features": 32,
@@ -108,9 +106,6 @@ class DepthAnything(contracts.Backbone):
         rope_base: float = 100.0,
         reference: Strategy = "saddle_balanced",
         taps: Sequence[int] = (19, 27, 33, 39),
-        camera_encoder_depth: int = 4,
-        camera_encoder_heads: int = 16,
-        rays: bool = True,
         poses: Literal["regressed", "aligned"] = "regressed",
         depth_features: int = 256,
         depth_channels: Sequence[int] = (256, 512, 1024, 1024),
@@ -131,8 +126,6 @@ class DepthAnything(contracts.Backbone):
         check_options(dim=dim, heads=heads, taps=taps, first=alternate_from, depth=depth, chunk=chunk)
         if init == "scratch" and gaussian_features < 24:
             raise UserError(f"gaussian_features is {gaussian_features}; init=scratch needs 24, for three colours")
-        if camera_encoder_depth and dim % camera_encoder_heads:
-            raise UserError(f"camera_encoder_heads is {camera_encoder_heads}, which does not divide {dim} channels")
         self.patch_size = patch_size
         self.resolution = resolution
         self.embedder = Embedder(
@@ -145,9 +138,6 @@ class DepthAnything(contracts.Backbone):
             patch_size=patch_size,
             grid=native_resolution // patch_size,
             reference=reference,
-            camera_encoder=CameraEncoder(dim=dim, depth=camera_encoder_depth, heads=camera_encoder_heads, mlp_ratio=4.0)
-            if camera_encoder_depth
-            else None,
         )
         self.aggregator = Aggregator(
             dim=dim,
@@ -165,7 +155,6 @@ class DepthAnything(contracts.Backbone):
             dim=2 * dim,
             features=depth_features,
             channels=depth_channels,
-            rays=rays,
             taps=taps,
             chunk=2 * chunk,
             aligner=Aligner() if poses == "aligned" else None,
@@ -180,5 +169,39 @@ class DepthAnything(contracts.Backbone):
         )
         self.adapter = Adapter(depth_along=depth_along, rotations=rotations, scale_min=scale_min, scale_max=scale_max)
         if init == "scratch":
-            start_from_scratch(self.embedder, self.geometry_head)
+            start_geometry(self.embedder, self.geometry_head)
             start_gaussians(self.gaussian_head, scale_min=scale_min, scale_max=scale_max)
+
+
+LIFT = 6.0
+"""Added to normalised colours, so that GELU and ReLU pass them on as they are."""
+
+
+@torch.no_grad()
+def start_geometry(embedder: Embedder, geometry_head: GeometryHead) -> None:
+    """Cameras at the origin and depth of about 1 (see :mod:`anystyle.nn.scratch`)."""
+    nn.init.normal_(embedder.cls_token, std=0.02)  # else layer norms see nothing but rounding
+    decoder = geometry_head.camera
+    for layer in (decoder.translation, decoder.quaternion, decoder.field_of_view):
+        nn.init.normal_(layer.weight, std=0.1 * initial.SMALL)
+        nn.init.zeros_(layer.bias)
+    decoder.quaternion.bias[3] = 1.0  # the real part of xyzw
+    nn.init.constant_(decoder.field_of_view.bias, initial.FIELD_OF_VIEW)
+    initial.start_small(geometry_head.depth.output[2])
+
+
+@torch.no_grad()
+def start_gaussians(head: GaussianHead, *, scale_min: float, scale_max: float) -> None:
+    """Gaussians of their pixel's colour, about its footprint's size, of opacity 0.9, on the depth head's surface."""
+    bias = initial.start_small(head.dpt.output[2])
+    # The adapter's unit is a tenth of two pixels.
+    fraction = (initial.PIXELS / 0.2 - scale_min) / (scale_max - scale_min)
+    bias[2:5] = math.log(fraction / (1 - fraction))
+    bias[8] = 1.0  # the real part of xyzw
+    bias[-1] = initial.OPACITY_LOGIT
+    for color, (carrier, _) in enumerate(initial.carriers(head.direct_dim)):
+        initial.connect(head.direct[0], color, color, LIFT)
+        initial.connect(head.direct[2], color, color, 0.0)
+        initial.connect(head.direct[4], carrier, color, 0.0)
+    offset = [(mean - std * LIFT - 0.5) / CONSTANT for mean, std in zip(IMAGENET_MEAN, IMAGENET_STD, strict=True)]
+    initial.pass_colors_on(head.dpt, 9, head.coefficients, [std / CONSTANT for std in IMAGENET_STD], offset)

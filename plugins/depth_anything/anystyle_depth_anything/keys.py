@@ -19,22 +19,16 @@ from anystyle.published import Published
 LAYOUT = "Depth Anything 3; choose the preset of its size, such as backbone=depth_anything_base"
 GAUSSIANS = "gs_head."
 PARTS = ("backbone.pretrained.", "head.", "cam_enc.", "cam_dec.", GAUSSIANS)
-UNUSED = re.compile(r"^head\.scratch\.output_conv[12]_aux\.[0-2]\.")
-"""What the published network holds and never shows: the second chain's outputs at coarser levels."""
+UNUSED = re.compile(r"^(cam_enc\.|head\.scratch\.(refinenet\d|output_conv\d)_aux\.)")
+"""What the published network holds and encoding photographs never reads: an encoder of known cameras, rays."""
 
 _RULES = (
     (r"^embedder\.proj\.", "backbone.pretrained.patch_embed.proj."),
-    (r"^embedder\.camera_encoder\.", "cam_enc."),
     (r"^(embedder|aggregator)\.", "backbone.pretrained."),
     (r"^geometry_head\.camera\.trunk\.", "cam_dec.backbone."),
     (r"^geometry_head\.camera\.translation\.", "cam_dec.fc_t."),
     (r"^geometry_head\.camera\.quaternion\.", "cam_dec.fc_qvec."),
     (r"^geometry_head\.camera\.field_of_view\.", "cam_dec.fc_fov.0."),
-    *((rf"^geometry_head\.ray\.fusions\.{level}\.", f"head.scratch.refinenet{level + 1}_aux.") for level in range(4)),
-    (r"^geometry_head\.ray\.neck\.", "head.scratch.output_conv1_aux.3."),
-    (r"^geometry_head\.ray\.first\.", "head.scratch.output_conv2_aux.3.0."),
-    (r"^geometry_head\.ray\.norm\.", "head.scratch.output_conv2_aux.3.2."),
-    (r"^geometry_head\.ray\.last\.", "head.scratch.output_conv2_aux.3.5."),
     (r"^geometry_head\.(depth\.)?", "head."),
     (r"^gaussian_head\.dpt\.", GAUSSIANS),
     (r"^gaussian_head\.direct\.", "gs_head.images_merger."),
@@ -117,8 +111,6 @@ def _trunk(state: Mapping[str, Tensor]) -> dict[str, object]:
         "heads": dim // head_dim,
         "ffn": "swiglu" if gated else "mlp",
         "alternate_from": start,
-        "camera_encoder_depth": len(numbers(state, r"cam_enc\.trunk\.(\d+)\.")),
-        "rays": "head.scratch.refinenet1_aux.out_conv.weight" in state,
     }
     if not gated:
         options["mlp_ratio"] = _length(state, f"{trunk}blocks.0.mlp.fc1.weight", 0) / dim

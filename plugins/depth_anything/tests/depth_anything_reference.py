@@ -8,9 +8,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from anystyle.geometry.rotations import matrix_from_wxyz, wxyz_from_xyzw
 from anystyle.types import Attributes, Cameras, Gaussians
-from oracle import assert_matches, fill_named, golden, hashed, smooth_image
+from oracle import assert_matches, fill_named, golden, smooth_image
 
 TINY: dict[str, Any] = {
     "native_resolution": 70,
@@ -19,8 +18,6 @@ TINY: dict[str, Any] = {
     "heads": 4,
     "alternate_from": 3,
     "taps": (3, 5, 7, 9),
-    "camera_encoder_depth": 2,
-    "camera_encoder_heads": 4,
     "depth_features": 32,
     "depth_channels": (8, 12, 16, 16),
     "gaussian_features": 32,
@@ -46,24 +43,6 @@ def tiny_weights() -> dict[str, Tensor]:
 def images(inputs: Mapping[str, Any]) -> Tensor:
     index, shape = re.fullmatch(r"\(IMG\((\d+),\[(.*)\]\)-mean\)/std", inputs["images"]).groups()  # type: ignore[union-attr]
     return smooth_image(int(index), [int(length) for length in shape.split(",")])
-
-
-def cameras(inputs: Mapping[str, Any]) -> Cameras | None:
-    if inputs["cameras"] is None:
-        return None
-    index = int(re.fullmatch(r"CAM\((\d+)\)", inputs["cameras"])[1])  # type: ignore[index]
-    batch, views, (height, width) = inputs["B"], inputs["S"], inputs["hw"]
-    identity = torch.tensor([0.0, 0.0, 0.0, 1.0])
-    quaternion = hashed(index, (batch, views, 4), -0.15, 0.15) + identity
-    quaternion[:, 0] = identity
-    motion = torch.eye(4).repeat(batch, views, 1, 1)
-    motion[..., :3, :3] = matrix_from_wxyz(wxyz_from_xyzw(quaternion))
-    motion[:, 1:, :3, 3] = hashed(index + 1, (batch, views, 3), -0.5, 0.5)[:, 1:]
-    intrinsics = torch.eye(3).repeat(batch, views, 1, 1)
-    intrinsics[..., 0, 0] = width * hashed(index + 2, (batch, views), 0.8, 1.2)
-    intrinsics[..., 1, 1] = height * hashed(index + 3, (batch, views), 0.9, 1.3)
-    intrinsics[..., 0, 2], intrinsics[..., 1, 2] = width / 2, height / 2
-    return Cameras(motion.double().inverse().float(), intrinsics, (height, width))
 
 
 def check(actual: Tensor, expected: Mapping[str, Any]) -> None:

@@ -92,17 +92,9 @@ class TestOrder:
                 same(scenes.attributes.map(lambda t, row=row: t[row : row + 1]), alone.attributes, rtol=1e-3, atol=1e-4)
 
 
-def test_rays_need_their_chain() -> None:
-    backbone = network(rays=False)
-    features = backbone.aggregator(backbone.embedder(views(1).images))
-    with pytest.raises(ValueError, match="rays=true"):
-        backbone.geometry_head.rays(features)
-
-
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"camera_encoder_heads": 5}, "camera_encoder_heads is 5"),
         ({"alternate_from": 0}, "give a block from 1 to depth - 1 = 7"),
         ({"alternate_from": 8}, "give a block from 1 to depth - 1 = 7"),
         ({"taps": (2, 5, 6, 7)}, "give four layers from 3 on"),

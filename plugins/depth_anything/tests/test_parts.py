@@ -13,9 +13,8 @@ from anystyle.nn.attention import SwiGlu
 from anystyle.nn.dpt import add_positions_
 from anystyle.types import Attributes, Cameras, Geometry
 from anystyle_depth_anything.adapter import Adapter, harmonics
-from anystyle_depth_anything.aggregator import flat_positions
-from anystyle_depth_anything.cameras import decode_pose, encode_pose
-from anystyle_depth_anything.embedder import Embedder
+from anystyle_depth_anything.heads import decode_pose
+from anystyle_depth_anything.transformer import Embedder, flat_positions
 from oracle import hashed
 
 SIZE = (6, 8)
@@ -34,12 +33,6 @@ class TestPose:
         assert cameras.world_from_camera[0, 0, :3, 3].tolist() == [1, 2, 3]
         expected = [[16.0, 0, 4], [0, 6, 3], [0, 0, 1]]
         torch.testing.assert_close(cameras.intrinsics[0, 0], torch.tensor(expected))
-
-    def test_decoding_inverts_encoding(self) -> None:
-        cameras = some_cameras()
-        again = decode_pose(encode_pose(cameras), SIZE)
-        torch.testing.assert_close(again.world_from_camera, cameras.world_from_camera)
-        torch.testing.assert_close(again.intrinsics, cameras.intrinsics)
 
     def test_a_field_of_view_of_nothing_has_a_finite_focal_length(self) -> None:
         cameras = decode_pose(F.pad(torch.tensor([[[0.0, 0, 0, 0, 0, 0, 1]]]), (0, 2)), SIZE)
@@ -72,7 +65,6 @@ class TestEmbedder:
             patch_size=2,
             grid=4,
             reference="middle",
-            camera_encoder=None,
         )
 
     def test_position_embeddings_are_used_as_they_are_on_their_own_grid_alone(self) -> None:
@@ -100,10 +92,6 @@ class TestEmbedder:
         assert stem.special == 1 and stem.reference is not None and stem.reference.tolist() == [1, 1]
         own, shared = embedder.camera_token[0]
         torch.testing.assert_close(stem.data[:, :, 0], torch.stack([shared, own, shared]).expand(2, -1, -1))
-
-    def test_cameras_need_an_encoder(self) -> None:
-        with pytest.raises(ValueError, match="camera_encoder_depth"):
-            self.embedder()(hashed(1, (1, 2, 3, 6, 8)), some_cameras())
 
 
 class TestDecoder:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from anystyle.metrics.style_retrieval import Retrieval
 from anystyle.vision.weights import checksums
-from anystyle_magenta.prediction import StylePrediction
+from anystyle_magenta.networks import StylePrediction
 from anystyle_magenta.pretrained import load_prediction
 from anystyle_magenta.style_encoder import centre_square
 

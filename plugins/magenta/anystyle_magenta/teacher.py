@@ -10,11 +10,10 @@ from torch import Tensor
 from anystyle.contracts import Loss
 from anystyle.types import Stylization
 from anystyle.vision.features import Frozen, freeze
-from anystyle_magenta.prediction import StylePrediction
+from anystyle_magenta.injector import stylize_images
+from anystyle_magenta.networks import StylePrediction, StyleTransfer
 from anystyle_magenta.pretrained import load_prediction, load_transfer
 from anystyle_magenta.style_encoder import centre_square
-from anystyle_magenta.stylize import stylize_images
-from anystyle_magenta.transfer import StyleTransfer
 
 
 class Painter(Frozen):

@@ -17,8 +17,8 @@ from anystyle.training.base import Training, required
 from anystyle.training.optim import decayed_adamw
 from anystyle.training.sampling import generator
 from anystyle.types import Value
+from anystyle_magenta.networks import TextTower
 from anystyle_magenta.style_encoder import MagentaEncoder
-from anystyle_magenta.text_tower import TextTower
 
 
 @dataclass(frozen=True)

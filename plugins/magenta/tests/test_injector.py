@@ -9,8 +9,8 @@ from anystyle.testing import assert_contract
 from anystyle.testing.inputs import images
 from anystyle.types import Tokens
 from anystyle_magenta import MagentaEncoder, MagentaInjector, stylize_images
-from anystyle_magenta.stylize import working_shape
-from anystyle_magenta.transfer import conditional_instance_norm
+from anystyle_magenta.injector import working_shape
+from anystyle_magenta.networks import conditional_instance_norm
 
 GRID = (24, 32)
 

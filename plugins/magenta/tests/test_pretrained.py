@@ -10,9 +10,8 @@ from magenta_oracle import model_file
 
 from anystyle.vision import weights
 from anystyle_magenta import MagentaEncoder, MagentaInjector
-from anystyle_magenta.onnx_file import read_convolutions
-from anystyle_magenta.prediction import StylePrediction
-from anystyle_magenta.pretrained import PREDICTION, load_prediction
+from anystyle_magenta.networks import StylePrediction
+from anystyle_magenta.pretrained import PREDICTION, load_prediction, read_convolutions
 
 CONTENT = model_file("arbitrary_predict").read_bytes()
 

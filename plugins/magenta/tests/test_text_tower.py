@@ -9,13 +9,12 @@ import torch.nn.functional as F
 import anystyle
 from anystyle.nn.words import clean
 from anystyle_magenta import MagentaEncoder
-from anystyle_magenta.descriptions import FILE
-from anystyle_magenta.text_tower import TextTower
+from anystyle_magenta.networks import TextTower
+from anystyle_magenta.style_encoder import FILE
 from anystyle_magenta.training import CaptionBatches, recall
 from anystyle_tiny.procedural.captions import COLORS, DIRECTIONS, MEDIA, SCALES, WORDS, describe
 from anystyle_tiny.procedural.layout import Draw
-from anystyle_tiny.procedural.painting import BRUSHWORK
-from anystyle_tiny.procedural.patterns import PATTERNS
+from anystyle_tiny.procedural.patterns import BRUSHWORK, PATTERNS
 from anystyle_tiny.procedural.phrases import PHOTO_TEXTS, appearances, draw_phrase
 from anystyle_tiny.procedural.styles import DIRECTED
 

@@ -12,11 +12,9 @@ from scipy import special, stats
 from anystyle.errors import UserError
 from anystyle_study.checks import Checks, check
 from anystyle_study.contract import Alternative, Responses, Scale, StudyTest, TestResult, Unit
-from anystyle_study.crossed import Crossing, Variation, variation
-from anystyle_study.effects import Effect, agreement, effects
-from anystyle_study.probability import holm, log_t_cdf
 from anystyle_study.protocol import Rules, Study
 from anystyle_study.reading import Records
+from anystyle_study.statistics import Crossing, Effect, Variation, agreement, effects, holm, log_t_cdf, variation
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from scipy import linalg, optimize, sparse, special
 
 from anystyle_study.contract import Population, Responses
-from anystyle_study.crossed import Crossing
+from anystyle_study.statistics import Crossing
 
 _END = 500.0  # stands for an infinite threshold: its logistic is 0 or 1 to the last bit
 _MAX_SIZES = 11  # distinct sizes of deviations; with more, answers are practically continuous
@@ -40,7 +40,7 @@ class OrdinalFit:
     # its standard error from the observed information, plus a correction for the variances, which maximum likelihood
     # underestimates by one level of each factor
     error: float
-    df: float  # its degrees of freedom, those of the mean answer (:mod:`anystyle_study.crossed`)
+    df: float  # its degrees of freedom, those of the mean answer (:mod:`anystyle_study.statistics`)
     position: float  # ``delta``; 0 if ours was always shown on one side
     sds: dict[Population, float]  # ``sigma`` of each factor, in logits
     thresholds: tuple[float, ...]  # the positive ones, ascending

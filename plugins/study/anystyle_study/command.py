@@ -1,6 +1,5 @@
 """``anystyle study``: one of its commands."""
 
-import importlib
 from collections.abc import Sequence
 
 from anystyle.commands._flags import parse, subcommand
@@ -20,5 +19,7 @@ class Study(Command):
     def __call__(self, words: Sequence[str]) -> None:
         name = subcommand("study", self.__doc__, SUBCOMMANDS, words)
         if name is not None:
-            module = importlib.import_module(f"anystyle_study.commands.{name}")
-            module.command(parse(module.parser(), words[1:]))
+            from anystyle_study.commands import COMMANDS
+
+            flags, run = COMMANDS[name]
+            run(parse(flags(), words[1:]))

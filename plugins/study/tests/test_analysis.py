@@ -16,11 +16,7 @@ from anystyle_study.command import Study
 from anystyle_study.reading import read_responses
 from anystyle_study.report import html as report_html
 from anystyle_study.report import latex, markdown
-from anystyle_study.significance.crossed_t import CrossedT
-from anystyle_study.significance.one_sample_t import OneSampleT
-from anystyle_study.significance.ordinal_mixed import OrdinalMixed
-from anystyle_study.significance.sign_flip import SignFlip
-from anystyle_study.significance.wilcoxon import Wilcoxon
+from anystyle_study.significance import CrossedT, OneSampleT, OrdinalMixed, SignFlip, Wilcoxon
 from anystyle_study.wording import p_text, response_level, took_part, verdict
 
 TESTS = {

@@ -12,7 +12,7 @@ from PIL import Image
 from study_cases import QUESTIONS, small_plan, small_study, write_results
 
 from anystyle_study.balance import balanced_positions, balanced_subsets, draw_pairs, latin_orders
-from anystyle_study.commands._options import read_plan
+from anystyle_study.commands import read_plan
 from anystyle_study.design import Sources, balance, design
 from anystyle_study.protocol import Rules, read_study
 from anystyle_study.server import sequence
@@ -113,7 +113,7 @@ def test_videos_play_every_view(tmp_path):
 def test_positions_are_even_both_ways(people, sets):
     positions = balanced_positions(people, sets, np.random.default_rng(0))
     assert (positions.sum(1) == sets / 2).all()
-    for first in range(2, people + 1, 2):  # whoever comes later may stay away
+    for first in range(2, people + 1, 2):  # participants answer in order, and the last ones may never take part
         assert (positions[:first].sum(0) == first / 2).all()
 
 

@@ -9,9 +9,8 @@ import pytest
 
 from anystyle_study import clmm
 from anystyle_study.contract import Responses
-from anystyle_study.crossed import Crossing
-from anystyle_study.significance.one_sample_t import OneSampleT
-from anystyle_study.significance.wilcoxon import Wilcoxon
+from anystyle_study.significance import OneSampleT, Wilcoxon
+from anystyle_study.statistics import Crossing
 
 GOLDENS = json.loads((Path(__file__).parent / "r" / "goldens.json").read_text())
 STUDIES = GOLDENS["studies"]

@@ -16,10 +16,7 @@ from anystyle_study.power import (
     rejection_rates,
     simulate,
 )
-from anystyle_study.significance.crossed_t import CrossedT
-from anystyle_study.significance.one_sample_t import OneSampleT
-from anystyle_study.significance.sign_flip import SignFlip
-from anystyle_study.significance.wilcoxon import Wilcoxon
+from anystyle_study.significance import CrossedT, OneSampleT, SignFlip, Wilcoxon
 
 CALIBRATED = {
     "one_sample_t": OneSampleT(),

@@ -11,14 +11,8 @@ from scipy import stats
 
 from anystyle_study import clmm
 from anystyle_study.contract import Responses
-from anystyle_study.crossed import Crossing
-from anystyle_study.effects import effects, krippendorff_alpha
-from anystyle_study.probability import holm, log_t_cdf
-from anystyle_study.significance.crossed_t import CrossedT
-from anystyle_study.significance.one_sample_t import OneSampleT
-from anystyle_study.significance.ordinal_mixed import OrdinalMixed
-from anystyle_study.significance.sign_flip import SignFlip
-from anystyle_study.significance.wilcoxon import Wilcoxon
+from anystyle_study.significance import CrossedT, OneSampleT, OrdinalMixed, SignFlip, Wilcoxon
+from anystyle_study.statistics import Crossing, effects, holm, krippendorff_alpha, log_t_cdf
 
 
 def table(deviations, ours_is_a=None) -> Responses:

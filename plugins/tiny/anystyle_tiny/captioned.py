@@ -14,8 +14,7 @@ from anystyle.errors import UserError
 from anystyle.types import Style
 from anystyle_tiny.procedural.captions import COLORS, WORDS, join_names
 from anystyle_tiny.procedural.layout import Draw
-from anystyle_tiny.procedural.painting import BRUSHWORK
-from anystyle_tiny.procedural.patterns import PATTERNS
+from anystyle_tiny.procedural.patterns import BRUSHWORK, PATTERNS
 from anystyle_tiny.procedural.phrases import PHOTO_TEXTS, draw_phrase
 from anystyle_tiny.procedural.styles import SPLITS, ProceduralStyles, StyleTraits, draw_palette, paint_style
 

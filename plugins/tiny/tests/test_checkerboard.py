@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from anystyle_tiny.checkerboard import Checkerboard
+from anystyle_tiny.losses import Checkerboard
 from oracle import smooth_image
 from style_cases import stylization
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from anystyle_tiny.luminance import Luminance
+from anystyle_tiny.losses import Luminance
 from anystyle_tiny.style_encoder import ramp
 from oracle import smooth_image
 from style_cases import stylization

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 
 from anystyle.types import Views
 from anystyle_tiny.procedural.layout import Builder, Draw, unit_circle
-from anystyle_tiny.procedural.light import EXTENT, HORIZON, LIGHT, SETTING_COLUMNS, SUN
-from anystyle_tiny.procedural.raycast import cast
+from anystyle_tiny.procedural.raycast import EXTENT, HORIZON, LIGHT, SETTING_COLUMNS, SUN, cast
 from anystyle_tiny.procedural.scenes import ProceduralScenes
 from anystyle_tiny.procedural.solids import BOX, CONE, CYLINDER, SOLIDS, SPHERE, hit_solid
 from anystyle_tiny.procedural.textures import PLAIN, ROUGH

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anystyle_tiny.procedural.captions import COLORS, MEDIA, SCALES, WORDS
-from anystyle_tiny.procedural.painting import BRUSHWORK, PRINT
-from anystyle_tiny.procedural.patterns import PATTERNS
+from anystyle_tiny.procedural.patterns import BRUSHWORK, PATTERNS, PRINT
 from anystyle_tiny.procedural.styles import ProceduralStyles, is_held_out
 
 

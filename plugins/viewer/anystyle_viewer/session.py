@@ -15,7 +15,7 @@ from anystyle.pipeline.controls import Controls, applied, blended
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.styles import EmbeddedStyle, Mixture, embed_styles, slug
 from anystyle.types import Gaussians, Progress
-from anystyle_viewer.page import title_of
+from anystyle_viewer.server import title_of
 
 _log = logging.getLogger(__name__)
 

@@ -14,10 +14,8 @@ from anystyle.io.sheet import to_pil
 from anystyle.pipeline.export import export, export_styles
 from anystyle.registry.catalog import catalog
 from anystyle.types import Gaussians, StyledScene
-from anystyle_viewer.camera_path import CameraPath, pose_of
-from anystyle_viewer.client_view import ClientView, splat_arrays
-from anystyle_viewer.page import MAX_UPLOAD, data_url, page, store_upload, style_row, title_of
-from anystyle_viewer.server import LOOPBACK, PageServer
+from anystyle_viewer.client_view import CameraPath, ClientView, pose_of, splat_arrays
+from anystyle_viewer.server import LOOPBACK, MAX_UPLOAD, PageServer, data_url, page, store_upload, style_row, title_of
 from anystyle_viewer.session import Session, StyleRequest
 
 NO_STYLE = "—"

@@ -18,7 +18,7 @@ from chromium import SOFTWARE_GL, browser, find_chromium, until
 
 pytest.importorskip("viser", reason="the extra `viewer` is not installed")
 
-from anystyle_viewer.camera_path import pose_of
+from anystyle_viewer.client_view import pose_of
 from anystyle_viewer.command import open_session
 from anystyle_viewer.session import StyleRequest
 from anystyle_viewer.viewer import Viewer

@@ -18,7 +18,7 @@ from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import read_gaussians
 from anystyle.types import Progress
 from anystyle_viewer.command import open_session
-from anystyle_viewer.page import MAX_SIDE, MAX_UPLOAD, store_upload, style_row, title_of
+from anystyle_viewer.server import MAX_SIDE, MAX_UPLOAD, store_upload, style_row, title_of
 from anystyle_viewer.session import Session, StyleRequest
 from chromium import until
 

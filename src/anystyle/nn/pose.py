@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.geometry.rotations import matrix_from_wxyz, wxyz_from_matrix, wxyz_from_xyzw, xyzw_from_wxyz
+from anystyle.geometry.rotations import matrix_from_wxyz, wxyz_from_xyzw
 from anystyle.types import Cameras
 
 
@@ -34,12 +34,3 @@ def centred_cameras(
     zero, one = torch.zeros_like(focal_x), torch.ones_like(focal_x)
     entries = [focal_x, zero, one * (width / 2), zero, focal_y, one * (height / 2), zero, zero, one]
     return Cameras(pose, torch.stack(entries, dim=-1).unflatten(-1, (3, 3)), size)
-
-
-def encode(motion: Float[Tensor, "B V 4 4"], cameras: Cameras) -> Float[Tensor, "B V 9"]:
-    """The encoding of motions, with the fields of view of ``cameras``; a quaternion's real part is at least 0."""
-    height, width = cameras.size
-    quaternion = xyzw_from_wxyz(wxyz_from_matrix(motion[..., :3, :3]))
-    vertical = 2 * torch.atan(height / 2 / cameras.intrinsics[..., 1, 1])
-    horizontal = 2 * torch.atan(width / 2 / cameras.intrinsics[..., 0, 0])
-    return torch.cat([motion[..., :3, 3], quaternion, torch.stack([vertical, horizontal], dim=-1)], dim=-1)

@@ -15,8 +15,7 @@ from PIL import Image
 
 import pycolmap  # isort: skip
 
-from anystyle_captures.sfm.lenses import Photograph
-from anystyle_captures.sfm.model import SparseModel
+from anystyle_captures.sfm.model import Photograph, SparseModel
 from anystyle_captures.sfm.view_graph import (
     MIN_VIEWS,
     SearchOptions,

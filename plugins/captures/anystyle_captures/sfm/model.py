@@ -1,15 +1,117 @@
-"""Sparse models: cameras, points, and which camera sees which point, as plain arrays."""
+"""Photographs with their lenses, and sparse models: cameras, points, and which camera sees which point."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from math import hypot
 
 import numpy as np
-from jaxtyping import Bool, Float64
-
-from anystyle_captures.sfm.lenses import Lens
+import torch
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Float64, UInt8
+from PIL import ExifTags, Image
 
 Array = np.ndarray
+FULL_FRAME_DIAGONAL = hypot(36, 24)
+"""Of a 35 mm film frame, in millimetres, which equivalent focal lengths refer to."""
+NEGLIGIBLE = 0.1
+"""Distortion at the corner, in pixels, that is not corrected."""
+
+
+@dataclass(frozen=True)
+class Photograph:
+    """An upright sRGB picture, with the lens and the focal length in pixels where they are known.
+
+    Photographs of the same lens and size share their intrinsics.
+    """
+
+    name: str
+    pixels: UInt8[Array, "H W 3"]
+    focal_length: float | None = None
+    lens: str = ""
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width in pixels."""
+        return self.pixels.shape[0], self.pixels.shape[1]
+
+    @classmethod
+    def from_exif(cls, name: str, pixels: UInt8[Array, "H W 3"], exif: Image.Exif) -> "Photograph":
+        """A photograph with the lens that its EXIF data describe."""
+        details = exif.get_ifd(ExifTags.IFD.Exif)
+        tags = [exif.get(ExifTags.Base.Make), exif.get(ExifTags.Base.Model)]
+        tags += [details.get(tag) for tag in (ExifTags.Base.LensModel, ExifTags.Base.FocalLength)]
+        lens = " ".join(str(tag).strip() for tag in tags if tag is not None)
+        return cls(name, pixels, _focal_length(details, *pixels.shape[:2]), lens)
+
+
+def _focal_length(details: dict[int, object], height: int, width: int) -> float | None:
+    equivalent = _number(details.get(ExifTags.Base.FocalLengthIn35mmFilm))
+    if equivalent:
+        return equivalent / FULL_FRAME_DIAGONAL * hypot(height, width)
+    # Millimetres, and sensor pixels per unit of length at the recorded size.
+    focal = _number(details.get(ExifTags.Base.FocalLength))
+    density = _number(details.get(ExifTags.Base.FocalPlaneXResolution))
+    unit = {2: 25.4, 3: 10.0, 4: 1.0, 5: 1e-3}.get(int(_number(details.get(ExifTags.Base.FocalPlaneResolutionUnit))))
+    recorded = max(_number(details.get(tag)) for tag in (ExifTags.Base.ExifImageWidth, ExifTags.Base.ExifImageHeight))
+    if not (focal and density and unit and recorded):
+        return None
+    return focal * density / unit * max(height, width) / recorded
+
+
+def _number(value: object) -> float:
+    """A positive finite number, else 0: cameras write nothing, zeros, and fractions with denominator zero."""
+    try:
+        number = float(value)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError, ZeroDivisionError):
+        return 0.0
+    return number if 0 < number < float("inf") else 0.0
+
+
+@dataclass(frozen=True)
+class Lens:
+    """COLMAP's ``SIMPLE_RADIAL``: (X, Y) at z = 1 is seen at ``focal (1 + radial (X² + Y²)) (X, Y) + (x, y)``."""
+
+    focal: float
+    x: float
+    y: float
+    radial: float
+
+    def is_distorted(self) -> bool:
+        """Whether any pixel is displaced noticeably."""
+        corner = hypot(self.x, self.y) / self.focal
+        return abs(self.radial) * corner**3 * self.focal > NEGLIGIBLE
+
+    def pinhole(self) -> "Lens":
+        """The lens without distortion of largest field of view whose image the photograph fills."""
+        if not self.is_distorted():
+            return Lens(self.focal, self.x, self.y, 0.0)
+        # The border pixel that limits the field of view: the nearest one of a barrel, the farthest of a pincushion.
+        distorted = (min(self.x, self.y) if self.radial < 0 else hypot(self.x, self.y)) / self.focal
+        radius = distorted
+        for _ in range(8):  # Newton's method
+            slope = max(1 + 3 * self.radial * radius**2, 0.1)
+            radius -= (radius * (1 + self.radial * radius**2) - distorted) / slope
+        return Lens(self.focal * distorted / radius, self.x, self.y, 0.0)
+
+    @property
+    def intrinsics(self) -> Float[Array, "3 3"]:
+        """The matrix, without distortion."""
+        return np.array([[self.focal, 0, self.x], [0, self.focal, self.y], [0, 0, 1.0]])
+
+    def undistorted(self, pixels: UInt8[Array, "H W 3"]) -> UInt8[Array, "H W 3"]:
+        """A photograph as :meth:`pinhole` would have taken it, bilinearly resampled."""
+        if not self.is_distorted():
+            return pixels
+        height, width = pixels.shape[:2]
+        center = np.array([self.x, self.y])
+        x, y = np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5)
+        rays = (np.stack([x, y], axis=-1) - center) / self.pinhole().focal
+        seen = rays * (1 + self.radial * np.square(rays).sum(-1, keepdims=True)) * self.focal + center
+        grid = torch.from_numpy(2 * seen / np.array([width, height]) - 1).float()
+        image = torch.tensor(pixels).permute(2, 0, 1).float()
+        sampled = F.grid_sample(image[None], grid[None], align_corners=False, padding_mode="border")[0]
+        return sampled.round().byte().permute(1, 2, 0).numpy()
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from anystyle_tiny.procedural import light as lt
+from anystyle_tiny.procedural import raycast as rc
 from anystyle_tiny.procedural import solids as sd
 from anystyle_tiny.procedural import textures as tx
 from anystyle_tiny.procedural.volumes import sine
@@ -28,7 +28,7 @@ CLEARANCE = 0.6
 
 @dataclass(frozen=True)
 class World:
-    """The tables of :mod:`anystyle_tiny.procedural.solids`, ``light`` and ``textures``."""
+    """The tables of :mod:`anystyle_tiny.procedural.solids`, ``raycast`` and ``textures``."""
 
     settings: Array
     solids: Array
@@ -290,41 +290,41 @@ def _spread(build: Builder, makers: Makers, reach: float, eyes: Array, *, room: 
 
 def _light(draw: Draw, settings: Array, *, room: bool, height: float) -> None:
     strength, warm = draw.between(0.7, 1.3), draw.between(-0.12, 0.16)
-    settings[lt.SUN : lt.SUN + 3] = strength * np.array([1.0 + warm, 1.0, 1.0 - 1.4 * warm])
+    settings[rc.SUN : rc.SUN + 3] = strength * np.array([1.0 + warm, 1.0, 1.0 - 1.4 * warm])
     dim = draw.between(0.3, 0.75)
     cool = -0.5 * warm
-    settings[lt.ABOVE : lt.ABOVE + 3] = dim * np.array([1.0 + cool, 1.0, 1.0 - cool])
-    settings[lt.BELOW : lt.BELOW + 3] = dim * draw.between(0.4, 0.75) * np.array([1.05, 1.0, 0.9])
+    settings[rc.ABOVE : rc.ABOVE + 3] = dim * np.array([1.0 + cool, 1.0, 1.0 - cool])
+    settings[rc.BELOW : rc.BELOW + 3] = dim * draw.between(0.4, 0.75) * np.array([1.05, 1.0, 0.9])
     if room and draw.chance(0.6):
-        settings[lt.LIGHT : lt.LIGHT + 3] = [draw.between(-1.5, 1.5), 0.95 * height, draw.between(-1.5, 1.5)]
-        settings[lt.NEARBY] = draw.between(0.7, 1.1) * height
-        settings[lt.SPREAD] = draw.between(0.05, 0.6)
+        settings[rc.LIGHT : rc.LIGHT + 3] = [draw.between(-1.5, 1.5), 0.95 * height, draw.between(-1.5, 1.5)]
+        settings[rc.NEARBY] = draw.between(0.7, 1.1) * height
+        settings[rc.SPREAD] = draw.between(0.05, 0.6)
         return
     c, s = draw.turn()
     slant = draw.between(0.35, 1.3)
-    settings[lt.LIGHT : lt.LIGHT + 3] = [slant * c, 1.0, slant * s]
-    settings[lt.SPREAD] = draw.between(0.0, 0.16)
+    settings[rc.LIGHT : rc.LIGHT + 3] = [slant * c, 1.0, slant * s]
+    settings[rc.SPREAD] = draw.between(0.0, 0.16)
 
 
 def lay_out(draw: Draw, eyes: Array) -> World:
     """Compose one scene around the origin, its floor at y = 0, for cameras at ``eyes`` (views x 3, metres, y up)."""
     room = draw.chance(0.55)
     build = Builder(draw, vividness=draw.between(0.1, 0.75))
-    settings = np.zeros(lt.SETTING_COLUMNS)
-    settings[lt.ROOM] = float(room)
+    settings = np.zeros(rc.SETTING_COLUMNS)
+    settings[rc.ROOM] = float(room)
     height = draw.between(2.6, 4.2)
     if room:
         build.material((tx.PLANKS, tx.TILES, tx.CHECKER, tx.NOISE, tx.WOOD, tx.STRIPES, tx.MARBLE), (0.25, 0.9), 0.3)
         walls = (tx.PLAIN, tx.PLAIN, tx.BRICKS, tx.STRIPES, tx.NOISE, tx.TILES, tx.DOTS, tx.LEAVES)
         build.material(walls, (0.3, 1.1), 0.35)
         build.material((tx.PLAIN, tx.PLANKS), (0.4, 0.9), 0.1)
-        settings[lt.EXTENT : lt.EXTENT + 3] = [draw.between(3.2, 4.8), height, draw.between(3.2, 4.8)]
+        settings[rc.EXTENT : rc.EXTENT + 3] = [draw.between(3.2, 4.8), height, draw.between(3.2, 4.8)]
     else:
         build.material((tx.NOISE, tx.NOISE, tx.LEAVES, tx.CELLS, tx.PLANKS, tx.TILES, tx.BRICKS), (0.5, 1.8), 0.15)
         build.materials[0][tx.GLOSS] = 0.0
         build.material((tx.PLAIN,), (1.0, 2.0))
         build.material((tx.PLAIN,), (1.0, 2.0))
-        settings[lt.EXTENT] = draw.between(8.0, 12.0)
+        settings[rc.EXTENT] = draw.between(8.0, 12.0)
     _spread(build, INDOORS if room else OUTDOORS, 2.3 if room else 3.1, eyes, room=room)
     if room and draw.chance(0.6):
         rug = build.material((tx.STRIPES, tx.DOTS, tx.CHECKER, tx.LEAVES, tx.CELLS), (0.2, 0.7))
@@ -335,12 +335,12 @@ def lay_out(draw: Draw, eyes: Array) -> World:
         _pictures(build, settings, height)
     _light(draw, settings, room=room, height=height)
     haze = draw.between(0.55, 0.95)
-    settings[lt.HORIZON : lt.HORIZON + 3] = haze * np.array([0.95, 0.95, 0.92 + draw.between(-0.2, 0.1)])
+    settings[rc.HORIZON : rc.HORIZON + 3] = haze * np.array([0.95, 0.95, 0.92 + draw.between(-0.2, 0.1)])
     blue = draw.between(0.45, 1.0)
-    settings[lt.ZENITH : lt.ZENITH + 3] = haze * np.array([0.75 - 0.6 * blue, 0.8 - 0.4 * blue, 0.95])
-    settings[lt.CLOUDS] = draw.between(-0.1, 0.6)
-    settings[lt.HILLS : lt.HILLS + 3] = draw.color(0.1) * 0.7
-    settings[lt.HILL_HEIGHT] = draw.between(0.0, 0.22)
+    settings[rc.ZENITH : rc.ZENITH + 3] = haze * np.array([0.75 - 0.6 * blue, 0.8 - 0.4 * blue, 0.95])
+    settings[rc.CLOUDS] = draw.between(-0.1, 0.6)
+    settings[rc.HILLS : rc.HILLS + 3] = draw.color(0.1) * 0.7
+    settings[rc.HILL_HEIGHT] = draw.between(0.0, 0.22)
     return World(settings, np.stack(build.solids), np.stack(build.materials))
 
 
@@ -354,6 +354,6 @@ def _pictures(build: Builder, settings: Array, height: float) -> None:
             canvas = build.material((tx.LEAVES, tx.CELLS, tx.NOISE, tx.MARBLE, tx.DOTS), (0.3, 1.0), 0.6)
             along, up = draw.between(-1.8, 1.8), draw.between(0.4, 0.6) * height
             half = (draw.between(0.35, 0.8), draw.between(0.3, 0.6), 0.04)
-            wall = side * (settings[lt.EXTENT + axis] - 0.03)
+            wall = side * (settings[rc.EXTENT + axis] - 0.03)
             position = (wall, up, along) if axis == 0 else (along, up, wall)
             build.solid(sd.BOX, position, half, canvas, (0.0, 1.0) if axis == 0 else (1.0, 0.0))

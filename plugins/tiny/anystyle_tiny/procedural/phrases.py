@@ -8,8 +8,7 @@ from typing import NamedTuple, TypeVar
 
 from anystyle_tiny.procedural.captions import COLORS, MEDIA, SCALES, WORDS, join_names
 from anystyle_tiny.procedural.layout import Draw
-from anystyle_tiny.procedural.painting import BRUSHWORK
-from anystyle_tiny.procedural.patterns import PATTERNS
+from anystyle_tiny.procedural.patterns import BRUSHWORK, PATTERNS
 from anystyle_tiny.procedural.styles import DIRECTED, StyleTraits, draw_palette
 
 T = TypeVar("T")

@@ -1,10 +1,184 @@
-"""A ray caster for scenes of a few solids: colour by supersampling, depth exact at pixel centres."""
+"""A ray caster for scenes of a few solids: surroundings, light, colour by supersampling, depth at pixel centres."""
 
 import numpy as np
 
 from anystyle.compiled import compiled
-from anystyle_tiny.procedural.light import hit_surroundings, shade
-from anystyle_tiny.procedural.solids import BOUND, CENTRE, SOLIDS, Vector, dot, hit_solid, scaled
+from anystyle_tiny.procedural.solids import (
+    BOUND,
+    CEILING,
+    CENTRE,
+    FLOOR,
+    PAINT,
+    SOLIDS,
+    WALL,
+    Vector,
+    dot,
+    hit_solid,
+    openness,
+    scaled,
+    shadowed,
+    surface,
+)  # fmt: skip
+from anystyle_tiny.procedural.textures import GLOSS, albedo
+from anystyle_tiny.procedural.volumes import rough
+
+# Columns of the settings: whether it is a room, half extents of the room in x and z and its height (or the dome's
+# radius), the light (direction or place, whether it is a place, radius of its disk), its colour, colours of the
+# ambient from above and below, sky colours at the horizon and the zenith, cloudiness, colour and height of hills.
+ROOM, EXTENT, LIGHT, NEARBY, SPREAD, SUN, ABOVE = 0, 1, 4, 7, 8, 9, 12
+BELOW, HORIZON, ZENITH, CLOUDS, HILLS, HILL_HEIGHT = 15, 18, 21, 24, 25, 28
+SETTING_COLUMNS = 29
+
+
+@compiled
+def hit_surroundings(g: np.ndarray, origin: Vector, ray: Vector) -> tuple[float, int]:
+    """The floor, walls and ceiling of a room, or the ground and the dome of the sky."""
+    (ox, oy, oz), (dx, dy, dz) = origin, ray
+    best, label = np.inf, WALL
+    if dy < -1e-9:
+        best, label = -oy / dy, FLOOR
+    if g[ROOM] > 0:
+        if dy > 1e-9:
+            best, label = (g[EXTENT + 1] - oy) / dy, CEILING
+        for extent, o, d in ((g[EXTENT], ox, dx), (g[EXTENT + 2], oz, dz)):
+            if abs(d) > 1e-9:
+                t = ((extent if d > 0 else -extent) - o) / d
+                if t < best:
+                    best, label = t, WALL
+        return best, label
+    a, b = dot(ray, ray), dot(origin, ray)
+    c = dot(origin, origin) - g[EXTENT] * g[EXTENT]
+    t = (-b + np.sqrt(max(b * b - a * c, 0.0))) / a
+    if t < best:
+        best, label = t, WALL
+    return best, label
+
+
+@compiled
+def _mix(g: np.ndarray, first: int, a: float, second: int, b: float) -> Vector:
+    """A weighted sum of two colours of the settings."""
+    return (
+        g[first] * a + g[second] * b,
+        g[first + 1] * a + g[second + 1] * b,
+        g[first + 2] * a + g[second + 2] * b,
+    )
+
+
+@compiled
+def _sky(g: np.ndarray, point: Vector, bytes_: np.ndarray) -> Vector:
+    """Light of the dome at a point of it."""
+    x, y, z = scaled(point, g[EXTENT])
+    y = max(y, 0.0)
+    ridge = g[HILL_HEIGHT] * (1.0 + 0.8 * rough(bytes_, x * 1.3 + 5.1, 0.5, z * 1.3, 0.01))
+    if y < ridge:
+        haze = 0.35 + 0.45 * y / max(ridge, 1e-6)
+        shade = haze * (1.0 + 0.15 * rough(bytes_, x * 6, y * 6, z * 6, 0.01))
+        return _mix(g, HILLS, shade, HORIZON, 1 - haze)
+    up = np.sqrt(y)
+    flat = 1.0 / (y + 0.25)
+    cloud = rough(bytes_, x * flat * 0.45, 0.3, z * flat * 0.45, 0.01) + g[CLOUDS] - 0.5
+    cloud = min(max(cloud * 1.6, 0.0), 0.9) * min(6 * y, 1.0)
+    r, gr, b = _mix(g, HORIZON, 1 - up, ZENITH, up)
+    return r * (1 - cloud) + 0.95 * cloud, gr * (1 - cloud) + 0.95 * cloud, b * (1 - cloud) + 0.97 * cloud
+
+
+@compiled
+def _corners(g: np.ndarray, point: Vector, normal: Vector) -> float:
+    """Fraction of the ambient light that the floor and the corners of the room leave."""
+    (x, y, z), (nx, ny, nz) = point, normal
+    left = 1.0 - 0.45 * (0.5 - 0.5 * ny) / (1.0 + y * y * 4.0)
+    if g[ROOM] > 0:
+        dx, dz = g[EXTENT] - abs(x), g[EXTENT + 2] - abs(z)
+        left *= 1.0 - 0.3 * (1.0 - abs(nx)) / (1.0 + dx * dx * 6.0)
+        left *= 1.0 - 0.3 * (1.0 - abs(nz)) / (1.0 + dz * dz * 6.0)
+    return left
+
+
+@compiled
+def _direct(
+    g: np.ndarray,
+    solids: np.ndarray,
+    point: Vector,
+    normal: Vector,
+    view: Vector,
+    jitter: tuple[float, float],
+    gloss: float,
+) -> tuple[float, float]:
+    """Light of the lamp or sun at a point, and what is mirrored of it toward the camera."""
+    (x, y, z), (nx, ny, nz) = point, normal
+    # The light is a disk in the horizontal plane; each sub-pixel sees one fixed point of it, so that penumbras are
+    # the same from everywhere.
+    lx, ly, lz = g[LIGHT] + g[SPREAD] * jitter[0], g[LIGHT + 1], g[LIGHT + 2] + g[SPREAD] * jitter[1]
+    distance, fall = 1e9, 1.0
+    if g[NEARBY] > 0:
+        lx, ly, lz = lx - x, ly - y, lz - z
+    squared = dot((lx, ly, lz), (lx, ly, lz))
+    light = scaled((lx, ly, lz), np.sqrt(squared))
+    if g[NEARBY] > 0:
+        distance = np.sqrt(squared)
+        fall = 2.0 * g[NEARBY] * g[NEARBY] / (g[NEARBY] * g[NEARBY] + squared)
+    facing = dot(normal, light)
+    if facing <= 0 or shadowed(solids, (x + 1e-4 * nx, y + 1e-4 * ny, z + 1e-4 * nz), light, distance):
+        return 0.0, 0.0
+    mirror = 0.0
+    if gloss > 0:
+        between = (light[0] - view[0], light[1] - view[1], light[2] - view[2])
+        half = max(dot(between, normal) / np.sqrt(max(dot(between, between), 1e-9)), 0.0)
+        for _ in range(4):
+            half *= half
+        mirror = gloss * half * half * fall
+    return facing * fall, mirror
+
+
+@compiled
+def shade(
+    g: np.ndarray,
+    solids: np.ndarray,
+    materials: np.ndarray,
+    bytes_: np.ndarray,
+    label: int,
+    point: Vector,
+    ray: Vector,
+    footprint: float,
+    jitter: tuple[float, float],
+    known: float,
+) -> tuple[float, float, float, float]:
+    """Linear light that leaves a point toward the camera, and how open the point is to ambient light."""
+    x, y, z = point
+    if label == WALL and g[ROOM] == 0:
+        r, gr, b = _sky(g, point, bytes_)
+        return r, gr, b, 1.0
+    local, m = point, label
+    if label >= SOLIDS:
+        normal, local, u, v = surface(solids, label - SOLIDS, point)
+        m = int(solids[label - SOLIDS, PAINT])
+    elif label == FLOOR:
+        normal, u, v = (0.0, 1.0, 0.0), x, z
+    elif label == CEILING:
+        normal, u, v = (0.0, -1.0, 0.0), x, z
+    elif g[EXTENT] - abs(x) < g[EXTENT + 2] - abs(z):
+        normal, u, v = ((-1.0 if x > 0 else 1.0), 0.0, 0.0), z, y
+    else:
+        normal, u, v = (0.0, 0.0, (-1.0 if z > 0 else 1.0)), x, y
+    if known < 0:
+        known = openness(solids, label, point, normal)
+    grazing = max(abs(dot(normal, ray)), 0.12)
+    r, gr, b = albedo(materials, m, local, u, v, footprint / grazing, bytes_)
+    direct, mirror = _direct(g, solids, point, normal, ray, jitter, materials[m, GLOSS])
+    ambient = known * _corners(g, point, normal)
+    above, below = ambient * (0.5 + 0.5 * normal[1]), ambient * (0.5 - 0.5 * normal[1])
+    r = r * (g[SUN] * direct + g[ABOVE] * above + g[BELOW] * below) + mirror * g[SUN]
+    gr = gr * (g[SUN + 1] * direct + g[ABOVE + 1] * above + g[BELOW + 1] * below) + mirror * g[SUN + 1]
+    b = b * (g[SUN + 2] * direct + g[ABOVE + 2] * above + g[BELOW + 2] * below) + mirror * g[SUN + 2]
+    if label == FLOOR and g[ROOM] == 0:
+        # The ground fades into the haze where it meets the dome.
+        far = (x * x + z * z) / (g[EXTENT] * g[EXTENT])
+        far *= far * 0.8
+        near = 1 - far
+        r, gr = r * near + g[HORIZON] * far * 0.8, gr * near + g[HORIZON + 1] * far * 0.8
+        b = b * near + g[HORIZON + 2] * far * 0.8
+    return r, gr, b, known
+
 
 CALM = 0.05
 """Two samples of a pixel that differ by less than this fraction of their sum are enough."""

@@ -13,8 +13,7 @@ from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
 from anystyle.types import Cameras, Views
 from anystyle_tiny.procedural.layout import Draw, World, lay_out, unit_circle
-from anystyle_tiny.procedural.light import EXTENT, ROOM
-from anystyle_tiny.procedural.raycast import cast
+from anystyle_tiny.procedural.raycast import EXTENT, ROOM, cast
 from anystyle_tiny.procedural.solids import SOLIDS
 from anystyle_tiny.procedural.volumes import volumes
 

@@ -14,8 +14,7 @@ from anystyle.errors import UserError
 from anystyle.types import Style
 from anystyle_tiny.procedural.captions import COLORS, DIRECTIONS, SCALES, describe
 from anystyle_tiny.procedural.layout import Draw, unit_circle
-from anystyle_tiny.procedural.painting import BRUSHWORK, paint
-from anystyle_tiny.procedural.patterns import FREQUENCY, PATTERNS, WASH
+from anystyle_tiny.procedural.patterns import BRUSHWORK, FREQUENCY, PATTERNS, WASH, paint
 from anystyle_tiny.procedural.volumes import scramble, volumes
 
 SPLITS = ("train", "validation", "heldout")

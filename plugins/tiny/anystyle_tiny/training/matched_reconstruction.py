@@ -1,17 +1,119 @@
-"""Training a small backbone from nothing: reconstruction, and the matches between views taught directly."""
+"""Training a small backbone from nothing: reconstruction, and the matches between views taught directly.
 
-from collections.abc import Sequence
+A small network does not learn poses from pose errors alone. Matching patches across views, and localising them, is
+supervised directly here, through projections that exist in training only.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import torch
-from jaxtyping import Float
-from torch import Tensor
+import torch.nn.functional as F
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Renderer
 from anystyle.nn.aligner import Aligner
 from anystyle.training.reconstruction import ReconstructionTraining
-from anystyle.types import Cameras, Features
-from anystyle_tiny.training.match_supervision import FeatureProbes, correlation_loss, patch_matches
+from anystyle.training.supervision import project
+from anystyle.types import Cameras, Features, Geometry
+
+
+@dataclass(frozen=True)
+class PatchMatches:
+    """Patch centres, their world points, and where the first view sees them."""
+
+    points: Float[Tensor, "B V P 3"]
+    known: Bool[Tensor, "B V P"]
+    target: Int[Tensor, "B V P"]
+    visible: Bool[Tensor, "B V P"]
+    shift: Float[Tensor, "B V P 2"]
+    centers: Float[Tensor, "P 2"]
+
+
+def patch_matches(
+    cameras: Cameras, depth: Float[Tensor, "B V H W"], grid: tuple[int, int], *, tolerance: float = 0.05
+) -> PatchMatches:
+    """Correspondences of the patches of all views with those of the first."""
+    (height, width), (rows, columns) = cameras.size, grid
+    v = ((torch.arange(rows, device=depth.device) + 0.5) * height / rows).long()
+    u = ((torch.arange(columns, device=depth.device) + 0.5) * width / columns).long()
+    world = Geometry(cameras, depth, depth).points()[:, :, v][:, :, :, u].flatten(2, 3)
+    known = (depth[:, :, v][:, :, :, u] > 0).flatten(2, 3)
+    pixel, distance = project(cameras.select([0]), world.flatten(1, 2))
+    pixel, distance = pixel[:, 0].unflatten(1, known.shape[1:]), distance[:, 0].unflatten(1, known.shape[1:])
+    x, y = pixel[..., 0], pixel[..., 1]
+    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (distance > 1e-3)
+    column, row = x.clamp(0, width - 1).long(), y.clamp(0, height - 1).long()
+    seen = depth[:, 0].flatten(1).gather(1, (row * width + column).flatten(1)).unflatten(1, known.shape[1:])
+    unhidden = (seen - distance).abs() < tolerance * distance.clamp_min(1e-3)
+    line_v, line_u = torch.meshgrid(v + 0.5, u + 0.5, indexing="ij")
+    scale = depth.new_tensor([2 / width, 2 / height])
+    centers = torch.stack([line_u, line_v], dim=-1).flatten(0, 1) * scale - 1
+    return PatchMatches(
+        points=world,
+        known=known,
+        target=row * rows // height * columns + column * columns // width,
+        visible=inside & unhidden & known,
+        shift=(pixel * scale - 1).clamp(-2, 2) - centers,
+        centers=centers,
+    )
+
+
+class FeatureProbes(nn.Module):
+    """Projections of tapped features that predict matches, points and shifts."""
+
+    def __init__(self, dims: Mapping[int, int], *, descriptor: int = 64, temperature: float = 0.07) -> None:
+        super().__init__()
+        self.temperature = temperature
+        self.normal = nn.ModuleDict({str(layer): nn.LayerNorm(dim) for layer, dim in dims.items()})
+        self.compare = nn.ModuleDict({str(layer): nn.Linear(dim, descriptor) for layer, dim in dims.items()})
+        self.locate = nn.ModuleDict({str(layer): nn.Linear(dim, 5) for layer, dim in dims.items()})
+
+    def forward(self, features: Features, matches: PatchMatches) -> dict[str, Float[Tensor, ""]]:
+        """Means over layers."""
+        terms: dict[str, list[Tensor]] = {"match": [], "glide": [], "locate": [], "shift": []}
+        others = matches.visible[:, 1:]
+        for layer, tokens in features.items():
+            patches = self.normal[str(layer)](tokens.patches.float())
+            unit = F.normalize(self.compare[str(layer)](patches), dim=-1)
+            alike = torch.einsum("bipd,bqd->bipq", unit[:, 1:], unit[:, 0]) / self.temperature  # B v P P
+            entropy = F.cross_entropy(alike.movedim(-1, 1), matches.target[:, 1:], reduction="none")
+            expected = alike.softmax(-1) @ matches.centers
+            glide = (expected - (matches.centers + matches.shift[:, 1:])).abs().mean(-1)
+            located = self.locate[str(layer)](patches)
+            point = (located[..., :3] - matches.points).norm(dim=-1) / matches.points.norm(dim=-1).clamp_min(0.1)
+            shift = (located[..., 3:] - matches.shift).abs().mean(-1)[:, 1:]
+            terms["match"].append(_mean(entropy, others))
+            terms["glide"].append(_mean(glide, others))
+            terms["locate"].append(_mean(point, matches.known))
+            terms["shift"].append(_mean(shift, matches.known[:, 1:]))
+        return {name: torch.stack(values).mean() for name, values in terms.items()}
+
+
+def correlation_loss(correlation: Float[Tensor, "B v r c r c"], matches: PatchMatches) -> Float[Tensor, ""]:
+    """Cross entropy of a backbone's matches with the first view.
+
+    The truth is spread over the four cells around it, as bilinear interpolation does, so that the expected position of
+    a perfect match is exact.
+    """
+    rows, columns = correlation.shape[-2:]
+    logits = correlation.flatten(4).flatten(2, 3)
+    position = (matches.centers + matches.shift[:, 1:] + 1) / 2 * logits.new_tensor([columns, rows]) - 0.5
+    left, top = position.floor().unbind(-1)
+    log_probability = logits.log_softmax(-1)
+    entropy = torch.zeros_like(left)
+    for dx, dy in ((0, 0), (1, 0), (0, 1), (1, 1)):
+        column, row = left + dx, top + dy
+        weight = (1 - (position[..., 0] - column).abs()) * (1 - (position[..., 1] - row).abs())
+        index = row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
+        entropy = entropy - weight * log_probability.gather(-1, index.long()[..., None])[..., 0]
+    return _mean(entropy, matches.visible[:, 1:])
+
+
+def _mean(values: Float[Tensor, "B V P"], chosen: Bool[Tensor, "B V P"]) -> Float[Tensor, ""]:
+    return (values * chosen).sum() / chosen.sum().clamp_min(1)
 
 
 class MatchedReconstruction(ReconstructionTraining):

@@ -14,8 +14,7 @@ from anystyle.training.base import Training, required
 from anystyle.training.sampling import generator
 from anystyle.types import Value
 from anystyle_tiny.procedural.captions import SCALES
-from anystyle_tiny.procedural.painting import BRUSHWORK
-from anystyle_tiny.procedural.patterns import PATTERNS
+from anystyle_tiny.procedural.patterns import BRUSHWORK, PATTERNS
 from anystyle_tiny.procedural.scenes import ProceduralScenes
 from anystyle_tiny.procedural.styles import ProceduralStyles
 

@@ -1,1 +1,0 @@
-"""The commands of ``anystyle study``, one a file."""

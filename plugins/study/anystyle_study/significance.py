@@ -1,0 +1,315 @@
+"""The built-in tests of a user study."""
+
+import math
+from dataclasses import replace
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from jaxtyping import Float
+from scipy import special, stats
+
+from anystyle.errors import UserError
+from anystyle_study import clmm
+from anystyle_study.contract import Alternative, Responses, StudyTest, TestResult, Unit, generalization
+from anystyle_study.statistics import Crossing, log_t_pvalue, superiority, t_interval
+
+
+class Significance(StudyTest):
+    """A test with an alternative hypothesis and a confidence level.
+
+    Args:
+        alternative: ``less`` claims that ours is preferred.
+        confidence: Level of the intervals.
+    """
+
+    def __init__(self, *, alternative: Alternative = "two-sided", confidence: float = 0.95) -> None:
+        if not 0 < confidence < 1:
+            raise UserError(f"confidence={confidence}: expected a number between 0 and 1, such as 0.95")
+        self.alternative: Alternative = alternative
+        self.confidence = confidence
+
+    def result(self, responses: Responses, **values: Any) -> TestResult:
+        """A result with this test's options; ``values`` are the other fields and may override the defaults."""
+        defaults = {
+            "unit": responses.unit,
+            "n": responses.count,
+            "generalizes_to": generalization(responses.unit),
+            "alternative": self.alternative,
+            "confidence": self.confidence,
+        }
+        return TestResult(**(defaults | values))
+
+    def untestable(self, responses: Responses, reason: str, method: str) -> TestResult:
+        """A result without a p-value."""
+        return TestResult.untestable(responses, reason=reason, alternative=self.alternative, method=method)
+
+
+class CrossedT(Significance):
+    """t test of the mean with participants, items, scenes and styles as random factors.
+
+    See :mod:`anystyle_study.statistics`. The claim generalises to new scenes and styles if those of the items are
+    known, otherwise to new sets of the same scenes and styles.
+
+    Args:
+        alternative: ``less`` claims that ours is preferred.
+        confidence: Level of the intervals.
+    """
+
+    units: ClassVar[tuple[Unit, ...]] = ("response",)
+
+    def __call__(self, responses: Responses) -> TestResult:
+        factors = responses.factors
+        levels = {factor: int(codes.max()) + 1 for factor, codes in factors.items()}
+        people = levels.get("participants", 1)
+        drawn = " x ".join(f"{count} {factor}" for factor, count in levels.items())
+        method = f"t test of the mean over crossed random {drawn or 'factors'}, moment estimates"
+        crossed = Crossing(factors=factors).mean(responses.deviations) if factors else None
+        if crossed is None or crossed.error == 0:
+            reason = f"{drawn or 'one participant, one item'}: the means do not vary, and nothing can be tested"
+            return replace(self.untestable(responses, reason, method), unit="participant", n=people)
+        statistic, df = float(crossed.mean / crossed.error), float(crossed.df)
+        effect = superiority(responses, self.confidence, self.alternative)
+        return self.result(
+            responses,
+            unit="participant",
+            statistic=statistic,
+            log_pvalue=log_t_pvalue(statistic, df, self.alternative),
+            estimate=float(crossed.mean),
+            interval=crossed.interval(self.confidence, self.alternative),
+            effect=effect.estimate,
+            effect_name=effect.name,
+            effect_interval=effect.interval,
+            n=people,
+            method=f"{method}, {np.round(df, 1):g} degrees of freedom (Satterthwaite)",
+            generalizes_to=responses.populations,
+        )
+
+
+class OneSampleT(Significance):
+    """Student's one-sample t test of the mean deviation; the paper runs it on single responses.
+
+    Args:
+        alternative: ``less`` claims that ours is preferred.
+        confidence: Level of the interval.
+    """
+
+    units: ClassVar[tuple[Unit, ...]] = ("response", "participant", "item")
+
+    def __call__(self, responses: Responses) -> TestResult:
+        values, n = responses.deviations, responses.count
+        method = "one-sample t test of the mean deviation"
+        if n < 2:
+            return self.untestable(responses, f"{n} {responses.unit}: a t test needs at least two", method)
+        mean, sd = float(values.mean()), float(values.std(ddof=1))
+        if sd <= 1e-14 * max(1.0, abs(mean)):
+            reason = f"every {responses.unit} has the same mean: a t test needs some variation"
+            return self.untestable(responses, reason, method)
+        error = sd / math.sqrt(n)
+        return self.result(
+            responses,
+            statistic=mean / error,
+            log_pvalue=log_t_pvalue(mean / error, float(n - 1), self.alternative),
+            estimate=mean,
+            interval=t_interval(mean, error, float(n - 1), self.confidence, self.alternative),
+            effect=mean / sd,
+            effect_name="cohens_d",
+            method=f"{method}, {n - 1} degrees of freedom",
+        )
+
+
+class OrdinalMixed(Significance):
+    """Cumulative-logit model with participants, items, scenes and styles as random effects.
+
+    See :mod:`anystyle_study.clmm`. The estimate is in logits, not on the answer scale; the test is Wald's, on
+    Satterthwaite's degrees of freedom.
+
+    Args:
+        alternative: ``less`` claims that ours is preferred.
+        confidence: Level of the intervals.
+    """
+
+    units: ClassVar[tuple[Unit, ...]] = ("response",)
+
+    def __call__(self, responses: Responses) -> TestResult:
+        people = len(np.unique(responses.participants))
+        method = "cumulative-logit mixed model, crossed random intercepts, Laplace approximation"
+        try:
+            fitted = clmm.fit(responses)
+        except clmm.NotFitted as error:
+            return replace(self.untestable(responses, str(error), method), unit="participant", n=people)
+        low, high = t_interval(fitted.preference, fitted.error, fitted.df, self.confidence, self.alternative)
+        spreads = ", ".join(f"{sd:.2f} between {factor}" for factor, sd in fitted.sds.items())
+        statistic = fitted.preference / fitted.error
+        return self.result(
+            responses,
+            unit="participant",
+            statistic=statistic,
+            log_pvalue=log_t_pvalue(statistic, fitted.df, self.alternative),
+            estimate=fitted.preference,
+            interval=(low, high),
+            effect=math.exp(fitted.preference),
+            effect_name="cumulative_odds_ratio",
+            effect_interval=(math.exp(low), math.exp(high)),
+            n=people,
+            method=f"{method}; Wald test, {fitted.df:.1f} degrees of freedom; SD {spreads}; "
+            f"position {fitted.position:+.2f}",
+            generalizes_to=responses.populations,
+            estimate_unit="logits",
+        )
+
+
+class SignFlip(Significance):
+    """scipy's one-sample permutation test, which flips the sign of each participant's mean.
+
+    It is exact if there are at most ``resamples`` sign patterns, and draws random flips otherwise. The interval's ends
+    are quantiles of the means of random subsets, the typical values of Hartigan (1969).
+
+    Args:
+        alternative: ``less`` claims that ours is preferred.
+        resamples: Number of random flips, and of random subsets for the interval.
+        seed: Of both.
+        confidence: Level of the interval.
+    """
+
+    units: ClassVar[tuple[Unit, ...]] = ("participant",)
+
+    def __init__(
+        self, *, alternative: Alternative = "two-sided", resamples: int = 9999, seed: int = 0, confidence: float = 0.95
+    ) -> None:
+        super().__init__(alternative=alternative, confidence=confidence)
+        self.resamples = resamples
+        self.seed = seed
+
+    def __call__(self, responses: Responses) -> TestResult:
+        values, n = responses.deviations, responses.count
+        method = f"sign-flip permutation test over {responses.unit}s (scipy), {min(2**n, self.resamples)} sign patterns"
+        if n < 2 or not np.any(values):
+            reason = f"{n} {responses.unit}(s), {np.count_nonzero(values)} not neutral: there is nothing to flip"
+            return self.untestable(responses, reason, method)
+        generator = np.random.default_rng(self.seed)
+        test: Any = stats.permutation_test(
+            (values,),
+            lambda flipped, axis: flipped.mean(axis),
+            permutation_type="samples",
+            vectorized=True,
+            n_resamples=self.resamples,
+            alternative=self.alternative,
+            rng=generator,
+            batch=max(1, 4_000_000 // n),
+        )
+        mean = float(values.mean())
+        chosen = generator.random((min(self.resamples, 4_000_000 // n), n)) < 0.5
+        chosen = chosen[chosen.any(1)]
+        tail = (1 - self.confidence) / (2 if self.alternative == "two-sided" else 1)
+        low, high = np.quantile(chosen @ values / chosen.sum(1), [tail, 1 - tail]).tolist()
+        low = -math.inf if self.alternative == "less" else min(low, mean)
+        high = math.inf if self.alternative == "greater" else max(high, mean)
+        return self.result(
+            responses,
+            statistic=mean,
+            log_pvalue=math.log(test.pvalue),
+            estimate=mean,
+            interval=(low, high),
+            method=f"{method}; interval: typical values of random subsets",
+        )
+
+
+_MAX_EXACT = 50  # observations
+
+
+class Wilcoxon(Significance):
+    """scipy's signed-rank test of symmetry about the neutral answer; the paper runs it on single responses.
+
+    The statistic is the rank sum of the positive deviations; the effect is the matched-pairs rank-biserial correlation.
+
+    Args:
+        alternative: ``less`` claims that ours is preferred.
+        zero_method: Neutral answers are dropped, ranked and then dropped, or split between the sides.
+        method: ``auto`` is exact up to 50 observations without ties or zeros, and otherwise ``approx``, the normal
+            approximation with tie correction and without continuity correction.
+        confidence: Level of the interval.
+    """
+
+    units: ClassVar[tuple[Unit, ...]] = ("response", "participant", "item")
+
+    def __init__(
+        self,
+        *,
+        alternative: Alternative = "two-sided",
+        zero_method: Literal["wilcox", "pratt", "zsplit"] = "wilcox",
+        method: Literal["auto", "approx"] = "auto",
+        confidence: float = 0.95,
+    ) -> None:
+        super().__init__(alternative=alternative, confidence=confidence)
+        self.zero_method: Literal["wilcox", "pratt", "zsplit"] = zero_method
+        self.method: Literal["auto", "approx"] = method
+
+    def __call__(self, responses: Responses) -> TestResult:
+        values, name = responses.deviations, f"Wilcoxon signed-rank test (scipy), zero_method={self.zero_method}"
+        zeros = int(np.count_nonzero(values == 0))
+        if responses.count < 2 or zeros == responses.count:
+            reason = f"{responses.count} {responses.unit}(s), {responses.count - zeros} not neutral: nothing to rank"
+            return self.untestable(responses, reason, name)
+        ranked = len(values) - zeros * (self.zero_method == "wilcox")
+        total = ranked * (ranked + 1) / 2 - (zeros * (zeros + 1) / 2 if self.zero_method == "pratt" else 0)
+        # One-sided, so that the statistic is the positive rank sum and z keeps its sign.
+        normal: Any = stats.wilcoxon(
+            values, zero_method=self.zero_method, correction=False, alternative="less", method="asymptotic"
+        )
+        exact = (
+            self.method == "auto" and not zeros and ranked <= _MAX_EXACT and len(np.unique(np.abs(values))) == ranked
+        )
+        log_pvalue = log_t_pvalue(float(normal.zstatistic), math.inf, self.alternative)
+        if exact:
+            result: Any = stats.wilcoxon(values, alternative=self.alternative, method="exact")
+            log_pvalue = math.log(result.pvalue)
+        median, interval = pseudo_median(values, self.confidence, self.alternative)
+        how = "exact distribution" if exact else "normal approximation with tie correction"
+        return self.result(
+            responses,
+            statistic=float(normal.statistic),
+            log_pvalue=log_pvalue,
+            estimate=median,
+            interval=interval,
+            effect=(2 * float(normal.statistic) - total) / total,
+            effect_name="rank_biserial",
+            method=f"{name}, {how}, {ranked} ranked; estimate: Hodges-Lehmann pseudo-median",
+            note="ties leave the Hodges-Lehmann interval without any width: none is given" * math.isnan(interval[0]),
+        )
+
+
+def pseudo_median(
+    deviations: Float[np.ndarray, " N"], confidence: float, alternative: Alternative = "two-sided"
+) -> tuple[float, tuple[float, float]]:
+    """The Hodges-Lehmann estimate and its interval: the median and order statistics of all pairwise means.
+
+    The interval inverts the test (Hollander, Wolfe and Chicken 2014, section 3.3); it is ``nan`` if ties leave it no
+    width. Memory is quadratic in the number of distinct values, not of answers.
+    """
+    n = len(deviations)
+    pairs = n * (n + 1) // 2
+    tail = (1 - confidence) / (2 if alternative == "two-sided" else 1)
+    outer = min(max(_quantile(n, tail), 1), pairs)
+    ranks = np.array([(pairs + 1) // 2, pairs // 2 + 1, outer, pairs + 1 - outer])
+    values, weights = np.unique(deviations, return_counts=True)
+    rows, columns = np.triu_indices(len(values))
+    averages = (values[rows] + values[columns]) / 2
+    times = np.where(rows == columns, weights[rows] * (weights[rows] + 1) // 2, weights[rows] * weights[columns])
+    order = np.argsort(averages)
+    found = averages[order][np.searchsorted(np.cumsum(times[order]), ranks)]
+    low_median, high_median, lower, upper = (np.round(found, 12) + 0.0).tolist()
+    median = (low_median + high_median) / 2
+    if lower == upper:
+        return median, (math.nan, math.nan)
+    return median, (-math.inf if alternative == "less" else lower, math.inf if alternative == "greater" else upper)
+
+
+def _quantile(n: int, tail: float) -> int:
+    """Quantile of the signed-rank distribution without ties, as R's ``qsignrank``; normal approximation for large n."""
+    if n > _MAX_EXACT:
+        center, sd = n * (n + 1) / 4, math.sqrt(n * (n + 1) * (2 * n + 1) / 24)
+        return math.floor(center + float(special.ndtri(tail)) * sd)
+    ways = np.ones(1)
+    for rank in range(1, n + 1):
+        ways = (np.pad(ways, (0, rank)) + np.pad(ways, (rank, 0))) / 2
+    return int(np.searchsorted(np.cumsum(ways), tail))

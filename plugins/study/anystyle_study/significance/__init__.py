@@ -1,1 +1,0 @@
-"""The built-in tests of a user study, one plugin a file."""
