@@ -112,23 +112,6 @@ MARGIN = 0.15
 
 
 @compiled
-def harmonics_at(x: float, y: float, z: float, tables: Array, values: Array) -> None:
-    """Write the harmonics at a unit vector."""
-    cosine, sine = 1.0, 0.0
-    diagonal = 1.0
-    for m in range(tables.shape[1]):
-        p, below = diagonal, 0.0
-        for n in range(m, tables.shape[1]):
-            if n > m:
-                p, below = tables[1, n, m] * z * p - tables[2, n, m] * below, p
-            values[n * n + n + m] = tables[0, n, m] * p * cosine
-            if m > 0:
-                values[n * n + n - m] = tables[0, n, m] * p * sine
-        cosine, sine = x * cosine - y * sine, x * sine + y * cosine
-        diagonal *= 2 * m + 1
-
-
-@compiled
 def harmonics_slopes(x: float, y: float, z: float, tables: Array, values: Array, slopes: Array) -> None:
     """Write the harmonics at a unit vector and their partial derivatives as polynomials in x, y, z."""
     cosine, sine, less_cosine, less_sine = 1.0, 0.0, 0.0, 0.0
@@ -157,6 +140,32 @@ def harmonics_slopes(x: float, y: float, z: float, tables: Array, values: Array,
 
 
 @compiled
+def frustum(camera: Array, limits: Array) -> tuple:
+    """The least and the largest slope in x and in y at which the projection is linearised."""
+    fx, fy, cx, cy = camera[15], camera[16], camera[17], camera[18]
+    wide, tall = MARGIN * limits[0], MARGIN * limits[1]
+    return -(cx + wide) / fx, (limits[0] - cx + wide) / fx, -(cy + tall) / fy, (limits[1] - cy + tall) / fy
+
+
+@compiled
+def image_axes(r: Array, lens: tuple) -> tuple:
+    """The rows of the matrix A that takes a covariance C to ``A C Aᵀ`` in the image."""
+    sx, sy, bu, bv = lens
+    a = sx * (r[0] - bu * r[6]), sx * (r[1] - bu * r[7]), sx * (r[2] - bu * r[8])
+    b = sy * (r[3] - bv * r[6]), sy * (r[4] - bv * r[7]), sy * (r[5] - bv * r[8])
+    return a, b
+
+
+@compiled
+def times(covariances: Array, g: int, a: tuple) -> tuple:
+    """The product of a packed covariance and a vector."""
+    xx, xy, xz = covariances[g, 0], covariances[g, 1], covariances[g, 2]
+    yy, yz, zz = covariances[g, 3], covariances[g, 4], covariances[g, 5]
+    x, y, z = a
+    return xx * x + xy * y + xz * z, xy * x + yy * y + yz * z, xz * x + yz * y + zz * z
+
+
+@compiled
 def project(
     means: Array,
     covariances: Array,
@@ -174,10 +183,9 @@ def project(
     r, t, origin = camera[:9], camera[9:12], camera[12:15]
     fx, fy, cx, cy = camera[15], camera[16], camera[17], camera[18]
     width, height, near, far, blur = limits[0], limits[1], limits[2], limits[3], limits[4]
-    low_u, high_u = -(cx + MARGIN * width) / fx, (width - cx + MARGIN * width) / fx
-    low_v, high_v = -(cy + MARGIN * height) / fy, (height - cy + MARGIN * height) / fy
+    low_u, high_u, low_v, high_v = frustum(camera, limits)
     count = harmonics.shape[1]
-    basis = np.full(count, tables[0, 0, 0])
+    basis, slopes = np.full(count, tables[0, 0, 0]), np.zeros((count, 3))
     written = start
     for g in range(start, stop):
         opacity = float(opacities[g])
@@ -189,22 +197,11 @@ def project(
         v = (r[3] * mx + r[4] * my + r[5] * mz + t[1]) / z
         bu, bv = min(max(u, low_u), high_u), min(max(v, low_v), high_v)
         sx, sy = fx / z, fy / z
-        a0, a1, a2 = sx * (r[0] - bu * r[6]), sx * (r[1] - bu * r[7]), sx * (r[2] - bu * r[8])
-        b0, b1, b2 = sy * (r[3] - bv * r[6]), sy * (r[4] - bv * r[7]), sy * (r[5] - bv * r[8])
-        c = covariances[g]
-        p0, p1, p2 = (
-            c[0] * a0 + c[1] * a1 + c[2] * a2,
-            c[1] * a0 + c[3] * a1 + c[4] * a2,
-            c[2] * a0 + c[4] * a1 + c[5] * a2,
-        )
-        q0, q1, q2 = (
-            c[0] * b0 + c[1] * b1 + c[2] * b2,
-            c[1] * b0 + c[3] * b1 + c[4] * b2,
-            c[2] * b0 + c[4] * b1 + c[5] * b2,
-        )
-        xx = a0 * p0 + a1 * p1 + a2 * p2 + blur
-        xy = b0 * p0 + b1 * p1 + b2 * p2
-        yy = b0 * q0 + b1 * q1 + b2 * q2 + blur
+        a, b = image_axes(r, (sx, sy, bu, bv))
+        p, q = times(covariances, g, a), times(covariances, g, b)
+        xx = a[0] * p[0] + a[1] * p[1] + a[2] * p[2] + blur
+        xy = b[0] * p[0] + b[1] * p[1] + b[2] * p[2]
+        yy = b[0] * q[0] + b[1] * q[1] + b[2] * q[2] + blur
         determinant = xx * yy - xy * xy
         px, py = fx * u + cx, fy * v + cy
         # The ellipse in which alpha is at least 1/255.
@@ -220,7 +217,7 @@ def project(
         if count > 1:
             dx, dy, dz = mx - origin[0], my - origin[1], mz - origin[2]
             norm = max(sqrt(dx * dx + dy * dy + dz * dz), 1e-12)
-            harmonics_at(dx / norm, dy / norm, dz / norm, tables, basis)
+            harmonics_slopes(dx / norm, dy / norm, dz / norm, tables, basis, slopes)
         red = green = blue = 0.5
         for k in range(count):
             red += basis[k] * harmonics[g, k, 0]
@@ -255,13 +252,8 @@ def shape_backward(
     """Accumulate gradients of a covariance C and of the camera through the covariance ``A C Aᵀ`` in the image."""
     hxx, hxy, hyy = d_image
     sx, sy, bu, bv = lens
-    # A has the rows a and b; p and q are their products with the covariance.
-    c0, c1, c2 = covariances[g, 0], covariances[g, 1], covariances[g, 2]
-    c3, c4, c5 = covariances[g, 3], covariances[g, 4], covariances[g, 5]
-    a = sx * (r[0] - bu * r[6]), sx * (r[1] - bu * r[7]), sx * (r[2] - bu * r[8])
-    b = sy * (r[3] - bv * r[6]), sy * (r[4] - bv * r[7]), sy * (r[5] - bv * r[8])
-    p = c0 * a[0] + c1 * a[1] + c2 * a[2], c1 * a[0] + c3 * a[1] + c4 * a[2], c2 * a[0] + c4 * a[1] + c5 * a[2]
-    q = c0 * b[0] + c1 * b[1] + c2 * b[2], c1 * b[0] + c3 * b[1] + c4 * b[2], c2 * b[0] + c4 * b[1] + c5 * b[2]
+    a, b = image_axes(r, lens)
+    p, q = times(covariances, g, a), times(covariances, g, b)
     entry = 0
     for j in range(3):
         for k in range(j, 3):
@@ -360,10 +352,8 @@ def project_backward(
 ) -> None:
     """Accumulate gradients of Gaussians and of the camera through the splats ``start .. stop``."""
     r, t = camera[:9], camera[9:12]
-    fx, fy, cx, cy = camera[15], camera[16], camera[17], camera[18]
-    width, height = limits[0], limits[1]
-    low_u, high_u = -(cx + MARGIN * width) / fx, (width - cx + MARGIN * width) / fx
-    low_v, high_v = -(cy + MARGIN * height) / fy, (height - cy + MARGIN * height) / fy
+    fx, fy = camera[15], camera[16]
+    low_u, high_u, low_v, high_v = frustum(camera, limits)
     count = harmonics.shape[1]
     basis, slopes = np.full(count, tables[0, 0, 0]), np.zeros((count, 3))
     ray = np.empty(3)

@@ -118,7 +118,7 @@ def _read(tensors: list[Tensor], settings: _Settings) -> tuple[list[stages.Scene
 
 
 def _tables(degree: int) -> np.ndarray:
-    """The tables that :func:`anystyle_cpu_renderer.projection.harmonics_at` takes."""
+    """The tables that :func:`anystyle_cpu_renderer.projection.harmonics_slopes` takes."""
     tables = np.zeros((3, degree + 1, degree + 1))
     for n in range(degree + 1):
         for m in range(n + 1):

@@ -1,1 +1,1 @@
-"""User studies: designed, collected, analysed and drawn. Nothing here needs torch."""
+"""User studies: designed, collected, analysed and drawn."""

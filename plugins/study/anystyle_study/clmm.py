@@ -14,8 +14,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Float
-from scipy import linalg, optimize, sparse, special
+from scipy import linalg, optimize
+from torch import Tensor
 
 from anystyle_study.contract import Population, Responses
 from anystyle_study.statistics import Crossing
@@ -47,34 +49,6 @@ class OrdinalFit:
     loglikelihood: float  # laplace's approximation at the maximum
 
 
-@dataclass(frozen=True)
-class _Terms:
-    """Probability of each answer, and the logistic and its density at its upper and lower thresholds."""
-
-    probability: np.ndarray
-    upper: np.ndarray
-    lower: np.ndarray
-    dense_upper: np.ndarray
-    dense_lower: np.ndarray
-
-    @property
-    def slope(self) -> np.ndarray:
-        """Derivative of the log-probability in the linear predictor."""
-        return self.upper + self.lower - 1
-
-    @property
-    def curvature(self) -> np.ndarray:
-        """Minus its second derivative; never negative."""
-        return self.dense_upper + self.dense_lower
-
-
-def _terms(high: np.ndarray, low: np.ndarray) -> _Terms:
-    upper, lower, above, beyond = special.expit(high), special.expit(low), special.expit(-high), special.expit(-low)
-    # The difference is taken in the tail where both are small, so that it does not cancel.
-    probability = np.where(high + low > 0, beyond - above, upper - lower)
-    return _Terms(np.maximum(probability, 1e-300), upper, lower, upper * above, lower * beyond)
-
-
 class OrdinalModel:
     """The likelihood of one question's answers.
 
@@ -96,99 +70,81 @@ class OrdinalModel:
         if self.levels.sum() > _MAX_LEVELS:
             raise NotFitted(f"{self.levels.sum()} participants, items, scenes and styles, more than {_MAX_LEVELS}")
         n = self.count = responses.count
-        # Column of each answer's effect, factor by factor, among all effects; and the indicator matrix of these.
-        self._columns = np.stack(codes) + np.cumsum([0, *self.levels[:-1]])[:, None]
-        rows = np.tile(np.arange(n), len(codes))
-        self._members = sparse.csr_array((np.ones(rows.size), (rows, self._columns.ravel())))
+        # The place of each answer's effects among all effects, and of pairs of them in the matrix of their information.
+        size = int(self.levels.sum())
+        self._places = torch.from_numpy(np.stack(codes) + np.cumsum([0, *self.levels[:-1]])[:, None])
+        self._pairs = (self._places[:, None] * size + self._places).flatten()
         self.num_thresholds = len(sizes) - 1
-        self._center = [] if sizes[0] == 0 else [0.0]
+        self._center = torch.zeros(int(sizes[0] != 0), dtype=torch.float64)
         above = self.num_thresholds + len(self._center)  # edges below the first non-negative level
-        self._level = np.where(responses.deviations < 0, self.num_thresholds - size_index, above + size_index)
+        self._level = torch.from_numpy(
+            np.where(responses.deviations < 0, self.num_thresholds - size_index, above + size_index)
+        )
         position = np.zeros(n)
         if responses.ours_is_a is not None and 0 < responses.ours_is_a.sum() < n:
             position = np.where(responses.ours_is_a, 1.0, -1.0)
-        self._fixed = np.stack([np.ones(n), position][: 2 if position.any() else 1])
+        self._fixed = torch.from_numpy(np.stack([np.ones(n), position][: 2 if position.any() else 1]))
         self.num_fixed = len(self._fixed)
-        self._modes = np.zeros(int(self.levels.sum()))
+        self._modes = torch.zeros(size, dtype=torch.float64)
 
     def loglikelihood(self, parameters: Float[np.ndarray, " P"]) -> tuple[float, Float[np.ndarray, " P"]]:
         """Laplace's approximation of the marginal log-likelihood, and its gradient.
 
         The modes of the random effects are kept as the initial values of the next call.
         """
-        count = self.num_thresholds
-        spacings = np.exp(parameters[self.num_fixed :][:count])
-        thresholds = np.cumsum(spacings)
-        edges = np.concatenate([[-_END], -thresholds[::-1], self._center, thresholds, [_END]])
-        signed = parameters[-len(self.levels) :]
-        sds = np.abs(signed)
-        high = edges[self._level + 1] - parameters[: self.num_fixed] @ self._fixed
-        low = edges[self._level] - parameters[: self.num_fixed] @ self._fixed
-        terms, factor = self._find_modes(high, low, sds)
-        value = np.log(terms.probability).sum() - self._modes @ self._modes / 2 - np.log(np.diag(factor)).sum()
-        by_predictor, by_edges, by_sds = self._gradients(terms, factor, sds, len(edges))
-        outward = (by_edges[-1 - count : -1] - by_edges[1 : 1 + count][::-1])[::-1]
-        by_spacings = spacings * np.cumsum(outward)[::-1]
-        by_sds *= np.where(signed < 0, -1.0, 1.0)
-        return float(value), np.concatenate([self._fixed @ by_predictor, by_spacings, by_sds])
+        place = torch.tensor(parameters, dtype=torch.float64, requires_grad=True)
+        thresholds = place[self.num_fixed :][: self.num_thresholds].exp().cumsum(0)
+        end = place.new_tensor([_END])
+        edges = torch.cat([-end, -thresholds.flip(0), self._center, thresholds, end])
+        predictor = place[: self.num_fixed] @ self._fixed
+        high, low = edges[self._level + 1] - predictor, edges[self._level] - predictor
+        scale = place[-len(self.levels) :].abs().repeat_interleave(torch.from_numpy(self.levels))
+        self._modes = self._find_modes(high, low, scale)
+        # One more step of Newton's method moves nothing at the modes, and gives them their derivatives.
+        _, uphill, factor = self._joint(high, low, scale, self._modes)
+        value, _, factor = self._joint(high, low, scale, self._modes + _solve(factor, uphill))
+        value = value - factor.diagonal().log().sum()
+        (gradient,) = torch.autograd.grad(value, place)
+        return float(value.detach()), gradient.numpy()
 
-    def _find_modes(self, high: np.ndarray, low: np.ndarray, sds: np.ndarray) -> tuple[_Terms, np.ndarray]:
+    def _joint(self, high: Tensor, low: Tensor, scale: Tensor, effects: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Logarithm of the density of answers and effects, its gradient by the effects, and a Cholesky factor.
+
+        The factor is of their information, ``1 + S Z' W Z S``.
+        """
+        shift = (scale * effects)[self._places].sum(0)
+        high, low = high - shift, low - shift
+        upper, lower, above, beyond = high.sigmoid(), low.sigmoid(), (-high).sigmoid(), (-low).sigmoid()
+        # The difference is taken in the tail where both are small, so that it does not cancel.
+        probability = torch.where(high + low > 0, beyond - above, upper - lower).clamp_min(1e-300)
+        value = probability.log().sum() - effects @ effects / 2
+        slope, curvature = upper + lower - 1, upper * above + lower * beyond
+        size, factors = len(scale), len(self.levels)
+        uphill = scale.new_zeros(size).index_add(0, self._places.flatten(), slope.repeat(factors)) * scale - effects
+        information = scale.new_zeros(size**2).index_add(0, self._pairs, curvature.repeat(factors**2)).view(size, size)
+        information = information * scale * scale[:, None] + torch.eye(size).to(scale)
+        return value, uphill, torch.linalg.cholesky(information)
+
+    @torch.no_grad()
+    def _find_modes(self, high: Tensor, low: Tensor, scale: Tensor) -> Tensor:
         """Newton's method; the joint density is log-concave, so a shortened step always climbs."""
-        scale, modes = np.repeat(sds, self.levels), self._modes
-
-        def at(effects: np.ndarray) -> tuple[float, _Terms]:
-            shift = self._members @ (scale * effects)
-            terms = _terms(high - shift, low - shift)
-            return float(np.log(terms.probability).sum() - effects @ effects / 2), terms
-
-        value, terms = at(modes)
-        factor = self._factorise(terms.curvature, scale)
+        modes = self._modes
+        value, uphill, factor = self._joint(high, low, scale, modes)
         for _ in range(100):
-            uphill = scale * (self._members.T @ terms.slope) - modes
-            step = linalg.cho_solve((factor, True), uphill)
+            step = _solve(factor, uphill)
             if float(step @ uphill) < 1e-12:
                 break
-            length, slack = 1.0, 1e-12 * abs(value)
-            trial, trial_terms = at(modes + step)
-            while trial < value - slack and length > 1e-8:
-                length /= 2
-                trial, trial_terms = at(modes + length * step)
-            modes, value, terms = modes + length * step, trial, trial_terms
-            factor = self._factorise(terms.curvature, scale)
-        self._modes = modes
-        return terms, factor
+            least = value - 1e-12 * abs(value)
+            trial = self._joint(high, low, scale, modes + step)
+            while trial[0] < least and float(step.abs().max()) > 1e-12:
+                step = step / 2
+                trial = self._joint(high, low, scale, modes + step)
+            modes, (value, uphill, factor) = modes + step, trial
+        return modes
 
-    def _factorise(self, curvature: np.ndarray, scale: np.ndarray) -> np.ndarray:
-        """Cholesky factor of the information about the random effects, ``1 + S Z' W Z S``."""
-        weighted = sparse.csr_array(sparse.diags_array(curvature) @ self._members)
-        information = (self._members.T @ weighted).toarray() * scale * scale[:, None]
-        return linalg.cholesky(information + np.eye(len(scale)), lower=True)
 
-    def _gradients(
-        self, terms: _Terms, factor: np.ndarray, sds: np.ndarray, num_edges: int
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives by each answer's fixed predictor, by each edge, and by the standard deviations.
-
-        Each has three parts: of the log-density of the answers, of the log-determinant at the modes, and of the
-        log-determinant through the modes (implicit differentiation).
-        """
-        scale = np.repeat(sds, self.levels)
-        inverse = linalg.cho_solve((factor, True), np.eye(len(factor)))
-        # Covariance of each factor's effect on each answer with the whole random part of that answer.
-        parts = np.tensordot(sds, inverse[self._columns[None], self._columns[:, None]], 1)
-        leverage = sds @ parts
-        bend_upper, bend_lower = terms.dense_upper * (1 - 2 * terms.upper), terms.dense_lower * (1 - 2 * terms.lower)
-        response = inverse @ (scale * (self._members.T @ (-leverage * (bend_upper + bend_lower))))
-        shift = self._members @ (scale * response)
-
-        by_predictor = terms.slope + leverage * (bend_upper + bend_lower) / 2 + shift * terms.curvature / 2
-        upper_ratio, lower_ratio = terms.dense_upper / terms.probability, terms.dense_lower / terms.probability
-        at_upper = upper_ratio - leverage * bend_upper / 2 - shift * terms.dense_upper / 2
-        at_lower = -lower_ratio - leverage * bend_lower / 2 - shift * terms.dense_lower / 2
-        by_edges = np.bincount(self._level + 1, at_upper, num_edges) + np.bincount(self._level, at_lower, num_edges)
-        modes, responses = self._modes[self._columns], response[self._columns]
-        by_sds = (by_predictor * modes - terms.curvature * parts - responses * terms.slope / 2).sum(1)
-        return by_predictor, by_edges, by_sds
+def _solve(factor: Tensor, vector: Tensor) -> Tensor:
+    return torch.cholesky_solve(vector[:, None], factor)[:, 0]
 
 
 def fit(responses: Responses) -> OrdinalFit:

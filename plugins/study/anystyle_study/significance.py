@@ -9,7 +9,6 @@ from jaxtyping import Float
 from scipy import special, stats
 
 from anystyle.errors import UserError
-from anystyle_study import clmm
 from anystyle_study.contract import Alternative, Responses, StudyTest, TestResult, Unit, generalization
 from anystyle_study.statistics import Crossing, log_t_pvalue, superiority, t_interval
 
@@ -131,6 +130,8 @@ class OrdinalMixed(Significance):
     units: ClassVar[tuple[Unit, ...]] = ("response",)
 
     def __call__(self, responses: Responses) -> TestResult:
+        from anystyle_study import clmm  # the only test that needs torch, which takes seconds to import
+
         people = len(np.unique(responses.participants))
         method = "cumulative-logit mixed model, crossed random intercepts, Laplace approximation"
         try:
