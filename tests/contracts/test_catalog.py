@@ -59,7 +59,7 @@ def combinations():
 
 
 @pytest.mark.parametrize("promise", promises_in(composition), ids=lambda promise: promise.__name__)
-@pytest.mark.parametrize("names", combinations())
+@pytest.mark.parametrize("names", list(combinations()))
 def test_composition(names, promise):
     promise(composed(*names))
 
