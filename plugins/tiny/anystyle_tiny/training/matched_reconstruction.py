@@ -15,9 +15,9 @@ from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Renderer
 from anystyle.nn.aligner import Aligner
-from anystyle.training.reconstruction import ReconstructionTraining
-from anystyle.training.supervision import project
 from anystyle.types import Cameras, Features, Geometry
+from anystyle_tiny.training.reconstruction import ReconstructionTraining
+from anystyle_tiny.training.supervision import masked_mean, project
 
 
 @dataclass(frozen=True)
@@ -85,10 +85,10 @@ class FeatureProbes(nn.Module):
             located = self.locate[str(layer)](patches)
             point = (located[..., :3] - matches.points).norm(dim=-1) / matches.points.norm(dim=-1).clamp_min(0.1)
             shift = (located[..., 3:] - matches.shift).abs().mean(-1)[:, 1:]
-            terms["match"].append(_mean(entropy, others))
-            terms["glide"].append(_mean(glide, others))
-            terms["locate"].append(_mean(point, matches.known))
-            terms["shift"].append(_mean(shift, matches.known[:, 1:]))
+            terms["match"].append(masked_mean(entropy, others))
+            terms["glide"].append(masked_mean(glide, others))
+            terms["locate"].append(masked_mean(point, matches.known))
+            terms["shift"].append(masked_mean(shift, matches.known[:, 1:]))
         return {name: torch.stack(values).mean() for name, values in terms.items()}
 
 
@@ -109,19 +109,14 @@ def correlation_loss(correlation: Float[Tensor, "B v r c r c"], matches: PatchMa
         weight = (1 - (position[..., 0] - column).abs()) * (1 - (position[..., 1] - row).abs())
         index = row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
         entropy = entropy - weight * log_probability.gather(-1, index.long()[..., None])[..., 0]
-    return _mean(entropy, matches.visible[:, 1:])
-
-
-def _mean(values: Float[Tensor, "B V P"], chosen: Bool[Tensor, "B V P"]) -> Float[Tensor, ""]:
-    return (values * chosen).sum() / chosen.sum().clamp_min(1)
+    return masked_mean(entropy, matches.visible[:, 1:])
 
 
 class MatchedReconstruction(ReconstructionTraining):
     """Teach a backbone depth, cameras, Gaussians, and which patches of two views show the same point.
 
-    Beside the terms of :class:`~anystyle.training.reconstruction.ReconstructionTraining`, tapped features must predict
-    matches, points and shifts through projections that are not saved, and the matches of a backbone that aligns its
-    cameras are supervised.
+    Beside the terms of ``training=reconstruction``, tapped features must predict matches, points and shifts through
+    projections that are not saved, and the matches of a backbone that aligns its cameras are supervised.
 
     Args:
         match_weight: Of the cross entropy of matching patches.
