@@ -16,9 +16,8 @@ from anystyle.methods.order import canonical_order
 from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
 from anystyle.types import Cameras, OnProgress, Progress
 from anystyle_captures.cache import cached, key_of
-from anystyle_captures.sfm.model import Lens, Photograph, SparseModel
+from anystyle_captures.sfm.model import MIN_VIEWS, Lens, Photograph, SearchOptions, SparseModel
 from anystyle_captures.sfm.trust import judge
-from anystyle_captures.sfm.view_graph import MIN_VIEWS, SearchOptions
 
 
 class StructureFromMotion(PoseEstimator):

@@ -15,10 +15,11 @@ from PIL import Image
 
 import pycolmap  # isort: skip
 
-from anystyle_captures.sfm.model import Photograph, SparseModel
-from anystyle_captures.sfm.view_graph import (
+from anystyle_captures.sfm.model import (
     MIN_VIEWS,
+    Photograph,
     SearchOptions,
+    SparseModel,
     VerifiedPair,
     ViewGraph,
     largest_features,

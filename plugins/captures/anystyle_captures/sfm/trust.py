@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from anystyle.geometry.similarity import similarity_of_cameras
 from anystyle.io.names import natural
 from anystyle.pipeline.poses import Verdict
-from anystyle_captures.sfm.model import SparseModel
-from anystyle_captures.sfm.view_graph import MIN_VIEWS, VerifiedPair, ViewGraph
+from anystyle_captures.sfm.model import MIN_VIEWS, SparseModel, VerifiedPair, ViewGraph
 
 Array = np.ndarray
 MIN_SUPPORT = 30

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
-from anystyle_captures.sfm.model import Lens, Photograph
+from anystyle_captures.sfm.model import Lens, Photograph, SearchOptions
 from anystyle_captures.sfm.trust import agreement
-from anystyle_captures.sfm.view_graph import SearchOptions
 from anystyle_captures.structure_from_motion import find_cameras
 from cards import World, arc, panorama
 from real_data import real

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from anystyle_captures.sfm.model import SparseModel
+from anystyle_captures.sfm.model import SparseModel, VerifiedPair, ViewGraph, largest_features, pairs_to_match
 from anystyle_captures.sfm.trust import agreement, judge, share_of_rotation, supported_views
-from anystyle_captures.sfm.view_graph import VerifiedPair, ViewGraph, largest_features, pairs_to_match
 from cards import arc
 
 VIEWS, SIZE = 6, (480, 640)
