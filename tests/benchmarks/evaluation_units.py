@@ -20,7 +20,7 @@ from torch import Tensor
 from anystyle.metrics.cfsd import structural_distance
 from anystyle.metrics.warp_consistency import corrected_warp, reference_warp
 from anystyle.vision import art_score, embeddings, lpips, raft
-from anystyle.vision import load as load_features
+from anystyle.vision.networks import load as load_features
 from anystyle.vision.statistics import rgb_uv_histogram
 from judging_cases import filled_folder
 from oracle import smooth_image

@@ -16,7 +16,8 @@ from anystyle.pipeline.weights import reference_config
 from anystyle.registry.build import build
 from anystyle.registry.catalog import PluginError, catalog
 from anystyle.registry.untrusted import check_saved
-from anystyle.vision import NETWORKS, weights
+from anystyle.vision import weights
+from anystyle.vision.networks import NETWORKS
 from anystyle.vision.state_dict_formats import LAYOUTS, layout_of
 
 State = Mapping[str, Tensor]

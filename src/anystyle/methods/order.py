@@ -4,8 +4,8 @@ from collections.abc import Iterable, Sequence
 
 from torch import Tensor
 
-from anystyle.io.names import natural
 from anystyle.methods.loop import fingerprint
+from anystyle.paths import natural
 
 
 def canonical_order(images: Iterable[Tensor], names: Sequence[str] = ()) -> list[int]:

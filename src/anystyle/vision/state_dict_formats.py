@@ -8,9 +8,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from anystyle import vision
 from anystyle.errors import UserError
-from anystyle.vision import art_score, inception, raft, weights
+from anystyle.vision import art_score, inception, networks, raft, weights
 from anystyle.vision.clip import Clip, load_clip
 
 State = Mapping[str, Tensor]
@@ -74,10 +73,10 @@ def _check_clip(path: Path) -> None:
 _HEADS, _INCEPTION, _VGG = "lin4.model.1.weight", "Mixed_7c.branch_pool.conv.weight", (512, 512, 3, 3)
 LAYOUTS: dict[str, Layout] = {
     "clip": Layout("CLIP or Long-CLIP, in OpenAI's names", "visual.proj", (0, 0), _check_clip, without_module),
-    "vgg19": Layout("VGG-19 in torchvision's names", "features.34.weight", _VGG, partial(vision.load, "vgg19")),
-    "vgg16": Layout("VGG-16 in torchvision's names", "features.28.weight", _VGG, partial(vision.load, "vgg16")),
+    "vgg19": Layout("VGG-19 in torchvision's names", "features.34.weight", _VGG, partial(networks.load, "vgg19")),
+    "vgg16": Layout("VGG-16 in torchvision's names", "features.28.weight", _VGG, partial(networks.load, "vgg16")),
     "alexnet": Layout(
-        "AlexNet in torchvision's names", "features.0.weight", (64, 3, 11, 11), partial(vision.load, "alexnet")
+        "AlexNet in torchvision's names", "features.0.weight", (64, 3, 11, 11), partial(networks.load, "alexnet")
     ),
     "lpips_alex": Layout("LPIPS' linear heads over AlexNet", _HEADS, (1, 256, 1, 1), _check_heads),
     "lpips_vgg": Layout("LPIPS' linear heads over VGG-16", _HEADS, (1, 512, 1, 1), _check_heads),

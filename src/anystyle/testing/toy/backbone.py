@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from anystyle.contracts import Adapter, Aggregator, Backbone, Embedder, GaussianHead, GeometryHead
 from anystyle.geometry.harmonics import constant_from_rgb
-from anystyle.geometry.rotations import matrix_from_vector
+from anystyle.geometry.transforms import matrix_from_vector
 from anystyle.types import Attributes, Cameras, Clusters, Features, Gaussians, Geometry, Inject, Site, Tokens, untouched
 
 
