@@ -4,7 +4,9 @@ import os
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from PIL import Image
 
 from program import Program
 
@@ -13,6 +15,16 @@ os.environ["ANYSTYLE_CACHE"] = "off"
 # libraries too, since what an instrumented module imports is looked for under the instrumentation's own name.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
+
+
+@pytest.fixture(scope="session")
+def photographs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of three photographs of noise."""
+    folder = tmp_path_factory.mktemp("photographs")
+    pixels = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
+    for number in range(3):
+        Image.fromarray(np.roll(pixels, 3 * number, 1)).save(folder / f"IMG {number}.png")
+    return folder
 
 
 @pytest.fixture(scope="session")

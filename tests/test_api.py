@@ -4,7 +4,6 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 import torch
 from PIL import Image
@@ -26,15 +25,6 @@ VIDEO = VideoOptions(frames=2, scale=0.5)
 @pytest.fixture(scope="module")
 def stylizer():
     return anystyle.load()
-
-
-@pytest.fixture(scope="module")
-def photographs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("photographs")
-    pixels = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
-    for number in range(3):
-        Image.fromarray(np.roll(pixels, 3 * number, 1)).save(folder / f"IMG {number}.png")
-    return folder
 
 
 def test_a_result_is_the_single_pass(photographs, stylizer):

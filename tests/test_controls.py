@@ -185,15 +185,6 @@ def test_flags_become_every_combination():
             given_controls(parser().parse_args(words))
 
 
-@pytest.fixture(scope="module")
-def photographs(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("photographs")
-    pixels = np.random.default_rng(0).integers(0, 255, (60, 80, 3), dtype=np.uint8)
-    for number in range(3):
-        Image.fromarray(np.roll(pixels, 3 * number, 1)).save(folder / f"IMG{number}.png")
-    return folder
-
-
 def test_strength_zero_is_the_unstyled_scene_bit_for_bit_and_a_list_is_a_strip(photographs, tmp_path):
     words = ["views.short_side=56", "views.take=3", "video.frames=2", "video.scale=0.5"]
     main("stylize", command, parser(), [str(photographs), "--text", "dots", "--strength", "0,0.5,1", "--out",

@@ -25,10 +25,8 @@ def evaluated(tmp_path):
     return folder
 
 
-def test_every_form_is_written(evaluated, tmp_path, capsys):
+def test_every_form_is_written(evaluated, tmp_path):
     assert command.main([str(evaluated), "--with-published", "--out", str(tmp_path / "out")]) == 0
-    shown = capsys.readouterr().out
-    assert "Styl3R: printed ArtFID does not equal" in shown
     for name in ("table.md", "table.csv", "table.tex"):
         text = (tmp_path / "out" / name).read_text()
         assert STAND_IN in text and "published [1]" in text and "321.5" in text, name

@@ -144,7 +144,7 @@ class Reversed(ToyStudyTest):
 
 MUTANTS = {
     "backbone": [
-        (geometry(lambda value: replace(value, depth=value.depth.int())), "encodes_two_views"),
+        (geometry(lambda value: replace(value, depth=value.depth.int())), "encodes_views"),
         (geometry(scale("confidence", float("nan"))), "numbers_are_finite"),
         (aggregator(given(ToyAggregator, "forward", mix_scenes)), "encodes_several_scenes_at_once"),
         (aggregator(Unvisited), "every_site_is_visited"),

@@ -18,7 +18,7 @@ from anystyle.testing.run import promises, promises_in
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.testing.toy.injector import ToyInjector
 
-COMPOSED = list(product(*(catalog().names(kind) for kind in ("backbone", "placement", "injector"))))
+PARTS = [list(enumerate(catalog().names(kind))) for kind in ("backbone", "placement", "injector")]
 
 
 def toy(kind):
@@ -50,8 +50,16 @@ def composed(*names):
     return Composition(*map(plugin_under_test, ("backbone", "placement", "injector"), names))
 
 
+def combinations():
+    """All of a backbone, a placement and an injector; those that are not slow hold each pair of two of them."""
+    for parts in product(*PARTS):
+        places, names = zip(*parts, strict=True)
+        marks = [pytest.mark.slow] if sum(places) % len(PARTS[0]) else []
+        yield pytest.param(names, id="-".join(names), marks=marks)
+
+
 @pytest.mark.parametrize("promise", promises_in(composition), ids=lambda promise: promise.__name__)
-@pytest.mark.parametrize("names", COMPOSED, ids="-".join)
+@pytest.mark.parametrize("names", list(combinations()))
 def test_composition(names, promise):
     promise(composed(*names))
 

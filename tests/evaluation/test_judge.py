@@ -1,6 +1,5 @@
 """Figures of rows, scenes and all: each image is seen once, and nothing bad passes in silence."""
 
-import json
 import warnings
 
 import pytest
@@ -12,7 +11,7 @@ from anystyle.evaluation.pairing import pair
 from anystyle.testing.inputs import comparison
 from anystyle.testing.toy.metric import ToyMetric
 from anystyle.types import Comparison
-from evaluation_cases import Mean, folders, picture
+from evaluation_cases import Mean, folders
 
 
 def silent(stage, done, total):
@@ -96,54 +95,6 @@ def test_a_scene_without_a_figure_is_told():
     assert mean([float("nan")]) != mean([float("nan")])
 
 
-def test_finished_scenes_are_not_judged_again(tmp_path):
-    pairing = pair(*folders(tmp_path / "images"))
-    metric = Mean()
-    first = judge_pairing({"mean": metric}, pairing, tmp_path, silent)
-    again = judge_pairing({"mean": metric}, pairing, tmp_path, silent)
-    assert len(metric.seen) == 4 and again == first
-    # A metric that is new sees everything, the other nothing.
-    other = Mean(figure="other")
-    both = judge_pairing({"mean": metric, "other": other}, pairing, tmp_path, silent)
-    assert (len(metric.seen), len(other.seen)) == (4, 4)
-    assert both.figures["other"] == both.figures["mean"] == first.figures["mean"]
-
-
-def test_a_changed_image_is_judged_again_with_its_scene_alone(tmp_path):
-    content, style, stylized = folders(tmp_path / "images")
-    metric = Mean()
-    judge_pairing({"mean": metric}, pair(content, style, stylized), tmp_path, silent)
-    picture(stylized / "two" / "b_1.png", 255)
-    found = judge_pairing({"mean": metric}, pair(content, style, stylized), tmp_path, silent)
-    assert metric.seen[4:] == [("two", "a"), ("two", "b")]
-    assert found.groups["scene two"]["mean"] == pytest.approx((60 + 61 + 62 + 80 + 255 + 82) / 6 / 255, rel=1e-5)
-
-
-def test_an_interruption_keeps_the_scenes_that_are_done(tmp_path):
-    pairing = pair(*folders(tmp_path / "images"))
-    metric = Mean()
-
-    def stop(stage, done, total):
-        if done == 3:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        judge_pairing({"mean": metric}, pairing, tmp_path, stop)
-    found = judge_pairing({"mean": metric}, pairing, tmp_path, silent)
-    assert metric.seen == [("one", "a"), ("one", "b"), ("two", "a"), ("two", "a"), ("two", "b")]
-    fresh = judge_pairing({"mean": Mean()}, pairing, tmp_path / "fresh", silent)
-    assert found == fresh
-
-
-def test_a_damaged_part_is_computed_again(tmp_path):
-    pairing = pair(*folders(tmp_path / "images"))
-    first = judge_pairing({"mean": Mean()}, pairing, tmp_path, silent)
-    parts = sorted((tmp_path / "parts").iterdir())
-    parts[0].write_text(parts[0].read_text()[:50])
-    parts[1].write_text(json.dumps({"digest": "another"}))
-    assert judge_pairing({"mean": Mean()}, pairing, tmp_path, silent) == first
-
-
 def test_no_metric_is_an_error(tmp_path):
     with pytest.raises(ValueError, match=r"no metric is chosen; add metric=\[NAME"):
-        judge_pairing({}, pair(*folders(tmp_path / "images")), tmp_path, silent)
+        judge_pairing({}, pair(*folders(tmp_path / "images")), silent)

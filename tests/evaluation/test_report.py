@@ -104,39 +104,15 @@ def test_figures_of_stand_ins_are_rows_of_their_own(tmp_path):
         assert STAND_IN in text and "published [1]" in text
 
 
-def test_published_figures_are_sourced_and_those_that_disagree_with_themselves_are_flagged():
+def test_published_figures_are_sourced():
     figures = published.load()
     assert all(item.source and item.table and np.isfinite(item.value) for item in figures)
     directed = published.better()
     assert all(item.figure in directed for item in figures if item.table != "table_1")
-    found = published.disagreements(figures)
-    assert [(item.method, item.scene, item.printed, round(item.recomputed, 2)) for item in found] == [
-        ("Styl3R", "Train", 27.74, 34.69),
-        ("Styl3R", "Truck", 27.28, 34.11),
-        ("Styl3R", "M60", 23.98, 29.86),
-        ("Styl3R", "Garden", 29.73, 38.27),
-        ("AnyStyle (image), Head", "Train", 22.89, 22.85),
-        ("AnyStyle (text), Head", "Train", 24.18, 24.16),
-    ]
-    notes = report.consistency_notes(figures)
-    assert notes[0].startswith("Styl3R: printed ArtFID does not equal") and "Garden 29.73, not 38.27" in notes[0]
 
 
-def test_rows_from_a_file_are_checked_from_their_parts(tmp_path):
-    rows = {
-        "sources": {"mine": "a paper"},
-        "rows": [
-            {"method": "right", "source": "mine", "table": "1", "figures": {
-                "lpips": {"Train": 0.5}, "fid": {"Train": 19.02}, "art_fid": {"Train": 30.03}}},
-            {"method": "wrong", "source": "mine", "table": "1", "figures": {
-                "lpips": {"Train": 0.5}, "fid": {"Train": 19.02}, "art_fid": {"Train": 25.0}}},
-        ],
-    }  # fmt: skip
+def test_files_of_published_figures_that_cannot_be_read(tmp_path):
     path = tmp_path / "mine.json"
-    path.write_text(json.dumps(rows))
-    figures = [item for item in published.load([path]) if item.source == "a paper"]
-    (found,) = published.disagreements(figures)
-    assert (found.method, found.recomputed) == ("wrong", pytest.approx(1.5 * 20.02))
     for text in ("[]", "{", '{"sources": {}, "rows": [{"method": "a"}]}'):
         path.write_text(text)
         with pytest.raises(ValueError, match=r"mine\.json is no file of published figures.* as in published\.json"):

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from anystyle.methods.scene_loop import SceneLoop
-from anystyle.types import Gaussians, Style
+from anystyle.types import Style
 from methods.worlds import method, painting, run, scene, stylizer
 
 GEOMETRY = ("means", "rotations", "scales", "opacities")
@@ -20,10 +20,10 @@ WEIGHTS = {
 SMALL = {"clip": ["loss.clip_patch.crops=1", "loss.clip_patch.crop_size=32"]}
 
 
-def loop_of(chosen, given=None):
+def loop_of(chosen):
     style = painting()
     embedding = stylizer().embed(image=style.image)
-    return SceneLoop(stylizer(), given or scene(), style, embedding, chosen.losses, chosen.schedule)
+    return SceneLoop(stylizer(), scene(), style, embedding, chosen.losses, **chosen.schedule)
 
 
 @pytest.mark.parametrize("preset", WEIGHTS)
@@ -60,54 +60,6 @@ def test_the_loss_falls(preset):
         method(*words), on_progress=lambda progress: losses.append(float(progress.line.split("loss ")[1].split(",")[0]))
     )
     assert losses[-1] < losses[0]
-
-
-def test_a_stopped_run_goes_on_bit_for_bit(tmp_path):
-    words = ("method=nnfm", "method.num_steps=12", "method.split_every=5", "method.report_every=4")
-    whole = run(method(*words))
-    stopped = method(*words, f"method.state={tmp_path}")
-
-    def stop(progress):
-        if progress.line.startswith("step 12"):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        run(stopped, on_progress=stop)
-    assert len(list(tmp_path.glob("*.pt"))) == 1
-    lines = []
-    resumed = run(stopped, on_progress=lambda progress: lines.append(progress.line))
-    for name, value in vars(whole).items():
-        assert torch.equal(value, getattr(resumed, name)), name
-    assert [line.split()[1] for line in lines] == ["12"] and not list(tmp_path.iterdir())
-
-
-def test_a_split_keeps_what_is_seen_and_adds_gaussians():
-    chosen = method("method=nnfm", "method.num_steps=8", "method.split_every=4", "method.split_fraction=0.25")
-    loop = loop_of(chosen)
-    before = loop.thumbnail()
-    children = loop.splats.split(torch.arange(0, 400, 2))
-    assert len(loop.splats) == 33 * 33 + 200 == len(children)
-    assert (loop.thumbnail() - before).abs().mean() < 0.03
-    result = run(chosen)
-    assert result.means.shape[1] == round(33 * 33 * 1.25) and result.opacities.isfinite().all()
-
-
-def test_a_split_halves_lie_on_the_longest_axis():
-    chosen = method("method=stylized_gs", "method.split_every=4")
-    given = scene()
-    long = given.gaussians.scales.clone()
-    long[:, :, 1] = 0.3
-    quarter = torch.tensor([0.5**0.5, 0.0, 0.0, 0.5**0.5])  # about z: the second axis lies along -x
-    turned = Gaussians(
-        given.gaussians.means, quarter.expand(1, 1089, 4), long, *list(vars(given.gaussians).values())[3:]
-    )
-    loop = loop_of(chosen, type(given)(**{**vars(given), "gaussians": turned}))
-    loop.splats.split(torch.tensor([7]))
-    after = loop.splats.gaussians()
-    centre = given.gaussians.means[0, 7]
-    torch.testing.assert_close((after.means[0, 7] + after.means[0, -1]) / 2, centre)
-    torch.testing.assert_close((after.means[0, 7] - centre).abs(), torch.tensor([0.15, 0.0, 0.0]), rtol=0, atol=1e-6)
-    torch.testing.assert_close(after.scales[0, [7, -1]], torch.tensor([0.08, 0.3 / 1.6, 0.08]).expand(2, 3))
 
 
 def test_colours_are_matched_after():

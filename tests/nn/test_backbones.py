@@ -1,27 +1,14 @@
 """What both backbones of the repository do, whatever their weights."""
 
-from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
 from anystyle.contracts import Backbone
-from anystyle.registry.catalog import catalog
-from anystyle.types import Scene, Views
-from oracle import hashed, smooth_image
-
-
-def network(name: str, **options: Any) -> Backbone:
-    plugin = catalog().find("backbone", name).load()
-    torch.manual_seed(0)
-    backbone = plugin(**(plugin.example(Path()) | options))
-    generator = torch.Generator().manual_seed(1)
-    with torch.no_grad():
-        for parameter in backbone.parameters():
-            if options.get("init") != "scratch":
-                parameter.add_(0.05 * torch.randn(parameter.shape, generator=generator))
-    return backbone.eval()
+from anystyle.types import Scene
+from backbone_cases import network, same, views
+from oracle import hashed
 
 
 @pytest.fixture(scope="module", params=["anysplat", "depth_anything"])
@@ -32,16 +19,6 @@ def name(request: pytest.FixtureRequest) -> str:
 @pytest.fixture(scope="module")
 def backbone(name: str) -> Backbone:
     return network(name)
-
-
-def views(count: int, scenes: int = 1, size: tuple[int, int] = (28, 42)) -> Views:
-    return Views(smooth_image(count, (scenes, count, 3, *size)))
-
-
-def same(left: Any, right: Any, **tolerance: float) -> None:
-    for one, other in zip(torch.utils._pytree.tree_leaves(left), torch.utils._pytree.tree_leaves(right), strict=True):
-        if isinstance(one, torch.Tensor):
-            torch.testing.assert_close(one, other, **tolerance)
 
 
 @pytest.mark.parametrize("chunk", [1, 2])

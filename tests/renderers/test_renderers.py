@@ -180,26 +180,6 @@ def test_doubling_the_world_doubles_depth_alone(renderer: Any) -> None:
 
 
 @pytest.mark.parametrize("renderer", RENDERERS)
-def test_order_of_gaussians_is_irrelevant(renderer: Any) -> None:
-    scene, views = gaussians(1, 200, 1), cameras(1, 2, (40, 30))
-    order = torch.randperm(200, generator=torch.Generator().manual_seed(0))
-    assert_same(render(renderer, scene.map(lambda t: t[:, order]), views), render(renderer, scene, views), atol=1e-6)
-
-
-@pytest.mark.parametrize("renderer", RENDERERS)
-def test_a_batch_is_a_loop(renderer: Any) -> None:
-    scene, views = gaussians(3, 100, 1), cameras(3, 2, (20, 30))
-    together = render(renderer, scene, views)
-    for b in range(3):
-        for v in range(2):
-            alone = render(
-                renderer, scene.map(lambda t, b=b: t[b : b + 1]), views.map(lambda t, b=b: t[b : b + 1]).select([v])
-            )
-            assert torch.equal(alone.color[0, 0], together.color[b, v])
-            assert torch.equal(alone.depth[0, 0], together.depth[b, v])
-
-
-@pytest.mark.parametrize("renderer", RENDERERS)
 def test_padding_is_not_seen_and_has_no_gradient(renderer: Any) -> None:
     scene, views = gaussians(1, 60), cameras(1, 2, (20, 30))
     padded = scene.map(lambda t: torch.cat([t, torch.zeros_like(t[:, :20])], dim=1))

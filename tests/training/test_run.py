@@ -11,8 +11,8 @@ from anystyle.contracts import Backbone
 from anystyle.io.checkpoint import load_part, read_header
 from anystyle.registry.build import build
 from anystyle.training import run as module
-from anystyle.training.reconstruction import ReconstructionTraining
 from anystyle.training.run import train
+from anystyle_tiny.training.reconstruction import ReconstructionTraining
 from training_cases import RECONSTRUCTION, STYLIZATION, configuration
 
 

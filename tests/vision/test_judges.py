@@ -4,18 +4,13 @@ import pytest
 import torch
 
 from anystyle.vision import inception, networks, raft
+from judging_cases import ALIASES
 from oracle import assert_matches, fill_named, fill_sorted, golden, hashed
-
-RAFT_ALIASES = tuple(
-    f"cnet.layer{stage}.0.norm3.{leaf}"
-    for stage in (2, 3)
-    for leaf in ("weight", "bias", "running_mean", "running_var", "num_batches_tracked")
-)
 
 
 def with_aliases(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """The original's state dict: one module under two names."""
-    return {**state, **{key: state[key.replace(".norm3.", ".downsample.1.")] for key in RAFT_ALIASES}}
+    return {**state, **{key: state[key.replace(".norm3.", ".downsample.1.")] for key in ALIASES}}
 
 
 def with_classifiers(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -1,42 +1,19 @@
 """What holds for the network whatever its weights."""
 
 from pathlib import Path
-from typing import Any
 
 import pytest
 import torch
 
-from anystyle.types import Views
 from anystyle_anysplat import AnySplat
-from oracle import smooth_image
+from backbone_cases import network, same, views
 
 EXAMPLE = AnySplat.example(Path())
 
 
-def network(**options: Any) -> AnySplat:
-    torch.manual_seed(0)
-    backbone = AnySplat(**(EXAMPLE | options))
-    generator = torch.Generator().manual_seed(1)
-    with torch.no_grad():
-        for parameter in backbone.parameters():
-            if options.get("init") != "scratch":
-                parameter.add_(0.05 * torch.randn(parameter.shape, generator=generator))
-    return backbone.eval()
-
-
 @pytest.fixture(scope="module")
 def backbone() -> AnySplat:
-    return network()
-
-
-def views(count: int, scenes: int = 1, size: tuple[int, int] = (28, 42)) -> Views:
-    return Views(smooth_image(count, (scenes, count, 3, *size)))
-
-
-def same(left: Any, right: Any, **tolerance: float) -> None:
-    for one, other in zip(torch.utils._pytree.tree_leaves(left), torch.utils._pytree.tree_leaves(right), strict=True):
-        if isinstance(one, torch.Tensor):
-            torch.testing.assert_close(one, other, **tolerance)
+    return network("anysplat")
 
 
 class TestSites:

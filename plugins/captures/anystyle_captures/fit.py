@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,9 +16,11 @@ from torch import Tensor
 from anystyle.contracts import Reconstruction, Renderer
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.io.arrays import read_tensors
+from anystyle.io.atomic import atomic_path
 from anystyle.io.limits import require
-from anystyle.methods.loop import resume, write_state
-from anystyle.methods.order import canonical_order, held_out
+from anystyle.methods.order import canonical_order
+from anystyle.paths import natural
 from anystyle.types import Cameras, Geometry, OnProgress, Progress, Reconstructed, Scene, Views, no_progress
 from anystyle_captures.cache import cached, key_of
 from anystyle_captures.fit_loop import FitLoop, FitOptions, FitProgress, FitResult
@@ -154,6 +157,15 @@ class Fit(Reconstruction):
         return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
 
 
+def held_out(num_views: int, every: int, names: Sequence[str] = ()) -> tuple[int, ...]:
+    """Every ``every``-th view (0: none), beginning in the middle of the first ``every`` views; none of fewer views.
+
+    Views are counted in the natural order of their names (``view2`` before ``view10``); without names, in that given.
+    """
+    order = sorted(range(num_views), key=lambda view: (natural(names[view]), names[view]) if names else view)
+    return tuple(sorted(order[every // 2 :: every])) if 0 < every <= num_views else ()
+
+
 def fit_photographs(
     images: Float[Tensor, "V 3 H W"],
     cameras: Cameras,
@@ -185,8 +197,8 @@ def fit_photographs(
         loop = FitLoop(images, cameras, initial, renderer, options, heldout=hidden)
         if state is None:
             return loop.run(on_progress).as_dict()
-        resume(loop, state, key, images.device)
-        result = loop.run(on_progress, partial(write_state, loop, state, key))
+        _resume(loop, state, key, images.device)
+        result = loop.run(on_progress, partial(_write_state, loop, state, key))
         state.unlink(missing_ok=True)
         return result.as_dict()
 
@@ -197,6 +209,30 @@ def fit_photographs(
     pixels, back = result.pixels.clone(), positions.argsort()
     pixels[:, 0] = positions[pixels[:, 0]]
     return replace(result, pixels=pixels, gains=result.gains[back], biases=result.biases[back], cached=from_cache)
+
+
+def _write_state(loop: FitLoop, path: Path, key: str) -> None:
+    with atomic_path(path, sync=True) as temporary:
+        torch.save({"key": key, "fit": loop.state_dict()}, temporary)
+
+
+def _resume(loop: FitLoop, path: Path, key: str, device: torch.device) -> None:
+    """Resume an interrupted fit. A state of other photographs or options is renamed, and the fit starts afresh."""
+    if not path.is_file():
+        return
+    what = "state of a fit; name another file as state, or delete it"
+    written = read_tensors(path, what=what, device=device)
+    if not isinstance(written, dict) or set(written) != {"key", "fit"}:
+        raise UserError(f"{path} is no state of a fit; name another file as state")
+    if written["key"] != key:
+        aside = next(name for number in count(1) if not (name := path.with_name(f"{path.name}.{number}")).exists())
+        path.rename(aside)
+        logger.warning(
+            "%s was written for other photographs or options: it is %s now, and the fit begins anew", path, aside.name
+        )
+        return
+    loop.load_state_dict(written["fit"])
+    logger.info("the fit goes on at step %d of %d", loop.step, loop.last_step)
 
 
 def _initial(

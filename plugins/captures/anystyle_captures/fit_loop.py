@@ -1,6 +1,7 @@
 """The optimisation of Gaussians through a renderer, towards posed photographs."""
 
 import logging
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -14,7 +15,6 @@ from torchmetrics.functional.image import peak_signal_noise_ratio
 from anystyle.contracts import Renderer
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.methods.gaussian_parameters import GaussianParameters
-from anystyle.methods.loop import Loop
 from anystyle.types import Cameras, Gaussians
 from anystyle_captures.initial import InitialGaussians
 from anystyle_captures.photometric import Quality, photometric_loss, quality_of, unexplained
@@ -141,8 +141,8 @@ class Exposures:
         self.values[self.training] -= self.values[self.training].mean(0)
 
 
-class FitLoop(Loop):
-    """A fit that can be interrupted and resumed between any two steps."""
+class FitLoop:
+    """A fit, of one view a step, that can be interrupted and resumed between any two steps."""
 
     def __init__(
         self,
@@ -154,8 +154,11 @@ class FitLoop(Loop):
         *,
         heldout: tuple[int, ...] = (),
     ) -> None:
-        training = [view for view in range(len(images)) if view not in heldout]
-        super().__init__(training, every=options.evaluate_every, seed=options.seed)
+        self.training = [view for view in range(len(images)) if view not in heldout]
+        self.generator = torch.Generator().manual_seed(options.seed)
+        self.step = 0
+        self.order: list[int] = []  # of the views that are left of a pass
+        self.recent: list[float] = []
         self.images, self.cameras, self.renderer, self.options = images, cameras, renderer, options
         self.heldout, self.pixels = heldout, initial.pixels
         size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
@@ -179,7 +182,9 @@ class FitLoop(Loop):
         options = self.options
         fraction = self.step / options.num_steps if self.step < self.end else 1.0
         self.splats.set_rates({name: rate * decay**fraction for name, (rate, decay) in RATES.items()})
-        view = self.next_view()
+        if not self.order:
+            self.order = [self.training[i] for i in torch.randperm(len(self.training), generator=self.generator)]
+        view = self.order.pop()
         coarse = fraction < options.half_resolution
         images, cameras = (self.half_images, self.half_cameras) if coarse else (self.images, self.cameras)
         target = images[view, None]
@@ -231,12 +236,18 @@ class FitLoop(Loop):
         on_checkpoint: Callable[[], None] | None = None,
     ) -> FitResult:
         """Take steps until PSNR stops rising, or all; then the final ones, on all views."""
-
-        def report(pace: float) -> None:
+        started, first = time.monotonic(), self.step
+        while self.step < self.last_step:
+            self.recent = [*self.recent[1 - len(self.training) :], self.advance()]
+            # Held-out views are included after the last step without them.
+            if self.step % self.options.evaluate_every and self.step not in (self.last_step, self.end):
+                continue
+            self.look()
+            pace = (time.monotonic() - started) / (self.step - first)
             heldout, left = self.quality and self.quality.psnr, pace * (self.last_step - self.step)
             on_progress(FitProgress(self.step, self.last_step, self.mean, heldout, left))
-
-        self.steps(report, on_checkpoint)
+            if on_checkpoint is not None:
+                on_checkpoint()
         exposures = torch.stack([self.exposures.of(view) for view in range(len(self.images))]).detach()
         shares = [unexplained(self.render(view), self.images[view, None]) for view in self.training]
         return FitResult(
@@ -251,12 +262,14 @@ class FitLoop(Loop):
         )
 
     @property
-    def last_step(self) -> int:
-        return self.end + (self.options.final_steps if self.heldout else 0)
+    def mean(self) -> float:
+        """The mean PSNR of the last pass over the views."""
+        return sum(self.recent) / max(len(self.recent), 1)
 
-    def at_turn(self) -> bool:
-        """Held-out views are included after the last step without them."""
-        return self.step == self.end
+    @property
+    def last_step(self) -> int:
+        """The step at which it ends, as currently planned."""
+        return self.end + (self.options.final_steps if self.heldout else 0)
 
     def look(self) -> None:
         """Measure the views held out, and stop where PSNR has stopped rising; not in the final steps."""
@@ -294,7 +307,12 @@ class FitLoop(Loop):
         return self.exposures.apply(color, view).clamp(0, 1)
 
     def state_dict(self) -> dict[str, Any]:
-        return super().state_dict() | {
+        return {
+            "generator": self.generator.get_state(),
+            "step": self.step,
+            "training": self.training,
+            "order": self.order,
+            "recent": self.recent,
             "pixels": self.pixels,
             "splats": self.splats.state_dict(),
             "exposures": self.exposures.values.detach(),
@@ -306,7 +324,9 @@ class FitLoop(Loop):
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        super().load_state_dict(state)
+        self.generator.set_state(state["generator"])
+        self.training = list(state["training"])
+        self.step, self.order, self.recent = state["step"], list(state["order"]), list(state["recent"])
         self.pixels = state["pixels"]
         self.splats.load_state_dict(state["splats"])
         with torch.no_grad():

@@ -21,7 +21,6 @@ from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.documents import as_number, read_json
 from anystyle.io.sheet import to_pil
 from anystyle.methods.branch import Branch
-from anystyle.methods.order import held_out
 from anystyle.pipeline.camera_files import from_files
 from anystyle.pipeline.cameras import scene_from_known
 from anystyle.pipeline.encode import encoder
@@ -31,7 +30,7 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import Scene, Style, Views, no_progress
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights, stand_ins
-from anystyle_captures.fit import Fit, fit_photographs, scene_of_fit
+from anystyle_captures.fit import Fit, fit_photographs, held_out, scene_of_fit
 from anystyle_captures.photometric import quality_of
 from anystyle_captures.structure_from_motion import StructureFromMotion
 

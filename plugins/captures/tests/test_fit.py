@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from anystyle.errors import UserError
-from anystyle.methods.order import held_out
-from anystyle_captures.fit import Fit, fit_photographs
+from anystyle_captures.fit import Fit, fit_photographs, held_out
 from anystyle_captures.fit_loop import FitOptions
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from known_scene import photographed_wall

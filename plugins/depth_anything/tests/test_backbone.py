@@ -8,35 +8,15 @@ import torch
 
 from anystyle.types import Tokens, Views
 from anystyle_depth_anything import DepthAnything
-from oracle import hashed, smooth_image
+from backbone_cases import network, same, views
+from oracle import hashed
 
 EXAMPLE = DepthAnything.example(Path())
 
 
-def network(**options: Any) -> DepthAnything:
-    torch.manual_seed(0)
-    backbone = DepthAnything(**(EXAMPLE | options))
-    generator = torch.Generator().manual_seed(1)
-    with torch.no_grad():
-        for parameter in backbone.parameters():
-            if options.get("init") != "scratch":
-                parameter.add_(0.05 * torch.randn(parameter.shape, generator=generator))
-    return backbone.eval()
-
-
 @pytest.fixture(scope="module")
 def backbone() -> DepthAnything:
-    return network()
-
-
-def views(count: int, scenes: int = 1, size: tuple[int, int] = (28, 42)) -> Views:
-    return Views(smooth_image(count, (scenes, count, 3, *size)))
-
-
-def same(left: Any, right: Any, **tolerance: float) -> None:
-    for one, other in zip(torch.utils._pytree.tree_leaves(left), torch.utils._pytree.tree_leaves(right), strict=True):
-        if isinstance(one, torch.Tensor):
-            torch.testing.assert_close(one, other, **tolerance)
+    return network("depth_anything")
 
 
 class TestSites:
@@ -93,7 +73,7 @@ class TestOrder:
 
 
 def test_rays_need_their_chain() -> None:
-    backbone = network(rays=False)
+    backbone = network("depth_anything", rays=False)
     features = backbone.aggregator(backbone.embedder(views(1).images))
     with pytest.raises(ValueError, match="rays=true"):
         backbone.geometry_head.rays(features)

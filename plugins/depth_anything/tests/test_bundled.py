@@ -6,11 +6,11 @@ import torch
 from anystyle.pipeline.load import assemble
 from anystyle.registry.compose import compose
 from anystyle.stylizer import Stylizer
-from anystyle.training.reconstruction import geometry_errors, psnr
-from anystyle.training.supervision import canonical
 from anystyle.types import Gaussians, Geometry, Scene, Views
 from anystyle.vision import weights
 from anystyle_tiny.procedural.scenes import ProceduralScenes
+from anystyle_tiny.training.reconstruction import geometry_errors, psnr
+from anystyle_tiny.training.supervision import canonical
 
 NAMES = tuple(name for name in weights.files() if name.startswith("depth_anything_tiny"))
 SCENES = 6

@@ -10,7 +10,6 @@ import torch
 
 from anystyle.contracts import Metric, SceneSource, StyleSource
 from anystyle.errors import UserError
-from anystyle.evaluation import judge
 from anystyle.evaluation.base import Evaluation, Progress, Protocol, Row, required
 from anystyle.evaluation.judge import SceneFigures, aggregate, judge_scene, mean
 from anystyle.io.atomic import atomic_path
@@ -69,7 +68,7 @@ class TextAndImage(Protocol):
         runs = [(scene, guide) for scene in range(self.num_scenes) for guide in GUIDES]
         for done, (scene, guide) in enumerate(runs):
             progress("scenes", done, len(runs))
-            figures[guide][self.scenes.name(scene)] = self._judge(scene, guide, out, str(options))
+            figures[guide][self.scenes.name(scene)] = self._judge(scene, guide, out)
         progress("scenes", len(runs), len(runs))
         images = self.num_styles * sum(len(self._views(scene)) for scene in range(self.num_scenes))
         evaluations = {guide: aggregate(scenes, n=images) for guide, scenes in figures.items()}
@@ -78,27 +77,13 @@ class TextAndImage(Protocol):
     def _views(self, scene: int) -> range:
         return range(min(self.num_views, self.scenes.num_views(scene)))
 
-    def _judge(self, scene: int, guide: str, out: Path, digest: str) -> dict[str, SceneFigures]:
-        """Figures of one scene in all styles; it is encoded and rendered only if one of them is not on disk."""
-        figures: dict[str, SceneFigures] = {}
-        encoded: Scene | None = None
-        comparisons: list[Comparison] = []
-        for name in (*self.metrics, DEPTH_CHANGE):
-            file = judge.figures_file(out, name, f"{self.scenes.name(scene)}-{guide}")
-            stored = judge.read_figures(file, digest)
-            if stored is None:
-                encoded = encoded or self._encode(scene)
-                comparisons = comparisons or self._stylize(scene, encoded, guide)
-                if name == DEPTH_CHANGE and guide == GUIDES[0]:
-                    _write_pictures(out / "images", comparisons)
-                stored = (
-                    self._depth_change(encoded, comparisons)
-                    if name == DEPTH_CHANGE
-                    else judge_scene({name: self.metrics[name]}, comparisons)[name]
-                )
-                judge.write_figures(file, digest, stored)
-            figures[name] = stored
-        return figures
+    def _judge(self, scene: int, guide: str, out: Path) -> dict[str, SceneFigures]:
+        """Figures of one scene in all styles."""
+        encoded = self._encode(scene)
+        comparisons = self._stylize(scene, encoded, guide)
+        if guide == GUIDES[0]:
+            _write_pictures(out / "images", comparisons)
+        return judge_scene(self.metrics, comparisons) | {DEPTH_CHANGE: self._depth_change(encoded, comparisons)}
 
     @torch.no_grad()
     def _encode(self, index: int) -> Scene:

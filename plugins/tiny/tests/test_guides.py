@@ -101,14 +101,6 @@ def test_figures_are_those_of_what_was_painted(protocol, tmp_path):
     assert len(list((tmp_path / "images" / "stylized").rglob("*.png"))) == 2 * STYLES * 2
 
 
-def test_what_is_known_is_not_painted_again(protocol, tmp_path):
-    first = protocol.run(tmp_path, lambda stage, done, total: None)
-    drawn = protocol.stylizer.drawn
-    again = protocol.run(tmp_path, lambda stage, done, total: None)
-    assert protocol.stylizer.drawn == drawn
-    assert again.figures == first.figures
-
-
 def test_a_style_without_a_text_is_refused(protocol, tmp_path, monkeypatch):
     read = protocol.styles.read
     monkeypatch.setattr(protocol.styles, "read", lambda place: replace(read(place), text=None))

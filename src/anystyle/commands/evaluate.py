@@ -81,7 +81,7 @@ def evaluate(config: DictConfig, out: Path) -> Evaluation:
     parts, weights = make_parts(config, named)
     protocol = build(Protocol, config.protocol, **parts)
     judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
-    with bind(config, weights, out, named, judges):
+    with bind(config, weights, out, named):
         evaluation = protocol.run(out, progress_lines())
         gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else ""
         device = gpu or f"CPU with {torch.get_num_threads()} thread(s)"

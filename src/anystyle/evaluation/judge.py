@@ -1,20 +1,14 @@
-"""The metric loop: figures of each scene in each style, of each scene, and over all scenes.
+"""The metric loop: figures of each scene in each style, of each scene, and over all scenes."""
 
-The figures of a metric for a finished scene are kept in ``parts/METRIC-SCENE.json`` below the results, and are not
-computed again as long as the images are the same.
-"""
-
-import hashlib
 import logging
 import math
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from itertools import count
+from typing import Any
 
-import msgspec
 import torch
 
 from anystyle.contracts import Metric
@@ -22,14 +16,10 @@ from anystyle.errors import UserError
 from anystyle.evaluation.base import SCENE, Evaluation, Progress, Row
 from anystyle.evaluation.comparisons import Reader
 from anystyle.evaluation.pairing import Cell, Pairing
-from anystyle.io.atomic import write_json
-from anystyle.io.documents import Figure, as_number, kept_json
 from anystyle.types import Comparison
 from anystyle.vision.preprocess import checked
 
 log = logging.getLogger(__name__)
-
-PARTS = "parts"
 
 
 @dataclass(frozen=True)
@@ -65,29 +55,19 @@ def judge(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]) -> E
 
 
 def judge_pairing(
-    metrics: Mapping[str, Metric], pairing: Pairing, out: Path, progress: Progress, *, stage: str = "judge"
+    metrics: Mapping[str, Metric], pairing: Pairing, progress: Progress, *, stage: str = "judge"
 ) -> Evaluation:
-    """The figures of paired image files; those of a finished scene are read from ``out``."""
+    """The figures of paired image files."""
     if not metrics:
         raise UserError("no metric is chosen; add metric=[NAME,...] (`anystyle plugins metric` lists them)")
-    reader, done, total = Reader(), 0, len(pairing.cells)
+    reader, steps, total = Reader(), count(), len(pairing.cells)
 
-    def comparisons(cells: Sequence[Cell], first: int) -> Iterator[Comparison]:
-        for index, cell in enumerate(cells, first):
-            progress(stage, index, total)
+    def comparisons(cells: Sequence[Cell]) -> Iterator[Comparison]:
+        for cell in cells:
+            progress(stage, next(steps), total)
             yield reader(cell)
 
-    scenes: dict[str, dict[str, SceneFigures]] = {}
-    for scene, cells in pairing.scenes().items():
-        digest = _digest(cells)
-        files = {name: figures_file(out, name, scene) for name in metrics}
-        figures = {name: read_figures(file, digest) for name, file in files.items()}
-        missing = {name: metric for name, metric in metrics.items() if figures[name] is None}
-        for name, judged in (judge_scene(missing, comparisons(cells, done)) if missing else {}).items():
-            write_figures(files[name], digest, judged)
-            figures[name] = judged
-        scenes[scene] = {name: known for name, known in figures.items() if known is not None}
-        done += len(cells)
+    scenes = {scene: judge_scene(metrics, comparisons(cells)) for scene, cells in pairing.scenes().items()}
     progress(stage, total, total)
     evaluation = aggregate(scenes, n=sum(len(cell.frames) for cell in pairing.cells))
     pictures = {(cell.scene, cell.style): cell.pictures() for cell in pairing.cells}
@@ -167,51 +147,6 @@ def mean(values: Sequence[float]) -> float:
     """The mean of the values that are not ``nan``; ``nan`` if none is."""
     known = [value for value in values if not math.isnan(value)]
     return math.fsum(known) / len(known) if known else math.nan
-
-
-def figures_file(out: Path, metric: str, scene: str) -> Path:
-    """The file of a metric's figures for a scene."""
-    # Two scenes may differ in characters that a file name cannot hold.
-    name_hash = hashlib.sha256(scene.encode()).hexdigest()[:8]
-    plain = "".join(letter if letter.isalnum() else "-" for letter in scene)[:40]
-    return out / PARTS / f"{metric}-{plain}-{name_hash}.json"
-
-
-def write_figures(path: Path, digest: str, figures: SceneFigures) -> None:
-    """Write a metric's figures for a scene, with a hash of what they depend on."""
-    write_json(path, {"digest": digest, **asdict(figures)})
-
-
-class _Stored(msgspec.Struct):
-    digest: str
-    figures: dict[str, Figure]
-    styles: dict[str, dict[str, Figure]]
-    better: dict[str, Literal["higher", "lower"]]
-    stand_ins: dict[str, str]
-    warned: tuple[str, ...]
-
-
-def read_figures(path: Path, digest: str) -> SceneFigures | None:
-    """The figures that were written with this hash; ``None`` where there are none, or with another."""
-    stored: _Stored | None = kept_json(path, _Stored)
-    if stored is None or stored.digest != digest:
-        return None
-
-    def numbers(row: Mapping[str, Figure]) -> dict[str, float]:
-        return {name: as_number(value) for name, value in row.items()}
-
-    by_style = {name: numbers(row) for name, row in stored.styles.items()}
-    return SceneFigures(numbers(stored.figures), by_style, stored.better, stored.stand_ins, stored.warned)
-
-
-def _digest(cells: Iterable[Cell]) -> str:
-    """A hash of what the figures of cells depend on: the files' paths, sizes and times."""
-    digest = hashlib.sha256()
-    for cell in cells:
-        for path in (*cell.content, *cell.stylized, cell.reference, *cell.depth, *filter(None, [cell.cameras])):
-            state = path.stat()
-            digest.update(f"{cell.style}\0{path.resolve()}\0{state.st_size}\0{state.st_mtime_ns}\n".encode())
-    return digest.hexdigest()
 
 
 @contextmanager

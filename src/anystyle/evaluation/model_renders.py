@@ -90,7 +90,7 @@ class ModelRenders(Protocol):
         chosen = tuple(
             cell for cell in pairing.cells if cell.scene in self.planned_scenes and cell.style in self.planned_styles
         )
-        evaluation = judge_pairing(self.metrics, replace(pairing, cells=chosen), out, progress)
+        evaluation = judge_pairing(self.metrics, replace(pairing, cells=chosen), progress)
         files = [[seconds_file(images / "stylized" / scene, style) for style in self.planned_styles]
                  for scene in self.planned_scenes]  # fmt: skip
         seconds = np.array([[read_seconds(file) for file in row] for row in files])  # S T

@@ -1,11 +1,10 @@
-"""Figures that papers printed, the tables they stand in, and whether they are consistent."""
+"""Figures that papers printed, and the tables they stand in, with notes on what does not add up."""
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
 
 import msgspec
 
@@ -33,11 +32,6 @@ class PublishedFigure:
     origin: str = ""
     mark: str = ""
 
-    @property
-    def half_unit(self) -> float:
-        """Half a unit of the last printed digit: how far the exact value may be off."""
-        return 0.5 * 10.0 ** -len(self.printed.partition(".")[2])
-
 
 class PublishedTable(msgspec.Struct, frozen=True):
     """The layout of a paper's table."""
@@ -48,15 +42,6 @@ class PublishedTable(msgspec.Struct, frozen=True):
     scenes: tuple[str, ...]
     """Empty where the table compares methods over all scenes."""
     notes: tuple[str, ...]
-
-
-class Disagreement(NamedTuple):
-    """A printed ArtFID that differs from the one recomputed from its printed parts."""
-
-    method: str
-    scene: str
-    printed: float
-    recomputed: float
 
 
 class _Row(msgspec.Struct):
@@ -139,29 +124,3 @@ def _value(printed: str) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{printed} is no figure")
     return value
-
-
-def disagreements(figures: Sequence[PublishedFigure]) -> list[Disagreement]:
-    """Each printed ArtFID that differs from that of its printed parts by more than their rounding explains."""
-    rows: dict[tuple[str, str, str], dict[str, PublishedFigure]] = {}
-    for item in figures:
-        rows.setdefault((item.known_as, item.scene, item.source), {})[item.figure] = item
-    disagreements: list[Disagreement] = []
-    for (method, scene, _), row in rows.items():
-        if {"art_fid", "lpips", "fid"} <= row.keys():
-            printed, lpips, fid = row["art_fid"], row["lpips"], row["fid"]
-            low = art_fid(lpips.value - lpips.half_unit, fid.value - fid.half_unit) - printed.half_unit
-            high = art_fid(lpips.value + lpips.half_unit, fid.value + fid.half_unit) + printed.half_unit
-            if not low <= printed.value <= high:
-                disagreements.append(Disagreement(method, scene, printed.value, art_fid(lpips.value, fid.value)))
-    return disagreements
-
-
-def art_fid(lpips: float, fid: float) -> float:
-    """``(1 + LPIPS)(1 + FID)`` (Wright and Ommer, 2022).
-
-    Example:
-        >>> art_fid(0.5, 20.0)
-        31.5
-    """
-    return (1 + lpips) * (1 + fid)

@@ -10,7 +10,7 @@ from anystyle.data.folder import image_files
 from anystyle.data.images import open_image
 from anystyle.errors import UserError
 from anystyle.evaluation.paper_folder import SCENES
-from anystyle.evaluation.published_figures import PublishedFigure, PublishedTable, disagreements
+from anystyle.evaluation.published_figures import PublishedFigure, PublishedTable
 from anystyle.evaluation.runs import Run
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.sheet import Cell, TextCard
@@ -143,20 +143,14 @@ def paper_table(
     ours: Sequence[Line],
     better: Mapping[str, str],
 ) -> Table:
-    """A table of the paper as it is printed, our rows below it, with contradictions in its notes.
-
-    ``figures`` are those of all tables: an ArtFID is recomputed from parts that another table has.
-    """
-    paper = [item for item in figures if item.source == form.source]
+    """A table of the paper as it is printed, our rows below it, with contradictions in its notes."""
     rows: dict[str, list[PublishedFigure]] = {}
-    for item in paper:
-        if item.table == name:
+    for item in figures:
+        if item.source == form.source and item.table == name:
             rows.setdefault(item.method, []).append(item)
     theirs = [_published_line(method, items[0].origin or "published", items) for method, items in rows.items()]
     lines = [*theirs, *ours]
-    shown = {(item.known_as, item.scene) for items in rows.values() for item in items}
-    parts = [item for item in paper if (item.known_as, item.scene) in shown]
-    notes = [*form.notes, *(consistency_notes(parts) if "art_fid" in form.figures else []), *state_notes(ours)]
+    notes = [*form.notes, *state_notes(ours)]
     columns = columns_of(lines, form.figures, form.scenes)
     return table(lines, columns, better, caption=f"{form.title} ({form.source}, {name})", notes=notes)
 
@@ -205,17 +199,6 @@ def table(
     num_seeds = max((len(values) for line in lines for values in line.samples.values()), default=1)
     more = [f"± is half the width of the 95 % t interval of the mean over {num_seeds} seeds."] if num_seeds > 1 else []
     return Table(("variant", "source", *titles), rows, caption, (*notes, *more))
-
-
-def consistency_notes(figures: Sequence[PublishedFigure]) -> list[str]:
-    """A line for each published method whose ArtFID does not agree with its own parts."""
-    by_method: dict[str, list[str]] = {}
-    for item in disagreements(figures):
-        by_method.setdefault(item.method, []).append(f"{item.scene} {item.printed:g}, not {item.recomputed:.2f}")
-    return [
-        f"{method}: printed ArtFID does not equal (1 + LPIPS)(1 + FID) of its own row: {'; '.join(differences)}."
-        for method, differences in by_method.items()
-    ]
 
 
 def state_notes(lines: Sequence[Line]) -> list[str]:

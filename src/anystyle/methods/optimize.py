@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch.nn.functional as F
 
@@ -10,8 +10,7 @@ from anystyle.contracts import Loss
 from anystyle.errors import UserError
 from anystyle.losses._features import FeatureLoss
 from anystyle.methods.base import Method
-from anystyle.methods.loop import fingerprint, resume, write_state
-from anystyle.methods.scene_loop import SceneLoop, Schedule
+from anystyle.methods.scene_loop import SceneLoop
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, Style, StyleEmbedding
 from anystyle.types.progress import OnProgress, no_progress
@@ -37,11 +36,8 @@ class Optimize(Method):
         needs_image: Whether the losses need the style's image, so that a text alone is refused.
         recolor: Whether to match the mean and the covariance of colours to the style's, before, after, or both.
         style_size: Shorter side in pixels that the style image is resized to; ``None`` is that of the views.
-        split_every: Steps between two splits of Gaussians; 0 splits none.
-        split_fraction: Fraction of Gaussians split each time: those whose colours have the largest gradients.
         report_every: Steps between two reports of progress, with a thumbnail.
         keep_harmonics: Whether to keep harmonics above degree 0; they are dropped otherwise.
-        state: A folder of checkpoints, from which a stopped optimisation is resumed.
         seed: Of the order of views.
 
     Raises:
@@ -62,19 +58,16 @@ class Optimize(Method):
         needs_image: bool = True,
         recolor: Recolor = "none",
         style_size: int | None = None,
-        split_every: int = 0,
-        split_fraction: float = 0.05,
         report_every: int = 25,
         keep_harmonics: bool = False,
-        state: str | None = None,
         seed: int = 0,
     ) -> None:
         if not losses:
             raise UserError("method=optimize has no loss to minimise; give loss=[nnfm,content], or a preset of it")
-        if num_steps < 1 or not 0 < decay <= 1 or not 0 <= split_fraction <= 1 or report_every < 1 or split_every < 0:
+        if num_steps < 1 or not 0 < decay <= 1 or report_every < 1:
             raise UserError(
-                f"method: num_steps={num_steps}, report_every={report_every}, split_every={split_every}, "
-                f"decay={decay}, split_fraction={split_fraction}; steps are at least 1, decay and fractions in [0, 1]"
+                f"method: num_steps={num_steps}, report_every={report_every}, decay={decay}; steps are at least 1, "
+                "decay is above 0 and at most 1"
             )
         if recolor not in get_args(Recolor):
             raise UserError(f"method.recolor={recolor}; choose one of {', '.join(get_args(Recolor))}")
@@ -88,14 +81,14 @@ class Optimize(Method):
         self.losses = dict(losses)
         self.needs_image = needs_image or recolor != "none"
         self.recolor, self.style_size = recolor, style_size
-        self.schedule = Schedule(
-            num_steps, rates, decay, split_every, split_fraction, report_every, seed, keep_harmonics
-        )
-        self.state = None if state is None else Path(state).expanduser()
+        self.num_steps, self.report_every = num_steps, report_every
+        self.schedule: dict[str, Any] = {
+            "rates": rates, "decay": decay, "seed": seed, "keep_harmonics": keep_harmonics,
+        }  # fmt: skip
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        return {"num_steps": 3, "report_every": 1, "split_every": 2}
+        return {"num_steps": 3, "report_every": 1}
 
     @property
     def sources(self) -> tuple[Source, ...]:
@@ -114,23 +107,10 @@ class Optimize(Method):
     ) -> Gaussians:
         if style.image is None and self.needs_image:
             raise UserError("this method needs a style image, and this style has none; give --image, or method=clip")
-        loop = SceneLoop(stylizer, scene, self._sized(style, scene), embedding, self.losses, self.schedule)
+        loop = SceneLoop(stylizer, scene, self._sized(style, scene), embedding, self.losses, **self.schedule)
         if self.recolor in ("before", "both"):
             loop.recolor_before()
-        path, key = None, ""
-        if self.state is not None:
-            words = (
-                self.schedule,
-                self.recolor,
-                [(name, loss.weight, str(loss)) for name, loss in self.losses.items()],
-            )
-            given = {name: getattr(loop.before, name) for name in ("means", "harmonics")}
-            key = fingerprint(words, given | {"views": loop.views.images, "style": embedding.vector})
-            path = self.state / f"{key[:16]}.pt"
-            resume(loop, path, key, loop.views.images.device)
-        loop.run(on_progress, None if path is None else lambda: write_state(loop, path, key))
-        if path is not None:
-            path.unlink(missing_ok=True)
+        loop.run(self.num_steps, self.report_every, on_progress)
         return loop.result(recolored=self.recolor in ("after", "both"))
 
     def _sized(self, style: Style, scene: Scene) -> Style:

@@ -1,8 +1,10 @@
 """Optimisation steps of one scene for one style."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -11,7 +13,6 @@ from torch import Tensor
 from anystyle.contracts import Loss
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.methods.gaussian_parameters import GaussianParameters
-from anystyle.methods.loop import Loop
 from anystyle.methods.order import canonical_order
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Renders, Scene, Style, StyleEmbedding, Stylization
@@ -52,22 +53,15 @@ def _moments(images: Tensor) -> tuple[Float[Tensor, "3"], Float[Tensor, "3 3"]]:
     return pixels.mean(1), vectors @ values.clamp_min(FLOOR).sqrt().diag() @ vectors.T
 
 
-@dataclass(frozen=True)
-class Schedule:
-    """Steps and initial learning rates of an optimisation; the rest is as :class:`Optimize` describes it."""
+class SceneLoop:
+    """An optimisation of one scene for one style, at the size of its image, by steps on one view each.
 
-    num_steps: int
-    rates: Mapping[str, float]
-    decay: float
-    split_every: int
-    split_fraction: float
-    report_every: int
-    seed: int
-    keep_harmonics: bool
-
-
-class SceneLoop(Loop):
-    """An optimisation of one scene for one style, at the size of its image; can be resumed between any two steps."""
+    Args:
+        rates: Initial learning rates, by name of :data:`~anystyle.methods.gaussian_parameters.NAMES`.
+        decay: The final rates as a fraction of the initial ones.
+        seed: Of the order of views and of random crops.
+        keep_harmonics: Whether harmonics above degree 0 stay.
+    """
 
     def __init__(
         self,
@@ -76,23 +70,26 @@ class SceneLoop(Loop):
         style: Style,
         embedding: StyleEmbedding,
         losses: Mapping[str, Loss],
-        schedule: Schedule,
+        *,
+        rates: Mapping[str, float],
+        decay: float,
+        seed: int,
+        keep_harmonics: bool,
     ) -> None:
-        super().__init__(canonical_order(scene.views.images[0]), every=schedule.report_every, seed=schedule.seed)
         self.stylizer, self.scene, self.style, self.embedding = stylizer, scene, style, embedding
-        self.losses, self.schedule = {name: loss.train() for name, loss in losses.items()}, schedule
-        for loss in losses.values():
-            loss.to(scene.views.images.device)
+        self.losses = {name: loss.train().to(scene.views.images.device) for name, loss in losses.items()}
+        self.rates, self.decay = rates, decay
+        self.generator = torch.Generator().manual_seed(seed)
+        self.order = canonical_order(scene.views.images[0])
         self.views, self.cameras = scene.views, scene.cameras
         with torch.no_grad():
             given = stylizer.unstyled(scene)
-        self._begin(given if schedule.keep_harmonics else replace(given, harmonics=given.harmonics[:, :, :1]))
+        self._begin(given if keep_harmonics else replace(given, harmonics=given.harmonics[:, :, :1]))
         self.unstyled: dict[int, Renders] = {}
 
     def _begin(self, gaussians: Gaussians) -> None:
         self.before = gaussians.detach()
-        self.splats = GaussianParameters(self.before, self.schedule.rates, self.before.scales[0].mean(-1))
-        self.gradients = torch.zeros_like(self.splats.units)
+        self.splats = GaussianParameters(self.before, self.rates, self.before.scales[0].mean(-1))
 
     def recolor_before(self) -> None:
         """Match the colours of photographs and Gaussians to the style's; renders are linear in colours."""
@@ -101,27 +98,27 @@ class SceneLoop(Loop):
         self.views = replace(self.views, images=mapped.of_images(self.views.images[0])[None])
         self._begin(with_mapped_colors(self.before, mapped))
 
-    @property
-    def last_step(self) -> int:
-        return self.schedule.num_steps
+    def run(self, num_steps: int, report_every: int, on_progress: OnProgress) -> None:
+        """Take all steps; views are shuffled again after every pass."""
+        left: list[int] = []
+        recent: deque[float] = deque(maxlen=len(self.order))
+        started = time.monotonic()
+        for step in range(1, num_steps + 1):
+            left = left or [self.order[i] for i in torch.randperm(len(self.order), generator=self.generator)]
+            recent.append(self._advance(left.pop(), (step - 1) / num_steps))
+            if step % report_every == 0 or step == num_steps:
+                seconds = (time.monotonic() - started) / step * (num_steps - step)
+                line = f"step {step} of {num_steps}: loss {sum(recent) / len(recent):.4g}, {seconds:.0f} s left"
+                on_progress(Progress(line, step / num_steps, self.thumbnail()))
 
-    def advance(self) -> float:
-        schedule, view = self.schedule, self.next_view()
-        fraction = self.step / schedule.num_steps
-        self.splats.set_rates({name: rate * schedule.decay**fraction for name, rate in schedule.rates.items()})
-        # A resumed run must draw the same random crops.
+    def _advance(self, view: int, fraction: float) -> float:
+        """Take one step, when this ``fraction`` of all is done, and return the loss before it."""
+        self.splats.set_rates({name: rate * self.decay**fraction for name, rate in self.rates.items()})
         with torch.random.fork_rng(devices=[]), torch.enable_grad():
             torch.manual_seed(int(torch.randint(2**31, (), generator=self.generator)))
             loss = self.loss(view)
             loss.backward()
-        if "colors" in self.splats.parameters and schedule.split_every:
-            gradient = self.splats.parameters["colors"].grad
-            assert gradient is not None
-            self.gradients += gradient.flatten(1).norm(dim=1)
         self.splats.step()
-        self.step += 1
-        if schedule.split_every and self.step % schedule.split_every == 0 and self.step < schedule.num_steps:
-            self._split()
         return float(loss.detach())
 
     def loss(self, view: int) -> Tensor:
@@ -151,25 +148,6 @@ class SceneLoop(Loop):
             self.unstyled[view] = self.stylizer.render(self.before, self.cameras.select([view]))
         return self.unstyled[view]
 
-    def _split(self) -> None:
-        count = round(self.schedule.split_fraction * len(self.splats))
-        index = self.splats.split(self.gradients.topk(count).indices)
-        self.before = self.before.map(lambda tensor: tensor[:, index])
-        self.gradients = torch.zeros_like(self.splats.units)
-
-    def look(self) -> None:
-        pass
-
-    def run(self, on_progress: OnProgress, on_checkpoint: Callable[[], None] | None) -> None:
-        """Take all remaining steps."""
-
-        def report(pace: float) -> None:
-            left = pace * (self.last_step - self.step)
-            line = f"step {self.step} of {self.last_step}: loss {self.mean:.4g}, {len(self.splats)} Gaussians"
-            on_progress(Progress(f"{line}, {left:.0f} s left", self.step / self.last_step, self.thumbnail()))
-
-        self.steps(report, on_checkpoint)
-
     @torch.no_grad()
     def thumbnail(self) -> Tensor:
         """The first view as it is now."""
@@ -182,20 +160,9 @@ class SceneLoop(Loop):
         if not recolored:
             return gaussians
         assert self.style.image is not None
-        views = [self.stylizer.render(gaussians, self.cameras.select([view])).color[0] for view in self.training]
+        views = [self.stylizer.render(gaussians, self.cameras.select([view])).color[0] for view in self.order]
         mapped = color_map(torch.cat(views), self.style.image)
         return with_mapped_colors(gaussians, mapped)
-
-    def state_dict(self) -> dict[str, Any]:
-        before = {name: getattr(self.before, name) for name in self.before.__dataclass_fields__}
-        return super().state_dict() | {
-            "splats": self.splats.state_dict(), "gradients": self.gradients, "before": before
-        }  # fmt: skip
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        super().load_state_dict(state)
-        self.splats.load_state_dict(state["splats"])
-        self.gradients, self.before = state["gradients"], Gaussians(**state["before"])
 
 
 def with_mapped_colors(gaussians: Gaussians, mapped: ColorMap) -> Gaussians:

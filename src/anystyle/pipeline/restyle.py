@@ -53,9 +53,7 @@ class Restyler:
         if controls == replace(Controls(), scale=controls.scale):
             return styled
         if styled.means.shape != self.unstyled.means.shape:
-            raise UserError(
-                "controls need a fixed number of Gaussians, and this method adds some; set method.split_every=0"
-            )
+            raise UserError("controls need a fixed number of Gaussians, and this method adds some; leave them out")
         return applied(controls, self.unstyled, styled, self._mask_weights(controls.mask))
 
     def _restyle(self, style: EmbeddedStyle) -> Gaussians:

@@ -15,19 +15,13 @@ T = TypeVar("T")
 
 
 def kind_of(base: type) -> str:
-    """The kind of plugin whose contract a class is.
-
-    Raises:
-        PluginError: It is no contract.
-    """
+    """The kind of plugin whose contract a class is."""
     name = f"{base.__module__}:{base.__qualname__}"
-    for kind, row in KINDS.items():
-        if row.base == name:
-            return kind
-    for row in catalog():
-        if row.kind == "kind" and row.target == name:
-            return row.name
-    raise PluginError(f"{name} is not the contract of any kind of plugin")
+    known = {row.base: kind for kind, row in KINDS.items()}
+    known |= {row.target: row.name for row in catalog() if row.kind == "kind"}
+    if name not in known:
+        raise PluginError(f"{name} is not the contract of any kind of plugin")
+    return known[name]
 
 
 def build(base: type[T], config: "DictConfig | Mapping[str, Any] | str", /, **runtime: Any) -> T:

@@ -44,11 +44,7 @@ def kinds() -> list[str]:
 
 
 def kind_named(kind: str) -> Kind:
-    """A kind of plugin.
-
-    Raises:
-        PluginError: There is no such kind, or the package that declares it cannot be imported.
-    """
+    """A kind of plugin; a PluginError where there is none, or its package cannot be imported."""
     if kind in KINDS:
         return KINDS[kind]
     contract = base_of(kind)
@@ -110,11 +106,7 @@ def location_in(error: BaseException, module: str) -> str:
 
 
 def base_of(kind: str) -> type[Socket]:
-    """Import the contract of a kind.
-
-    Raises:
-        PluginError: There is no such kind, or the package that declares it cannot be imported.
-    """
+    """Import the contract of a kind; a PluginError where there is none, or its package cannot be imported."""
     if kind in KINDS:
         module, _, name = KINDS[kind].base.partition(":")
         return getattr(importlib.import_module(module), name)
@@ -166,11 +158,7 @@ class Catalog:
         return iter(self._plugins)
 
     def names(self, kind: str) -> list[str]:
-        """The names of one kind, sorted.
-
-        Raises:
-            PluginError: There is no such kind.
-        """
+        """The names of one kind, sorted; a PluginError where there is no such kind."""
         self._check(kind)
         return sorted({plugin.name for plugin in self._plugins if plugin.kind == kind})
 
@@ -291,22 +279,18 @@ def _roots(folders: Sequence[str], problems: list[str]) -> list[Path]:
     return list(roots)
 
 
-def _project(name: str | None) -> str:
-    return (name or "").lower().replace("-", "_").replace(".", "_")
-
-
 @cache
 def _static(folders: tuple[str, ...]) -> Catalog:
     problems: list[str] = []
     local = [plugin for root in _roots(folders, problems) for plugin in _local(root, problems)]
+
+    def identity(plugin: Plugin) -> tuple[str, str, str, str]:
+        project = (plugin.project or "").lower().replace("-", "_").replace(".", "_")
+        return plugin.kind, plugin.name, plugin.target, project
+
     # A folder that is installed too, in place as a rule, is one plugin, not two of one name.
-    seen = {(plugin.kind, plugin.name, plugin.target, _project(plugin.project)) for plugin in local}
-    installed = [
-        plugin
-        for plugin in _installed(problems)
-        if (plugin.kind, plugin.name, plugin.target, _project(plugin.project)) not in seen
-    ]
-    declared = [*installed, *local]
+    seen = set(map(identity, local))
+    declared = [*(plugin for plugin in _installed(problems) if identity(plugin) not in seen), *local]
     known = {*KINDS, _KIND, *(plugin.name for plugin in declared if plugin.kind == _KIND)}
     strange = [plugin for plugin in declared if plugin.kind not in known]
     problems += [f"{row.origin} declares '{_PREFIX}{row.kind}', and there is no such kind of plugin" for row in strange]

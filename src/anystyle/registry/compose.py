@@ -56,11 +56,7 @@ def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | Non
 
 
 def options(config: DictConfig, key: str) -> Any:
-    """The dataclass of options at a key of :data:`~anystyle.registry.builtin.OPTIONS`, its values checked.
-
-    Raises:
-        UserError: A value is out of its range, or of another type.
-    """
+    """The dataclass of options at a key of :data:`~anystyle.registry.builtin.OPTIONS`, its values checked."""
     try:
         return OmegaConf.to_object(config[key])
     except OmegaConfBaseException as error:
@@ -68,11 +64,7 @@ def options(config: DictConfig, key: str) -> Any:
 
 
 def check_words(words: Sequence[str]) -> None:
-    """Refuse a group that is set to null, for which Hydra's own line names neither the group nor a way out.
-
-    Raises:
-        UserError: There is one.
-    """
+    """Refuse a group that is set to null, for which Hydra's own line names neither the group nor a way out."""
     for word in words:
         match = _NULL.fullmatch(word)
         if match and match["group"] in groups():

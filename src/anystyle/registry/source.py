@@ -31,31 +31,25 @@ class PluginSource(ConfigSource):
 
     @staticmethod
     def scheme() -> str:
-        """The scheme of this source."""
         return "anystyle"
 
     def available(self) -> bool:
-        """Whether the source can be read; it always can."""
         return True
 
     def is_group(self, config_path: str) -> bool:
-        """Whether a path is a kind, a folder of presets, the group of options, or the root of all."""
         return config_path.strip("/") in ("", _OPTIONS, *groups())
 
     def is_config(self, config_path: str) -> bool:
-        """Whether a path is a plugin, a preset or a dataclass of options, ``group/name``."""
         group, name = _split(config_path)
         return name in self._names(group)
 
     def list(self, config_path: str, results_filter: ObjectType | None) -> "list[str]":
-        """The groups at the root, the plugins and presets of a group below it."""
         group = config_path.strip("/")
         if not group:
             return [] if results_filter is ObjectType.CONFIG else sorted(groups())
         return [] if results_filter is ObjectType.GROUP else self._names(group)
 
     def load_config(self, config_path: str) -> ConfigResult:
-        """Read a preset, or import one plugin and describe its options."""
         group, name = _split(config_path)
         if name not in self._names(group):
             raise ConfigLoadError(f"Config not found: {config_path}")

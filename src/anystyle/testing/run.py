@@ -6,24 +6,20 @@ import inspect
 import io
 import textwrap
 import time
-import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout
-from pathlib import Path
 from types import ModuleType
 from typing import Any
 
 import pytest
 import torch
 
-from anystyle.registry.catalog import PluginError, base_of, catalog
+from anystyle.registry.catalog import PluginError, base_of, catalog, location_in
 from anystyle.testing import composition, declaration
 from anystyle.testing.composition import compositions
 from anystyle.testing.subject import Subject, subject
-
-LIBRARIES = frozenset({"torch", "jaxtyping", "beartype", "torchmetrics", "contextlib.py", "_pytest"})
 
 
 def promises(kind: str) -> list[Callable[[Any], None]]:
@@ -106,28 +102,16 @@ def check(kind: str, plugin: str | type) -> bool:
         except (Exception, pytest.fail.Exception) as error:
             counts["broken"] += 1
             blocked = promise is promises_in(inspect.getmodule(promise))[0]  # pyright: ignore[reportArgumentType]
-            print(f"FAILED   {words}\n{_indented(inspect.getdoc(promise) or '')}\n{_indented(describe(error))}")
+            told = " ".join(str(error).split())[:600]
+            if not told or not isinstance(error, AssertionError | pytest.fail.Exception):
+                told = f"{type(error).__name__}: {told}{location_in(error, cls.__module__)}"
+            print(f"FAILED   {words}\n{_indented(inspect.getdoc(promise) or '')}\n{_indented(told)}")
         else:
             counts["kept"] += 1
             print(f"ok       {words}")
     rest = "".join(f", {counts[word]} {word}" for word in ("broken", "not checked") if counts[word])
     print(f"{counts['kept']} promises kept{rest}, in {time.perf_counter() - start:.1f} s")
     return set(counts) == {"kept"}
-
-
-def describe(error: BaseException) -> str:
-    """The message of an assertion, or another error with the line of the plugin's code that it came from."""
-    text = " ".join(str(error).split())[:600]
-    if isinstance(error, AssertionError | pytest.fail.Exception) and text:
-        return text
-    # Neither a contract nor a library that called back.
-    frames = [(Path(frame.filename), frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
-    own = [
-        f" ({file.name}, line {line})"
-        for file, line in frames
-        if file.name[0] != "<" and file.parent != Path(__file__).parent and not LIBRARIES & set(file.parts)
-    ]
-    return f"{type(error).__name__}: {text}{''.join(own[-1:])}"
 
 
 @contextmanager

@@ -194,34 +194,6 @@ class ProgressLines(Callback):
             sys.stderr.write("  ".join(f"{name} {value:.4g}" for name, value in sorted(metrics.items())) + "\n")
 
 
-class SkippedData(Callback):
-    """Count and list the scenes and styles that could not be read and were replaced by other draws.
-
-    The list is a text file of a line each; processes of rank above 0 append their rank to its name.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.counts: dict[str, int] = {}
-
-    def on_train_batch_end(
-        self, trainer: Trainer, pl_module: LightningModule, outputs: Any, batch: Any, batch_idx: int
-    ) -> None:
-        num_known = len(self.counts)
-        for line in getattr(batch, "skipped", ()):
-            self.counts[line] = self.counts.get(line, 0) + 1
-        pl_module.log("data/skipped", float(sum(self.counts.values())))
-        if len(self.counts) > num_known:
-            with atomic_path(of_rank(self.path, trainer.global_rank)) as temporary:
-                temporary.write_text("".join(f"{line}\n" for line in self.counts), encoding="utf-8")
-
-    def state_dict(self) -> dict[str, Any]:
-        return {"counts": self.counts}
-
-    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        self.counts = dict(state_dict["counts"])
-
-
 def of_rank(path: Path, rank: int) -> Path:
     """A path with the rank appended to its stem, where that is above 0."""
     return path if rank == 0 else path.with_stem(f"{path.stem}_{rank}")

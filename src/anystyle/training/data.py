@@ -32,14 +32,12 @@ class Batch(Value):
         context: Number of context views, the network's input.
         style: One style for each scene, where the training has styles.
         keys: Identifies the content of each row; equal keys mean equal context views.
-        skipped: An error message for each scene or style that could not be read and was drawn again.
     """
 
     views: Views
     context: int
     style: Style | None = None
     keys: tuple[int, ...] = ()
-    skipped: tuple[str, ...] = ()
 
     @property
     def num_images(self) -> int:
@@ -54,7 +52,7 @@ class Batch(Value):
 
 @runtime_checkable
 class BatchSource(Protocol):
-    """A source of batches by step; a batch may say its ``num_images``, for the throughput, and what it ``skipped``."""
+    """A source of batches by step; a batch may say its ``num_images``, for the throughput."""
 
     def batch(self, step: int, rank: int, world: int) -> Value:
         """The rows of ``step`` of process ``rank`` of ``world``."""
@@ -119,7 +117,7 @@ class SceneBatches:
     def batch(self, step: int, rank: int = 0, world: int = 1) -> Batch:
         """The rows of ``step`` of process ``rank`` of ``world``.
 
-        Scenes and styles that cannot be read, and scenes with too few views, are drawn again; the batch lists them.
+        Scenes and styles that cannot be read, and scenes with too few views, are drawn again, with a warning.
         """
         count, context = self.shape(step, world)
         if count % world:
@@ -127,8 +125,7 @@ class SceneBatches:
                 f"{count} scenes a step cannot be shared by {world} processes; make training.batch_size a multiple of "
                 f"them, or null and set training.images"
             )
-        skipped: list[str] = []
-        rows = [self._row(step, row, context, skipped) for row in range(rank, count, world)]
+        rows = [self._row(step, row, context) for row in range(rank, count, world)]
         views, keys = [row[0] for row in rows], [row[2] for row in rows]
         size = self._size(step, views[0].size)
         if any(side % self.multiple for side in size):
@@ -144,19 +141,19 @@ class SceneBatches:
             scales = [generator(self.seed, 10, key, key >> 32).uniform(self.min_scale, 1) for key in keys]
             views = [blurred_views(each, float(scale)) for each, scale in zip(views, scales, strict=True)]
         style = None if self.styles is None else stack_styles([row[1] for row in rows])
-        return Batch(stack_views(views), context, style, tuple(keys), tuple(skipped))
+        return Batch(stack_views(views), context, style, tuple(keys))
 
-    def _row(self, step: int, row: int, context: int, skipped: list[str]) -> tuple[Views, Style, int]:
+    def _row(self, step: int, row: int, context: int) -> tuple[Views, Style, int]:
+        last = "a style without an image"
         for attempt in range(ATTEMPTS):
             try:
                 views, style, key = self._draw(step, row, context, attempt)
             except (ValueError, OSError) as error:
-                skipped.append(one_line(error))
-                logger.warning("skipped: %s", skipped[-1])
+                last = one_line(error)
+                logger.warning("skipped: %s", last)
                 continue
             if not self.needs_style_image or style.image is not None:
                 return views, style, key
-        last = skipped[-1] if skipped else "a style without an image"
         raise UserError(f"{ATTEMPTS} draws of scenes and styles could not be read; the last one: {last}")
 
     def _draw(self, step: int, row: int, context: int, attempt: int) -> tuple[Views, Style, int]:

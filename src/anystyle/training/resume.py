@@ -18,8 +18,7 @@ from anystyle.io.documents import Count, plain, read_json
 from anystyle.registry.compose import changes, flat
 
 UNBOUND = (
-    "resume", "checkpoint", "loggers", "workers", "export", "out", "fast_dev_run", "name", "features", "explosion",
-    "precision",
+    "resume", "checkpoint", "loggers", "workers", "export", "out", "fast_dev_run", "name", "explosion", "precision",
 )  # fmt: skip
 """Parts of a configuration that may change when a run is resumed: they do not change its result."""
 

@@ -19,7 +19,7 @@ from torch import nn
 from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
-from anystyle.io.checkpoint import Header, load_part, save_part, sha256
+from anystyle.io.checkpoint import Header, load_part, save_part
 from anystyle.io.documents import Figure, as_number, kept_json
 from anystyle.paths import SHARED
 from anystyle.pipeline.load import assemble, branch_header, room_for_backbone, weights_file
@@ -30,13 +30,11 @@ from anystyle.training.base import Training
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
 from anystyle.training.data import StepData
 from anystyle.training.resume import RECORD, Resumed, bound, exclusive, is_rank_zero, resumable
-from anystyle.training.scene_cache import CachedScenes, FeatureStore
+from anystyle.training.scene_cache import CachedScenes
 from anystyle.training.sharding import with_full_state
 from anystyle.training.trainer import check_options, make_trainer
 
 METRICS = "metrics.json"
-FEATURES = "features"
-"""The ``cache`` that keeps encoded scenes; any other name is a folder of decoded scenes."""
 
 
 @dataclass(frozen=True)
@@ -165,10 +163,7 @@ def _trial(config: DictConfig, out: Path) -> Iterator[tuple[DictConfig, Path]]:
 
 def make_training(config: DictConfig) -> Training:
     """Build the training and the parts that its constructor names."""
-    plugin = catalog().owner("training", str(config.training.get("_target_")))
-    arguments = runtime_arguments(plugin)
-    if config.get("cache") == FEATURES and "features" not in arguments:
-        raise UserError(f"cache=features is for trainings on a frozen backbone, and {plugin.name} trains its own")
+    arguments = runtime_arguments(catalog().owner("training", str(config.training.get("_target_"))))
     parts: dict[str, Any] = {}
     if "stylizer" in arguments:
         parts["stylizer"] = assemble(config, learns=True)[0]
@@ -182,26 +177,7 @@ def make_training(config: DictConfig) -> Training:
     if "losses" in arguments:
         encoder = parts["stylizer"].style_encoder if "stylizer" in parts else None
         parts["losses"] = build_all(Loss, objective(config), style_encoder=encoder)
-    if config.get("cache") == FEATURES:
-        parts["features"] = _feature_store(config)
     return build(Training, config.training, **parts)
-
-
-def _feature_store(config: DictConfig) -> FeatureStore:
-    """The store of encoded scenes, described by all of the configuration that they depend on."""
-    weights = config.weights.get("backbone")
-    described = OmegaConf.masked_copy(config, ["backbone", "scenes"])
-    parts: Any = OmegaConf.to_container(described, resolve=True, enum_to_str=True)
-    description = parts | {
-        "weights": None if weights is None else sha256(weights_file(weights)),
-        # Weights as initialised are a function of the seed.
-        "seed": config.seed,
-        "precision": str(config.trainer.precision),
-        "accelerator": str(config.trainer.accelerator),
-        "torch": torch.__version__,
-    }
-    folder = Path(str(config.features.folder)).expanduser()
-    return FeatureStore(folder, description, gigabytes=float(config.features.gigabytes))
 
 
 def objective(config: DictConfig) -> dict[str, Any]:
@@ -237,7 +213,7 @@ def make_sources(config: DictConfig) -> Sources:
         if config.get(key) is None or config[key].get("_target_") is None:
             return None
         built, cache = build(base, config[key]), config.get("cache")
-        if base is StyleSource or cache in (None, FEATURES):
+        if base is StyleSource or cache is None:
             return built
         return CachedScenes(built, Path(str(cache)).expanduser() / key)
 

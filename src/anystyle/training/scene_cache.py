@@ -1,16 +1,13 @@
-"""Caches of scenes: decoded ones on the disk, encoded ones in memory and on the disk."""
+"""Caches of scenes: decoded ones on the disk, encoded ones in memory."""
 
-import hashlib
-import json
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 import torch.nn.functional as F
-import torch.utils._pytree as pytree
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 from torch import Tensor
@@ -20,7 +17,7 @@ from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import atomic_path, write_json
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import kept_json
-from anystyle.types import Attributes, Cameras, Clusters, Gaussians, Geometry, Scene, Tokens, Views
+from anystyle.types import Cameras, Clusters, Scene, Views
 
 logger = logging.getLogger(__name__)
 
@@ -81,92 +78,25 @@ class CachedScenes(SceneSource):
         return {name: tensor.contiguous() for name, tensor in tensors.items()}
 
 
-class FeatureStore:
-    """A folder with one file for each encoded scene, without its photographs, bit for bit.
-
-    All that encoded scenes depend on is in ``description``: another one has another sub-folder. When that is full,
-    further scenes are encoded each time they are seen, with one warning. Processes may share a folder.
-    """
-
-    def __init__(self, folder: Path, description: Mapping[str, Any], *, gigabytes: float) -> None:
-        if gigabytes <= 0:
-            raise UserError(f"features.gigabytes={gigabytes}: give the capacity of the folder, above 0")
-        self.root, self.description, self.gigabytes = folder, description, gigabytes
-        text = json.dumps(description, sort_keys=True)
-        self.folder = folder / hashlib.sha256(text.encode()).hexdigest()[:16]
-        self._full = False
-
-    def described(self, **more: Any) -> "FeatureStore":
-        """The store of scenes that depend on more."""
-        return FeatureStore(self.root, {**self.description, **more}, gigabytes=self.gigabytes)
-
-    @property
-    def used(self) -> int:
-        """Bytes that the encoded scenes occupy."""
-        return sum(path.stat().st_size for path in self.folder.glob("*.pt"))
-
-    def get(self, key: str, views: Views) -> Scene | None:
-        """The scene of a key with the views it was encoded from, on their device; ``None`` if it is not stored."""
-        path = self.folder / f"{key}.pt"
-        if not path.is_file():
-            return None
-        try:
-            known = [Scene, Attributes, Cameras, Clusters, Gaussians, Geometry, Tokens, Views]
-            with torch.serialization.safe_globals(known):
-                scene = torch.load(path, map_location=views.images.device, weights_only=True)
-        except Exception as error:  # damaged archives raise nearly anything
-            logger.warning("%s is damaged (%s); the scene is encoded again", path, one_line(error)[:200])
-            return None
-        return replace(scene, views=views)
-
-    def put(self, key: str, scene: Scene) -> None:
-        """Store a scene, if there is room."""
-        if self._full:
-            return
-        # Cloned, because a view of a larger tensor would be written with all of it.
-        stored = replace(scene, views=Views(scene.views.images[..., :0])).map(
-            lambda tensor: tensor.detach().contiguous().clone()
-        )
-        size = sum(leaf.nbytes for leaf in pytree.tree_leaves(stored) if isinstance(leaf, Tensor))
-        try:
-            if self.used + size > self.gigabytes * 1e9:
-                raise OSError("raise features.gigabytes or lower training.pool")
-            with atomic_path(self.folder / f"{key}.pt") as temporary:
-                torch.save(stored, temporary)
-        except (OSError, RuntimeError) as error:
-            self._full = True
-            logger.warning("%s is full (%s); further scenes are encoded each time", self.folder, one_line(error))
-
-
 class EncodedScenes:
-    """Encoded scenes by their key and image size, least recently used first out; ``store`` keeps them on disk too.
+    """Encoded scenes by their key and image size, least recently used first out.
 
     Every scene is encoded alone, whether or not it is cached: a batch is the same with and without the cache.
     """
 
-    def __init__(self, encode: Callable[[Views], Scene], limit: int, store: FeatureStore | None = None) -> None:
-        self.encode, self.store = encode, store
-        self._scenes: LRUCache[str, Scene] = LRUCache(limit)
+    def __init__(self, encode: Callable[[Views], Scene], limit: int) -> None:
+        self.encode = encode
+        self._scenes: LRUCache[tuple[int, tuple[int, int]], Scene] = LRUCache(limit)
 
     def __call__(self, views: Views, keys: Sequence[int]) -> Scene:
         """The scenes of a batch of views, one key a row."""
         # The views of a key are the same each time, but their size may change from step to step.
-        names = [f"{key}_{views.size[0]}x{views.size[1]}" for key in keys]
         return stack_scenes(
             [
-                self._scenes.get(name, lambda name=name, row=row: self._encoded(name, views.row(row)))
-                for row, name in enumerate(names)
+                self._scenes.get((key, views.size), lambda row=row: self.encode(views.row(row)))
+                for row, key in enumerate(keys)
             ]
         )
-
-    def _encoded(self, name: str, views: Views) -> Scene:
-        if self.store is None:
-            return self.encode(views)
-        scene = self.store.get(name, views)
-        if scene is None:
-            scene = self.encode(views)
-            self.store.put(name, scene)
-        return scene
 
 
 def stack_scenes(scenes: Sequence[Scene]) -> Scene:

@@ -20,7 +20,7 @@ from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import check_rates, scheduled, trainable
 from anystyle.training.sampling import check_counts, generator
-from anystyle.training.scene_cache import EncodedScenes, FeatureStore
+from anystyle.training.scene_cache import EncodedScenes
 from anystyle.training.trainer import log_picture
 from anystyle.types import Gaussians, Renders, Scene, Style, StyleEmbedding, Stylization, Views
 
@@ -34,7 +34,6 @@ class StylizationTraining(Training):
     Args:
         stylizer: Its branch is trained.
         losses: The terms of the objective by name, each with its weight.
-        features: Where encoded scenes are stored on disk; ``None`` stores none.
         images: Images a step over all processes; with n views a scene that is ``images // n`` scenes, and the same
             number for each process (published: 36 a process).
         batch_size: Scenes a step, instead of ``images``.
@@ -73,7 +72,6 @@ class StylizationTraining(Training):
         *,
         stylizer: Stylizer,
         losses: Mapping[str, Loss],
-        features: FeatureStore | None = None,
         images: int = 36,
         batch_size: int | None = None,
         context_views: Sequence[int] = (2, 18),
@@ -116,11 +114,6 @@ class StylizationTraining(Training):
             raise UserError(f"training.betas={list(betas)}: give two numbers of at least 0 and below 1")
         if not losses:
             raise UserError("there is nothing to learn from; add loss=[content,style,clip_directional]")
-        if features is not None and pool is None:
-            raise UserError(
-                "cache=features stores scenes that are seen again, and with training.pool=null none is; set "
-                "training.pool to a number of selections of views"
-            )
         self.stylizer = stylizer
         for copied in (stylizer.branch.aggregator, stylizer.branch.gaussian_head):
             if copied is not None and not learn_copies:
@@ -131,9 +124,7 @@ class StylizationTraining(Training):
             spread=spread, heights=heights, width=width, multiple=stylizer.backbone.patch_size, flip=flip,
             min_scale=min_scale, pool=pool, needs_style_image=text_ratio == 0,
         )  # fmt: skip
-        views = {"spread": spread, "flip": flip, "context_views": list(context_views)}
-        self.features = None if features is None else features.described(**views)
-        self.encoded = EncodedScenes(self._encode, cache_scenes)
+        self.encoded = EncodedScenes(stylizer.encode, cache_scenes)
         self.text_ratio, self.alternation, self.mix_ratio = text_ratio, alternation, mix_ratio
         self.text_step_images = text_step_images
         self.learning_rate, self.betas, self.weight_decay = learning_rate, (betas[0], betas[1]), weight_decay
@@ -148,8 +139,6 @@ class StylizationTraining(Training):
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
         self.seed = seed
-        if self.features is not None:
-            self.encoded.store = self.features.described(seed=seed)
         self._source = self.make_batches(required(scenes, "scenes"), required(styles, "styles"), seed=seed)
         return self._source
 
@@ -196,13 +185,6 @@ class StylizationTraining(Training):
 
     def _render(self, gaussians: Gaussians, scene: Scene) -> Renders:
         return self.stylizer.render(gaussians.to(torch.float32), scene.cameras.to(torch.float32))
-
-    def _encode(self, views: Views) -> Scene:
-        scene = self.stylizer.encode(views)
-        if self.encoded.store is None or self.stylizer.branch.aggregator is not None:
-            return scene
-        # A branch that begins at the features does not read the stem, which need not be stored.
-        return replace(scene, stem=scene.stem.with_data(torch.empty_like(scene.stem.data[:, :, :0])))
 
     def embed(self, style: Style, step: int) -> StyleEmbedding:
         """The styles of a step, as texts or as images; a row that lacks the one is embedded as the other."""

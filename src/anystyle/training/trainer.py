@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 
 from anystyle.errors import UserError, one_line, unknown
-from anystyle.training.callbacks import ProgressLines, SkippedData, StepSeed
+from anystyle.training.callbacks import ProgressLines, StepSeed
 from anystyle.training.safeguards import FiniteLoss, SkipOutliers
 from anystyle.training.sharding import Sharded
 
@@ -107,7 +107,6 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
         FiniteLoss(out / "refused_batch.pt", growth=None if config.explosion is None else float(config.explosion)),
         LearningRateMonitor(),
         ThroughputMonitor(lambda batch: getattr(batch, "num_images", 1), window_size=20),
-        SkippedData(out / "skipped.txt"),
         *([SkipOutliers()] if config.skip_outliers else []),
         *([] if is_terminal else [ProgressLines()]),
     ]

@@ -12,8 +12,8 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from anystyle.training.supervision import project
 from anystyle.types import Cameras, Features, Geometry
+from anystyle_tiny.training.supervision import masked_mean, project
 
 
 @dataclass(frozen=True)
@@ -81,10 +81,10 @@ class FeatureProbes(nn.Module):
             located = self.locate[str(layer)](patches)
             point = (located[..., :3] - matches.points).norm(dim=-1) / matches.points.norm(dim=-1).clamp_min(0.1)
             shift = (located[..., 3:] - matches.shift).abs().mean(-1)[:, 1:]
-            terms["match"].append(_mean(entropy, others))
-            terms["glide"].append(_mean(glide, others))
-            terms["locate"].append(_mean(point, matches.known))
-            terms["shift"].append(_mean(shift, matches.known[:, 1:]))
+            terms["match"].append(masked_mean(entropy, others))
+            terms["glide"].append(masked_mean(glide, others))
+            terms["locate"].append(masked_mean(point, matches.known))
+            terms["shift"].append(masked_mean(shift, matches.known[:, 1:]))
         return {name: torch.stack(values).mean() for name, values in terms.items()}
 
 
@@ -105,8 +105,4 @@ def correlation_loss(correlation: Float[Tensor, "B v r c r c"], matches: PatchMa
         weight = (1 - (position[..., 0] - column).abs()) * (1 - (position[..., 1] - row).abs())
         index = row.clamp(0, rows - 1) * columns + column.clamp(0, columns - 1)
         entropy = entropy - weight * log_probability.gather(-1, index.long()[..., None])[..., 0]
-    return _mean(entropy, matches.visible[:, 1:])
-
-
-def _mean(values: Float[Tensor, "B V P"], chosen: Bool[Tensor, "B V P"]) -> Float[Tensor, ""]:
-    return (values * chosen).sum() / chosen.sum().clamp_min(1)
+    return masked_mean(entropy, matches.visible[:, 1:])

@@ -9,17 +9,16 @@ from torch import Tensor
 
 from anystyle.contracts import Backbone, Renderer
 from anystyle.nn.aligner import Aligner
-from anystyle.training.reconstruction import ReconstructionTraining
 from anystyle.types import Cameras, Features
 from anystyle_tiny.training.match_supervision import FeatureProbes, correlation_loss, patch_matches
+from anystyle_tiny.training.reconstruction import ReconstructionTraining
 
 
 class MatchedReconstruction(ReconstructionTraining):
     """Teach a backbone depth, cameras, Gaussians, and which patches of two views show the same point.
 
-    Beside the terms of :class:`~anystyle.training.reconstruction.ReconstructionTraining`, tapped features must predict
-    matches, points and shifts through projections that are not saved, and the matches of a backbone that aligns its
-    cameras are supervised.
+    Beside the terms of ``training=reconstruction``, tapped features must predict matches, points and shifts through
+    projections that are not saved, and the matches of a backbone that aligns its cameras are supervised.
 
     Args:
         match_weight: Of the cross entropy of matching patches.

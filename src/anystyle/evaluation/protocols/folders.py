@@ -49,5 +49,5 @@ class Folders(Protocol):
         return {kind: str(folder / kind) for kind in ("content", "style", "stylized")}
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
-        evaluation = judge_pairing(self.metrics, self.pairing, out, progress)
+        evaluation = judge_pairing(self.metrics, self.pairing, progress)
         return evaluation.with_facts(unused=list(self.pairing.unused))

@@ -124,9 +124,7 @@ class Tables(Protocol):
                 )
                 for (scene, style), paths in images.items()
             ]
-            rows[name] = judge_pairing(
-                self.metrics, Pairing(tuple(cells)), out / "methods" / name, progress, stage=name
-            )
+            rows[name] = judge_pairing(self.metrics, Pairing(tuple(cells)), progress, stage=name)
         for name, row in rows.items():
             folder = out / "methods" / name
             folder.mkdir(parents=True, exist_ok=True)

@@ -9,50 +9,31 @@ from torch import Tensor, nn
 
 from anystyle.contracts import Adapter, Aggregator, Backbone, Embedder, GaussianHead, GeometryHead
 from anystyle.geometry.harmonics import constant_from_rgb
-from anystyle.geometry.transforms import matrix_from_vector
 from anystyle.types import Attributes, Cameras, Clusters, Features, Gaussians, Geometry, Inject, Site, Tokens, untouched
 
 
 class ToyEmbedder(Embedder):
-    """One convolution a patch, and one learned camera token a view."""
+    """One convolution a patch; the mean of a view's patches is its camera token."""
 
     def __init__(self, *, dim: int, patch_size: int) -> None:
         super().__init__()
         self.patches = nn.Conv2d(3, dim, patch_size, stride=patch_size)
-        self.camera = nn.Parameter(torch.randn(dim))
 
     def forward(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
         maps = self.patches(images.flatten(0, 1) * 2 - 1)  # BV C h w
         patches = maps.flatten(2).mT.unflatten(0, images.shape[:2])  # B V hw C
-        camera = self.camera.expand(*images.shape[:2], 1, -1)
+        camera = patches.mean(2, keepdim=True)
         return Tokens(torch.cat([camera, patches], dim=2), grid=(maps.shape[-2], maps.shape[-1]), special=1)
 
 
-class ToyLayer(nn.Module):
-    """Each token learns from itself, from the mean of its view and from the mean of its scene."""
-
-    def __init__(self, *, dim: int) -> None:
-        super().__init__()
-        self.norm = nn.LayerNorm(dim)
-        self.token = nn.Sequential(nn.Linear(dim, 2 * dim), nn.GELU(), nn.Linear(2 * dim, dim))
-        self.view = nn.Linear(dim, dim)
-        self.scene = nn.Linear(dim, dim)
-
-    def forward(self, data: Float[Tensor, "B V P C"]) -> Float[Tensor, "B V P C"]:
-        """Mix the tokens."""
-        normed = self.norm(data)
-        view, scene = normed.mean(2, keepdim=True), normed.mean((1, 2), keepdim=True)
-        return data + self.token(normed) + self.view(view) + self.scene(scene)
-
-
 class ToyAggregator(Aggregator):
-    """A few mixing layers; heads read the first and the last."""
+    """In each layer a token learns from itself and from the mean of its scene; heads read the first and the last."""
 
     def __init__(self, *, dim: int, depth: int) -> None:
         super().__init__()
         self.dim = dim
         self.taps = (0, depth - 1)
-        self.layers = nn.ModuleList(ToyLayer(dim=dim) for _ in range(depth))
+        self.layers = nn.ModuleList(nn.Sequential(nn.Linear(2 * dim, dim), nn.GELU()) for _ in range(depth))
 
     @property
     def sites(self) -> tuple[Site, ...]:
@@ -63,31 +44,31 @@ class ToyAggregator(Aggregator):
         tokens, features = stem, {}
         for index, layer in enumerate(self.layers):
             tokens = inject(f"aggregator/{index}", tokens)
-            tokens = tokens.with_data(layer(tokens.data))
+            scene = tokens.data.mean((1, 2), keepdim=True).expand_as(tokens.data)
+            tokens = tokens.with_data(tokens.data + layer(torch.cat([tokens.data, scene], dim=-1)))
             if index in self.taps:
                 features[index] = tokens
         return features
 
 
 class ToyGeometryHead(GeometryHead):
-    """A camera from each view's camera token, depth and confidence from its patches."""
+    """Cameras that look ahead from where each view's camera token says, depth and confidence from its patches."""
 
     def __init__(self, *, dim: int, patch_size: int) -> None:
         super().__init__()
         self.patch_size = patch_size
-        self.pose = nn.Linear(dim, 6)
+        self.position = nn.Linear(dim, 3)
         self.depth = nn.Linear(dim, 2 * patch_size**2)
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
         (batch, number), (height, width) = images.shape[:2], images.shape[-2:]
         tokens = features[max(features)]
-        shift, turn = (0.1 * self.pose(tokens.data[:, :, 0])).split(3, dim=-1)  # B V 3 each
-        depth, confidence = _to_pixels(self.depth(tokens.patches), tokens.grid, self.patch_size).unbind(-1)
-        bottom = shift.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(batch, number, 1, 4)
-        poses = torch.cat([torch.cat([matrix_from_vector(turn), shift[..., None]], dim=-1), bottom], dim=-2)
+        poses = torch.eye(4).to(tokens.data).repeat(batch, number, 1, 1)
+        poses[..., :3, 3] = 0.1 * self.position(tokens.data[:, :, 0])
         focal = float(max(height, width))
         intrinsics = poses.new_tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
         cameras = Cameras(poses, intrinsics.repeat(batch, number, 1, 1), (height, width))
+        depth, confidence = _to_pixels(self.depth(tokens.patches), tokens.grid, self.patch_size).unbind(-1)
         return Geometry(cameras=cameras, depth=2 + depth.tanh(), confidence=F.softplus(confidence))
 
 
@@ -98,7 +79,6 @@ class ToyGaussianHead(GaussianHead):
         super().__init__()
         self.dim = dim
         self.patch_size = patch_size
-        self.norm = nn.LayerNorm(dim)
         self.attributes = nn.Linear(dim, 11 * patch_size**2)
 
     @property
@@ -108,7 +88,7 @@ class ToyGaussianHead(GaussianHead):
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
         tokens = inject("head/tokens", features[max(features)])
-        raw = _to_pixels(self.attributes(self.norm(tokens.patches)), tokens.grid, self.patch_size)  # B V H W 11
+        raw = _to_pixels(self.attributes(tokens.patches), tokens.grid, self.patch_size)  # B V H W 11
         opacity, scale, rotation, change = raw.split([1, 3, 4, 3], dim=-1)
         color = constant_from_rgb(images.movedim(2, -1)) + change
         return Attributes(opacity=opacity[..., 0], scale=scale, rotation=rotation, color=color[..., None])

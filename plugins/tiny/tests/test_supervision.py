@@ -6,8 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from anystyle.training.reconstruction import geometry_errors, psnr
-from anystyle.training.supervision import (
+from anystyle.types import Cameras, Geometry, Views
+from anystyle_tiny.training.match_supervision import patch_matches
+from anystyle_tiny.training.reconstruction import geometry_errors, psnr
+from anystyle_tiny.training.supervision import (
     _subsample,
     camera_loss,
     canonical,
@@ -17,8 +19,6 @@ from anystyle.training.supervision import (
     project,
     transfer_loss,
 )
-from anystyle.types import Cameras, Geometry, Views
-from anystyle_tiny.training.match_supervision import patch_matches
 from oracle import hashed
 
 SIZE = 24

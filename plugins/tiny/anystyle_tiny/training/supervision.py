@@ -41,7 +41,7 @@ def depth_loss(
     valid = true > 0
     error = predicted.clamp_min(1e-4).log() - true.clamp_min(1e-4).log()
     confidence = confidence.clamp_min(1e-3)
-    loss = _mean(confidence * error.abs() - alpha * confidence.log(), valid)
+    loss = masked_mean(confidence * error.abs() - alpha * confidence.log(), valid)
     for step in (1, 2, 4):
         for axis in (-1, -2):
             count = error.shape[axis] - step
@@ -49,7 +49,7 @@ def depth_loss(
                 continue
             slope = error.narrow(axis, step, count) - error.narrow(axis, 0, count)
             both = valid.narrow(axis, step, count) & valid.narrow(axis, 0, count)
-            loss = loss + gradient / 6 * _mean(slope.abs(), both)
+            loss = loss + gradient / 6 * masked_mean(slope.abs(), both)
     return loss
 
 
@@ -75,7 +75,7 @@ def transfer_loss(
     cameras, depth = _subsample(true, depth, stride)
     world = Geometry(cameras, depth, depth).points()
     local = _into(predicted.camera_from_world, world) - _into(true.camera_from_world, world)
-    return _mean(_smooth_l1(local.norm(dim=-1) / depth.clamp_min(0.05)), depth > 0)
+    return masked_mean(_smooth_l1(local.norm(dim=-1) / depth.clamp_min(0.05)), depth > 0)
 
 
 def point_loss(geometry: Geometry, true: Cameras, depth: Float[Tensor, "B V H W"], *, stride: int = 2) -> Tensor:
@@ -85,7 +85,7 @@ def point_loss(geometry: Geometry, true: Cameras, depth: Float[Tensor, "B V H W"
     world = Geometry(cameras, depth, depth).points()
     predicted = Geometry(predicted_cameras, predicted_depth, predicted_depth).points()
     error = (predicted - world).norm(dim=-1) / world.norm(dim=-1).clamp_min(0.1)
-    return _mean(_smooth_l1(error), depth > 0)
+    return masked_mean(_smooth_l1(error), depth > 0)
 
 
 def project(cameras: Cameras, world: Float[Tensor, "B M 3"]) -> tuple[Float[Tensor, "B V M 2"], Float[Tensor, "B V M"]]:
@@ -105,7 +105,8 @@ def _smooth_l1(error: Tensor, width: float = 0.05) -> Tensor:
     return F.smooth_l1_loss(error, torch.zeros_like(error), beta=width, reduction="none")
 
 
-def _mean(values: Tensor, valid: Bool[Tensor, "..."]) -> Tensor:
+def masked_mean(values: Tensor, valid: Bool[Tensor, "..."]) -> Tensor:
+    """The mean of the values that are ``valid``; 0 if none is."""
     return (values * valid).sum() / valid.sum().clamp_min(1)
 
 

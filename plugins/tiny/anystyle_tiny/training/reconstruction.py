@@ -18,8 +18,8 @@ from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
 from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import decayed_adamw
-from anystyle.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
 from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Views
+from anystyle_tiny.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
 
 
 class ReconstructionTraining(Training):

@@ -8,9 +8,9 @@ import torch
 from anystyle.contracts import Backbone, Renderer
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
-from anystyle.training.reconstruction import ReconstructionTraining
-from anystyle.training.supervision import canonical
 from anystyle_tiny.procedural.scenes import ProceduralScenes
+from anystyle_tiny.training.reconstruction import ReconstructionTraining
+from anystyle_tiny.training.supervision import canonical
 from training_cases import RECONSTRUCTION
 
 

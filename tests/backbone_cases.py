@@ -1,0 +1,33 @@
+"""Small networks of the repository's backbones with random weights, and what they are shown."""
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from anystyle.contracts import Backbone
+from anystyle.registry.catalog import catalog
+from anystyle.types import Views
+from oracle import smooth_image
+
+
+def network(name: str, **options: Any) -> Backbone:
+    plugin = catalog().find("backbone", name).load()
+    torch.manual_seed(0)
+    backbone = plugin(**(plugin.example(Path()) | options))
+    generator = torch.Generator().manual_seed(1)
+    with torch.no_grad():
+        for parameter in backbone.parameters():
+            if options.get("init") != "scratch":
+                parameter.add_(0.05 * torch.randn(parameter.shape, generator=generator))
+    return backbone.eval()
+
+
+def views(count: int, scenes: int = 1, size: tuple[int, int] = (28, 42)) -> Views:
+    return Views(smooth_image(count, (scenes, count, 3, *size)))
+
+
+def same(left: Any, right: Any, **tolerance: float) -> None:
+    for one, other in zip(torch.utils._pytree.tree_leaves(left), torch.utils._pytree.tree_leaves(right), strict=True):
+        if isinstance(one, torch.Tensor):
+            torch.testing.assert_close(one, other, **tolerance)
