@@ -94,7 +94,6 @@ ENDS = {
 TELLS = {
     r"anystyle plugins check ": "promises kept",
     r"anystyle stylize placement=sparse placement.step=3 --cfg job": "_target_: sparse.Sparse\nstep: 3",
-    r"anystyle weights convert ": "anystyle_head.safetensors",
     r"anystyle stylize photos/ (?!.*(=any|weights))": "look at out/sheet.png",
     r"anystyle train (?!.*(-m|--cfg|--info|fast_dev|smoke|paper))": "steps done; ",
 }

@@ -1,22 +1,18 @@
-"""``anystyle weights``: the table, judging a file, keeping its tensors alone."""
+"""``anystyle weights``: the table, and judging a file."""
 
-import json
 import re
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
-from safetensors import safe_open
-from safetensors.torch import load_file, save_file
-from torch import Tensor
+from safetensors.torch import save_file
 
 from anystyle.commands import weights as command
 from anystyle.commands._run import run
 from anystyle.pipeline.weights import load_reference
 from anystyle.vision import weights
-from anystyle.vision.clip import Clip
-from weights_cases import small_checkpoint, training_checkpoint
+from weights_cases import small_checkpoint
 
 Cli = Callable[..., tuple[int, str, str]]
 
@@ -40,8 +36,8 @@ def cli(capsys: pytest.CaptureFixture[str]) -> Cli:
 
 
 def refused(cli: Cli, *words: object, told: str) -> None:
-    status, out, err = cli(*words)
-    assert status == 2 and out == ""
+    status, _, err = cli(*words)
+    assert status == 2
     assert re.search(told, err), err
     assert err.count("\n") == 1 and "Traceback" not in err
 
@@ -77,42 +73,14 @@ def test_rows_are_chosen_by_name(cli: Cli) -> None:
 # Judging a file
 
 
-@pytest.mark.parametrize(
-    ("placement", "prefix", "told"),
-    [
-        (None, "encoder.", ["backbone=anysplat", "float32"]),
-        ("head", "model.encoder.", ["backbone=anysplat", "placement=head", "an addition to the style encoder"]),
-        ("full", "", ["backbone=anysplat", "a style branch of placement=full", "an addition to the style encoder"]),
-    ],
-)
-def test_checkpoints_are_recognised(cli: Cli, tmp_path: Path, placement: str | None, prefix: str, told: list) -> None:
-    save_file(small_checkpoint(placement, prefix), tmp_path / "it.safetensors")
+def test_what_a_file_holds(cli: Cli, tmp_path: Path) -> None:
+    save_file(small_checkpoint("head"), tmp_path / "it.safetensors")
     status, out, err = cli("verify", tmp_path / "it.safetensors")
     assert status == 0, err
-    assert "it.safetensors is whole" in out and "sha256" in out
-    for part in told:
-        assert part in out
-
-
-def test_an_initialisation_is_told_from_the_whole_network(cli: Cli, tmp_path: Path) -> None:
-    """VGGT's file: no Gaussian head, and heads that AnySplat drops."""
-    state = {key: tensor for key, tensor in small_checkpoint(None).items() if not key.startswith("gaussian_param")}
-    state |= {"point_head.norm.weight": torch.ones(4), "track_head.tracker.weight": torch.ones(4)}
-    save_file(state, tmp_path / "vggt.safetensors")
-    status, out, err = cli("verify", tmp_path / "vggt.safetensors")
-    assert status == 0, err
-    assert "an initialisation of parts of it" in out
-
-
-def test_clips_and_our_own_files_are_recognised(cli: Cli, tmp_path: Path) -> None:
-    clip = Clip(context=77, vocabulary=30, text_width=64, text_layers=1, image_width=64, image_layers=2, dim=8)
-    torch.save({**clip.state_dict(), "logit_scale": torch.ones(())}, tmp_path / "clip.pt")
-    assert "CLIP or Long-CLIP" in cli("verify", tmp_path / "clip.pt")[1]
+    assert "none is published" in out and "float32" in out
     assert "branch that anystyle wrote" in cli("verify", "tiny_branch")[1]
-    assert "LPIPS" in cli("verify", "lpips_alex")[1]
-    broken = {key: tensor for key, tensor in clip.state_dict().items() if key != "ln_final.weight"}
-    torch.save(broken, tmp_path / "broken.pt")
-    refused(cli, "verify", tmp_path / "broken.pt", told=r"1 missing \(ln_final\.weight\)")
+    save_file({"a": torch.tensor([1.0, torch.nan])}, tmp_path / "nan.safetensors")
+    refused(cli, "verify", tmp_path / "nan.safetensors", told="is damaged: a holds values")
 
 
 def evil(path: Path) -> None:
@@ -137,10 +105,6 @@ def script(path: Path) -> None:
     torch.jit.save(torch.jit.trace(torch.nn.Linear(2, 2), torch.zeros(1, 2)), path)
 
 
-def foreign(path: Path) -> None:
-    save_file({"down_blocks.0.weight": torch.zeros(2)}, path)
-
-
 def no_tensors(path: Path) -> None:
     torch.save({"state_dict": {"a": 3}}, path)
 
@@ -148,8 +112,7 @@ def no_tensors(path: Path) -> None:
 BAD = [
     (evil, "bad.ckpt", "holds more than tensors"),
     (truncated, "bad.pt", "is truncated or no file of weights"),
-    (truncated_safetensors, "bad.safetensors", "is truncated or no safetensors file"),
-    (foreign, "bad.safetensors", r"is of no known kind: 1 tensors, such as down_blocks\.0\.weight"),
+    (truncated_safetensors, "bad.safetensors", "is truncated or no file of weights"),
     (no_tensors, "bad.pt", "holds no plain state dict"),
 ]
 
@@ -158,8 +121,6 @@ BAD = [
 def test_bad_files_end_in_one_line(cli: Cli, tmp_path: Path, make: Callable, name: str, told: str) -> None:
     make(tmp_path / name)
     refused(cli, "verify", tmp_path / name, told=told)
-    refused(cli, "convert", tmp_path / name, tmp_path / "out.safetensors", told=told)
-    assert not (tmp_path / "out.safetensors").exists()
     with pytest.raises(ValueError) as caught:
         load_reference(tmp_path / name)
     assert "\n" not in str(caught.value)
@@ -176,49 +137,6 @@ def test_another_content_than_the_published_is_refused(cli: Cli, tmp_path: Path)
     (tmp_path / "vgg19.safetensors").rename(tmp_path / "vgg19-dcbb9e9d.pth")
     refused(cli, "verify", tmp_path / "vgg19-dcbb9e9d.pth", told=r"the published vgg19 dcbb9e9d…; get it again")
     refused(cli, "verify", tmp_path / "nowhere.pt", told=r"there is no file .*nowhere\.pt")
-
-
-def test_incomplete_checkpoints_name_what_is_missing(cli: Cli, tmp_path: Path) -> None:
-    state = small_checkpoint("full", "model.encoder.")
-    for layer in (0, 1, 2):
-        del state[f"model.encoder.aggregator_injection.frame_blocks.{layer}.norm1.weight"]
-    torch.save({"state_dict": state}, tmp_path / "short.ckpt")
-    refused(cli, "verify", tmp_path / "short.ckpt", told=r"3 missing \(aggregator_injection\.frame_blocks\.0\.norm1")
-
-
-# Keeping the tensors alone
-
-
-def test_conversion_drops_what_training_left_and_says_where_it_is_from(cli: Cli, tmp_path: Path) -> None:
-    source, out = tmp_path / "last.ckpt", tmp_path / "head.safetensors"
-    torch.save(training_checkpoint("head"), source)
-    status, told, err = cli("convert", source, out)
-    assert status == 0, err
-    assert "a style branch of placement=head" in told
-    assert out.stat().st_size < 0.6 * source.stat().st_size
-    expected = small_checkpoint("head")
-    converted = load_file(out)
-    assert converted.keys() == expected.keys()
-    assert all(torch.equal(converted[key], tensor) for key, tensor in expected.items())
-    with safe_open(out, framework="pt") as file:
-        metadata = file.metadata()
-    assert metadata["layout"] == "anysplat"
-    provenance = json.loads(metadata["provenance"])
-    assert provenance["file"] == "last.ckpt" and len(provenance["sha256"]) == 64
-    same(load_reference(out).state_dict(), load_reference(source).state_dict())
-
-
-def same(one: dict[str, Tensor], other: dict[str, Tensor]) -> None:
-    assert one.keys() == other.keys() and all(torch.equal(one[key], other[key]) for key in one)
-
-
-def test_conversions_that_make_no_sense_are_refused(cli: Cli, tmp_path: Path) -> None:
-    save_file(small_checkpoint(None), tmp_path / "it.safetensors")
-    before = (tmp_path / "it.safetensors").read_bytes()
-    refused(cli, "convert", tmp_path / "it.safetensors", tmp_path / "it.pt", told=r"end in \.safetensors")
-    refused(cli, "convert", tmp_path / "it.safetensors", tmp_path / "it.safetensors", told="is the file that is read")
-    refused(cli, "convert", "tiny_branch", tmp_path / "o.safetensors", told="nothing to convert")
-    assert (tmp_path / "it.safetensors").read_bytes() == before
 
 
 # Downloading

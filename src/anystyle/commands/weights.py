@@ -1,51 +1,41 @@
-"""Which checkpoints there are, where each comes from and where it was looked for; verify, convert, download one."""
+"""Which checkpoints there are, where each comes from and where it was looked for; verify or download one."""
 
-import argparse
-import json
 from collections.abc import Iterator, Sequence
-from importlib.metadata import version
 from pathlib import Path
 
 from anystyle.commands._flags import new_parser, parse
 from anystyle.commands._run import run, words_of
 from anystyle.errors import UserError, unknown
 
-ROW = "a file, or a row of `anystyle weights`"
 COMMANDS = {
     "verify": (
-        "Check that a file of weights is whole (every tensor of its network, of the right shape, no others, and the "
-        "published checksum if there is one), and print what it holds. Nothing in the file is executed.",
-        {"file": ROW},
-    ),
-    "convert": (
-        "Write a checkpoint's tensors into a safetensors file, without a trainer's state and prefixes of names; its "
-        "header names the source. It loads wherever the checkpoint does, faster and without a second copy in memory.",
-        {"file": ROW, "out": "the file to write, NAME.safetensors"},
+        "Check that a file of weights can be read to its end, holds finite tensors alone, and has the published "
+        "checksum if there is one; print what it holds. Nothing in the file is executed.",
+        "a file, or a row of `anystyle weights`",
     ),
     "download": (
         "Fetch a file of weights from the Hugging Face hub into its cache; an interrupted download is continued. "
         'Needs pip install "anystyle[hub]".',
-        {"name": "a row of `anystyle weights`"},
+        "a row of `anystyle weights`",
     ),
 }
-"""What each subcommand does, and its arguments; ``list`` is the default."""
+"""What each subcommand does, and its argument; ``list`` is the default."""
 
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run ``anystyle weights``."""
     given = words_of(words)
     if given and given[0] in COMMANDS:
-        about, positional = COMMANDS[given[0]]
+        about, argument = COMMANDS[given[0]]
         parser = new_parser(f"weights {given[0]}", about)
-        for name, text in positional.items():
-            parser.add_argument(name, metavar=name.upper(), help=text)
-        {"verify": verify, "convert": convert, "download": download}[given[0]](parse(parser, given[1:]))
+        parser.add_argument("name", metavar="NAME", help=argument)
+        {"verify": verify, "download": download}[given[0]](parse(parser, given[1:]).name)
         return
     parser = new_parser(
         "weights",
         "Without arguments, or with `list`: every known file of weights, what for, licence, size, source, checksum, "
         "and where it is or was looked for.",
-        epilog="anystyle weights {verify,convert,download} --help: check, convert or fetch a file.",
+        epilog="anystyle weights {verify,download} --help: check or fetch a file.",
     )
     parser.add_argument("name", nargs="*", help="only these rows")
     print("\n".join(listing(parse(parser, given[1:] if given[:1] == ["list"] else given).name)))
@@ -80,45 +70,43 @@ def _readable(size: int) -> str:
     return f"{size / 1000**power:.3g} {('B', 'kB', 'MB', 'GB')[power]}"
 
 
-def verify(arguments: argparse.Namespace) -> None:
-    """Print what a file of weights holds, if it is whole."""
-    from anystyle.commands._weights_file import checksum, existing, recognise
-    from anystyle.vision import bpe, weights
+def verify(name: str) -> None:
+    """Print what a file of weights holds, if nothing is wrong with it."""
+    from anystyle.io.checkpoint import has_header, read_header, sha256
+    from anystyle.vision import weights
 
-    path = existing(arguments.file)
-    digest = checksum(path)
+    known = weights.files()
+    path = weights.find(name) if name in known else Path(name).expanduser()
+    if not path.is_file():
+        raise UserError(f"there is no file {path}; name a file, or a row of `anystyle weights`")
+    digest = sha256(path)
+    stated = {row: entry for row, entry in known.items() if entry.file == path.name and entry.sha256 is not None}
+    for row, entry in stated.items():
+        if not digest.startswith(entry.sha256 or ""):
+            raise UserError(
+                f"{path} has the SHA-256 {digest[:12]}…, and the published {row} {(entry.sha256 or '')[:12]}…; get it "
+                f"again from {entry.source}"
+            )
+    print(f"{path}: SHA-256 {digest} ({'as published' if stated else 'none is published'})")
     if path.name == weights.row("clip_vocabulary").file:
-        holds = (f"a vocabulary of {len(bpe.load(path, 49408).ids) + 2} tokens",)
-    else:
-        holds = recognise(path).holds
-    print("\n".join([f"{path} is whole", *(f"  {line}" for line in holds), f"  sha256 {digest}"]))
+        return
+    state = weights.read(path)
+    for key, tensor in state.items():
+        if tensor.is_floating_point() and not bool(tensor.isfinite().all()):
+            raise UserError(f"{path} is damaged: {key} holds values that are infinite or no numbers")
+    if has_header(path):
+        header = read_header(path)
+        facts = ", ".join(f"{key} {value}" for key, value in header.provenance.items())
+        print(f"  {header.part} that anystyle wrote{f' ({facts})' if facts else ''}")
+    types = ", ".join(sorted({str(tensor.dtype).removeprefix("torch.") for tensor in state.values()}))
+    count = sum(tensor.numel() for tensor in state.values())
+    print(f"  {len(state)} tensors, such as {min(state, default='none')}; {count:,} parameters, {types}")
 
 
-def convert(arguments: argparse.Namespace) -> None:
-    """Write a checkpoint's tensors into a safetensors file that names its source."""
-    from anystyle.commands._weights_file import existing, recognise
-    from anystyle.io.checkpoint import save_tensors, sha256
-
-    out, path = Path(arguments.out), existing(arguments.file)
-    if out.suffix != ".safetensors":
-        raise UserError(f"the result is called {out}; let its name end in .safetensors")
-    if out.exists() and out.samefile(path):
-        raise UserError(f"{out} is the file that is read; give the result another name")
-    known = recognise(path)
-    if known.layout == "anystyle":
-        raise UserError(f"{path} is a file that anystyle wrote; there is nothing to convert")
-    holds = "; ".join(known.holds)
-    provenance = {"file": path.name, "sha256": sha256(path), "converted_by": f"anystyle {version('anystyle')}"}
-    described = {"layout": known.layout, "holds": holds, "provenance": json.dumps(provenance, sort_keys=True)}
-    save_tensors(out, {key: tensor.contiguous() for key, tensor in known.state.items()}, {"format": "pt", **described})
-    print(f"{out}: {holds}")
-
-
-def download(arguments: argparse.Namespace) -> None:
+def download(name: str) -> None:
     """Fetch a file of weights from the Hugging Face hub."""
     from anystyle.vision import weights
 
-    name = arguments.name
     try:
         path = weights.find(name)
     except weights.MissingWeights:

@@ -54,7 +54,6 @@ class WeightsFile:
     size: int | None = None  # in bytes
     hub: str | None = None  # its path on the Hugging Face hub: owner/repository/path
     package: str | None = None  # an installed package that contains it: package/path
-    layout: str | None = None  # a key of anystyle.vision.state_dict_formats.LAYOUTS, or the plugin's backbone
 
 
 def files() -> dict[str, WeightsFile]:
@@ -275,7 +274,7 @@ def read(path: str | Path) -> dict[str, Tensor]:
     except MemoryError:
         raise
     except pickle.UnpicklingError:
-        raise UserError(f"{path} is damaged or holds more than tensors; get it again, or convert it") from None
+        raise UserError(f"{path} is damaged or holds more than tensors; get it again") from None
     except Exception as error:  # damaged archives and pickles raise nearly anything
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise UserError(f"{path} is truncated or no file of weights ({reason}); get it again") from None
