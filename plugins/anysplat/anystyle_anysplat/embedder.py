@@ -10,8 +10,8 @@ from torch import Tensor, nn
 
 from anystyle import contracts
 from anystyle.nn.attention import Block, start_as_dino
-from anystyle.nn.pixels import grid_of, normalised
 from anystyle.nn.reference_view import Strategy, is_reference, reference_view
+from anystyle.nn.tokens import grid_of, normalised
 from anystyle.types import Tokens
 
 

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from anystyle import contracts
 from anystyle.nn.attention import Block, run, start_as_dino
-from anystyle.nn.rope import Rotary, grid_positions, rotary
+from anystyle.nn.tokens import Rotary, grid_positions, rotary
 from anystyle.types import Features, Inject, Site, Tokens, untouched
 
 

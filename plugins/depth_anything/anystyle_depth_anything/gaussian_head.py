@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from anystyle import contracts
 from anystyle.nn.dpt import Dpt
 from anystyle.nn.heads import DptGaussians
-from anystyle.nn.pixels import normalised
+from anystyle.nn.tokens import normalised
 from anystyle.types import Attributes
 from anystyle_depth_anything.geometry_head import HIDDEN
 

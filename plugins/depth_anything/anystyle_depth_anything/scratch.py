@@ -7,7 +7,7 @@ from torch import nn
 
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.nn import scratch as initial
-from anystyle.nn.pixels import IMAGENET_MEAN, IMAGENET_STD
+from anystyle.nn.tokens import IMAGENET_MEAN, IMAGENET_STD
 from anystyle_depth_anything.embedder import Embedder
 from anystyle_depth_anything.gaussian_head import GaussianHead
 from anystyle_depth_anything.geometry_head import GeometryHead

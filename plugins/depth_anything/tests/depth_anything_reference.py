@@ -8,7 +8,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from anystyle.geometry.rotations import matrix_from_wxyz, wxyz_from_xyzw
+from anystyle.geometry.transforms import matrix_from_wxyz, wxyz_from_xyzw
 from anystyle.types import Attributes, Cameras, Gaussians
 from oracle import assert_matches, fill_named, golden, hashed, smooth_image
 

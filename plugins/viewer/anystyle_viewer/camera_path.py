@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Float64
 from torch import Tensor
 
 from anystyle.geometry.cameras import smooth_path
-from anystyle.geometry.rotations import matrix_from_wxyz
+from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.io.video import write_video
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.types import Cameras, Gaussians

@@ -10,7 +10,7 @@ import viser
 
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.geometry.projection import covariances
-from anystyle.geometry.rotations import wxyz_from_matrix
+from anystyle.geometry.transforms import wxyz_from_matrix
 from anystyle.io.sheet import to_pil
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.types import Gaussians

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.geometry.rotations import matrix_from_wxyz, wxyz_from_matrix, wxyz_from_xyzw, xyzw_from_wxyz
+from anystyle.geometry.transforms import matrix_from_wxyz, wxyz_from_matrix, wxyz_from_xyzw, xyzw_from_wxyz
 from anystyle.types import Cameras
 
 

@@ -2,13 +2,13 @@
 
 import ast
 import contextlib
-import importlib.machinery
 import importlib.util
 import inspect
 from dataclasses import dataclass
 from pathlib import Path
 
 from anystyle.registry.catalog import Plugin, kind_named
+from anystyle.registry.packages import source_file
 
 _HOPS = 3
 """How many modules a class may be handed on by."""
@@ -35,18 +35,6 @@ def peek(plugin: Plugin) -> Summary:
         return Summary(f"(no class {name} in {module})")
     text = ast.get_docstring(located[1]) or ""
     return Summary(text.partition("\n")[0], tuple(_options(*located, plugin.root, kind_named(plugin.kind).runtime)))
-
-
-def source_file(module: str, root: Path | None) -> Path | None:
-    """The file of a module below ``root``, or where Python looks for it; unlike ``find_spec``, imports no package."""
-    folders = None if root is None else [str(root)]
-    spec = None
-    for end in (index for index, letter in enumerate(f"{module}.") if letter == "."):
-        find, name = importlib.machinery.PathFinder.find_spec, module[:end]
-        spec = importlib.util.find_spec(name) if folders is None else find(name, folders)
-        folders = [] if spec is None else list(spec.submodule_search_locations or ())
-    origin = spec.origin if spec is not None and spec.origin is not None else ""
-    return Path(origin) if origin.endswith(".py") else None
 
 
 def _class(module: str, name: str, root: Path | None, hops: int) -> tuple[str, ast.ClassDef] | None:
