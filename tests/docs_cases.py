@@ -11,8 +11,6 @@ PAGES = [
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted(ROOT.glob("plugins/*/README.md")),
 ]
-CARDS = [ROOT / "src/anystyle/assets/README.md", *sorted(ROOT.glob("plugins/*/*/assets/README.md"))]
-"""Model cards: their commands are records of hours of training, and are composed, not run."""
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SHELLS = ("console", "bash", "sh")
 _INLINE = re.compile(r"`((?:anystyle|torchrun|srun|make|python|pip|jupytext|git|(?:[A-Z_]+=[^\s`]+ )+\w+)\s[^`]+)`")

@@ -10,8 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from anystyle import vision
-from anystyle.vision import art_score, inception, raft, weights
+from anystyle.vision import art_score, inception, networks, raft, weights
 from oracle import fill_named, golden, smooth_image
 
 CONV_RULES = [["\\.weight$", {"scale": 1.4142135623730951}]]
@@ -29,7 +28,7 @@ def filled_folder() -> Path:
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     records = golden("golden_metrics")
     for name in ("vgg19", "vgg16", "alexnet"):
-        _write(folder, name, fill_named(vision.NETWORKS[name]().state_dict(), CONV_RULES))
+        _write(folder, name, fill_named(networks.NETWORKS[name]().state_dict(), CONV_RULES))
     rules = records["artfid_end_to_end"]["inception_rules"]
     _write(folder, "art_inception", fill_named(inception.ArtInception().state_dict(), rules))
     _write(folder, "art_score", fill_named(art_score.ArtScoreNet().state_dict()))

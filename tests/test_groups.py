@@ -7,8 +7,7 @@ import pytest
 import torch
 
 from anystyle.geometry import harmonics
-from anystyle.geometry.rotations import matrix_from_wxyz
-from anystyle.geometry.similarity import Similarity
+from anystyle.geometry.transforms import Similarity, matrix_from_wxyz
 from anystyle.pipeline.cameras import with_cameras
 from anystyle.pipeline.groups import encode_groups, split
 from anystyle.testing.toy.backbone import ToyBackbone

@@ -16,10 +16,10 @@ from anystyle.io import ply
 from anystyle.methods.branch import Branch
 from anystyle.methods.colors import fit_colors
 from anystyle.pipeline import memory, splats
-from anystyle.pipeline.encode import encode_saved
 from anystyle.pipeline.export import export
 from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.splats import encode_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.types import Gaussians
 from anystyle_cpu_renderer.renderer import CpuRenderer

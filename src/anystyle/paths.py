@@ -1,11 +1,12 @@
-"""Where the files live that come with the package: beside ``src/`` in a checkout, inside the package in a wheel."""
+"""Where the files live that come with the package, and how paths are shown and sorted."""
 
+import re
 from pathlib import Path
 
 PACKAGE = Path(__file__).parent
 _IN_WHEEL = PACKAGE / "_shared"
 SHARED = _IN_WHEEL if _IN_WHEEL.is_dir() else PACKAGE.parent.parent
-"""The folder that holds ``conf/`` and ``plugins/``."""
+"""The folder that holds ``conf/`` and ``plugins/``: the checkout, or one inside the package in a wheel."""
 
 CONF = SHARED / "conf"
 PLUGINS = SHARED / "plugins"
@@ -18,3 +19,8 @@ def shown(path: Path) -> str:
         if path.is_relative_to(base):
             return path.relative_to(base).as_posix()
     return str(path)
+
+
+def natural(name: str) -> list[tuple[int, str]]:
+    """A key that sorts ``view2`` before ``view10``."""
+    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name.casefold()) if part]

@@ -45,7 +45,7 @@ class Stylizer(nn.Module):
         self.style_encoder = style_encoder.requires_grad_(False).eval()
         self.branch = branch
         self.renderer = renderer
-        self.autocast = False  # for `precision=reference`; see pipeline/precision.py
+        self.autocast = False  # for `precision=reference`; see pipeline/load.py
 
     def train(self, mode: bool = True) -> "Stylizer":
         """Set the mode of the style branch; the frozen parts stay in ``eval``."""

@@ -9,7 +9,8 @@ import torch
 from safetensors.torch import save_file
 
 from anystyle.testing.run import one_thread
-from anystyle.vision import NETWORKS, weights
+from anystyle.vision import weights
+from anystyle.vision.networks import NETWORKS
 
 
 @pytest.fixture(autouse=True)

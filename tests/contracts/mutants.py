@@ -206,7 +206,7 @@ MUTANTS = {
         (changed(ToyCorrespondence, "displacement", lambda flow: 0.5 * flow), "pairs_are_independent"),
     ],
     "scenes": [
-        (changed(ToyScenes, "name", lambda name: "wall"), "scenes_have_distinct_names"),
+        (changed(ToyScenes, "name", lambda name: "wall"), "views_are_images"),
         (changed(ToyScenes, "read", scale("images", 255.0)), "views_are_images"),
     ],
     "styles": [

@@ -13,7 +13,7 @@ from anystyle.geometry.harmonics import (
     rgb_from_constant,
     rotate,
 )
-from anystyle.geometry.rotations import matrix_from_wxyz
+from anystyle.geometry.transforms import matrix_from_wxyz
 from oracle import golden
 
 

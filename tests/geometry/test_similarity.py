@@ -4,8 +4,7 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from anystyle.geometry.rotations import matrix_from_wxyz
-from anystyle.geometry.similarity import similarity_of_cameras
+from anystyle.geometry.transforms import matrix_from_wxyz, similarity_of_cameras
 
 
 def poses(count: int, seed: int) -> torch.Tensor:

@@ -5,13 +5,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from anystyle import vision
 from anystyle.contracts import Loss
 from anystyle.losses.content import Content
 from anystyle.losses.gram import Gram
 from anystyle.losses.nnfm import NNFM
 from anystyle.losses.sliced_wasserstein import SlicedWasserstein
 from anystyle.losses.style import StyleLoss
+from anystyle.vision import networks
 from oracle import assert_matches, golden, smooth_image
 from style_cases import filled_vgg_file, stylization
 
@@ -22,8 +22,8 @@ SMALL = {"size": None, "layers": ("relu1_1", "relu2_1")}
 
 
 @pytest.fixture(scope="module")
-def vgg() -> vision.FeatureNetwork:
-    return vision.load("vgg19", filled_vgg_file())
+def vgg() -> networks.FeatureNetwork:
+    return networks.load("vgg19", filled_vgg_file())
 
 
 def test_style_and_content_match_the_reference() -> None:
@@ -63,7 +63,7 @@ def test_a_render_that_is_the_style_image_is_perfect(build: type[Loss]) -> None:
     )
 
 
-def test_gram_is_its_equation(vgg: vision.FeatureNetwork) -> None:
+def test_gram_is_its_equation(vgg: networks.FeatureNetwork) -> None:
     images, styles = RENDERED[:1, :, :, :40, :48], STYLES[:1, :, :56, :40]
     total = torch.zeros(())
     for layer in ("relu1_1", "relu3_1"):
@@ -89,7 +89,7 @@ def test_relative_losses_are_the_root_of_the_ratio_of_each_layer() -> None:
     torch.testing.assert_close(found, torch.stack(ratios).mean(), rtol=1e-4, atol=0)
 
 
-def test_nnfm_is_its_equation(vgg: vision.FeatureNetwork) -> None:
+def test_nnfm_is_its_equation(vgg: networks.FeatureNetwork) -> None:
     images, styles = RENDERED[:, :, :, :24, :32], STYLES[:, :, :40, :24]
     layers = ("relu3_1", "relu3_2", "relu3_3")
     total = torch.zeros(())

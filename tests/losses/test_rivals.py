@@ -6,14 +6,13 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from anystyle import vision
 from anystyle.losses.attribute_change import AttributeChange
 from anystyle.losses.depth_consistency import DepthConsistency
 from anystyle.losses.nnfm import NNFM
 from anystyle.losses.simultaneous_scales import SimultaneousScales
 from anystyle.methods.scene_loop import color_map
 from anystyle.testing.inputs import stylization
-from anystyle.vision import weights
+from anystyle.vision import networks, weights
 from oracle import smooth_image
 from style_cases import stylization as images_stylization
 
@@ -24,7 +23,7 @@ LAYERS = ("relu1_1", "relu2_1")
 
 def test_simultaneous_scales_is_its_equation() -> None:
     loss = SimultaneousScales(network="texture", layers=LAYERS, scales=2)
-    network, expected = vision.load("texture"), 0.0
+    network, expected = networks.load("texture"), 0.0
     for scale in range(2):
         size = 2**scale
         style = F.avg_pool2d(STYLE, size).double()

@@ -6,9 +6,9 @@ import pytest
 import torch
 import torch.nn.functional as F
 
-from anystyle import vision
 from anystyle.losses.style_3d import Style3D, fuse_in_voxels
 from anystyle.types import Geometry
+from anystyle.vision import networks
 from oracle import hashed, smooth_image
 from style_cases import cameras, filled_vgg_file, stylization
 
@@ -28,7 +28,7 @@ def test_fusion_is_the_softmax_weighted_mean_of_each_voxel() -> None:
 
 def test_matches_a_literal_transcription() -> None:
     """Two scenes of two views at 35 x 42; layers at full and at half resolution."""
-    vgg = vision.load("vgg19", filled_vgg_file())
+    vgg = networks.load("vgg19", filled_vgg_file())
     rendered, styles = smooth_image(5, [2, 2, 3, 35, 42]), smooth_image(7, [2, 3, 49, 28])
     depth, trust = 2 + hashed(9, [2, 2, 35, 42], 0, 0.1), hashed(10, [2, 2, 35, 42], 0, 4)
     geometry = Geometry(cameras(2, 2, (35, 42)), depth, trust)

@@ -9,7 +9,7 @@ from torch import nn
 
 from anystyle.nn import dpt, pose
 from anystyle.nn.attention import Attention
-from anystyle.nn.pixels import IMAGENET_MEAN, IMAGENET_STD, grid_of, normalised
+from anystyle.nn.tokens import IMAGENET_MEAN, IMAGENET_STD, grid_of, normalised
 from anystyle.types import Cameras
 from oracle import hashed
 

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from anystyle.geometry.rotations import matrix_from_wxyz
+from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.types import Cameras, Gaussians
 
 

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from anystyle.geometry.harmonics import rotate
-from anystyle.geometry.rotations import matrix_from_wxyz, multiply
+from anystyle.geometry.transforms import matrix_from_wxyz, multiply
 from anystyle.renderers.gsplat import GsplatRenderer
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians, Renders

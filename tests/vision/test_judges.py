@@ -3,8 +3,7 @@
 import pytest
 import torch
 
-from anystyle import vision
-from anystyle.vision import inception, raft
+from anystyle.vision import inception, networks, raft
 from judging_cases import ALIASES
 from oracle import assert_matches, fill_named, fill_sorted, golden, hashed
 
@@ -67,7 +66,7 @@ def test_loading_is_strict(tmp_path) -> None:
 
 
 def test_alexnet_and_vgg16_have_the_published_shapes() -> None:
-    alex = {key: list(value.shape) for key, value in vision.AlexNet().state_dict().items() if "weight" in key}
+    alex = {key: list(value.shape) for key, value in networks.AlexNet().state_dict().items() if "weight" in key}
     assert alex == {
         "features.0.weight": [64, 3, 11, 11],
         "features.3.weight": [192, 64, 5, 5],
@@ -75,7 +74,7 @@ def test_alexnet_and_vgg16_have_the_published_shapes() -> None:
         "features.8.weight": [256, 384, 3, 3],
         "features.10.weight": [256, 256, 3, 3],
     }
-    assert [key for key in vision.VGG16().state_dict() if "weight" in key] == [
+    assert [key for key in networks.VGG16().state_dict() if "weight" in key] == [
         f"features.{place}.weight" for place in (0, 2, 5, 7, 10, 12, 14, 17, 19, 21, 24, 26, 28)
     ]
-    assert fill_named(vision.VGG16().state_dict()).keys() == vision.VGG16().state_dict().keys()
+    assert fill_named(networks.VGG16().state_dict()).keys() == networks.VGG16().state_dict().keys()

@@ -9,8 +9,7 @@ import torch.nn.functional as F
 from safetensors.torch import save_file
 from torch import nn
 
-from anystyle import vision
-from anystyle.vision import weights
+from anystyle.vision import networks, weights
 from anystyle.vision.vgg import VGG19, Texture
 from oracle import assert_matches, fill_named, golden, smooth_image
 from style_cases import VGG_RULES, filled_vgg_file
@@ -19,11 +18,11 @@ PAPER_LAYERS = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
 
 
 @pytest.fixture(scope="module")
-def vgg() -> vision.FeatureNetwork:
-    return vision.load("vgg19", filled_vgg_file())
+def vgg() -> networks.FeatureNetwork:
+    return networks.load("vgg19", filled_vgg_file())
 
 
-def test_vgg_features_match_the_reference(vgg: vision.FeatureNetwork) -> None:
+def test_vgg_features_match_the_reference(vgg: networks.FeatureNetwork) -> None:
     records = golden("golden_metrics")["style_content_loss"]["vgg_features_pred"]
     images = F.interpolate(smooth_image(4501, [4, 3, 84, 112]), size=(224, 224), mode="bilinear", antialias=True)
     with torch.no_grad():
@@ -33,7 +32,7 @@ def test_vgg_features_match_the_reference(vgg: vision.FeatureNetwork) -> None:
 
 
 @pytest.mark.parametrize("network", [VGG19, Texture])
-def test_layers_are_what_the_chain_computes(network: type[vision.FeatureNetwork]) -> None:
+def test_layers_are_what_the_chain_computes(network: type[networks.FeatureNetwork]) -> None:
     net = network().eval()
     net.load_state_dict(fill_named(net.state_dict(), VGG_RULES))
     images = smooth_image(7, [2, 3, 35, 42])
@@ -53,7 +52,7 @@ def test_layers_are_what_the_chain_computes(network: type[vision.FeatureNetwork]
         assert features.min() >= 0, name
 
 
-def test_a_frozen_network_never_learns_and_adds_nothing_to_a_state_dict(vgg: vision.FeatureNetwork) -> None:
+def test_a_frozen_network_never_learns_and_adds_nothing_to_a_state_dict(vgg: networks.FeatureNetwork) -> None:
     assert not vgg.training
     assert not any(parameter.requires_grad for parameter in vgg.parameters())
     owner = nn.ModuleDict({"network": vgg, "own": nn.Linear(2, 2)})
@@ -73,7 +72,7 @@ def test_weights_are_looked_for_in_named_folders_then_in_the_package(
     assert weights.folders()[:2] == (tmp_path / "a", tmp_path / "b")
     assert weights.folders()[2].name == "assets"
     with pytest.raises(FileNotFoundError) as caught:
-        vision.load("vgg19")
+        networks.load("vgg19")
     message = str(caught.value)
     assert "\n" not in message
     for part in ("vgg19-dcbb9e9d.pth", "https://download.pytorch.org", weights.FOLDERS, str(tmp_path / "b")):
@@ -82,7 +81,7 @@ def test_weights_are_looked_for_in_named_folders_then_in_the_package(
     (tmp_path / "b").mkdir()
     state = fill_named(VGG19().state_dict(), VGG_RULES)
     torch.save({**state, "classifier.0.weight": torch.zeros(3, 3)}, tmp_path / "b" / "vgg19-dcbb9e9d.pth")
-    loaded = vision.load("vgg19")
+    loaded = networks.load("vgg19")
     torch.testing.assert_close(dict(loaded.named_parameters())["features.5.bias"], state["features.5.bias"])
 
 
@@ -99,20 +98,20 @@ def test_refusals_name_what_is_wrong(tmp_path: Path) -> None:
         ValueError,
         match="no perceptual network 'vgg11'; choose from vgg19, vgg16, alexnet, efficientnet_lite0, texture",
     ):
-        vision.load("vgg11")
+        networks.load("vgg11")
     state = VGG19().state_dict()
     state["features.2.weight"] = torch.zeros(64, 64, 1, 1)
     del state["features.34.bias"]
     save_file(state, tmp_path / "short.safetensors")
     with pytest.raises(ValueError, match=r"1 missing \(features\.34\.bias\); 1 misshapen \(features\.2\.weight is"):
-        vision.load("vgg19", tmp_path / "short.safetensors")
+        networks.load("vgg19", tmp_path / "short.safetensors")
     (tmp_path / "cut.safetensors").write_bytes((tmp_path / "short.safetensors").read_bytes()[:5000])
     with pytest.raises(ValueError, match=r"cut\.safetensors is truncated"):
-        vision.load("vgg19", tmp_path / "cut.safetensors")
+        networks.load("vgg19", tmp_path / "cut.safetensors")
     torch.save(state, tmp_path / "whole.pth")
     (tmp_path / "cut.pth").write_bytes((tmp_path / "whole.pth").read_bytes()[:5000])
     with pytest.raises(ValueError, match=r"cut\.pth is (truncated|damaged)"):
-        vision.load("vgg19", tmp_path / "cut.pth")
+        networks.load("vgg19", tmp_path / "cut.pth")
     torch.save({"features": Path}, tmp_path / "evil.pth")
     with pytest.raises(ValueError, match="more than tensors"):
         weights.read(tmp_path / "evil.pth")

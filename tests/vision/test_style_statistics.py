@@ -5,11 +5,11 @@ import pytest
 import torch
 from skimage.exposure import equalize_hist
 
-from anystyle import vision
 from anystyle.data.images import read_image
 from anystyle.metrics.style_retrieval import StyleRetrieval
 from anystyle.testing.inputs import images
 from anystyle.types import Comparison, Style
+from anystyle.vision import networks
 from anystyle.vision.statistics import equalized_gray
 from real_data import real
 
@@ -25,7 +25,7 @@ def pattern(side, phase):
 @pytest.fixture(scope="module")
 def network():
     try:
-        return vision.load("efficientnet_lite0")
+        return networks.load("efficientnet_lite0")
     except FileNotFoundError as error:
         pytest.skip(str(error))
 

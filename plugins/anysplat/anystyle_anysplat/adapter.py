@@ -10,7 +10,7 @@ from torch import Tensor
 from anystyle import contracts
 from anystyle.geometry.clusters import fuse, voxel_clusters
 from anystyle.geometry.harmonics import damping
-from anystyle.geometry.rotations import wxyz_from_xyzw
+from anystyle.geometry.transforms import wxyz_from_xyzw
 from anystyle.types import Attributes, Clusters, Gaussians, Geometry
 
 

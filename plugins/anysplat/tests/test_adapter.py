@@ -5,7 +5,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from anystyle.geometry.rotations import matrix_from_wxyz
+from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.types import Attributes, Cameras, Geometry
 from anystyle_anysplat.adapter import Adapter
 from oracle import assert_matches, golden, hashed

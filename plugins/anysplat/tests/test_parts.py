@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from anystyle.injectors.zero_conv import ZeroConv
-from anystyle.nn import dpt, rope
+from anystyle.nn import dpt, tokens
 from anystyle.nn.reference_view import Strategy
 from anystyle.types import Attributes, Cameras, Geometry, Inject, Tokens
 from anystyle_anysplat import heads, keys
@@ -47,8 +47,8 @@ class TestPose:
 
 class TestRope:
     def test_rotation_is_the_published_one(self) -> None:
-        angles = rope.rotary(rope.grid_positions((2, 3), 5), 64, base=100.0, like=torch.zeros(1))
-        assert_matches(rope.rotate(hashed(1001, (1, 2, 11, 64), -1, 1), angles), GOLDEN["rope"]["out"])
+        angles = tokens.rotary(tokens.grid_positions((2, 3), 5), 64, base=100.0, like=torch.zeros(1))
+        assert_matches(tokens.rotate(hashed(1001, (1, 2, 11, 64), -1, 1), angles), GOLDEN["rope"]["out"])
 
 
 @pytest.fixture(scope="module")

@@ -19,8 +19,8 @@ from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import atomic_path
 from anystyle.io.limits import require
-from anystyle.io.names import natural
 from anystyle.methods.order import canonical_order
+from anystyle.paths import natural
 from anystyle.types import Cameras, Geometry, OnProgress, Progress, Reconstructed, Scene, Views, no_progress
 from anystyle_captures.cache import cached, key_of
 from anystyle_captures.fit_loop import FitLoop, FitOptions, FitProgress, FitResult

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from anystyle.data.folder import Original, as_views, common_size, cover
-from anystyle.geometry.similarity import Similarity
+from anystyle.geometry.transforms import Similarity
 from anystyle.methods.order import canonical_order
 from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
 from anystyle.types import Cameras, OnProgress, Progress

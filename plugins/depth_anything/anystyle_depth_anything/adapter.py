@@ -9,7 +9,7 @@ from torch import Tensor
 
 from anystyle import contracts
 from anystyle.geometry.harmonics import damping, rotation_matrices
-from anystyle.geometry.rotations import multiply, wxyz_from_matrix, wxyz_from_xyzw, xyzw_from_wxyz
+from anystyle.geometry.transforms import multiply, wxyz_from_matrix, wxyz_from_xyzw, xyzw_from_wxyz
 from anystyle.types import Attributes, Cameras, Clusters, Gaussians, Geometry
 
 

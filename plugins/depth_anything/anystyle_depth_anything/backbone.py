@@ -14,8 +14,8 @@ from anystyle.geometry.harmonics import CONSTANT
 from anystyle.nn import scratch as initial
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.heads import check_options
-from anystyle.nn.pixels import IMAGENET_MEAN, IMAGENET_STD
 from anystyle.nn.reference_view import Strategy
+from anystyle.nn.tokens import IMAGENET_MEAN, IMAGENET_STD
 from anystyle.published import Published
 from anystyle_depth_anything.adapter import Adapter
 from anystyle_depth_anything.heads import GaussianHead, GeometryHead

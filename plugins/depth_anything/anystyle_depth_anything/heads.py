@@ -12,8 +12,8 @@ from anystyle import contracts
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.dpt import Dpt
 from anystyle.nn.heads import DptGaussians, DptGeometry
-from anystyle.nn.pixels import normalised
 from anystyle.nn.pose import centred_cameras, rotation_of
+from anystyle.nn.tokens import normalised
 from anystyle.types import Attributes, Cameras
 
 

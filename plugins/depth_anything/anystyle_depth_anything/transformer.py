@@ -11,9 +11,8 @@ from torch import Tensor, nn
 
 from anystyle import contracts
 from anystyle.nn.attention import Block, run, start_as_dino
-from anystyle.nn.pixels import grid_of, normalised
 from anystyle.nn.reference_view import Strategy, is_reference, reference_view
-from anystyle.nn.rope import Rotary, grid_positions, rotary
+from anystyle.nn.tokens import Rotary, grid_of, grid_positions, normalised, rotary
 from anystyle.types import Features, Inject, Site, Tokens, untouched
 
 OFFSET = 0.1

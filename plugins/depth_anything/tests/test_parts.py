@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from torch import nn
 
 from anystyle.geometry import harmonics as world_harmonics
-from anystyle.geometry.rotations import matrix_from_wxyz, wxyz_from_xyzw
+from anystyle.geometry.transforms import matrix_from_wxyz, wxyz_from_xyzw
 from anystyle.nn.attention import SwiGlu
 from anystyle.nn.dpt import add_positions_
 from anystyle.types import Attributes, Cameras, Geometry

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
-from anystyle.io.packing import morton_order, smallest_three
 from anystyle.io.ply import Splats
 from anystyle.types import Cameras, StyledScene
+from anystyle_formats.packing import morton_order, smallest_three
 
 _CONSTANT = 0.28209479177387814  # the constant spherical harmonic
 _SCALE_RANGE = 14.0

@@ -18,9 +18,9 @@ from scipy.spatial import KDTree
 
 from anystyle.contracts import Format
 from anystyle.io.atomic import atomic_path
-from anystyle.io.packing import morton_order, smallest_three
 from anystyle.io.ply import MAX_DEGREE
 from anystyle.types import StyledScene
+from anystyle_formats.packing import morton_order, smallest_three
 
 PALETTE = 65_536
 """The format's limit on distinct sets of higher harmonics."""

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
-from anystyle.io.packing import smallest_three
 from anystyle.io.ply import MAX_DEGREE
 from anystyle.types import StyledScene
+from anystyle_formats.packing import smallest_three
 
 MAGIC, VERSION = 0x5053474E, 3
 MAX_FRACTION_BITS = 18

@@ -11,7 +11,7 @@ from anystyle.commands import export as command
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb
-from anystyle.io.packing import from_smallest_three, smallest_three
+from anystyle.io.ply import from_smallest_three
 from anystyle.pipeline.export import export, from_axes
 from anystyle.pipeline.options import AXES
 from anystyle.registry.build import build
@@ -19,6 +19,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
 from anystyle.vision.weights import license_meaning, licenses
+from anystyle_formats.packing import smallest_three
 from anystyle_formats.sog import codebook, palette
 
 SIZE = (60, 80)

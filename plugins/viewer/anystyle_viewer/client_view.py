@@ -18,7 +18,7 @@ from torch import Tensor
 from anystyle.geometry.cameras import smooth_path
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.geometry.projection import covariances
-from anystyle.geometry.rotations import matrix_from_wxyz, wxyz_from_matrix
+from anystyle.geometry.transforms import matrix_from_wxyz, wxyz_from_matrix
 from anystyle.io.sheet import to_pil
 from anystyle.io.video import write_video
 from anystyle.pipeline.encode import EncodedCapture

@@ -12,8 +12,9 @@ from anystyle.commands._flags import new_parser, split
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model
 from anystyle.pipeline.options import PoseOptions
+from anystyle.pipeline.read import is_saved
 from anystyle.pipeline.restyle import Restyler
-from anystyle.pipeline.saved import UNSTYLED, is_saved, read_saved
+from anystyle.pipeline.saved import UNSTYLED, read_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.stylize import encode_inputs
 from anystyle.registry.compose import compose, options

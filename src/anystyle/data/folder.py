@@ -19,7 +19,7 @@ from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.io.images import Picture
 from anystyle.io.limits import require
-from anystyle.io.names import natural
+from anystyle.paths import natural
 from anystyle.types import Cameras, Views
 
 MAX_ASPECT = 3.0

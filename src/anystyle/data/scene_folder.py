@@ -16,7 +16,7 @@ from anystyle.data.poses import StoredCamera, read_poses, view_camera
 from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import read_json
-from anystyle.io.names import natural
+from anystyle.paths import natural
 from anystyle.types import Cameras, Views
 
 logger = logging.getLogger(__name__)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from anystyle.data.images import SUFFIXES, listing
 from anystyle.errors import UserError
-from anystyle.io.names import natural
+from anystyle.paths import natural
 
 log = logging.getLogger(__name__)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from anystyle.data.captioning import read_captions
 from anystyle.data.folder import image_files
 from anystyle.errors import UserError
-from anystyle.io.names import natural
+from anystyle.paths import natural
 
 SCENES = ("Train", "Truck", "M60", "Garden")
 """Three of Tanks and Temples, the last of Mip-NeRF 360."""

@@ -13,8 +13,8 @@ from anystyle.evaluation.paper_folder import SCENES
 from anystyle.evaluation.published_figures import PublishedFigure, PublishedTable
 from anystyle.evaluation.runs import Run
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
-from anystyle.io.names import natural
 from anystyle.io.sheet import Cell, TextCard
+from anystyle.paths import natural
 
 Column = tuple[str, str]
 """A scene and the name of a figure."""

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.geometry.rotations import cross_matrix, matrix_from_vector, nearest_rotation
+from anystyle.geometry.transforms import cross_matrix, matrix_from_vector, nearest_rotation
 
 
 class Rigid(NamedTuple):

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from anystyle.geometry.rotations import matrix_from_wxyz
+from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.types import Value
 
 MIN_ALPHA = 1 / 255

@@ -15,7 +15,6 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import regular
 from anystyle.io.limits import require
-from anystyle.io.packing import smallest_three_to_wxyz
 
 MAX_DEGREE = 3
 """The highest degree of harmonics that viewers read; higher coefficients are not written."""
@@ -164,3 +163,18 @@ def unpack(data: PlyData) -> dict[str, Float[np.ndarray, " N"]]:
             middle = (packed.astype(np.float64) + 0.5) / 256
             columns[name] = 8 * (np.select([packed == 0, packed == 255], [0.0, 1.0], middle) - 0.5)
     return {name: values.astype(np.float32) for name, values in columns.items()}
+
+
+def smallest_three_to_wxyz(packed: NDArray[np.uint32]) -> Float[np.ndarray, "N 4"]:
+    """Quaternions of 2 + 3 x 10 bits: the index of the largest of wxyz, then the others as fractions of ±1/√2."""
+    fractions = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], 1) / 1023
+    return from_smallest_three((packed >> 30).astype(np.int64), (fractions - 0.5) * sqrt(2))
+
+
+def from_smallest_three(largest: NDArray[np.int64], others: NDArray[np.float64]) -> Float[np.ndarray, "N 4"]:
+    """The inverse of :func:`smallest_three`."""
+    quaternions = np.empty((len(largest), 4))
+    kept = np.arange(4) != largest[:, None]
+    quaternions[kept] = others.ravel()
+    quaternions[~kept] = np.sqrt((1 - np.square(others).sum(1)).clip(0))
+    return quaternions

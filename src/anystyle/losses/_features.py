@@ -10,10 +10,10 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from anystyle import vision
 from anystyle.contracts import Loss
 from anystyle.errors import UserError
 from anystyle.types import Renders, Stylization
+from anystyle.vision import networks
 from anystyle.vision.weights import Source
 
 
@@ -58,8 +58,8 @@ class FeatureLoss(Loss):
     """A loss on features of some layers of a network; constructors of subclasses name the options.
 
     Args:
-        network: A network of :func:`anystyle.vision.load`, or several to choose from; see
-            :func:`anystyle.vision.choose`.
+        network: A network of :func:`anystyle.vision.networks.load`, or several to choose from; see
+            :func:`anystyle.vision.networks.choose`.
         layers: Whose features.
         size: Side of the square that images are first resized to; ``None`` leaves them as they are.
         weight: In the objective.
@@ -67,7 +67,7 @@ class FeatureLoss(Loss):
 
     def __init__(self, network: str, layers: Sequence[str], size: int | None, weight: float) -> None:
         super().__init__()
-        self._chosen = vision.choose(network, layers)
+        self._chosen = networks.choose(network, layers)
         self.network, self.layers = self._chosen.network, self._chosen.layers
         self.size = size
         self.weight = weight

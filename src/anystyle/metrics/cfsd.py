@@ -8,10 +8,9 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle import vision
 from anystyle.metrics._base import NetworkMetric, Pairs, RowMean, mean_per_row
 from anystyle.types import Comparison
-from anystyle.vision import preprocess
+from anystyle.vision import networks, preprocess
 from anystyle.vision.feature_cache import CACHE
 from anystyle.vision.lpips import STAND_IN_SIDE
 from anystyle.vision.weights import Weights, bundled, locate, published
@@ -46,7 +45,7 @@ class CFSD(NetworkMetric, RowMean):
         super().__init__()
         self.reference = variant == "reference"
         file = locate("vgg19", weights)
-        self.network = vision.load("texture" if file is None else "vgg19", file)
+        self.network = networks.load("texture" if file is None else "vgg19", file)
         self.layer = "relu3_1"
         self.longest = STAND_IN_SIDE if file is None else None
         self._source = bundled("vgg19", "texture_similarity") if file is None else published("vgg19", file)

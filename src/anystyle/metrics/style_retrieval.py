@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from anystyle import vision
 from anystyle.contracts import Metric
 from anystyle.metrics._base import stacked, with_style_images
 from anystyle.types import Comparison
+from anystyle.vision import networks
 from anystyle.vision.statistics import centered_cosines, equalized_gray, style_statistics
 from anystyle.vision.weights import checksums, find, published
 
@@ -81,7 +81,7 @@ class StyleRetrieval(Retrieval):
 
     def __init__(self) -> None:
         super().__init__()
-        self.network = vision.load("efficientnet_lite0")
+        self.network = networks.load("efficientnet_lite0")
         self.weights = checksums(published("efficientnet_lite0", find("efficientnet_lite0")))
 
     def describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:

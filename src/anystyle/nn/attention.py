@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
-from anystyle.nn.rope import Rotary, rotate
+from anystyle.nn.tokens import Rotary, rotate
 
 
 class Attention(nn.Module):

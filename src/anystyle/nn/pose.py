@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.geometry.rotations import matrix_from_wxyz, wxyz_from_xyzw
+from anystyle.geometry.transforms import matrix_from_wxyz, wxyz_from_xyzw
 from anystyle.types import Cameras
 
 

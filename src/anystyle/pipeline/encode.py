@@ -13,14 +13,13 @@ from torch import Tensor
 from anystyle.contracts import Reconstruction
 from anystyle.data.folder import SourceImage, distinct
 from anystyle.errors import UserError
-from anystyle.geometry.similarity import Similarity
+from anystyle.geometry.transforms import Similarity
 from anystyle.methods.colors import colors_alone
-from anystyle.pipeline import memory, splats
+from anystyle.pipeline import memory
 from anystyle.pipeline.cameras import with_cameras
 from anystyle.pipeline.groups import Capture, encode_groups
-from anystyle.pipeline.options import SplatOptions, ViewOptions
+from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.read import ReadViews
-from anystyle.pipeline.saved import read_saved, unstyled_of
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import slug
 from anystyle.registry.catalog import catalog
@@ -98,36 +97,8 @@ def encode(given: ReadViews, stylizer: Stylizer, options: ViewOptions, stages: S
         cameras, similarity = given.targets.targets_in_scene(capture.cameras)
         targets = tuple(_file_names(given.targets.names)), cameras
     kind = catalog().name_of("reconstruction", type(given.reconstruction))
-    report = _report(kind, capture, time.perf_counter() - start, measures) | dict(given.report)
+    report = scene_report(kind, capture, time.perf_counter() - start, measures) | dict(given.report)
     return EncodedCapture(stylizer, given.views, given.sources, capture, report, targets, similarity)
-
-
-def encode_saved(
-    path: Path, stylizer: Stylizer, views: ViewOptions, options: SplatOptions, stages: Stages
-) -> EncodedCapture:
-    """Read a saved scene, render it from cameras that are stored with it or chosen, and encode the renders.
-
-    Args:
-        path: A PLY file, or a folder of results, of which the unstyled scene is taken.
-        stylizer: In ``eval`` mode, on the device to compute on.
-        views: The size of the renders.
-        options: Where the scene is seen from.
-        stages: Times the work.
-    """
-    start, patch = time.perf_counter(), stylizer.backbone.patch_size
-    with stages("read", "the Gaussians"):
-        gaussians = unstyled_of(read_saved(path, options.up)).to(stylizer.device)
-        cameras, sources, origin = splats.cameras_of(
-            path, gaussians, views, options, patch, stylizer.backbone.resolution
-        )
-        line = splats.check_memory(gaussians.means.shape[1], len(sources), stylizer.device)
-    with stages("encode", f"{line}; cameras {origin}"):
-        scene = splats.scene_of_splat(gaussians, cameras.to(stylizer.device), stylizer.render, encoder(stylizer))
-    capture = Capture.of(scene)
-    report = _report("given", capture, time.perf_counter() - start, {}) | {"cameras": origin}
-    seen = replace(scene.views, names=tuple(source.name for source in sources)).to("cpu")
-    original = path if path.is_file() and options.up == "opencv" else None
-    return EncodedCapture(stylizer, seen, sources, capture, report, splat=original)
 
 
 def encoder(stylizer: Stylizer) -> Callable[[Views], Scene]:
@@ -181,7 +152,7 @@ def _reconstructed(views: Views, stylizer: Stylizer, reconstruction: Reconstruct
     return scene
 
 
-def _report(kind: str, capture: Capture, seconds: float, measures: Mapping[str, float]) -> dict[str, object]:
+def scene_report(kind: str, capture: Capture, seconds: float, measures: Mapping[str, float]) -> dict[str, object]:
     """How a scene was made, for ``report.json``."""
     return {
         "kind": kind,

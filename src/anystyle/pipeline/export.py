@@ -9,7 +9,7 @@ from torch import Tensor
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import looking_at
-from anystyle.geometry.similarity import Similarity, y_up_from_opencv
+from anystyle.geometry.transforms import Similarity, y_up_from_opencv
 from anystyle.pipeline.options import AXES
 from anystyle.registry.build import build
 from anystyle.types import Gaussians, StyledScene

@@ -12,7 +12,7 @@ from jaxtyping import Bool
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.geometry.similarity import Similarity, similarity_of_cameras
+from anystyle.geometry.transforms import Similarity, similarity_of_cameras
 from anystyle.types import Cameras, Gaussians, Scene, Views
 
 

@@ -18,7 +18,6 @@ from anystyle.io.checkpoint import Header, has_header, load_part, read_header, s
 from anystyle.io.limits import require
 from anystyle.methods.base import Method
 from anystyle.methods.branch import Branch
-from anystyle.pipeline.precision import modules_in_bf16, set_precision
 from anystyle.published import Published
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
@@ -31,6 +30,7 @@ from anystyle.vision import weights
 _log = logging.getLogger(__name__)
 
 PARTS = ("backbone", "style_encoder", "branch")
+PRECISIONS = ("fp32", "bf16", "reference")
 State = Mapping[str, Tensor]
 _SMALLER = "choose a smaller one with model=NAME"
 
@@ -337,3 +337,28 @@ def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str
 def _is_frozen(part: nn.Module) -> bool:
     parameters = list(part.parameters())
     return bool(parameters) and not any(parameter.requires_grad for parameter in parameters)
+
+
+def set_precision(stylizer: Stylizer, precision: str) -> Stylizer:
+    """Set what inference computes in; weights are rounded to it. Geometry is always computed in fp32.
+
+    Args:
+        stylizer: Changed in place.
+        precision: ``fp32``; ``bf16``: weights and activations of the transformers and Gaussian heads, half the memory;
+            ``reference``: as the published code runs on a GPU, the frozen transformers' weights in bf16 and the rest
+            under autocast.
+    """
+    for module in modules_in_bf16(precision, stylizer.backbone, stylizer.branch):
+        module.to(torch.bfloat16)
+    stylizer.autocast = precision == "reference"
+    return stylizer
+
+
+def modules_in_bf16(precision: str, backbone: Backbone, branch: StyleBranch | None = None) -> list[nn.Module]:
+    """The modules whose weights a precision stores in bf16."""
+    if precision not in PRECISIONS:
+        raise UserError(f"precision is {precision!r}; choose from {', '.join(PRECISIONS)}")
+    parts: list[nn.Module] = [] if precision == "fp32" else [backbone.embedder, backbone.aggregator]
+    if precision == "bf16":
+        parts += [backbone.gaussian_head, *([branch] if branch else [])]
+    return parts

@@ -11,7 +11,7 @@ from torch import Tensor
 from anystyle.contracts import Backbone, Reconstruction
 from anystyle.data.folder import SourceImage, covering, read_originals, read_views
 from anystyle.errors import UserError
-from anystyle.pipeline.cameras import KnownCameras, from_files, from_views
+from anystyle.pipeline.cameras import KnownCameras, from_views
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
 from anystyle.pipeline.stages import Stages
@@ -47,6 +47,20 @@ class ReadViews:
     points: Sequence[Float[Tensor, "_ 3"]] | None = None
     targets: KnownCameras | None = None
     report: Mapping[str, object] = field(default_factory=dict)
+
+
+def is_saved(path: Path) -> bool:
+    """Whether this is a PLY file or a folder that ``anystyle stylize`` wrote, and no capture."""
+    if path.is_dir():
+        return (path / "report.json").is_file() and any(path.glob("*.safetensors"))
+    return path.suffix.lower() == ".ply"
+
+
+def saved_path(inputs: object) -> Path | None:
+    """The file or folder, where the inputs are one saved scene."""
+    given = list(inputs) if isinstance(inputs, (list, tuple)) else [inputs]
+    single = given[0] if len(given) == 1 else None
+    return Path(single) if isinstance(single, (str, Path)) and is_saved(Path(single)) else None
 
 
 def read(
@@ -105,6 +119,8 @@ def read(
     if sources[0].path is None:
         known = from_views(views.cameras, names)
     else:
+        from anystyle.pipeline.camera_files import from_files
+
         known = from_files(sources, None if poses.folder is None else Path(poses.folder))
     if poses.use == "target":
         return ReadViews(views, sources, chosen, targets=known)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from anystyle.geometry.cameras import smooth_path
 from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.io import colmap, ply
+from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.checkpoint import save_tensors
 from anystyle.io.sheet import Cell, style_sheet, to_pil
@@ -266,6 +266,8 @@ def write_cameras(path: Path, encoded: EncodedCapture) -> None:
 
 def write_colmap(folder: Path, gaussians: Gaussians, encoded: EncodedCapture, *, binary: bool) -> None:
     """Write one scene as a COLMAP model: cameras in source pixels, images, and the surest Gaussians as points."""
+    from anystyle.io import colmap
+
     opacities = gaussians.opacities[0].cpu()
     surest = opacities.argsort(descending=True, stable=True)[: min(MAX_POINTS, int((opacities > 0).sum()))]
     rgb = rgb_from_constant(gaussians.harmonics[0, :, 0].cpu()[surest])

@@ -56,20 +56,6 @@ def unstyled_of(scene: StyledScene) -> Gaussians:
     return dict(scene.styles).get(UNSTYLED, scene.styles[-1][1])
 
 
-def is_saved(path: Path) -> bool:
-    """Whether this is a PLY file or a folder that ``anystyle stylize`` wrote, and no capture."""
-    if path.is_dir():
-        return (path / "report.json").is_file() and any(path.glob("*.safetensors"))
-    return path.suffix.lower() == ".ply"
-
-
-def saved_path(inputs: object) -> Path | None:
-    """The file or folder, where the inputs are one saved scene."""
-    given = list(inputs) if isinstance(inputs, (list, tuple)) else [inputs]
-    single = given[0] if len(given) == 1 else None
-    return Path(single) if isinstance(single, (str, Path)) and is_saved(Path(single)) else None
-
-
 def read_saved(path: Path, up: str = "opencv") -> StyledScene:
     """Read a folder of results or a PLY file.
 

@@ -13,12 +13,11 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.methods.base import Method
 from anystyle.pipeline.controls import Controls
-from anystyle.pipeline.encode import EncodedCapture, encode, encode_saved
+from anystyle.pipeline.encode import EncodedCapture, encode
 from anystyle.pipeline.load import load_model
 from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
-from anystyle.pipeline.read import Inputs, read
+from anystyle.pipeline.read import Inputs, read, saved_path
 from anystyle.pipeline.save import Results
-from anystyle.pipeline.saved import saved_path
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import Mixture, StyleInput, embed_styles
 from anystyle.stylizer import Stylizer
@@ -122,5 +121,7 @@ def encode_inputs(
     """Read inputs of any kind and encode them; the arguments are those of :func:`stylize`."""
     saved = saved_path(inputs)
     if saved is not None:
+        from anystyle.pipeline.splats import encode_saved
+
         return encode_saved(saved, stylizer, views, splat, stages)
     return encode(read(inputs, stylizer.backbone, views, poses, reconstruction, stages), stylizer, views, stages)

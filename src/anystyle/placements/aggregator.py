@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 
 from anystyle.contracts import Placement
-from anystyle.placements._matching import matching
-from anystyle.types import Site
+from anystyle.types import Site, matching_sites
 
 
 class Aggregator(Placement):
@@ -19,4 +18,4 @@ class Aggregator(Placement):
         self.every_layer = every_layer
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        return matching(sites, ["aggregator/*"], every_layer=self.every_layer)
+        return matching_sites(sites, ["aggregator/*"], every_layer=self.every_layer)

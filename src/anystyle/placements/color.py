@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 
 from anystyle.contracts import Placement
-from anystyle.placements._matching import matching
-from anystyle.types import Site
+from anystyle.types import Site, matching_sites
 
 
 class Color(Placement):
@@ -14,4 +13,4 @@ class Color(Placement):
     """
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        return matching(sites, ["color"])
+        return matching_sites(sites, ["color"])

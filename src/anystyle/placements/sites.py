@@ -5,8 +5,7 @@ from pathlib import Path
 
 from anystyle.contracts import Placement
 from anystyle.errors import UserError
-from anystyle.placements._matching import matching
-from anystyle.types import Site
+from anystyle.types import Site, matching_sites
 
 
 class Sites(Placement):
@@ -30,4 +29,4 @@ class Sites(Placement):
         self.patterns = tuple(patterns)
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        return matching(sites, self.patterns, every_layer=True)
+        return matching_sites(sites, self.patterns, every_layer=True)

@@ -1,11 +1,24 @@
 """What plugin packages carry beside their modules: presets in ``conf``, weights in ``weights.toml`` and ``assets``."""
 
+import importlib.machinery
+import importlib.util
 from functools import cache
 from pathlib import Path
 
 from anystyle import paths
 from anystyle.registry.catalog import PluginError, catalog, kinds
-from anystyle.registry.source_docs import source_file
+
+
+def source_file(module: str, root: Path | None) -> Path | None:
+    """The file of a module below ``root``, or where Python looks for it; unlike ``find_spec``, imports no package."""
+    folders = None if root is None else [str(root)]
+    spec = None
+    for end in (index for index, letter in enumerate(f"{module}.") if letter == "."):
+        find, name = importlib.machinery.PathFinder.find_spec, module[:end]
+        spec = importlib.util.find_spec(name) if folders is None else find(name, folders)
+        folders = [] if spec is None else list(spec.submodule_search_locations or ())
+    origin = spec.origin if spec is not None and spec.origin is not None else ""
+    return Path(origin) if origin.endswith(".py") else None
 
 
 def packages() -> list[Path]:

@@ -2,13 +2,13 @@
 
 import ast
 import contextlib
-import importlib.machinery
 import importlib.util
 import inspect
 from dataclasses import dataclass
 from pathlib import Path
 
 from anystyle.registry.catalog import Plugin, kind_named
+from anystyle.registry.packages import source_file
 
 _HOPS = 3
 """How many modules a class may be handed on by."""
@@ -37,21 +37,9 @@ def peek(plugin: Plugin) -> Summary:
     return Summary(text.partition("\n")[0], tuple(_options(*located, plugin.root, kind_named(plugin.kind).runtime)))
 
 
-def source_file(module: str, root: Path | None) -> Path | None:
-    """The file of a module below ``root``, or where Python looks for it; unlike ``find_spec``, imports no package."""
-    folders = None if root is None else [str(root)]
-    spec = None
-    for end in (index for index, letter in enumerate(f"{module}.") if letter == "."):
-        find, name = importlib.machinery.PathFinder.find_spec, module[:end]
-        spec = importlib.util.find_spec(name) if folders is None else find(name, folders)
-        folders = [] if spec is None else list(spec.submodule_search_locations or ())
-    origin = spec.origin if spec is not None and spec.origin is not None else ""
-    return Path(origin) if origin.endswith(".py") else None
-
-
 def _class(module: str, name: str, root: Path | None, hops: int) -> tuple[str, ast.ClassDef] | None:
     """The module that defines a class, and its definition there."""
-    file = source_file(module, root)
+    file = source_file(module, root) or source_file(module, None)
     if file is None:
         raise ImportError(f"no source file of module {module}")
     tree = ast.parse(file.read_bytes())
@@ -69,7 +57,7 @@ def _class(module: str, name: str, root: Path | None, hops: int) -> tuple[str, a
 
 
 def _options(module: str, definition: ast.ClassDef, root: Path | None, runtime: tuple[str, ...]) -> list[str]:
-    """The options of a class's constructor, or of the one that it inherits."""
+    """The options of a class's constructor or dataclass fields, and those that it inherits."""
     for statement in definition.body:
         if isinstance(statement, ast.FunctionDef) and statement.name == "__init__":
             signature = statement.args
@@ -77,15 +65,22 @@ def _options(module: str, definition: ast.ClassDef, root: Path | None, runtime: 
             defaults = [None] * (len(plain) - len(signature.defaults)) + list(signature.defaults)
             pairs = [*zip(plain, defaults, strict=True)][1:]
             pairs += zip(signature.kwonlyargs, signature.kw_defaults, strict=True)
-            return [_written(argument, default) for argument, default in pairs if argument.arg not in runtime]
+            return [
+                _written(argument.arg, argument.annotation, default)
+                for argument, default in pairs
+                if argument.arg not in runtime
+            ]
+    inherited: list[str] = []
     for base in definition.bases:
         with contextlib.suppress(OSError, SyntaxError, ValueError, ImportError):
             located = _class(module, base.id, root, _HOPS) if isinstance(base, ast.Name) else None
-            if located is not None and (options := _options(*located, root, runtime)):
-                return options
-    return []
+            inherited = inherited or (_options(*located, root, runtime) if located is not None else [])
+    if not any("dataclass" in ast.unparse(decorator) for decorator in definition.decorator_list):
+        return inherited
+    fields = (statement for statement in definition.body if isinstance(statement, ast.AnnAssign))
+    return inherited + [_written(ast.unparse(field.target), field.annotation, field.value) for field in fields]
 
 
-def _written(argument: ast.arg, default: ast.expr | None) -> str:
-    hint = f": {ast.unparse(argument.annotation)}" if argument.annotation is not None else ""
-    return f"{argument.arg}{hint}" + (f" = {ast.unparse(default)}" if default is not None else "")
+def _written(name: str, annotation: ast.expr | None, default: ast.expr | None) -> str:
+    hint = f": {ast.unparse(annotation)}" if annotation is not None else ""
+    return f"{name}{hint}" + (f" = {ast.unparse(default)}" if default is not None else "")

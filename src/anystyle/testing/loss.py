@@ -18,14 +18,10 @@ Plugin = Subject[Loss]
 
 
 def test_value_is_one_finite_number(plugin: Plugin) -> None:
-    """It has a ``weight``, and gives one finite float32 number for any number of scenes and views, square or not."""
+    """It has a ``weight``, and gives a finite number for any scenes, and for styles of an image or a text alone."""
     assert isinstance(getattr(_loss(plugin), "weight", None), int | float), "`weight` is no number; set it"
     for batch, number, size in ((1, 2, (80, 80)), (2, 3, (64, 80)), (1, 1, (96, 64))):
         _assert_number(_value(plugin, stylization(batch, number, size)))
-
-
-def test_styles_may_lack_a_part(plugin: Plugin) -> None:
-    """A style of an image alone, or of a text alone, gives a finite number too."""
     _assert_number(_value(plugin, stylization(text=False)))
     _assert_number(_value(plugin, stylization(image=False)))
 

@@ -12,7 +12,7 @@ Plugin = Subject[SceneSource]
 
 
 def test_views_are_images(plugin: Plugin) -> None:
-    """It has scenes; views are a batch of one on the CPU: sRGB in [0, 1], names, cameras and depth where known."""
+    """It has scenes of distinct names; views are one batch of sRGB in [0, 1], with cameras and depth where known."""
     source = plugin.instance
     assert len(source) >= 1, "no scene; override `example`"
     for scene in range(min(len(source), 3)):
@@ -27,10 +27,6 @@ def test_views_are_images(plugin: Plugin) -> None:
             asserts.cameras(views.cameras, views.size)
         if views.depth is not None:
             assert bool((views.depth >= 0).all()), f"{what}: a depth that is negative or NaN; mark unknown ones by 0"
-
-
-def test_scenes_have_distinct_names(plugin: Plugin) -> None:
-    """No two scenes have one name."""
     names = [plugin.instance.name(scene) for scene in range(min(len(plugin.instance), 50))]
     assert all(names) and len(set(names)) == len(names), f"names {names[:5]}"
 

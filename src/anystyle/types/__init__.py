@@ -9,7 +9,17 @@ centre lies at +0.5; intrinsics are in pixels; ``a_from_b`` maps coordinates of 
 """
 
 from anystyle.types.comparison import Comparison, Flow, Frames, Stylization
-from anystyle.types.network import Attributes, Features, Geometry, Inject, Site, Tokens, contiguous, untouched
+from anystyle.types.network import (
+    Attributes,
+    Features,
+    Geometry,
+    Inject,
+    Site,
+    Tokens,
+    contiguous,
+    matching_sites,
+    untouched,
+)
 from anystyle.types.progress import OnProgress, Progress, no_progress
 from anystyle.types.scene import Clusters, Gaussians, Reconstructed, Renders, Scene, StyledScene
 from anystyle.types.value import Value
@@ -41,6 +51,7 @@ __all__ = [
     "Value",
     "Views",
     "contiguous",
+    "matching_sites",
     "no_progress",
     "untouched",
 ]

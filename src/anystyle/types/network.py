@@ -1,12 +1,14 @@
 """Tokens, sites and raw predictions: what flows inside a network."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from anystyle.errors import UserError
 from anystyle.types.value import Value
 from anystyle.types.views import Cameras
 
@@ -68,6 +70,22 @@ class Site:
     name: str
     dim: int
     tapped: bool = True
+
+
+def matching_sites(sites: Sequence[Site], patterns: Sequence[str], *, every_layer: bool = True) -> tuple[Site, ...]:
+    """The sites whose names match any of some shell-style patterns, in the order of the computation.
+
+    Args:
+        sites: All that there are.
+        patterns: Such as ``head/*``.
+        every_layer: Whether layers that no head reads are taken too.
+    """
+    offered = [site for site in sites if site.tapped or every_layer]
+    for pattern in patterns:
+        if not any(fnmatchcase(site.name, pattern) for site in offered):
+            names = ", ".join(site.name for site in offered) or "none"
+            raise UserError(f"no site is called '{pattern}' here; there are: {names}")
+    return tuple(site for site in offered if any(fnmatchcase(site.name, pattern) for pattern in patterns))
 
 
 Inject = Callable[[str, Tokens], Tokens]

@@ -5,8 +5,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle import vision
-from anystyle.vision import art_score, inception
+from anystyle.vision import art_score, inception, networks
 from anystyle.vision.features import Frozen, freeze
 from anystyle.vision.lpips import STAND_IN_LAYERS, STAND_IN_SIDE
 from anystyle.vision.preprocess import shrunk
@@ -30,7 +29,7 @@ class TextureMoments(Frozen):
 
     def __init__(self) -> None:
         super().__init__()
-        self.network = vision.load("texture")
+        self.network = networks.load("texture")
 
     def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 640"]:
         return torch.cat([pooled_moments(features) for features in self.network(images, STAND_IN_LAYERS)], dim=1)

@@ -7,9 +7,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle import vision
 from anystyle.errors import UserError
-from anystyle.vision import weights
+from anystyle.vision import networks, weights
 from anystyle.vision.features import FeatureNetwork, Frozen
 from anystyle.vision.preprocess import shrunk
 from anystyle.vision.weights import Source, Weights, bundled, locate, published
@@ -72,11 +71,11 @@ def load(backbone: Backbone, choice: Weights = "auto") -> Lpips:
     name = NETWORK[backbone]
     file = locate(name, choice)
     if file is None:
-        network = vision.load("texture")
+        network = networks.load("texture")
         maps = network(torch.zeros(1, 3, 32, 32), STAND_IN_LAYERS)
         heads = [torch.full((features.shape[1],), 0.25) for features in maps]
         return Lpips(network, STAND_IN_LAYERS, heads, bundled(name, "texture_distance"), STAND_IN_SIDE)
-    network = vision.load(name, file)
+    network = networks.load(name, file)
     channels = [features.shape[1] for features in network(torch.zeros(1, 3, 64, 64), LAYERS[backbone])]
     heads_file = weights.find(f"lpips_{backbone}")
     state = weights.read(heads_file)

@@ -9,9 +9,9 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle import vision
 from anystyle.nn.words import with_made_up_word
 from anystyle.training.optim import decayed_adamw
+from anystyle.vision import networks
 from anystyle_tiny.style_encoder import KNOTS, SIDE, Tiny, colors, shorter_side
 from anystyle_tiny.training.styles import StyleBatch, StyleTraining, TraitHeads, retrieval
 
@@ -25,8 +25,8 @@ class EmbeddingTraining(StyleTraining):
 
     Args:
         style_encoder: What learns.
-        texture: The convolutions, which do not learn, are this network's of :func:`anystyle.vision.load`; none for
-            random ones. Their features are computed once a picture.
+        texture: The network of :func:`anystyle.vision.networks.load` whose convolutions are taken, which do not learn;
+            none for random ones. Their features are computed once a picture.
         batch_size: Styles a step.
         photos: Photographs a step, which stand for no style.
         pool: Styles to draw from, kept in memory; none means all there are.
@@ -62,7 +62,7 @@ class EmbeddingTraining(StyleTraining):
         super().__init__()
         self.style_encoder = style_encoder
         if texture is not None:
-            start = dict(vision.load(texture).named_parameters())
+            start = dict(networks.load(texture).named_parameters())
             with torch.no_grad():
                 for name, parameter in style_encoder.image_tower.texture.named_parameters():
                     parameter.copy_(start[name])

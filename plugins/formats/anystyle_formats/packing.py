@@ -1,6 +1,4 @@
-"""Numbers in few bits, as compact formats of Gaussians keep them."""
-
-from math import sqrt
+"""Numbers in few bits, and an order in which they compress well."""
 
 import numpy as np
 from jaxtyping import Float
@@ -16,21 +14,6 @@ def smallest_three(wxyz: Float[np.ndarray, "N 4"]) -> tuple[NDArray[np.int64], N
     signs = np.where(np.take_along_axis(wxyz, largest[:, None], 1) < 0, -1.0, 1.0)
     kept = np.arange(4) != largest[:, None]
     return largest, (wxyz * signs)[kept].reshape(-1, 3)
-
-
-def from_smallest_three(largest: NDArray[np.int64], others: NDArray[np.float64]) -> Float[np.ndarray, "N 4"]:
-    """The inverse of :func:`smallest_three`."""
-    quaternions = np.empty((len(largest), 4))
-    kept = np.arange(4) != largest[:, None]
-    quaternions[kept] = others.ravel()
-    quaternions[~kept] = np.sqrt((1 - np.square(others).sum(1)).clip(0))
-    return quaternions
-
-
-def smallest_three_to_wxyz(packed: NDArray[np.uint32]) -> Float[np.ndarray, "N 4"]:
-    """Quaternions of 2 + 3 x 10 bits: the index of the largest of wxyz, then the others as fractions of ±1/√2."""
-    fractions = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], 1) / 1023
-    return from_smallest_three((packed >> 30).astype(np.int64), (fractions - 0.5) * sqrt(2))
 
 
 def morton_order(points: Float[np.ndarray, "N 3"]) -> NDArray[np.int64]:

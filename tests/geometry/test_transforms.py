@@ -5,7 +5,7 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from anystyle.geometry.rotations import (
+from anystyle.geometry.transforms import (
     matrix_from_vector,
     matrix_from_wxyz,
     multiply,

@@ -1,0 +1,69 @@
+"""Frozen networks, loaded by name for losses and metrics."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+from anystyle.errors import UserError
+from anystyle.vision import weights
+from anystyle.vision.efficientnet import EfficientNetLite0
+from anystyle.vision.features import FeatureNetwork, load_frozen
+from anystyle.vision.vgg import VGG16, VGG19, AlexNet, Texture
+from anystyle.vision.weights import Source, published
+
+NETWORKS: dict[str, type[FeatureNetwork]] = {
+    "vgg19": VGG19,
+    "vgg16": VGG16,
+    "alexnet": AlexNet,
+    "efficientnet_lite0": EfficientNetLite0,
+    "texture": Texture,
+}
+"""By name, which is also that of their weights in :mod:`anystyle.vision.weights`."""
+
+
+def load(name: str, path: str | Path | None = None) -> FeatureNetwork:
+    """A trained network of :data:`NETWORKS`, frozen, from a file or from where :func:`weights.find` looks.
+
+    Raises:
+        UserError: There is no such network, the file does not hold its weights, or it is missing.
+    """
+    if name not in NETWORKS:
+        raise UserError(f"there is no perceptual network {name!r}; choose from {', '.join(NETWORKS)}")
+    file = weights.find(name, path)
+    network = NETWORKS[name]()
+    # Published files hold the classifier too, which networks without logits leave out.
+    parts = {key.partition(".")[0] for key in network.state_dict()}
+    state = {key: tensor for key, tensor in weights.read(file).items() if key.partition(".")[0] in parts}
+    return load_frozen(network, state, file)
+
+
+class Chosen(NamedTuple):
+    """A network that was chosen from several, with its name and the name of the ``preferred`` one."""
+
+    network: FeatureNetwork
+    layers: tuple[str, ...]
+    name: str
+    preferred: str
+
+    @property
+    def source(self) -> Source:
+        """The weights that it loaded."""
+        source = published(self.name, weights.find(self.name))
+        return source if self.name == self.preferred else replace(source, network=self.preferred, stand_in=self.name)
+
+
+def choose(names: str, layers: Sequence[str]) -> Chosen:
+    """The first of some networks, such as ``vgg16,texture``, whose weights are found.
+
+    A layer that a network after the first lacks is replaced by its last of the same block, or of all.
+    """
+    candidates = [name.strip() for name in names.split(",")]
+    known = (name for name in candidates if name not in NETWORKS or any(p.is_file() for p in weights.candidates(name)))
+    name = next(known, candidates[0])
+    network = load(name)
+    if name != candidates[0]:
+        own = network.layers
+        blocks = [[one for one in own if one.partition("_")[0] == layer.partition("_")[0]] for layer in layers]
+        layers = [layer if layer in own else (block or own)[-1] for layer, block in zip(layers, blocks, strict=True)]
+    return Chosen(network, tuple(dict.fromkeys(layers)), name, candidates[0])
