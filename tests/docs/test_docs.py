@@ -142,8 +142,9 @@ def test_command_is_understood(page, line):
     command, *rest = words[1:]
     assert command in available(), f"{page} shows a command that does not exist: {line}"
     if command == "study":
-        flags, _ = importlib.import_module("anystyle_study.commands").COMMANDS[rest[0]]
-        split(flags(), rest[1:])
+        if rest:
+            flags, _ = importlib.import_module("anystyle_study.commands").COMMANDS[rest[0]]
+            split(flags(), rest[1:])
         return
     if command == "view":
         split(importlib.import_module("anystyle_viewer.command").parser(), rest)
