@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation, Slerp
 import anystyle
 from anystyle import Controls, VideoOptions, ViewOptions
 from anystyle.commands._compose import main
-from anystyle.commands.stylize import command, given_controls, parser, with_values
+from anystyle.commands.stylize import command, given_controls, parser
 from anystyle.data.folder import Original, covering
 from anystyle.data.images import to_tensor
 from anystyle.geometry.harmonics import colors
@@ -176,7 +176,7 @@ def test_words_become_masks(tmp_path):
 
 
 def test_flags_become_every_combination():
-    words = with_values(["--strength", "0,0.5", "--preserve-color", "photos", "--scale", "2", "--text", "x"])
+    words = ["--strength", "0,0.5", "--preserve-color", "1", "photos", "--scale", "2", "--text", "x"]
     controls = given_controls(parser().parse_intermixed_args(words))
     assert controls == [Controls(0.0, 1.0, 2.0), Controls(0.5, 1.0, 2.0)]
     assert given_controls(parser().parse_args([])) == [Controls()]

@@ -37,13 +37,13 @@ import anystyle
 from anystyle.data.images import read_image, to_tensor
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.geometry.warp import depth_around, reproject, sample_at
-from anystyle.methods.colors import FitColors
+from anystyle.methods.branch import Branch
 from anystyle.metrics.style_retrieval import StyleRetrieval
 from anystyle.pipeline.options import PoseOptions, SplatOptions, ViewOptions
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.stylize import encode_inputs
 from anystyle.stylizer import Stylizer
-from anystyle.types import Scene, Views
+from anystyle.types import Scene, Style, Views
 from anystyle.vision.statistics import centered_cosines, equalized_gray
 from anystyle_captures.fit import Fit
 from real_data import ROOT
@@ -115,12 +115,13 @@ def trained(model: str) -> Callable[[Case], Tensor]:
     return method
 
 
-def solved(how: FitColors) -> Callable[[Case], Tensor]:
-    """The fitted scene in colours that are solved back in one way."""
+def solved(steps: int) -> Callable[[Case], Tensor]:
+    """The fitted scene in colours that are solved back in so many steps."""
 
     def method(case: Case) -> Tensor:
-        case.stylizer.fit_colors = how
-        return single_pass(case)
+        embedding = case.stylizer.embed(image=case.painting)
+        gaussians = Branch(fit_colors=steps)(case.stylizer, case.scene, Style(case.painting), embedding)
+        return case.stylizer.render(gaussians, case.scene.cameras).color
 
     return method
 
@@ -137,8 +138,7 @@ METHODS: dict[str, dict[str, Callable[[Case], Tensor]]] = {
     "fit": {
         "unstyled": unstyled,
         "2D teacher, view by view": teacher,
-        "fit_colors=off": solved("off"),
-        "fit_colors=mean": solved("mean"),
+        "fit_colors=0": solved(0),
         "fit_colors=2": solved(2),
         "fit_colors=6": solved(6),
     },

@@ -10,8 +10,7 @@ from PIL import Image
 
 import anystyle
 from anystyle import PoseOptions, VideoOptions, ViewOptions
-from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.methods.colors import checked_steps, color_gaussians
+from anystyle.methods.colors import fit_colors
 from anystyle.pipeline.encode import encoder
 from anystyle.types import Views
 from anystyle_captures.fit import Fit
@@ -83,19 +82,11 @@ def test_colors_are_fitted_as_they_are_asked_for(fitted, stylizer):
     scene = fitted.encoded.capture.groups[0].scene
     targets = scene.views.images[0].flip(1)  # other colours than those of the fit
     errors = []
-    for how in ("mean", 1, 4):
-        colored = color_gaussians(scene.gaussians, scene.cameras, targets, stylizer.renderer, None, checked_steps(how))
+    for steps in (0, 1, 4):
+        colored = fit_colors(scene.gaussians, scene.cameras, targets, stylizer.renderer, steps=steps)
         with torch.no_grad():
             errors.append(float((stylizer.render(colored, scene.cameras).color[0] - targets).square().mean()))
     assert errors == sorted(errors, reverse=True)
-    gathered = color_gaussians(scene.gaussians, scene.cameras, targets, stylizer.renderer, scene.origins[0], "off")
-    view, row, column = scene.origins[0].unbind(1)
-    colors = rgb_from_constant(gathered.harmonics[0, :, 0])
-    torch.testing.assert_close(colors, targets[view, :, row, column], rtol=0, atol=1e-6)
-    with pytest.raises(ValueError, match="it is not known which Gaussian comes from which"):
-        color_gaussians(scene.gaussians, scene.cameras, targets, stylizer.renderer, None, "off")
-    with pytest.raises(ValueError, match="fit_colors=some; give off, mean, or a number"):
-        checked_steps("some")
 
 
 def test_known_cameras_are_kept(stylizer):

@@ -3,7 +3,6 @@
 import argparse
 import platform
 import re
-import subprocess
 import sys
 import threading
 import time
@@ -49,7 +48,6 @@ def parser() -> argparse.ArgumentParser:
     flags.add_argument("--size", metavar="HxW", help="of a view (default: the model's, square)")
     flags.add_argument("--repeat", type=int, default=2, help="runs, of which the fastest counts (default: %(default)s)")
     flags.add_argument("--out", default="benchmark.json", help="the results as JSON (default: %(default)s)")
-    flags.add_argument("--memory-of", type=int, help=argparse.SUPPRESS)
     return flags
 
 
@@ -142,13 +140,18 @@ def _tensors(value: Value) -> list[torch.Tensor]:
     return found
 
 
-def peak_memory(words: Sequence[str], num_views: int, size: str | None) -> int:
-    """Peak bytes of a process of its own that encodes and styles so many views once."""
-    command = [sys.executable, "-m", "anystyle.commands.benchmark", "--memory-of", str(num_views), *words]
-    done = subprocess.run([*command, *(["--size", size] if size else [])], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise UserError(done.stderr.strip().splitlines()[-1] if done.stderr.strip() else "out of memory")
-    return int(done.stdout.split()[-1])
+def peak_memory(words: Sequence[str], num_views: int, size: tuple[int, int] | None) -> int:
+    """Peak bytes of this process while it encodes and styles so many views once; on a CUDA device, of that."""
+    case = Case(words, num_views, size)
+
+    @torch.no_grad()
+    def single_pass() -> None:
+        case.stylizer.restyle(case.stylizer.encode(case.views), case.style)
+
+    if torch.cuda.is_available():
+        torch.cuda.reset_peak_memory_stats()
+    peak = sampled_peak(single_pass)
+    return torch.cuda.max_memory_allocated() if torch.cuda.is_available() else peak
 
 
 def sampled_peak(function: Callable[[], object]) -> int:
@@ -177,16 +180,6 @@ def benchmark(words: Sequence[str]) -> None:
     if matched is None:
         raise UserError(f"--size takes height and width such as 224x448, not {arguments.size!r}")
     size = (int(matched[1]), int(matched[2])) if arguments.size else None
-    if arguments.memory_of is not None:
-
-        def single_pass() -> None:
-            case = Case(overrides, arguments.memory_of, size)
-            with torch.no_grad():
-                case.stylizer.restyle(case.stylizer.encode(case.views), case.style)
-
-        peak = sampled_peak(single_pass)
-        print(torch.cuda.max_memory_allocated() if torch.cuda.is_available() else peak)
-        return
     counts = [int(word) if word.strip().isdecimal() else 0 for word in arguments.views.split(",")]
     if min(counts) < 1:
         raise UserError(f"--views takes numbers of at least 1 such as 2,4,8, not {arguments.views!r}")
@@ -198,10 +191,11 @@ def benchmark(words: Sequence[str]) -> None:
     print(f"{counts[0]} views …", file=sys.stderr, flush=True)
     rows = [*case.passes(arguments.repeat), *case.renderers(arguments.repeat)]
     rows += [case.method(of_method)] if of_method else []
+    del case  # its model is not counted twice
     peaks: dict[int, int] = {}
     for count in counts:
         print(f"memory of {count} views …", file=sys.stderr, flush=True)
-        peaks[count] = peak_memory(overrides, count, arguments.size)
+        peaks[count] = peak_memory(overrides, count, size)
     setting = {
         "machine": platform.processor() or platform.machine(),
         "threads": torch.get_num_threads(),
@@ -223,10 +217,8 @@ def table(rows: Sequence[Measured], peaks: Mapping[int, int]) -> str:
     lines += ["", "| views | peak memory |", "|---|---|"]
     lines += [f"| {views} | {size / 2**20:.0f} MiB |" for views, size in peaks.items()]
     if len(peaks) > 1:
-        counts, sizes = np.array(list(peaks)), np.array(list(peaks.values())) / 2**20
-        line = np.polyfit(counts, sizes, 1)
-        off = float(np.abs(np.polyval(line, counts) - sizes).max())
-        lines.append(f"\nMemory grows by {line[0]:.1f} MiB a view; the peaks are within {off:.1f} MiB of that line.")
+        slope = np.polyfit(list(peaks), list(peaks.values()), 1)[0] / 2**20
+        lines.append(f"\nMemory grows by {slope:.1f} MiB a view.")
     return "\n".join([*lines, f"{gib(free())} are free on this machine."])
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, OmegaConf, open_dict
 
 from anystyle.commands._compose import checked_seed, describe, job_folder, launch, override, run, split, with_sweep
 from anystyle.commands._flags import new_parser
@@ -21,10 +21,15 @@ from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
 from anystyle.evaluation.base import Evaluation, Progress, Protocol
 from anystyle.evaluation.config_lock import bind
+from anystyle.evaluation.runs import job_order
+from anystyle.io.checkpoint import read_header
+from anystyle.io.documents import read_json
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
 from anystyle.registry.schema import runtime_arguments
+from anystyle.registry.untrusted import check_saved
 
+BRANCH = "branch.safetensors"
 FOLDERS = ("content", "style", "stylized", "depth")
 MODEL = ("subject", "model", "backbone", "placement", "injector", "renderer", "method", "loss", "branch", "precision")
 """Groups of a model."""
@@ -174,8 +179,6 @@ def main(words: Sequence[str] | None = None) -> None:
             rest = [*subject_words(rest), *rest]
             launch("evaluate", lambda config: evaluate(config, job_folder(arguments.out or "evaluation")), rest)
             return
-        from anystyle.evaluation.trained_runs import configured, trained_runs
-
         folders = trained_runs(Path(arguments.trained))
         for folder in folders:
             out = folder / "evaluation" if arguments.out is None else Path(arguments.out)
@@ -185,6 +188,32 @@ def main(words: Sequence[str] | None = None) -> None:
             launch("evaluate", lambda config, folder=folder, out=out: evaluate(configured(config, folder), out), rest)
 
     run(command)
+
+
+def trained_runs(folder: Path) -> list[Path]:
+    """The folders that hold a style branch: a run itself, or the jobs of a multirun in order."""
+    if not folder.is_dir():
+        raise UserError(f"there is no run {folder}")
+    jobs = sorted((path.parent for path in folder.glob(f"*/{BRANCH}")), key=job_order)
+    folders = [folder] if (folder / BRANCH).is_file() else jobs
+    if not folders:
+        raise UserError(f"{folder} holds no finished training of a style branch ({BRANCH}, in it or in its jobs)")
+    return folders
+
+
+def configured(config: DictConfig, folder: Path) -> DictConfig:
+    """A configuration with the parts, options and weights of a run."""
+    what = "record of a run, which names the weights it was trained on"
+    bound: dict[str, Any] = read_json(folder / "bound.json", dict[str, Any], what=what)
+    saved = read_header(folder / BRANCH).config
+    check_saved(saved, folder / BRANCH)
+    merged = config.copy()
+    with open_dict(merged):
+        for part, node in saved.items():
+            merged[part] = OmegaConf.create(node) if isinstance(node, dict) else node
+        weights = {key.removeprefix("weights."): value for key, value in bound.items() if key.startswith("weights.")}
+        merged.weights = {**weights, "branch": str(folder / BRANCH)}
+    return merged
 
 
 def progress_lines() -> Progress:

@@ -108,15 +108,9 @@ def mixing_amounts(arguments: argparse.Namespace, num_styles: int) -> list[float
     """The amounts of ``--mix``."""
     if not num_styles:
         raise UserError('no style is given; add --text "..." or --image FILE')
-    amounts: list[float] = []
-    for word in ",".join(arguments.mix).split(",") if arguments.mix else []:
-        try:
-            amount = float(word)
-        except ValueError:
-            raise UserError(f"--mix takes numbers between 0 and 1, not {word!r}") from None
-        if not 0 <= amount <= 1:
-            raise UserError(f"--mix takes numbers between 0 and 1, not {word}")
-        amounts.append(amount)
+    amounts = _numbers("mix", arguments.mix)
+    if not all(0 <= amount <= 1 for amount in amounts):
+        raise UserError(f"--mix takes numbers between 0 and 1, not {','.join(arguments.mix)}")
     if amounts and num_styles != 2:
         raise UserError(f"--mix needs exactly two styles, and {num_styles} are given; add or drop a --text or --image")
     return amounts
@@ -150,9 +144,7 @@ def add_controls(parser: argparse.ArgumentParser) -> None:
     """Add them; each takes several values, and every combination is a result."""
     group = parser.add_argument_group("how a style is applied; several values make a strip")
     group.add_argument("--strength", action="append", default=[], metavar="0..1", help="0 is the unstyled scene")
-    group.add_argument(
-        "--preserve-color", action="append", default=[], metavar="0..1", help="keep the scene's hues; alone it means 1"
-    )
+    group.add_argument("--preserve-color", action="append", default=[], metavar="0..1", help="keep the scene's hues")
     group.add_argument("--scale", action="append", default=[], metavar="FACTOR", help="size of strokes of --image")
     group.add_argument(
         "--mask",
@@ -161,26 +153,6 @@ def add_controls(parser: argparse.ArgumentParser) -> None:
         metavar="WHERE",
         help="where style enters: a folder of masks, sphere:X,Y,Z,RADIUS or box:X,Y,Z,X,Y,Z; ,soft=WIDTH behind it",
     )
-
-
-def with_values(words: Sequence[str]) -> list[str]:
-    """The words, and the value that ``--preserve-color`` alone stands for."""
-    return ["--preserve-color=1" if _alone(words, index) else word for index, word in enumerate(words)]
-
-
-def _alone(words: Sequence[str], index: int) -> bool:
-    if words[index] != "--preserve-color" or "--" in words[:index]:
-        return False
-    following = words[index + 1] if index + 1 < len(words) else ""
-    return not all(_is_number(word) for word in following.split(","))
-
-
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
 
 
 def given_controls(arguments: argparse.Namespace) -> list[Controls]:
@@ -193,11 +165,11 @@ def given_controls(arguments: argparse.Namespace) -> list[Controls]:
 
 def _numbers(flag: str, words: Sequence[str]) -> list[float]:
     values = ",".join(words).split(",") if words else []
-    for word in values:
-        if not _is_number(word):
-            raise UserError(f"--{flag.replace('_', '-')} takes numbers, not {word!r}")
-    return [float(word) for word in values]
+    try:
+        return [float(word) for word in values]
+    except ValueError:
+        raise UserError(f"--{flag.replace('_', '-')} takes numbers, not {','.join(values)!r}") from None
 
 
 if __name__ == "__main__":
-    main("stylize", command, parser(), with_sweep(parser(), with_values(sys.argv[1:])))
+    main("stylize", command, parser(), with_sweep(parser(), sys.argv[1:]))

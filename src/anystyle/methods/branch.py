@@ -1,12 +1,11 @@
 """The single pass."""
 
-from typing import Literal
-
 import torch
 
+from anystyle.errors import UserError
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.methods.base import Method
-from anystyle.methods.colors import FitColors, checked_steps, color_gaussians
+from anystyle.methods.colors import fit_colors
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
 
@@ -18,18 +17,15 @@ class Branch(Method):
     styled pixels; everything else of them stays as it is.
 
     Args:
-        fit_colors: For such Gaussians: ``off`` takes the colour of the pixel that each was made from, ``mean`` the mean
-            of all pixels that show it, a number so many steps of least squares, in which each surface is coloured by
-            the view that shows it largest.
+        fit_colors: Steps of least squares for the colours of such Gaussians, in which each surface is coloured by the
+            view that shows it largest; 0 takes the mean of the pixels that show a Gaussian there.
         keep_harmonics: Whether such Gaussians keep their harmonics above degree 0; they are dropped otherwise.
-
-    Raises:
-        UserError: ``fit_colors`` is none of these.
     """
 
-    def __init__(self, *, fit_colors: int | Literal["off", "mean"] = 6, keep_harmonics: bool = False) -> None:
-        self.fit_colors: FitColors = checked_steps(fit_colors)
-        self.keep_harmonics = keep_harmonics
+    def __init__(self, *, fit_colors: int = 6, keep_harmonics: bool = False) -> None:
+        if fit_colors < 0:
+            raise UserError(f"method.fit_colors={fit_colors}; give a number of steps, 0 or more")
+        self.fit_colors, self.keep_harmonics = fit_colors, keep_harmonics
 
     @torch.no_grad()
     def __call__(
@@ -47,13 +43,8 @@ class Branch(Method):
         targets = rgb_from_constant(color[..., 0]).clamp(0, 1).movedim(-1, 1).float()  # V 3 H W
         origins = None if scene.origins is None else scene.origins[0]
         with torch.enable_grad():
-            colored = color_gaussians(
-                scene.gaussians,
-                scene.cameras,
-                targets,
-                stylizer.renderer,
-                origins,
-                self.fit_colors,
-                keep=self.keep_harmonics,
-            )
+            colored = fit_colors(
+                scene.gaussians, scene.cameras, targets, stylizer.renderer, steps=self.fit_colors, largest=True,
+                keep=self.keep_harmonics, origins=origins,
+            )  # fmt: skip
         return colored.detach()

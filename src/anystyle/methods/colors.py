@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import torch
 from jaxtyping import Float, Int
@@ -19,58 +18,6 @@ MIN_WEIGHT = 1e-3
 """A Gaussian that all views together show less of than so many pixels keeps its colour."""
 MIN_CONFIDENCE = 1e-3
 """Of a pixel all of whose Gaussians are seen larger elsewhere."""
-
-
-FitColors = Literal["off", "mean"] | int
-"""``off``: each Gaussian has the colour of the pixel it comes from; ``mean``: the weighted mean of the pixels that show
-it; a number: so many steps of least squares, in which each place is coloured by the view that shows it largest."""
-
-
-def checked_steps(value: str | int) -> FitColors:
-    """A configured value of :data:`FitColors`.
-
-    Raises:
-        UserError: It is none.
-    """
-    if value in ("off", "mean"):
-        return value  # pyright: ignore[reportReturnType]
-    if not str(value).isdigit():
-        raise UserError(f"fit_colors={value}; give off, mean, or a number of steps")
-    return int(value)
-
-
-def color_gaussians(
-    gaussians: Gaussians,
-    cameras: Cameras,
-    targets: Float[Tensor, "V 3 H W"],
-    renderer: Renderer,
-    origins: Int[Tensor, "N 3"] | None,
-    how: FitColors,
-    *,
-    keep: bool = False,
-) -> Gaussians:
-    """Colour Gaussians by pictures of them.
-
-    Args:
-        gaussians: A batch of one scene.
-        cameras: A batch of one scene, for images of the targets' size.
-        targets: sRGB in [0, 1].
-        renderer: Differentiable in colours.
-        origins: View, row and column of the pixel that each Gaussian comes from, where they are known.
-        how: See :data:`FitColors`.
-        keep: Whether harmonics above degree 0 stay, where colours are not those of single pixels.
-
-    Raises:
-        UserError: Origins are asked for, and there are none.
-    """
-    if how != "off":
-        steps = 0 if how == "mean" else how
-        return fit_colors(
-            gaussians, cameras, targets, renderer, steps=steps, largest=how != "mean", keep=keep, origins=origins
-        )
-    if origins is None:
-        raise UserError("fit_colors=off takes colours from pixels, and it is not known which Gaussian comes from which")
-    return replace(gaussians, harmonics=constant_from_rgb(_at(targets, origins))[None, :, None])
 
 
 def _at(pictures: Float[Tensor, "V 3 H W"], pixels: Int[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
@@ -113,9 +60,6 @@ def fit_colors(
         largest: Whether pixels count where their view shows a place largest; all count alike otherwise.
         keep: Whether harmonics above degree 0 stay as they are.
         origins: View, row and column of the pixel that each Gaussian comes from, for what no view sees.
-
-    Raises:
-        UserError: There are several scenes, or targets and cameras do not belong together.
     """
     if gaussians.means.shape[0] != 1 or cameras.world_from_camera.shape[:2] != (1, len(targets)):
         raise UserError(
@@ -265,11 +209,7 @@ def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _Syst
 
 
 def colors_alone(views: Views) -> Scene:
-    """Views with cameras, as a style branch at ``placement=color`` reads them: colours; no tokens, depth or Gaussians.
-
-    Raises:
-        UserError: The views have no cameras.
-    """
+    """Views with cameras as ``placement=color`` reads them: colours; no tokens, depth or Gaussians."""
     if views.cameras is None:
         raise UserError("colours alone are encoded of views with cameras")
     images, cameras = views.images, views.cameras

@@ -15,7 +15,7 @@ from anystyle.data.folder import SourceImage
 from anystyle.data.images import SUFFIXES, open_image, to_tensor
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
-from anystyle.methods.colors import color_gaussians
+from anystyle.methods.colors import fit_colors
 from anystyle.types import Cameras, Gaussians
 
 Vector = tuple[float, float, float]
@@ -115,9 +115,7 @@ class Photographs(Mask):
             masks = gaussian_blur2d(masks, (kernel[0], kernel[1]), (sigma, sigma), border_type="replicate")
         dark = constant_from_rgb(torch.zeros_like(gaussians.means))[:, :, None]
         with torch.enable_grad():
-            lifted = color_gaussians(
-                replace(gaussians, harmonics=dark), seen.cameras, masks, seen.renderer, None, "mean"
-            )
+            lifted = fit_colors(replace(gaussians, harmonics=dark), seen.cameras, masks, seen.renderer, steps=0)
         return rgb_from_constant(lifted.harmonics[:, :, 0]).mean(-1).clamp(0, 1).detach()
 
     def _of(self, source: SourceImage) -> Float[Tensor, "3 H W"]:

@@ -39,7 +39,7 @@ def peek(plugin: Plugin) -> Summary:
 
 def _class(module: str, name: str, root: Path | None, hops: int) -> tuple[str, ast.ClassDef] | None:
     """The module that defines a class, and its definition there."""
-    file = source_file(module, root)
+    file = source_file(module, root) or source_file(module, None)
     if file is None:
         raise ImportError(f"no source file of module {module}")
     tree = ast.parse(file.read_bytes())
@@ -57,7 +57,7 @@ def _class(module: str, name: str, root: Path | None, hops: int) -> tuple[str, a
 
 
 def _options(module: str, definition: ast.ClassDef, root: Path | None, runtime: tuple[str, ...]) -> list[str]:
-    """The options of a class's constructor, or of the one that it inherits."""
+    """The options of a class's constructor or dataclass fields, and those that it inherits."""
     for statement in definition.body:
         if isinstance(statement, ast.FunctionDef) and statement.name == "__init__":
             signature = statement.args
@@ -65,15 +65,22 @@ def _options(module: str, definition: ast.ClassDef, root: Path | None, runtime: 
             defaults = [None] * (len(plain) - len(signature.defaults)) + list(signature.defaults)
             pairs = [*zip(plain, defaults, strict=True)][1:]
             pairs += zip(signature.kwonlyargs, signature.kw_defaults, strict=True)
-            return [_written(argument, default) for argument, default in pairs if argument.arg not in runtime]
+            return [
+                _written(argument.arg, argument.annotation, default)
+                for argument, default in pairs
+                if argument.arg not in runtime
+            ]
+    inherited: list[str] = []
     for base in definition.bases:
         with contextlib.suppress(OSError, SyntaxError, ValueError, ImportError):
             located = _class(module, base.id, root, _HOPS) if isinstance(base, ast.Name) else None
-            if located is not None and (options := _options(*located, root, runtime)):
-                return options
-    return []
+            inherited = inherited or (_options(*located, root, runtime) if located is not None else [])
+    if not any("dataclass" in ast.unparse(decorator) for decorator in definition.decorator_list):
+        return inherited
+    fields = (statement for statement in definition.body if isinstance(statement, ast.AnnAssign))
+    return inherited + [_written(ast.unparse(field.target), field.annotation, field.value) for field in fields]
 
 
-def _written(argument: ast.arg, default: ast.expr | None) -> str:
-    hint = f": {ast.unparse(argument.annotation)}" if argument.annotation is not None else ""
-    return f"{argument.arg}{hint}" + (f" = {ast.unparse(default)}" if default is not None else "")
+def _written(name: str, annotation: ast.expr | None, default: ast.expr | None) -> str:
+    hint = f": {ast.unparse(annotation)}" if annotation is not None else ""
+    return f"{name}{hint}" + (f" = {ast.unparse(default)}" if default is not None else "")

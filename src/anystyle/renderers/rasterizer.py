@@ -2,6 +2,7 @@
 
 from abc import abstractmethod
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
@@ -13,8 +14,9 @@ from anystyle.geometry.harmonics import degree_of
 from anystyle.types import Cameras, Gaussians, Renders
 
 
-class Rasterizer(Renderer):
-    """Accumulates Gaussians over black, and composites the result over a background.
+@dataclass(kw_only=True, eq=False)
+class RendererOptions:
+    """What every renderer can be asked for.
 
     Args:
         background: Colour in [0, 1] behind the scene.
@@ -23,18 +25,14 @@ class Rasterizer(Renderer):
         eps2d: Low-pass filter of a pixel: variance in pixels² added to every Gaussian in the image.
     """
 
-    def __init__(
-        self,
-        *,
-        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
-        near: float = 1e-10,
-        far: float = 1e10,
-        eps2d: float = 0.3,
-    ) -> None:
-        self.background = background
-        self.near = near
-        self.far = far
-        self.eps2d = eps2d
+    background: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    near: float = 1e-10
+    far: float = 1e10
+    eps2d: float = 0.3
+
+
+class Rasterizer(RendererOptions, Renderer):
+    """Accumulates Gaussians over black, and composites the result over a background."""
 
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
         """Render every camera of every scene.
@@ -57,6 +55,7 @@ class Rasterizer(Renderer):
         """Red, green, blue and depth over black, not clamped, and the transmittance."""
 
 
+@dataclass(kw_only=True, eq=False)
 class CappedRasterizer(Rasterizer):
     """A rasteriser with a configurable cap on alpha.
 
@@ -65,17 +64,7 @@ class CappedRasterizer(Rasterizer):
             used, 0.99 in gsplat 1.6.
     """
 
-    def __init__(
-        self,
-        *,
-        background: tuple[float, float, float] = (1.0, 1.0, 1.0),
-        near: float = 1e-10,
-        far: float = 1e10,
-        eps2d: float = 0.3,
-        alpha_cap: float = 0.999,
-    ) -> None:
-        super().__init__(background=background, near=near, far=far, eps2d=eps2d)
-        self.alpha_cap = alpha_cap
+    alpha_cap: float = 0.999
 
 
 def check(gaussians: Gaussians, cameras: Cameras, background: Sequence[float], near: float) -> None:

@@ -51,9 +51,7 @@ class StylizationTraining(Training):
             image are drawn again.
         text_step_images: Whether losses on style images see them on steps whose styles are texts, as published.
         alternation: ``coin`` tosses for each step; ``strict`` spreads text steps evenly.
-        mix_ratio: Fraction of steps whose styles are random mixtures of two of the batch.
-        learning_rate: Of the head and of all injectors of the head.
-        head_rate: Times ``learning_rate``, for the head's copy; below 1 the injectors lead (published: 1).
+        learning_rate: Of the head's copy and of its injectors.
         aggregator_rate: Times ``learning_rate``, for the aggregator's copy.
         injector_rate: Times ``learning_rate``, for the aggregator's injectors; ``None`` takes ``aggregator_rate``, as
             published (the paper: 1).
@@ -86,9 +84,7 @@ class StylizationTraining(Training):
         text_ratio: float = 0.25,
         text_step_images: bool = True,
         alternation: Literal["coin", "strict"] = "coin",
-        mix_ratio: float = 0.0,
         learning_rate: float = 1e-4,
-        head_rate: float = 1.0,
         aggregator_rate: float = 0.3,
         injector_rate: float | None = None,
         learn_copies: bool = True,
@@ -101,12 +97,12 @@ class StylizationTraining(Training):
         preview_texts: Sequence[str] = ("blue and yellow swirling brush strokes", "orange and navy stripes"),
     ) -> None:
         super().__init__()
-        fractions = {"text_ratio": text_ratio, "mix_ratio": mix_ratio, "flip": flip, "min_scale": min_scale}
+        fractions = {"text_ratio": text_ratio, "flip": flip, "min_scale": min_scale}
         for name, fraction in fractions.items():
             if not 0 <= fraction <= 1:
                 raise UserError(f"training.{name} is {fraction}; give a fraction between 0 and 1")
         injector_rate = aggregator_rate if injector_rate is None else injector_rate
-        self.rates = {"head_rate": head_rate, "aggregator_rate": aggregator_rate, "injector_rate": injector_rate}
+        self.rates = {"aggregator_rate": aggregator_rate, "injector_rate": injector_rate}
         check_rates(learning_rate=learning_rate, **self.rates)
         check_counts(decay_steps=decay_steps)
         check_counts(0, warmup=warmup, preview_every=preview_every, cache_scenes=cache_scenes)
@@ -125,7 +121,7 @@ class StylizationTraining(Training):
             min_scale=min_scale, pool=pool, needs_style_image=text_ratio == 0,
         )  # fmt: skip
         self.encoded = EncodedScenes(stylizer.encode, cache_scenes)
-        self.text_ratio, self.alternation, self.mix_ratio = text_ratio, alternation, mix_ratio
+        self.text_ratio, self.alternation = text_ratio, alternation
         self.text_step_images = text_step_images
         self.learning_rate, self.betas, self.weight_decay = learning_rate, (betas[0], betas[1]), weight_decay
         self.warmup, self.floor, self.decay_steps = warmup, floor, decay_steps
@@ -189,10 +185,6 @@ class StylizationTraining(Training):
     def embed(self, style: Style, step: int) -> StyleEmbedding:
         """The styles of a step, as texts or as images; a row that lacks the one is embedded as the other."""
         vector = style_vectors(self.stylizer, style, as_text=self.is_text_step(step))
-        mixing = generator(self.seed, 6, step)
-        if mixing.random() < self.mix_ratio:
-            amount = vector.new_tensor(mixing.random(vector.shape[0]))[:, None]
-            vector = torch.lerp(vector, vector.roll(1, 0), amount)
         neutral = neutral_embedding(self.stylizer.style_encoder)
         return StyleEmbedding(vector, nn.functional.normalize(vector - neutral, dim=-1))
 
@@ -247,7 +239,6 @@ def branch_groups(
     stylizer: Stylizer,
     *,
     lr: float,
-    head_rate: float = 1.0,
     aggregator_rate: float = 0.3,
     injector_rate: float = 0.3,
 ) -> list[dict[str, Any]]:
@@ -255,7 +246,7 @@ def branch_groups(
     branch = stylizer.branch
     inside = {site.name for site in stylizer.backbone.aggregator.sites}
     parts: dict[str, tuple[list[nn.Module | None], float]] = {
-        "head": ([branch.gaussian_head], head_rate),
+        "head": ([branch.gaussian_head], 1.0),
         "head injectors": ([branch.injectors[name] for name in branch.injectors if name not in inside], 1.0),
         "aggregator": ([branch.aggregator], aggregator_rate),
         "aggregator injectors": (

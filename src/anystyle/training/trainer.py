@@ -18,12 +18,6 @@ from anystyle.training.callbacks import ProgressLines, StepSeed
 from anystyle.training.safeguards import FiniteLoss, SkipOutliers
 from anystyle.training.sharding import Sharded
 
-RESERVED = (
-    "default_root_dir", "max_epochs", "check_val_every_n_epoch", "num_sanity_val_steps", "use_distributed_sampler",
-    "enable_checkpointing", "enable_model_summary", "enable_progress_bar", "callbacks", "logger",
-)  # fmt: skip
-"""Options of Lightning's trainer that a run sets itself."""
-
 SHARDED = "fsdp2"
 """The strategy that shards trainable weights over the processes."""
 
@@ -74,14 +68,6 @@ def check_options(config: DictConfig) -> None:
         if not valid:
             raise UserError(f"{key}={value}: {expected}")
     trainer, precision = config.trainer, str(config.trainer.precision)
-    for name in RESERVED:
-        if name in trainer:
-            raise UserError(f"trainer.{name}={trainer[name]}: a run sets that itself; leave it out")
-    if trainer.get("deterministic") is True and trainer.get("benchmark"):
-        raise UserError(
-            "trainer.deterministic=true and trainer.benchmark=true: benchmarking picks kernels by their speed, "
-            "which is not the same twice; leave one of them out"
-        )
     if trainer.accelerator == "cpu" and precision.startswith("16"):
         raise UserError(
             f"trainer.precision={precision} on trainer.accelerator=cpu: half precision needs a graphics card; use "
