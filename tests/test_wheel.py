@@ -40,6 +40,7 @@ def test_it_carries_configurations_plugins_and_weights(wheel):
     for part in (
         "conf/stylize.yaml",
         "plugins/anysplat/pyproject.toml",
+        "plugins/cpu_renderer/anystyle_cpu_renderer/renderer.py",
         "plugins/tiny/anystyle_tiny/conf/model/tiny.yaml",
         "plugins/tiny/anystyle_tiny/procedural/phrases.toml",
         "plugins/magenta/LICENSE",
@@ -56,17 +57,12 @@ def test_it_carries_configurations_plugins_and_weights(wheel):
 def test_it_stylizes_from_another_folder(environment, tmp_path):
     clean = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "ANYSTYLE"))}
     command = [environment, "-m", "anystyle", "stylize", "scenes=procedural", "--text", "red and white stripes"]
-    options = ["--out", "result", "views.take=2", "video.frames=4", "video.scale=1"]
+    options = ["--out", "result", "scenes.size=56", "views.take=2", "video.frames=2", "video.scale=0.5"]
     run = subprocess.run([*command, *options], cwd=tmp_path, env=clean, capture_output=True, text=True, check=False)
     assert run.returncode == 0, run.stderr
     report = json.loads((tmp_path / "result" / "report.json").read_text())
     assert report["views"] == 2
     assert PlyData.read(tmp_path / "result" / "scene.ply")["vertex"].count == report["gaussians"]
-    where = subprocess.run(
-        [environment, "-c", "import anystyle; print(anystyle.__file__)"],
-        cwd=tmp_path,
-        env=clean,
-        capture_output=True,
-        text=True,
-    )
+    code = "import anystyle; print(anystyle.__file__)"
+    where = subprocess.run([environment, "-c", code], cwd=tmp_path, env=clean, capture_output=True, text=True)
     assert str(ROOT) not in where.stdout

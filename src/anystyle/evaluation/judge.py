@@ -41,9 +41,6 @@ def judge(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]) -> E
     Args:
         metrics: By name; they are reset.
         comparisons: Each with one scene, and with its name and that of its style.
-
-    Raises:
-        UserError: There is no comparison, or one cannot be judged.
     """
     by_scene: dict[str, list[Comparison]] = {}
     for comparison in comparisons:

@@ -43,9 +43,6 @@ class ModelRenders(Protocol):
         num_styles: At most so many; ``None`` takes all.
         frames: The first so many of each scene are judged.
         square: Whether the middle square of each view is taken.
-
-    Raises:
-        UserError: A number is below 1, or a source is not configured or lacks a scene that is named.
     """
 
     def __init__(

@@ -61,9 +61,6 @@ def pair(content: Path, style: Path, stylized: Path, depth: Path | None = None) 
     Photographs are ``SCENE/FRAME.png`` (or ``FRAME.png``), styles ``STYLE.png``; either may also have the stylized
     image's own name, as published evaluations write them. Numbers are compared as numbers: frame ``3`` is frame
     ``003``. Depth, along z, is ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` beside it where cameras are known.
-
-    Raises:
-        UserError: A folder is missing or empty, or a stylized image has no partner; the message lists them.
     """
     results = _files(stylized, "stylized", SUFFIXES)
     photographs, references = _files(content, "content", SUFFIXES), _files(style, "style", SUFFIXES)

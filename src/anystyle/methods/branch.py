@@ -20,9 +20,6 @@ class Branch(Method):
         fit_colors: Steps of least squares for the colours of such Gaussians, in which each surface is coloured by the
             view that shows it largest; 0 takes the mean of the pixels that show a Gaussian there.
         keep_harmonics: Whether such Gaussians keep their harmonics above degree 0; they are dropped otherwise.
-
-    Raises:
-        UserError: ``fit_colors`` is below 0.
     """
 
     def __init__(self, *, fit_colors: int = 6, keep_harmonics: bool = False) -> None:

@@ -39,9 +39,6 @@ class Optimize(Method):
         report_every: Steps between two reports of progress, with a thumbnail.
         keep_harmonics: Whether to keep harmonics above degree 0; they are dropped otherwise.
         seed: Of the order of views.
-
-    Raises:
-        UserError: There is no loss, or a number is out of range.
     """
 
     def __init__(

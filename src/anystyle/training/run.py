@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from omegaconf import DictConfig, OmegaConf
@@ -65,10 +65,6 @@ def train(config: DictConfig, out: Path, on_begin: Callable[[int], None] = lambd
         config: As ``conf/train.yaml`` composes it.
         out: Folder of checkpoints, logs and weights; a run is resumed from the checkpoint there.
         on_begin: Called with the step to begin at (0 for a new run), once all is checked and built.
-
-    Raises:
-        UserError: The configuration contradicts itself or is not that of the run to be resumed, or another run is at
-            work there.
     """
     check_options(config)
     with exclusive(out):
@@ -196,44 +192,29 @@ def _with_weights(config: DictConfig, part: str, module: nn.Module) -> nn.Module
     return module
 
 
-class Sources(NamedTuple):
-    """The scenes and styles of training and of validation, as far as they are configured."""
-
-    scenes: SceneSource | None
-    styles: StyleSource | None
-    validation_scenes: SceneSource | None
-    validation_styles: StyleSource | None
-
-
-def make_sources(config: DictConfig) -> Sources:
-    """Build the scenes and styles that a configuration names."""
+def make_sources(config: DictConfig) -> dict[str, Any]:
+    """The scenes and styles of training and of validation, by their keys; ``None`` where none is configured."""
 
     def source(base: Any, key: str) -> Any:
         # Where a choice was taken back, an experiment's options for it may be left.
         if config.get(key) is None or config[key].get("_target_") is None:
             return None
         built, cache = build(base, config[key]), config.get("cache")
-        if base is StyleSource or cache is None:
-            return built
-        return CachedScenes(built, Path(str(cache)).expanduser() / key)
+        return built if base is StyleSource or cache is None else CachedScenes(built, Path(cache).expanduser() / key)
 
-    return Sources(
-        source(SceneSource, "scenes"),
-        source(StyleSource, "styles"),
-        source(SceneSource, "validation_scenes"),
-        source(StyleSource, "validation_styles"),
-    )
+    bases = {"scenes": SceneSource, "styles": StyleSource}
+    return {name: source(base, name) for key, base in bases.items() for name in (key, f"validation_{key}")}
 
 
-def make_data(config: DictConfig, training: Training, sources: Sources | None = None) -> StepData:
+def make_data(config: DictConfig, training: Training, sources: Mapping[str, Any] | None = None) -> StepData:
     """The data module of training and validation batches; by default of the sources of the configuration."""
     sources = sources or make_sources(config)
+    scenes, styles = sources["validation_scenes"], sources["validation_styles"]
     validation = None
-    if any(source is not None for source in sources[2:]) and config.validation_steps:
+    if (scenes is not None or styles is not None) and config.validation_steps:
         # First, because a training keeps the seed of its last call.
-        styles = sources.validation_styles or sources.styles
-        validation = training.batches(sources.validation_scenes, styles, seed=config.seed + 1)
-    source = training.batches(sources.scenes, sources.styles, seed=config.seed)
+        validation = training.batches(scenes, styles or sources["styles"], seed=config.seed + 1)
+    source = training.batches(sources["scenes"], sources["styles"], seed=config.seed)
     return StepData(source, validation, validation_steps=config.validation_steps, workers=config.workers)
 
 

@@ -22,9 +22,6 @@ class Folders(Protocol):
         style: A folder of style images.
         stylized: A folder of results.
         depth: A folder of depth maps ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` where cameras are known.
-
-    Raises:
-        UserError: Images lack partners, or a folder is missing.
     """
 
     def __init__(

@@ -45,9 +45,6 @@ class Tables(Protocol):
         num_styles: The first so many.
         frames: Of each scene, the first so many are judged.
         size: Sides of the square views in pixels.
-
-    Raises:
-        UserError: The folder lacks something, or no metric has the table's figures.
     """
 
     def __init__(
