@@ -34,12 +34,12 @@ anystyle.catalog().find("command", "study").load()  # finds the package of `anys
 
 from anystyle_study.analysis import Settings, analyze
 from anystyle_study.contract import Responses
-from anystyle_study.statistics import variation
 from anystyle_study.figures import as_svg, likert, means, power
 from anystyle_study.power import Scenario, power_study, power_table
 from anystyle_study.reading import Answer, Records
 from anystyle_study.report import tests_table
 from anystyle_study.significance import CrossedT, OneSampleT, OrdinalMixed, SignFlip, Wilcoxon
+from anystyle_study.statistics import variation
 from anystyle_study.wording import response_level
 
 # %% [markdown]

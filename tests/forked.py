@@ -12,8 +12,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from anystyle.__main__ import main
+from anystyle.registry.catalog import catalog
 
-COMMANDS = ("stylize", "data", "report", "evaluate", "weights", "plugins", "train")
+COMMANDS = ("stylize", "report", "evaluate", "weights", "plugins", "train")
 MEMORY = 8 << 30
 
 
@@ -22,6 +23,7 @@ def warm() -> None:
     for name in COMMANDS:
         importlib.import_module(f"anystyle.commands.{name}")
         del sys.modules[f"anystyle.commands.{name}"]
+    catalog().find("command", "data").load()
 
 
 def start(words: Sequence[str], folder: Path, output: Path, environment: Mapping[str, str] | None = None) -> int:

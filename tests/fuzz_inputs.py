@@ -15,14 +15,14 @@ import yaml
 from PIL import Image
 from plyfile import PlyData
 
-from anystyle.data.re10k import Re10kScenes
 from anystyle.data.scene_folder import FolderScenes
-from anystyle.data.wikiart import WikiArtStyles
 from anystyle.evaluation import comparisons
 from anystyle.io import colmap
 from anystyle.io.video import write_video
 from anystyle.paths import SHARED
 from anystyle.types import Cameras, Gaussians
+from anystyle_datasets.re10k import Re10kScenes
+from anystyle_datasets.wikiart import WikiArtStyles
 
 CHECK = ("data", "check", ".")
 TINY = (

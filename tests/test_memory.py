@@ -8,7 +8,6 @@ import pytest
 import torch
 from PIL import Image
 
-from anystyle.data.re10k import Re10kScenes
 from anystyle.evaluation.comparisons import Reader
 from anystyle.evaluation.pairing import pair
 from anystyle.io import limits, ply
@@ -18,6 +17,7 @@ from anystyle.pipeline.load import assemble
 from anystyle.registry.compose import compose
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.training.run import train
+from anystyle_datasets.re10k import Re10kScenes
 from training_cases import RECONSTRUCTION, configuration
 
 

@@ -11,7 +11,6 @@ COMMANDS = (
     "stylize",
     "export",
     "train",
-    "data",
     "report",
     "evaluate",
     "plugins",

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 import anystyle
-from anystyle.data.captioning import read_captions
+from anystyle.data.captions import read_captions
 from anystyle.data.images import read_image
 from anystyle.io.sheet import to_pil
 from anystyle.types import Scene, StyleEmbedding

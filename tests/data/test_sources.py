@@ -1,6 +1,5 @@
 """Scenes and styles from folders in the layouts of the field."""
 
-import io
 import json
 import logging
 
@@ -10,10 +9,8 @@ import torch
 from PIL import Image
 
 from anystyle.data.poses import read_poses
-from anystyle.data.re10k import Re10kScenes
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.style_folder import FolderStyles
-from anystyle.data.wikiart import WikiArtStyles
 from real_data import real
 
 
@@ -169,106 +166,6 @@ def test_bad_scene_folders(tmp_path, capture):
             scenes.read(0, views)
     with pytest.raises(ValueError, match="there are 2"):
         scenes.num_views(2)
-
-
-def test_a_clip_of_any_name_is_written_nowhere(tmp_path, monkeypatch):
-    data, inside = tmp_path / "data", tmp_path / "temporary" / "deep"
-    data.mkdir()
-    inside.mkdir(parents=True)
-    monkeypatch.setattr("tempfile.tempdir", str(inside))
-    Re10kScenes.example(data)
-    key = "../../outside"
-    clips = torch.load(data / "train" / "0.torch", weights_only=True)
-    torch.save([clips[0] | {"key": key}], data / "train" / "0.torch")
-    (data / "train" / "index.json").write_text(json.dumps({key: "0.torch"}))
-    before = set(tmp_path.rglob("*"))
-    assert Re10kScenes(root=str(data), short_side=28).read(0, [0, 1]).names == (
-        "______outside_00000",
-        "______outside_00001",
-    )
-    assert set(tmp_path.rglob("*")) == before
-
-
-def test_re10k_chunks(tmp_path):
-    folder = tmp_path / "train"
-    folder.mkdir()
-    buffer = io.BytesIO()
-    Image.new("RGB", (64, 36), (10, 200, 30)).save(buffer, "PNG")
-    image = torch.frombuffer(bytearray(buffer.getvalue()), dtype=torch.uint8)
-    camera_from_world = np.concatenate([rotation(0.3), [[1.0], [2], [3]]], axis=1)
-    row = torch.tensor([0.8, 1.4, 0.5, 0.5, 0, 0, *camera_from_world.ravel()], dtype=torch.float32)
-    clip = {"key": "abc", "url": "u", "cameras": row.repeat(3, 1), "images": [image] * 3}
-    torch.save([clip], folder / "000000.torch")
-    (folder / "index.json").write_text(json.dumps({"abc": "000000.torch", "lost": "000001.torch", "up": "../x"}))
-    scenes = Re10kScenes(root=str(tmp_path), short_side=28, multiple=14)
-    assert scenes.name(0) == "abc" and scenes.num_views(0) == 3
-    views = scenes.read(0, [0, 2])
-    assert views.size == (28, 56) and views.names == ("abc_00000", "abc_00002")
-    back = views.cameras.camera_from_world[0, 1, :3]
-    np.testing.assert_allclose(back, camera_from_world, atol=1e-5)
-    # 64 x 36 is cut to 64 x 32 and scaled by 7/8; the principal point stays in the middle.
-    expected = torch.tensor([[0.8 * 56, 0, 28], [0, 1.4 * 36 * 7 / 8, 14], [0, 0, 1]])
-    torch.testing.assert_close(views.cameras.intrinsics[0, 0], expected)
-    with pytest.raises(ValueError, match="not there"):
-        scenes.num_views(1)
-    with pytest.raises(ValueError, match="outside"):
-        scenes.num_views(2)
-    (folder / "000001.torch").write_bytes(b"nonsense")
-    with pytest.raises(ValueError, match="chunk of clips"):
-        scenes.num_views(1)
-    with pytest.raises(ValueError, match="no JSON object from clips"):
-        Re10kScenes(root=str(tmp_path), split="test")
-
-
-@pytest.fixture
-def gallery(tmp_path):
-    for name, shade in (("Pop_Art/a.jpg", 50), ("Pop_Art/b.png", 100), ("Late_Renaissance/x/c.jpeg", 150)):
-        save(tmp_path / name, shade=shade)
-    (tmp_path / "Pop_Art" / "broken.jpg").write_text("nonsense")
-    (tmp_path / "wikiarts_descriptions.txt").write_text(
-        "Pop_Art/a.jpg;bold outlines; flat colour\nGone/z.jpg;hazy blue\nGone/y.jpg;\nGone/w.jpg;golden light\n"
-    )
-    (tmp_path / "wikiarts_test_files.txt").write_text("Pop_Art/b.png\n")
-    return tmp_path
-
-
-def test_wikiart_descriptions_folders_splits_and_texts_alone(gallery, caplog):
-    with caplog.at_level(logging.WARNING):
-        styles = WikiArtStyles(root=str(gallery), size=32)
-    assert "1 of 3 pictures cannot be read" in caplog.text and "broken.jpg" in caplog.text
-    read = [styles.read(style) for style in range(len(styles))]
-    assert [style.text[0] for style in read] == ["x", "bold outlines; flat colour", "hazy blue", "golden light"]
-    assert [style.image is None for style in read] == [False, False, True, True]
-    assert read[1].image.shape == (1, 3, 32, 32)
-    assert read[1].image.mean().item() * 255 == pytest.approx(50, abs=1)
-    assert [style.names[0] for style in read] == ["c", "a", "z", "w"]
-    assert len(WikiArtStyles(root=str(gallery), text_only=1)) == 3
-    test = WikiArtStyles(root=str(gallery), split="test")
-    assert [test.read(style).text for style in range(len(test))] == [("Pop Art",)]
-    assert len(WikiArtStyles(root=str(gallery), split="all", text_only=0)) == 3
-
-
-def test_a_painting_that_turns_out_damaged_is_named_and_never_replaced_in_silence(gallery):
-    noise = np.random.default_rng(0).integers(0, 255, (200, 200, 3), dtype=np.uint8)
-    Image.fromarray(noise).save(gallery / "Pop_Art" / "a.jpg")
-    data = (gallery / "Pop_Art" / "a.jpg").read_bytes()
-    (gallery / "Pop_Art" / "a.jpg").write_bytes(data[: len(data) // 2])
-    styles = WikiArtStyles(root=str(gallery), size=32, text_only=0)
-    with pytest.raises(ValueError, match=r"a\.jpg is a damaged image"):
-        styles.read(1)
-    assert styles.read(0).names == ("c",)
-
-
-def test_bad_galleries(tmp_path, gallery):
-    with pytest.raises(ValueError, match="no such folder"):
-        WikiArtStyles(root=str(tmp_path / "absent"))
-    (tmp_path / "nothing").mkdir()
-    with pytest.raises(ValueError, match="no paintings"):
-        WikiArtStyles(root=str(tmp_path / "nothing"))
-    with pytest.raises(ValueError, match="no file of captions"):
-        WikiArtStyles(root=str(gallery), descriptions=str(tmp_path / "absent.txt"))
-    with pytest.raises(ValueError, match="no list of paintings"):
-        WikiArtStyles(root=str(gallery), test_files=str(tmp_path / "absent.txt"))
 
 
 def test_a_folder_of_styles_with_captions(tmp_path):

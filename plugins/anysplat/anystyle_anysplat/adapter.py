@@ -8,10 +8,10 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle import contracts
-from anystyle.geometry.clusters import fuse, voxel_clusters
 from anystyle.geometry.harmonics import damping
 from anystyle.geometry.transforms import wxyz_from_xyzw
 from anystyle.types import Attributes, Clusters, Gaussians, Geometry
+from anystyle_anysplat.clusters import fuse, voxel_clusters
 
 
 class Adapter(contracts.Adapter):

@@ -6,7 +6,7 @@ from pathlib import Path
 from PIL import Image
 
 from anystyle.contracts import StyleSource
-from anystyle.data.captioning import read_captions
+from anystyle.data.captions import read_captions
 from anystyle.data.folder import image_files
 from anystyle.data.images import listing, read_square, readable
 from anystyle.errors import UserError

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from anystyle.data.captioning import read_captions
+from anystyle.data.captions import read_captions
 from anystyle.data.folder import image_files
 from anystyle.errors import UserError
 from anystyle.paths import natural

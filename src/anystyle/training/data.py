@@ -96,7 +96,7 @@ class SceneBatches:
         if heights is not None:
             check_sides(*bounds("heights", heights), width=width, multiple=multiple)
         if len(scenes) == 0:
-            raise UserError("the scene source holds no scene; `anystyle data check PATH` says why")
+            raise UserError("the scene source holds no scene")
         self.scenes, self.styles, self.seed = scenes, styles, seed
         self.batch_size, self.images = batch_size, images
         self.counts = list(range(low, high + 1))

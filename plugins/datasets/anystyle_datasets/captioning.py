@@ -1,16 +1,15 @@
-"""Captions of images: reading them, and writing them with an image-to-text model."""
+"""Describing images with an image-to-text model."""
 
 import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-import msgspec
 from PIL import Image
 
+from anystyle.data.captions import read_captions
 from anystyle.data.images import SUFFIXES, open_image
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
-from anystyle.io.documents import parse_json, read_text
 
 PROMPT = (
     "Describe the artistic style of this painting in at most 300 characters: brushwork, palette, texture, composition. "
@@ -25,29 +24,6 @@ LONGEST = 300
 
 Captioner = Callable[[Sequence[Image.Image], str], Sequence[str]]
 """From images and a prompt to one text for each image."""
-
-
-class _Line(msgspec.Struct):
-    image: str
-    text: str
-
-
-def read_captions(path: Path) -> dict[str, str]:
-    """Captions by image name, from JSON Lines or from lines ``name;text``."""
-    captions: dict[str, str] = {}
-    for number, line in enumerate(read_text(path, what="file of captions").splitlines(), start=1):
-        if not line.strip():
-            continue
-        where = f"line {number} of {path}"
-        if path.suffix.lower() in (".jsonl", ".json"):
-            entry: _Line = parse_json(line, _Line, source=where, what='{"image": "...", "text": "..."}')
-            name, text = entry.image, entry.text
-        else:
-            name, separator, text = line.partition(";")
-            if not separator:
-                raise UserError(f"{where} has no semicolon; 'image;text' is expected")
-        captions[name.strip()] = text.strip()
-    return captions
 
 
 def transformers_captioner(model: str, device: str) -> Captioner:

@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 
 from anystyle.contracts import StyleSource
-from anystyle.data.captioning import read_captions
+from anystyle.data.captions import read_captions
 from anystyle.data.images import listing, read_square, readable
 from anystyle.errors import UserError
 from anystyle.io.documents import read_text

@@ -5,9 +5,9 @@ import json
 import pytest
 from PIL import Image
 
-from anystyle.data.captioning import caption_folder, transformers_captioner
 from anystyle.data.style_folder import FolderStyles
-from anystyle.data.wikiart import DESCRIPTIONS, WikiArtStyles
+from anystyle_datasets.captioning import caption_folder, transformers_captioner
+from anystyle_datasets.wikiart import DESCRIPTIONS, WikiArtStyles
 
 
 class Shades:

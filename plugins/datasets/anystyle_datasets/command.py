@@ -1,4 +1,4 @@
-"""Check training data before it is trained on, and describe paintings."""
+"""The command ``anystyle data``."""
 
 import argparse
 import sys
@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from anystyle.commands._flags import new_parser, parse, subcommand
-from anystyle.commands._run import run, words_of
-from anystyle.data.captioning import DEFAULT_MODEL, PROMPT, caption_folder, transformers_captioner
-from anystyle.data.checking import Report, check, same_pictures
 from anystyle.data.images import SUFFIXES
 from anystyle.errors import UserError
 from anystyle.evaluation.paper_folder import PaperFolder, is_paper_folder
 from anystyle.io.atomic import atomic_path
+from anystyle.registry.socket import Command
+from anystyle_datasets.captioning import DEFAULT_MODEL, PROMPT, caption_folder, transformers_captioner
+from anystyle_datasets.checking import Report, check, same_pictures
 
 SUBCOMMANDS = {
     "check": "what a folder of scenes or styles holds, and what in it is missing or damaged",
@@ -21,31 +21,32 @@ SUBCOMMANDS = {
 }
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    """Run ``anystyle data``."""
-    given = words_of(words)
-    name = subcommand("data", __doc__, SUBCOMMANDS, given)
-    if name is None:
-        return
-    flags = new_parser(f"data {name}", SUBCOMMANDS[name])
-    add = flags.add_argument
-    if name == "check":
-        layouts = ("scenes", "re10k", "styles", "wikiart", "tables")
-        add("path", type=Path, help="a folder")
-        add("--as", dest="layout", choices=layouts, help="how to read it (default: recognised)")
-        add("--min-views", type=int, default=2, help="views that a scene needs (default: %(default)s)")
-        add("--headers", action="store_true", help="do not decode pixels: faster, but truncated files are not found")
-        add("--against", type=Path, help="a folder of test styles: name the pictures that are in both")
-        add("--write", type=Path, help="write their names to a file, for styles.exclude=[FILE]")
-        check_command(parse(flags, given[1:]))
-    else:
-        add("path", type=Path, help="a folder, walked to any depth")
-        add("--model", default=DEFAULT_MODEL, help="of the image-text-to-text pipeline (default: %(default)s)")
-        add("--device", default="cpu", help="where it runs, such as cuda:0 (default: %(default)s)")
-        add("--out", type=Path, help="the file (default: captions.jsonl in the folder)")
-        add("--prompt", default=PROMPT, help="the question to the model")
-        add("--batch", type=int, default=8, help="pictures at a time (default: %(default)s)")
-        caption_command(parse(flags, given[1:]))
+class Data(Command):
+    """Check training data before it is trained on, and describe paintings."""
+
+    def __call__(self, words: Sequence[str]) -> None:
+        name = subcommand("data", self.__doc__, SUBCOMMANDS, words)
+        if name is None:
+            return
+        flags = new_parser(f"data {name}", SUBCOMMANDS[name])
+        add = flags.add_argument
+        if name == "check":
+            layouts = ("scenes", "re10k", "styles", "wikiart", "tables")
+            add("path", type=Path, help="a folder")
+            add("--as", dest="layout", choices=layouts, help="how to read it (default: recognised)")
+            add("--min-views", type=int, default=2, help="views that a scene needs (default: %(default)s)")
+            add("--headers", action="store_true", help="do not decode pixels: faster, but misses truncated files")
+            add("--against", type=Path, help="a folder of test styles: name the pictures that are in both")
+            add("--write", type=Path, help="write their names to a file, for styles.exclude=[FILE]")
+            check_command(parse(flags, words[1:]))
+        else:
+            add("path", type=Path, help="a folder, walked to any depth")
+            add("--model", default=DEFAULT_MODEL, help="of the image-text-to-text pipeline (default: %(default)s)")
+            add("--device", default="cpu", help="where it runs, such as cuda:0 (default: %(default)s)")
+            add("--out", type=Path, help="the file (default: captions.jsonl in the folder)")
+            add("--prompt", default=PROMPT, help="the question to the model")
+            add("--batch", type=int, default=8, help="pictures at a time (default: %(default)s)")
+            caption_command(parse(flags, words[1:]))
 
 
 def check_command(arguments: argparse.Namespace) -> None:
@@ -129,7 +130,3 @@ def caption_command(arguments: argparse.Namespace) -> None:
     for name, reason in failed.items():
         print(f"left out: {name}: {reason}", file=sys.stderr)
     print(out)
-
-
-if __name__ == "__main__":
-    run(lambda: main(sys.argv[1:]))

@@ -11,16 +11,16 @@ from typing import Literal, TypeVar
 import numpy as np
 from PIL import Image
 
-from anystyle.data.captioning import read_captions
+from anystyle.data.captions import read_captions
 from anystyle.data.folder import image_files
 from anystyle.data.images import SUFFIXES, image_size, listing, open_image
 from anystyle.data.poses import frame_names, read_poses
-from anystyle.data.re10k import Re10kScenes
 from anystyle.data.scene_folder import FolderScenes
-from anystyle.data.wikiart import DESCRIPTIONS, TEST_FILES
 from anystyle.errors import UserError
 from anystyle.io.documents import read_json, read_text
 from anystyle.io.images import Picture
+from anystyle_datasets.re10k import Re10kScenes
+from anystyle_datasets.wikiart import DESCRIPTIONS, TEST_FILES
 
 P = TypeVar("P", Path, bytes)
 Layout = Literal["scenes", "re10k", "styles", "wikiart"]

@@ -8,14 +8,14 @@ import pytest
 import torch
 from PIL import Image
 
-from anystyle.commands.data import main
 from anystyle.contracts import SceneSource
-from anystyle.data.checking import check, fingerprint, guess, same_pictures
 from anystyle.data.scene_folder import FolderScenes
-from anystyle.data.wikiart import DESCRIPTIONS, TEST_FILES, WikiArtStyles
 from anystyle.errors import UserError
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
+from anystyle_datasets.checking import check, fingerprint, guess, same_pictures
+from anystyle_datasets.command import Data
+from anystyle_datasets.wikiart import DESCRIPTIONS, TEST_FILES, WikiArtStyles
 from oracle import hashed
 from real_data import real
 
@@ -125,7 +125,7 @@ def test_paintings_are_held_against_their_descriptions_and_lists(tmp_path, capsy
     (tmp_path / "Fauvism/torn.png").write_bytes(b"nothing")
     (tmp_path / DESCRIPTIONS).write_text("Op_Art/a.png;from dark to light\nOp_Art/gone.png;dots\n")
     (tmp_path / TEST_FILES).write_text("Op_Art/b.png\nOp_Art/absent.png\n")
-    main(["check", str(tmp_path)])
+    Data()(["check", str(tmp_path)])
     told = capsys.readouterr().out
     assert (
         "layout    wikiart" in told and "images    3\n" in told and "texts     1\n" in told and "problems  3\n" in told
@@ -140,7 +140,7 @@ def test_a_folder_of_nothing_is_refused(tmp_path):
     with pytest.raises(ValueError, match="no scene lies there"):
         check(tmp_path)
     with pytest.raises(UserError, match="Did you mean 'check'"):
-        main(["chekc"])
+        Data()(["chekc"])
 
 
 def test_a_style_list_that_overlaps_the_test_list_is_refused(tmp_path):
@@ -177,6 +177,6 @@ def test_copies_of_a_painting_are_found_whatever_their_name_size_and_format(tmp_
     prints = [fingerprint(path) for path in paintings]
     distances = [(a ^ b).bit_count() for i, a in enumerate(prints) for b in prints[:i]]
     assert min(distances) > 30
-    main(["check", str(train), "--as", "styles", "--against", str(tests), "--write", str(tmp_path / "exclude.txt")])
+    Data()(["check", str(train), "--as", "styles", "--against", str(tests), "--write", str(tmp_path / "exclude.txt")])
     assert f"overlap   {len(expected)} of {len(expected)}" in capsys.readouterr().out
     assert (tmp_path / "exclude.txt").read_text().split() == [path.name for path in sorted(expected)]

@@ -1,0 +1,1 @@
+"""The data sets that the paper trains on, and the command ``anystyle data``."""
