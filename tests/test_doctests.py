@@ -6,10 +6,8 @@ import importlib
 import pytest
 
 MODULES = (
-    "anystyle.evaluation.published_figures",
     "anystyle.evaluation.tables",
     "anystyle.geometry.harmonics",
-    "anystyle.geometry.transforms",
     "anystyle.geometry.transforms",
     "anystyle.metrics.psnr",
     "anystyle.registry.build",
