@@ -37,7 +37,7 @@ LOAD = """
 import json, sys
 import torch
 from anystyle.pipeline.load import build_and_load
-from anystyle.commands.benchmark import sampled_peak
+from resident import sampled_peak
 from anystyle.pipeline.weights import load_reference
 from anystyle.registry.compose import compose
 
@@ -118,7 +118,7 @@ def make(kind: str, folder: Path, ckpt: bool) -> None:
 def load(file: Path, overrides: Sequence[str]) -> dict[str, Any]:
     """What loading a file takes, in a process of its own."""
     command = [sys.executable, "-c", LOAD, str(file), *overrides]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parent)
     if done.returncode:
         raise ValueError(done.stderr.strip().splitlines()[-1])
     return json.loads(done.stdout)

@@ -15,8 +15,8 @@ from anystyle.commands.stylize import command, given_controls, parser
 from anystyle.data.folder import Original, covering
 from anystyle.data.images import to_tensor
 from anystyle.geometry.harmonics import colors
-from anystyle.pipeline.controls import LUMA, blended, rescaled, with_colors_of
-from anystyle.pipeline.masks import Box, Photographs, SeenScene, Sphere, inside, parsed
+from anystyle.pipeline.controls import LUMA, SeenScene, blended, rescaled, with_colors_of
+from anystyle.pipeline.masks import Box, Photographs, Sphere, inside, parsed
 from anystyle.pipeline.poses import PosedViews
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians

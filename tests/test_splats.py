@@ -10,7 +10,6 @@ from plyfile import PlyData, PlyElement
 
 import anystyle
 from anystyle.commands._compose import main
-from anystyle.commands.benchmark import sampled_peak
 from anystyle.commands.stylize import command, parser
 from anystyle.io import ply
 from anystyle.methods.branch import Branch
@@ -25,6 +24,7 @@ from anystyle.types import Gaussians
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from known_scene import photographed_wall, rig, wall
 from methods.worlds import painting
+from resident import sampled_peak
 
 RENDERER = CpuRenderer(background=(0.0, 0.0, 0.0))
 COLORS = ("f_dc", "f_rest")

@@ -4,13 +4,11 @@ import json
 
 import pytest
 
-from anystyle.commands import benchmark as command
 from anystyle.commands.benchmark import Measured, benchmark, table
 from anystyle.errors import UserError
 
 
-def test_the_command_measures_the_default_model_and_writes_one_table(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(command, "peak_memory", lambda words, views, size: (300 + 10 * views) * 2**20)
+def test_the_command_measures_the_default_model_and_writes_one_table(tmp_path, capsys):
     out = tmp_path / "benchmark.json"
     method = ["method=nnfm", "method.num_steps=1"]
     benchmark(["--views", "2,4", "--size", "56x56", "--repeat", "1", "--out", str(out), *method])
@@ -18,9 +16,8 @@ def test_the_command_measures_the_default_model_and_writes_one_table(tmp_path, c
     assert "| restyle |" in printed and "results equal" in printed
     assert "method=nnfm method.num_steps=1" in printed
     assert "render with cpu" in printed and "render with torch" in printed
-    assert "10.0 MiB a view" in printed
     stored = json.loads(out.read_text())
-    assert stored["peaks"].keys() == {"2", "4"} and stored["rows"][0]["name"] == "encode"
+    assert 2**20 < stored["peaks"]["2"] < stored["peaks"]["4"] and stored["rows"][0]["name"] == "encode"
 
 
 def test_wrong_words_end_in_one_line():

@@ -11,8 +11,7 @@ from anystyle import contracts
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.attention import Block, Mlp
 from anystyle.nn.dpt import Dpt
-from anystyle.nn.heads import DptGaussians, DptGeometry
-from anystyle.nn.pose import centred_cameras, rotation_of
+from anystyle.nn.heads import DptGaussians, DptGeometry, centred_cameras, rotation_of
 from anystyle.types import Attributes, Cameras
 
 
@@ -38,7 +37,7 @@ class CameraHead(nn.Module):
         self.pose_branch = Mlp(dim, dim // 2, 9)
 
     def forward(self, camera_tokens: Float[Tensor, "B V C"]) -> Float[Tensor, "I B V 9"]:
-        """The encodings after each pass; the last is the result (layout: :mod:`anystyle.nn.pose`)."""
+        """The encodings after each pass; the last is the result (layout: :func:`anystyle.nn.heads.rotation_of`)."""
         tokens = self.token_norm(camera_tokens)
         plain = F.layer_norm(tokens, tokens.shape[-1:], eps=1e-6)
         encoding = torch.zeros_like(tokens[..., :9])

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from anystyle_anysplat.clusters import fuse, lexicographic_ranks, voxel_clusters
+from anystyle_anysplat.adapter import fuse, lexicographic_ranks, voxel_clusters
 from oracle import golden, hashed
 
 

@@ -11,8 +11,7 @@ from torch import Tensor, nn
 from anystyle import contracts
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.dpt import Dpt
-from anystyle.nn.heads import DptGaussians, DptGeometry
-from anystyle.nn.pose import centred_cameras, rotation_of
+from anystyle.nn.heads import DptGaussians, DptGeometry, centred_cameras, rotation_of
 from anystyle.nn.tokens import normalised
 from anystyle.types import Attributes, Cameras
 
@@ -28,7 +27,7 @@ class CameraDecoder(nn.Module):
         self.field_of_view = nn.Linear(dim, 2)
 
     def forward(self, tokens: Float[Tensor, "B V C"]) -> Float[Tensor, "B V 9"]:
-        """Pose encodings (layout: :mod:`anystyle.nn.pose`)."""
+        """Pose encodings (layout: :func:`anystyle.nn.heads.rotation_of`)."""
         x = self.trunk(tokens)
         return torch.cat([self.translation(x), self.quaternion(x), F.relu(self.field_of_view(x))], dim=-1)
 

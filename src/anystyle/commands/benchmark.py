@@ -4,26 +4,27 @@ import argparse
 import platform
 import re
 import sys
-import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from typing import Any, NamedTuple
 
 import numpy as np
-import psutil
 import torch
+from torch.utils import _pytree as pytree
 
 import anystyle
 from anystyle.commands._flags import new_parser, split
 from anystyle.commands._run import run, words_of
+from anystyle.contracts import Renderer
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
-from anystyle.io.limits import free, gib
+from anystyle.pipeline import memory
 from anystyle.pipeline.load import default_device, make_method
+from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
-from anystyle.types import Style, StyleEmbedding, Value, Views
+from anystyle.types import Style, StyleEmbedding, Views
 
 METHOD_WORDS = ("method=", "method.", "loss=", "loss.")
 
@@ -66,29 +67,32 @@ def timed(function: Callable[[], object]) -> tuple[float, float]:
 
 
 class Case:
-    """A model with random views and a random style, on a CUDA device if there is one."""
+    """A model with a random style and random views, on a CUDA device if there is one."""
 
-    def __init__(self, words: Sequence[str], num_views: int, size: tuple[int, int] | None) -> None:
+    def __init__(self, words: Sequence[str], size: tuple[int, int] | None) -> None:
         model = next((word.partition("=")[2] for word in words if word.startswith("model=")), None)
         self.device = default_device()
         self.stylizer = anystyle.load(model, [word for word in words if not word.startswith("model=")]).to(self.device)
         backbone = self.stylizer.backbone
         side = backbone.resolution // backbone.patch_size * backbone.patch_size
-        generator = torch.Generator().manual_seed(0)
-        images = torch.rand(1, num_views, 3, *(size or (side, side)), generator=generator)
-        vector = torch.randn(1, self.stylizer.style_encoder.dim, generator=generator)
+        self.size = size or (side, side)
+        vector = torch.randn(1, self.stylizer.style_encoder.dim, generator=torch.Generator().manual_seed(0))
         vector = torch.nn.functional.normalize(vector, dim=-1)
-        self.views = Views(images.to(self.device))
         self.style = StyleEmbedding(vector, vector).to(self.device)
 
+    def views(self, number: int) -> Views:
+        """So many random views."""
+        images = torch.rand(1, number, 3, *self.size, generator=torch.Generator().manual_seed(0))
+        return Views(images.to(self.device))
+
     @torch.no_grad()
-    def passes(self, repeat: int) -> list[Measured]:
+    def passes(self, views: Views, repeat: int) -> list[Measured]:
         """Encode, restyle and single pass in turn, so that a slow moment of the machine affects all of them."""
         latest: dict[str, Any] = {}
         works: dict[str, Callable[[], object]] = {
-            "encode": lambda: self.stylizer.encode(self.views),
+            "encode": lambda: self.stylizer.encode(views),
             "restyle": lambda: self.stylizer.restyle(latest["encode"], self.style),
-            "single": lambda: self.stylizer(self.views, self.style),
+            "single": lambda: self.stylizer(views, self.style),
         }
         times: dict[str, list[tuple[float, float]]] = {name: [] for name in works}
         for _ in range(repeat):
@@ -96,7 +100,7 @@ class Case:
                 latest.pop(name, None)
                 times[name].append(timed(lambda work=work, name=name: latest.update({name: work()})))
         encode, restyle, single = (min(seconds) for seconds in times.values())
-        restyled, passed = (_tensors(latest[name]) for name in ("restyle", "single"))
+        restyled, passed = (pytree.tree_leaves(latest[name]) for name in ("restyle", "single"))
         same = all(torch.equal(one, other) for one, other in zip(restyled, passed, strict=True))
         ratio = restyle[1] / max(single[1], 1e-9)
         note = f"{ratio:.3f} of the single pass's CPU time; results {'equal' if same else 'DIFFER'}"
@@ -106,26 +110,24 @@ class Case:
             Measured("restyle", *restyle, note),
         ]
 
-    def method(self, words: Sequence[str]) -> Measured:
+    def method(self, views: Views, words: Sequence[str]) -> Measured:
         """A method on the encoded scene, once, with an image of noise as the style."""
         method = make_method(compose("stylize", list(words)), self.stylizer.style_encoder)
-        scene = self.stylizer.encode(self.views)
-        noise = torch.rand(1, 3, *scene.cameras.size, generator=torch.Generator().manual_seed(0))
-        style = Style(image=noise.to(self.device))
+        scene, style = self.stylizer.encode(views), Style(image=views.images[:, 0])
         seconds = timed(lambda: method(self.stylizer, scene, style, self.style))
         return Measured(" ".join(words), *seconds, "a style by this method, once the scene is encoded")
 
     @torch.no_grad()
-    def renderers(self, repeat: int) -> list[Measured]:
+    def renderers(self, views: Views, repeat: int) -> list[Measured]:
         """Every renderer of the catalog that runs on this machine, on one view of the scene."""
-        scene = self.stylizer.encode(self.views)
+        scene = self.stylizer.encode(views)
         gaussians, camera = self.stylizer.restyle(scene, self.style), scene.cameras.select([0])
         rows: list[Measured] = []
         for name in catalog().names("renderer"):
-            renderer: Any = catalog().find("renderer", name).load()()
+            renderer = build(Renderer, name)
             try:
                 renderer(gaussians, camera)
-            except (ImportError, ValueError) as error:  # not installed, or for another device
+            except (ImportError, UserError) as error:  # not installed, or for another device
                 print(f"renderer {name} is left out: {error}", file=sys.stderr)
                 continue
             seconds = min(timed(lambda renderer=renderer: renderer(gaussians, camera)) for _ in range(repeat))
@@ -133,44 +135,19 @@ class Case:
             rows.append(Measured(f"render with {name}", *seconds, f"{seconds[0] / first:.1f} x the first renderer"))
         return rows
 
-
-def _tensors(value: Value) -> list[torch.Tensor]:
-    found: list[torch.Tensor] = []
-    value.map(lambda tensor: found.append(tensor) or tensor)
-    return found
-
-
-def peak_memory(words: Sequence[str], num_views: int, size: tuple[int, int] | None) -> int:
-    """Peak bytes of this process while it encodes and styles so many views once; on a CUDA device, of that."""
-    case = Case(words, num_views, size)
-
     @torch.no_grad()
-    def single_pass() -> None:
-        case.stylizer.restyle(case.stylizer.encode(case.views), case.style)
+    def peak_memory(self, views: Views) -> int:
+        """Peak bytes of tensors, the weights among them, while views are encoded and styled."""
 
-    if torch.cuda.is_available():
-        torch.cuda.reset_peak_memory_stats()
-    peak = sampled_peak(single_pass)
-    return torch.cuda.max_memory_allocated() if torch.cuda.is_available() else peak
+        def single_pass() -> object:
+            return self.stylizer.restyle(self.stylizer.encode(views), self.style)
 
-
-def sampled_peak(function: Callable[[], object]) -> int:
-    """The peak resident bytes of this process while a function runs; on Linux without pages of mapped files."""
-    process, ended, samples = psutil.Process(), threading.Event(), list[int]()
-
-    def sample() -> None:
-        while not samples or not ended.wait(0.002):
-            usage = process.memory_info()
-            samples.append(usage.rss - getattr(usage, "shared", 0))
-
-    thread = threading.Thread(target=sample)
-    thread.start()
-    try:
-        function()
-    finally:
-        ended.set()
-        thread.join()
-    return max(samples)
+        if self.device.type == "cuda":
+            torch.cuda.reset_peak_memory_stats()
+            single_pass()
+            return torch.cuda.max_memory_allocated()
+        weights = list(self.stylizer.state_dict().values())
+        return memory.peak(single_pass, weights) + sum(weight.nbytes for weight in weights)
 
 
 def benchmark(words: Sequence[str]) -> None:
@@ -187,15 +164,12 @@ def benchmark(words: Sequence[str]) -> None:
         raise UserError(f"--repeat is {arguments.repeat}; measure at least once")
     of_method = [word for word in overrides if word.startswith(METHOD_WORDS)]
     overrides = [word for word in overrides if word not in of_method]
-    case = Case(overrides, counts[0], size)
+    case = Case(overrides, size)
     print(f"{counts[0]} views …", file=sys.stderr, flush=True)
-    rows = [*case.passes(arguments.repeat), *case.renderers(arguments.repeat)]
-    rows += [case.method(of_method)] if of_method else []
-    del case  # its model is not counted twice
-    peaks: dict[int, int] = {}
-    for count in counts:
-        print(f"memory of {count} views …", file=sys.stderr, flush=True)
-        peaks[count] = peak_memory(overrides, count, size)
+    views = case.views(counts[0])
+    rows = [*case.passes(views, arguments.repeat), *case.renderers(views, arguments.repeat)]
+    rows += [case.method(views, of_method)] if of_method else []
+    peaks = {count: case.peak_memory(case.views(count)) for count in counts}
     setting = {
         "machine": platform.processor() or platform.machine(),
         "threads": torch.get_num_threads(),
@@ -214,12 +188,12 @@ def table(rows: Sequence[Measured], peaks: Mapping[int, int]) -> str:
     """The Markdown tables of times and of peak bytes by number of views."""
     lines = ["| what | seconds | CPU seconds | note |", "|---|---|---|---|"]
     lines += [f"| {row.name} | {row.seconds:.3f} | {row.cpu_seconds:.3f} | {row.note} |" for row in rows]
-    lines += ["", "| views | peak memory |", "|---|---|"]
+    lines += ["", "| views | peak memory of tensors |", "|---|---|"]
     lines += [f"| {views} | {size / 2**20:.0f} MiB |" for views, size in peaks.items()]
     if len(peaks) > 1:
         slope = np.polyfit(list(peaks), list(peaks.values()), 1)[0] / 2**20
         lines.append(f"\nMemory grows by {slope:.1f} MiB a view.")
-    return "\n".join([*lines, f"{gib(free())} are free on this machine."])
+    return "\n".join(lines)
 
 
 if __name__ == "__main__":

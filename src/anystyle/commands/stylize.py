@@ -14,8 +14,7 @@ from anystyle.commands._flags import new_parser
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.errors import UserError
 from anystyle.io.sheet import to_pil
-from anystyle.pipeline.controls import Controls, combinations
-from anystyle.pipeline.masks import parsed
+from anystyle.pipeline.controls import Controls, Mask, combinations
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import Mixture, StyleInput, check_text
@@ -157,10 +156,13 @@ def add_controls(parser: argparse.ArgumentParser) -> None:
 
 def given_controls(arguments: argparse.Namespace) -> list[Controls]:
     """Every combination of the values of the flags."""
-    return combinations(
-        *(_numbers(flag, getattr(arguments, flag)) for flag in ("strength", "preserve_color", "scale")),
-        mask=[parsed(word) for word in arguments.mask],
-    )
+    masks: list[Mask] = []
+    if arguments.mask:
+        from anystyle.pipeline.masks import parsed
+
+        masks = [parsed(word) for word in arguments.mask]
+    numbers = (_numbers(flag, getattr(arguments, flag)) for flag in ("strength", "preserve_color", "scale"))
+    return combinations(*numbers, mask=masks)
 
 
 def _numbers(flag: str, words: Sequence[str]) -> list[float]:

@@ -1,4 +1,4 @@
-"""Gaussian and geometry heads on a DPT decoder; a backbone adds its image features, channels and cameras."""
+"""Gaussian and geometry heads on a DPT decoder, and cameras of pose encodings; a backbone adds what is its own."""
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.errors import UserError
+from anystyle.geometry.transforms import matrix_from_wxyz, wxyz_from_xyzw
 from anystyle.nn.aligner import Aligner
 from anystyle.nn.dpt import Dpt, by_views
 from anystyle.types import Attributes, Cameras, Features, Geometry, Inject, Site, Tokens, untouched
@@ -128,3 +129,27 @@ def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, dept
             f"taps are {list(taps)}; give four layers from {first} on in rising order, of which the last is "
             f"depth - 1 = {depth - 1}"
         )
+
+
+def rotation_of(encoding: Float[Tensor, "B V 9"]) -> Float[Tensor, "B V 3 3"]:
+    """The rotation of pose encodings: translation (3), quaternion xyzw (4), tangents or angles of the view (2)."""
+    return matrix_from_wxyz(wxyz_from_xyzw(encoding[..., 3:7]))
+
+
+def centred_cameras(
+    rotation: Float[Tensor, "B V 3 3"],
+    origin: Float[Tensor, "B V 3"],
+    tangent: Float[Tensor, "B V 2"],
+    size: tuple[int, int],
+) -> Cameras:
+    """Cameras with the principal point in the middle of images of ``size``, height and width.
+
+    ``rotation`` is world from camera; ``tangent`` that of half the vertical and half the horizontal field of view.
+    """
+    height, width = size
+    last = origin.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*origin.shape[:-1], 1, 4)
+    pose = torch.cat([torch.cat([rotation, origin[..., None]], dim=-1), last], dim=-2)
+    focal_y, focal_x = height / 2 / tangent[..., 0], width / 2 / tangent[..., 1]
+    zero, one = torch.zeros_like(focal_x), torch.ones_like(focal_x)
+    entries = [focal_x, zero, one * (width / 2), zero, focal_y, one * (height / 2), zero, zero, one]
+    return Cameras(pose, torch.stack(entries, dim=-1).unflatten(-1, (3, 3)), size)

@@ -3,6 +3,7 @@
 Each is a function of embeddings, images or colours that any model shares; none knows a backbone.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -11,14 +12,38 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.contracts import Renderer
+from anystyle.data.folder import SourceImage
 from anystyle.errors import UserError
-from anystyle.pipeline.masks import Mask
-from anystyle.types import Gaussians
+from anystyle.types import Cameras, Gaussians
 
 LUMA = (0.2126, 0.7152, 0.0722)
 """Shares of red, green and blue in the brightness of sRGB (ITU-R BT.709)."""
 
 MAX_SCALE = 8.0
+
+
+@dataclass(frozen=True)
+class SeenScene:
+    """The views of a scene, for masks that are drawn on photographs.
+
+    Args:
+        sources: Where each view comes from.
+        cameras: Of the views, in the frame of the Gaussians.
+        renderer: Differentiable in colours.
+    """
+
+    sources: Sequence[SourceImage]
+    cameras: Cameras
+    renderer: Renderer
+
+
+class Mask(ABC):
+    """How much of the style each Gaussian takes."""
+
+    @abstractmethod
+    def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
+        """In [0, 1], 0 unstyled and 1 styled, for Gaussians of one scene and the views that it comes from."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,5 @@
 """Where style enters: a mask for each photograph, or a box or a sphere in the scene; edges may be soft."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,38 +8,15 @@ from jaxtyping import Float
 from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
-from anystyle.contracts import Renderer
 from anystyle.data.folder import SourceImage
 from anystyle.data.images import SUFFIXES, open_image, to_tensor
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.methods.colors import fit_colors
-from anystyle.types import Cameras, Gaussians
+from anystyle.pipeline.controls import Mask, SeenScene
+from anystyle.types import Gaussians
 
 Vector = tuple[float, float, float]
-
-
-@dataclass(frozen=True)
-class SeenScene:
-    """The views of a scene, for masks that are drawn on photographs.
-
-    Args:
-        sources: Where each view comes from.
-        cameras: Of the views, in the frame of the Gaussians.
-        renderer: Differentiable in colours.
-    """
-
-    sources: Sequence[SourceImage]
-    cameras: Cameras
-    renderer: Renderer
-
-
-class Mask(ABC):
-    """How much of the style each Gaussian takes."""
-
-    @abstractmethod
-    def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
-        """In [0, 1], 0 unstyled and 1 styled, for Gaussians of one scene and the views that it comes from."""
 
 
 @dataclass(frozen=True)

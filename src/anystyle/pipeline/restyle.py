@@ -9,9 +9,8 @@ from torch import Tensor
 from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
 from anystyle.methods.base import Method
-from anystyle.pipeline.controls import Controls, applied
+from anystyle.pipeline.controls import Controls, Mask, SeenScene, applied
 from anystyle.pipeline.encode import EncodedCapture
-from anystyle.pipeline.masks import Mask, SeenScene
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.types import Gaussians, OnProgress, Scene, StyleEmbedding, no_progress
 
