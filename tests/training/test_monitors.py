@@ -85,7 +85,6 @@ def test_a_loss_that_explodes_stops_the_run(tmp_path):
     ("words", "told"),
     [
         (("trainer.precision=16-mixed",), "use bf16-mixed"),
-        (("trainer.strategy=fsdp2", "average=0.9"), "use trainer=ddp or average=null"),
         (("trainer.strategy=dpp",), "dpp"),
         (("+trainer.max_epochs=3",), "multiple values for keyword argument 'max_epochs'"),
         (("trainer.max_steps=0",), "trainer.max_steps=0: .* at least 1"),

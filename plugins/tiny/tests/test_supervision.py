@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from anystyle.types import Cameras, Geometry, Views
-from anystyle_tiny.training.matched_reconstruction import patch_matches
+from anystyle_tiny.training.matches import patch_matches
 from anystyle_tiny.training.reconstruction import geometry_errors, psnr
 from anystyle_tiny.training.supervision import (
     _subsample,

@@ -1,8 +1,8 @@
 """The contract of a training: a Lightning module that names its data and the weights that it exports."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
-from typing import TypeVar, final
+from collections.abc import Mapping
+from typing import TypeVar
 
 import lightning.pytorch as pl
 from torch import nn
@@ -11,7 +11,6 @@ from anystyle.contracts import SceneSource, StyleSource
 from anystyle.errors import UserError
 from anystyle.registry.socket import Socket
 from anystyle.training.data import BatchSource
-from anystyle.training.sharding import shard
 
 
 class Training(Socket, pl.LightningModule, ABC):
@@ -38,16 +37,6 @@ class Training(Socket, pl.LightningModule, ABC):
     @abstractmethod
     def exports(self) -> Mapping[str, nn.Module]:
         """The modules whose weights are written at the end, by the part that they are, such as ``branch``."""
-
-    def units(self) -> Sequence[nn.Module]:
-        """Submodules of the exports that ``trainer=fsdp`` gathers one at a time; the rest is gathered as one."""
-        return ()
-
-    @final
-    def configure_model(self) -> None:
-        """Shard what is exported over the processes, where ``trainer=fsdp`` asks for it."""
-        if self.device_mesh is not None:
-            shard(list(self.exports().values()), self.units(), self.device_mesh["data_parallel"])
 
 
 Source = TypeVar("Source", SceneSource, StyleSource)

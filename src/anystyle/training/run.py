@@ -31,7 +31,6 @@ from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
 from anystyle.training.data import StepData
 from anystyle.training.resume import RECORD, Resumed, bound, exclusive, is_rank_zero, resumable
 from anystyle.training.scene_cache import CachedScenes
-from anystyle.training.sharding import with_full_state
 from anystyle.training.trainer import check_options, make_trainer
 
 METRICS = "metrics.json"
@@ -118,10 +117,9 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None]) -> Ou
         return Outcome(steps, False, metrics, (), rank_zero, checkpoint.stopped_by)
     if average:
         average.swap(training)
-    exports = {part: with_full_state(module) for part, module in training.exports().items()}
     weights: tuple[Path, ...] = ()
     if rank_zero:
-        weights = export(config, exports, out, provenance={**provenance, "steps": steps})
+        weights = export(config, training.exports(), out, provenance={**provenance, "steps": steps})
         write_json(out / METRICS, dict(sorted(metrics.items())))
     return Outcome(steps, True, metrics, weights, rank_zero, checkpoint.stopped_by)
 

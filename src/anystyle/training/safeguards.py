@@ -9,7 +9,6 @@ import numpy as np
 import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
 from torch import Tensor, nn
-from torch.distributed.tensor import DTensor
 
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
@@ -64,9 +63,8 @@ class FiniteLoss(Callback):
 
 
 def gradient_norm(module: nn.Module) -> Tensor:
-    """The norm of all gradients together, over the shards of all processes too."""
+    """The norm of all gradients together."""
     norms = [parameter.grad.norm() for parameter in module.parameters() if parameter.grad is not None]
-    norms = [norm.full_tensor() if isinstance(norm, DTensor) else norm for norm in norms]
     return torch.stack(norms).norm() if norms else torch.zeros(())
 
 

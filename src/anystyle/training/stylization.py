@@ -141,12 +141,6 @@ class StylizationTraining(Training):
     def exports(self) -> Mapping[str, nn.Module]:
         return {"branch": self.stylizer.branch}
 
-    def units(self) -> Sequence[nn.Module]:
-        """The blocks of the aggregator's copy, which hold nine tenths of the trainable weights."""
-        copied = self.stylizer.branch.aggregator
-        lists = [] if copied is None else [part for part in copied.modules() if isinstance(part, nn.ModuleList)]
-        return [block for blocks in lists for block in blocks]
-
     def training_step(self, batch: Batch, step: int) -> Tensor:
         assert batch.style is not None
         embedding = self.embed(batch.style, self.global_step)

@@ -16,10 +16,6 @@ from omegaconf import DictConfig, OmegaConf
 from anystyle.errors import UserError, one_line, unknown
 from anystyle.training.callbacks import ProgressLines, StepSeed
 from anystyle.training.safeguards import FiniteLoss, SkipOutliers
-from anystyle.training.sharding import Sharded
-
-SHARDED = "fsdp2"
-"""The strategy that shards trainable weights over the processes."""
 
 
 def _at_least(least: int, expected: str = "") -> tuple[Callable[[Any], bool], str]:
@@ -73,20 +69,11 @@ def check_options(config: DictConfig) -> None:
             f"trainer.precision={precision} on trainer.accelerator=cpu: half precision needs a graphics card; use "
             f"bf16-mixed or 32-true"
         )
-    if trainer.strategy == SHARDED and config.average is not None:
-        raise UserError(
-            "trainer.strategy=fsdp2 with average=...: an average needs all weights in each process; use trainer=ddp or "
-            "average=null"
-        )
-    if trainer.strategy == SHARDED and precision.startswith("16"):
-        raise UserError(f"trainer.strategy=fsdp2 with trainer.precision={precision}: use bf16-mixed or 32-true")
 
 
 def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) -> pl.Trainer:
     """Build the trainer of a run; ``config.trainer`` holds options of Lightning's."""
     options: Any = OmegaConf.to_container(config.trainer, resolve=True)
-    if options.get("strategy") == SHARDED:
-        options["strategy"] = Sharded(save_distributed_checkpoint=False)
     is_terminal = sys.stderr.isatty()
     common: list[pl.Callback] = [
         StepSeed(config.seed),

@@ -15,10 +15,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
+from anystyle.nn.aligner import Aligner
 from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import decayed_adamw
 from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Views
+from anystyle_tiny.training.matches import FeatureProbes, correlation_loss, feature_dims, patch_matches
 from anystyle_tiny.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
 
 
@@ -27,7 +29,8 @@ class ReconstructionTraining(Training):
 
     Scenes are in the frame of their first view, scaled so that the mean distance of the points that the context views
     see is 1. Gaussians are placed and rendered with the true cameras, so that the rendering loss trains depth and
-    appearance before the predicted cameras are good.
+    appearance before the predicted cameras are good. Tapped features must predict matches between views, points and
+    shifts through projections that are not saved, and the matches of a backbone that aligns its cameras are supervised.
 
     Args:
         batch_size: Scenes a step over all processes.
@@ -48,6 +51,11 @@ class ReconstructionTraining(Training):
             trained (arXiv 2505.23716); 0 renders none.
         render_every: Steps between two with renders.
         render_scenes: Number of scenes of the batch that are rendered: the target views and one context view each.
+        match_weight: Of the cross entropy of matching patches.
+        glide_weight: Of the expected position of the match.
+        locate_weight: Of each patch's world point.
+        shift_weight: Of how each patch moves toward the first view.
+        correlation_weight: Of the matches of an :class:`~anystyle.nn.aligner.Aligner`.
     """
 
     def __init__(
@@ -72,6 +80,11 @@ class ReconstructionTraining(Training):
         predicted_camera_weight: float = 0.0,
         render_every: int = 4,
         render_scenes: int = 4,
+        match_weight: float = 0.1,
+        glide_weight: float = 1.0,
+        locate_weight: float = 1.0,
+        shift_weight: float = 5.0,
+        correlation_weight: float = 0.3,
     ) -> None:
         super().__init__()
         self.backbone, self.renderer, self.target_views = backbone, renderer, target_views
@@ -86,7 +99,14 @@ class ReconstructionTraining(Training):
             "depth": depth_weight, "camera": camera_weight, "transfer": transfer_weight, "point": point_weight,
             "render": render_weight, "predicted_render": predicted_camera_weight * render_weight,
             "ssim": ssim_weight, "predicted_ssim": predicted_camera_weight * ssim_weight,
+            "match": match_weight, "glide": glide_weight, "locate": locate_weight, "shift": shift_weight,
+            "correlation": correlation_weight,
         }  # fmt: skip
+        self.probes = FeatureProbes(feature_dims(backbone))
+        self._correlation: Float[Tensor, "B v r c r c"] | None = None
+        for module in backbone.modules():
+            if isinstance(module, Aligner):
+                module.register_forward_pre_hook(self._keep)
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -136,14 +156,22 @@ class ReconstructionTraining(Training):
                 "camera": camera_loss(geometry.cameras, cameras),
                 "transfer": transfer_loss(geometry.cameras, cameras, depth),
                 "point": point_loss(geometry, cameras, depth),
-                **self.auxiliary_losses(features, cameras, depth),
+                **self.match_losses(features, cameras, depth),
             }
 
-    def auxiliary_losses(
+    def match_losses(
         self, features: Features, cameras: Cameras, depth: Float[Tensor, "B V H W"]
     ) -> dict[str, Float[Tensor, ""]]:
-        """Further unweighted terms, named in ``self.weights``, of features and true geometry; none by default."""
-        return {}
+        """The unweighted terms of matches between views."""
+        losses = self.probes(features, patch_matches(cameras, depth, next(iter(features.values())).grid))
+        correlation, self._correlation = self._correlation, None
+        if correlation is not None:
+            cells = (correlation.shape[-2], correlation.shape[-1])
+            losses["correlation"] = correlation_loss(correlation, patch_matches(cameras, depth, cells))
+        return losses
+
+    def _keep(self, aligner: torch.nn.Module, inputs: tuple[Any, ...]) -> None:
+        self._correlation = inputs[0] if aligner.training else None
 
     def render_losses(
         self, features: Features, geometry: Geometry, views: Views, rendered: Sequence[int]
