@@ -19,6 +19,7 @@ from anystyle.commands._flags import parse, split
 from anystyle.commands.plugins_new import write
 from anystyle.registry.catalog import kinds
 from anystyle.registry.compose import compose
+from anystyle_datasets.command import Data
 from docs_cases import FENCE, INSTEAD, PAGES, ROOT, named, reason, shown
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
@@ -148,6 +149,11 @@ def test_command_is_understood(page, line):
         return
     if command == "view":
         split(importlib.import_module("anystyle_viewer.command").parser(), rest)
+        return
+    if command == "data":
+        with pytest.MonkeyPatch.context() as patch, pytest.raises(_ParsedError):
+            patch.setattr("anystyle_datasets.command.parse", _parse_only)
+            Data()(rest)
         return
     module = importlib.import_module(f"anystyle.commands.{command}")
     if command in COMPOSED:

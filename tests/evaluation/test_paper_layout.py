@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from anystyle.commands import data, report
+from anystyle.commands import report
 from anystyle.commands._run import run
 from anystyle.errors import UserError
 from anystyle.evaluation import record
@@ -13,6 +13,7 @@ from anystyle.evaluation.pairing import pair
 from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle.evaluation.protocols.tables import Tables
 from anystyle.testing.protocol import runtime
+from anystyle_datasets.command import Data
 from evaluation_cases import Mean, picture
 
 TEXTS = "".join(f'{{"image": "{style:02d}.png", "text": "style {style}"}}\n' for style in range(NUM_STYLES))
@@ -82,7 +83,7 @@ def test_the_layout_is_checked_before_anything_is_computed(root, capsys):
     with pytest.raises(ValueError, match="methods/ARF: there is no such folder"):
         tables(root, methods=["ARF"])
     with pytest.raises(UserError, match="not complete for the paper's tables: content/Train: 2 photographs"):
-        data.main(["check", str(root)])
+        Data()(["check", str(root)])
     shown = capsys.readouterr().out
     assert "methods   Styl3R, Stylos" in shown and "content/M60: 0 photographs, fewer than 16" in shown
 
@@ -94,7 +95,7 @@ def test_a_complete_folder_passes(tmp_path, capsys):
     for style in range(NUM_STYLES):
         picture(tmp_path / "styles" / f"{style:02d}.png", 60)
     (tmp_path / "styles" / "captions.jsonl").write_text(TEXTS)
-    run(lambda: data.main(["check", str(tmp_path)]))
+    run(lambda: Data()(["check", str(tmp_path)]))
     assert f"anystyle evaluate protocol=table2 root={tmp_path}" in capsys.readouterr().out
 
 

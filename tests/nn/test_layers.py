@@ -7,7 +7,7 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from anystyle.nn import dpt, pose
+from anystyle.nn import dpt, heads
 from anystyle.nn.attention import Attention
 from anystyle.nn.tokens import IMAGENET_MEAN, IMAGENET_STD, grid_of, normalised
 from anystyle.types import Cameras
@@ -48,11 +48,15 @@ def test_cameras_are_where_their_encoding_says() -> None:
     angle = math.radians(30)
     encoding = torch.tensor([[[1.0, 2, 3, 0, math.sin(angle / 2), 0, math.cos(angle / 2), 1.0, 0.8]]])
     turned = torch.tensor([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
-    torch.testing.assert_close(pose.rotation_of(encoding)[0, 0], turned)
-    cameras = pose.centred_cameras(pose.rotation_of(encoding), encoding[..., :3], (encoding[..., 7:] / 2).tan(), (6, 8))
+    torch.testing.assert_close(heads.rotation_of(encoding)[0, 0], turned)
+    cameras = heads.centred_cameras(
+        heads.rotation_of(encoding), encoding[..., :3], (encoding[..., 7:] / 2).tan(), (6, 8)
+    )
     assert isinstance(cameras, Cameras)
     torch.testing.assert_close(cameras.intrinsics[0, 0, :2, 2], torch.tensor([4.0, 3.0]))
-    torch.testing.assert_close(pose.encode(cameras.world_from_camera, cameras), encoding)
+    expected = torch.tensor([8 / 2 / math.tan(0.4), 6 / 2 / math.tan(0.5)])
+    torch.testing.assert_close(cameras.intrinsics[0, 0].diagonal()[:2], expected)
+    torch.testing.assert_close(cameras.world_from_camera[0, 0, :3], torch.cat([turned, encoding[0, 0, :3, None]], 1))
 
 
 def test_pixels_are_normalised_and_counted_in_patches() -> None:

@@ -20,11 +20,7 @@ SUFFIXES = frozenset({".avif", ".bmp", ".gif", ".jfif", ".jpeg", ".jpg", ".png",
 
 
 def image_size(source: Picture, name: str = "") -> tuple[int, int]:
-    """Width and height of the upright image, from its header alone; messages call bytes by ``name``.
-
-    Raises:
-        UserError: It is no image, a damaged one, or too large.
-    """
+    """Width and height of the upright image, from its header alone; messages call bytes by ``name``."""
     with opened(source, name) as image:
         width, height = image.size
         transposed = image.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)

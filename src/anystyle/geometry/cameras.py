@@ -91,9 +91,6 @@ def orbit(cameras: Cameras, frames: int, *, degrees: float = 360.0, distance: fl
         frames: How many cameras to return, at least 1; a full circle does not repeat the first at its end.
         degrees: Angle of the arc, half of it to either side; a full circle starts at the camera.
         distance: From the camera to the point, in world units.
-
-    Raises:
-        ValueError: There are several scenes, or no frame is asked for.
     """
     if cameras.intrinsics.shape[0] != 1 or frames < 1:
         raise ValueError(

@@ -35,11 +35,7 @@ def dpt_rules(part: str) -> Rules:
 
 
 def checked_parts(state: Mapping[str, Tensor], parts: tuple[str, ...], *, publisher: str, advice: str) -> None:
-    """Refuse a state dict that is empty or has a name beginning with none of ``parts``; ``advice`` ends the message.
-
-    Raises:
-        UserError: There are other keys, or none at all.
-    """
+    """Refuse a state dict that is empty or has a name beginning with none of ``parts``; ``advice`` ends the message."""
     foreign = [name for name in state if not name.startswith(parts)]
     if foreign or not state:
         shown = ", ".join(foreign[:5]) + (", …" if len(foreign) > 5 else "")

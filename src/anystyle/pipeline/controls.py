@@ -87,9 +87,6 @@ def blended(unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tenso
     """The Gaussians at a share of the way from unstyled to styled: attributes straight, rotations on the sphere.
 
     Where a share is 0 or 1 the result has the bits of that end.
-
-    Raises:
-        UserError: They are not of one scene.
     """
     if unstyled.means.shape != styled.means.shape:
         raise UserError(f"{unstyled.means.shape[1]} and {styled.means.shape[1]} Gaussians are not of one scene")
@@ -132,11 +129,7 @@ def with_colors_of(unstyled: Gaussians, styled: Gaussians, amount: float = 1.0) 
 def applied(
     controls: Controls, unstyled: Gaussians, styled: Gaussians, weights: float | Float[Tensor, "B N"] = 1.0
 ) -> Gaussians:
-    """A styled scene under the controls of strength and of colours, weighted by a mask.
-
-    Raises:
-        UserError: They are not of one scene.
-    """
+    """A styled scene under the controls of strength and of colours, weighted by a mask."""
     if controls.preserve_color > 0:
         styled = with_colors_of(unstyled, styled, controls.preserve_color)
     return blended(unstyled, styled, controls.strength * weights)

@@ -32,9 +32,6 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
         path: The file.
         name: A plugin of kind ``format``.
         up: One of :data:`~anystyle.pipeline.options.AXES`; ``None`` is what readers of the format expect.
-
-    Raises:
-        UserError: There is no such format or axes, the format cannot hold the scene, or no Gaussian is visible.
     """
     writer = build(Format, name)
     first, given = scene.styles[0][0], dict(scene.styles)
@@ -54,20 +51,12 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
 
 
 def in_axes(up: str, gaussians: Gaussians) -> Gaussians:
-    """Gaussians rotated from OpenCV's axes to others; the same object where nothing changes.
-
-    Raises:
-        UserError: There are no such axes.
-    """
+    """Gaussians rotated from OpenCV's axes to others; the same object where nothing changes."""
     return gaussians if up == "opencv" else _from_opencv(up, gaussians.means).gaussians(gaussians)
 
 
 def from_axes(up: str, gaussians: Gaussians) -> Gaussians:
-    """Gaussians rotated from other axes to OpenCV's; the same object where nothing changes.
-
-    Raises:
-        UserError: There are no such axes.
-    """
+    """Gaussians rotated from other axes to OpenCV's; the same object where nothing changes."""
     return gaussians if up == "opencv" else _from_opencv(up, gaussians.means).inverse().gaussians(gaussians)
 
 

@@ -36,11 +36,7 @@ _SMALLER = "choose a smaller one with model=NAME"
 
 
 def weights_file(name: object) -> Path:
-    """The file of a name that ``anystyle weights`` lists, or of a path.
-
-    Raises:
-        UserError: It is neither.
-    """
+    """The file of a name that ``anystyle weights`` lists, or of a path."""
     if not isinstance(name, str):
         raise UserError(f"weights are named by a text, not by {name!r}")
     known = weights.files()
@@ -71,11 +67,7 @@ def make_branch(config: DictConfig, backbone: Backbone, style_dim: int) -> Style
 
 
 def published_by(config: DictConfig) -> Published:
-    """How checkpoints of the configured backbone load that others published.
-
-    Raises:
-        UserError: None are known.
-    """
+    """How checkpoints of the configured backbone load that others published."""
     plugin = catalog().owner("backbone", config.backbone._target_)
     backbone = plugin.load()
     published = backbone.published if issubclass(backbone, Backbone) else None
@@ -92,9 +84,6 @@ def room_for_backbone(config: DictConfig, *, learns: bool = False) -> None:
     Args:
         config: Its node ``backbone``.
         learns: Whether gradients and the optimiser's two moments come to them.
-
-    Raises:
-        UserError: They take more than there is.
     """
     try:
         with torch.random.fork_rng([]), _on_meta(True):
@@ -117,10 +106,6 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
     Returns:
         The stylizer, and what was loaded: file name, SHA-256, provenance; by part, and where one has several networks
         the further ones by ``part/network``.
-
-    Raises:
-        UserError: A file does not fit, or was trained on top of other weights than those named.
-        FileNotFoundError: A file is missing.
     """
     files = {part: weights_file(name) for part, name in config.weights.items() if name is not None}
     if "backbone" not in files:

@@ -75,11 +75,7 @@ class EmbeddedStyle:
 
 
 def check_text(text: str, what: str = "the text of a style") -> None:
-    """Refuse a description that says nothing or does not end.
-
-    Raises:
-        UserError: It is empty, or longer than :data:`MAX_TEXT`.
-    """
+    """Refuse a description that says nothing or does not end."""
     if not text.strip():
         raise UserError(f"{what} is empty; say what the result should look like")
     if len(text) > MAX_TEXT:
@@ -89,12 +85,7 @@ def check_text(text: str, what: str = "the text of a style") -> None:
 def embed_styles(
     styles: Sequence[StyleInput], stylizer: Stylizer, controls: Sequence[Controls] = (Controls(),)
 ) -> list[EmbeddedStyle]:
-    """Embed styles in their order, each under all controls; one that occurs several times is embedded once.
-
-    Raises:
-        UserError: A text is empty or too long, a file is no image, or a :class:`~anystyle.types.Style` has neither an
-            image nor a text.
-    """
+    """Embed styles in their order, each under all controls; one that occurs several times is embedded once."""
     embedded: dict[tuple[int, float], EmbeddedStyle] = {}
 
     def embed(style: StyleInput, scale: float) -> EmbeddedStyle:

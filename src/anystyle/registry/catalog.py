@@ -82,11 +82,7 @@ class Plugin:
         return f"{self.kind} '{self.name}' ({self.target}, declared by {self.origin})"
 
     def load(self) -> type:
-        """Import the class.
-
-        Raises:
-            PluginError: It cannot be imported, or does not inherit from its kind's contract.
-        """
+        """Import the class."""
         base = base_of(self.kind)  # first: where its package is not installed, this makes it importable
         loaded = self.defined if self.defined is not None else _import(self)
         if not (isinstance(loaded, type) and issubclass(loaded, base)):
@@ -191,11 +187,7 @@ class Catalog:
             raise PluginError(unknown("kind of plugin", kind, known))
 
     def owner(self, kind: str, path: str) -> Plugin:
-        """The plugin whose class a configuration's ``_target_`` names.
-
-        Raises:
-            PluginError: The catalog lists no such class for this kind.
-        """
+        """The plugin whose class a configuration's ``_target_`` names."""
         plugins = [plugin for plugin in self._plugins if plugin.path == path]
         if not plugins:
             raise PluginError(

@@ -13,9 +13,6 @@ def check_saved(config: Mapping[str, Any], source: object) -> None:
     Args:
         config: Plain Python, as it was read.
         source: The file it was read from, for the message.
-
-    Raises:
-        UserError: One line names the key.
     """
     _check(config, "", {plugin.path for plugin in catalog()}, source)
 

@@ -68,11 +68,7 @@ class CappedRasterizer(Rasterizer):
 
 
 def check(gaussians: Gaussians, cameras: Cameras, background: Sequence[float], near: float) -> None:
-    """Check that Gaussians and cameras belong together, and that the options make sense.
-
-    Raises:
-        UserError: Gaussians and cameras differ in batch or device, or a size, colour or distance is out of range.
-    """
+    """Check that Gaussians and cameras belong together, and that the options make sense."""
     if gaussians.means.shape[0] != cameras.world_from_camera.shape[0]:
         raise UserError(
             f"Gaussians of {gaussians.means.shape[0]} scenes and cameras of {cameras.world_from_camera.shape[0]}; "

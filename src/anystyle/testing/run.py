@@ -83,9 +83,6 @@ def check(kind: str, plugin: str | type) -> bool:
 
     Returns:
         Whether every promise is kept; ``False`` where some could not be checked, too.
-
-    Raises:
-        PluginError: There is no such plugin, it cannot be imported, or it does not inherit from its contract.
     """
     cls = catalog().find(kind, plugin).load() if isinstance(plugin, str) else plugin
     tested, start, counts, blocked = subject(kind, cls), time.perf_counter(), Counter[str](), False

@@ -66,11 +66,7 @@ class Subject(Generic[T]):
 
 
 def subject(kind: str, cls: type[T], options: Mapping[str, Any] | None = None) -> Subject[T]:
-    """A class under test, with given constructor options or else those that its ``example`` returns.
-
-    Raises:
-        UserError: There is no such kind, or the class does not inherit from its contract.
-    """
+    """A class under test, with given constructor options or else those that its ``example`` returns."""
     base = base_of(kind)
     if not issubclass(cls, base):
         raise UserError(f"{cls.__name__} is no {kind}; make it inherit from {base.__module__}.{base.__qualname__}")

@@ -23,11 +23,7 @@ class Training(Socket, pl.LightningModule, ABC):
 
     @abstractmethod
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> BatchSource:
-        """The batch of every step.
-
-        Raises:
-            UserError: A source that this training needs is not configured.
-        """
+        """The batch of every step."""
 
     @classmethod
     def example_sources(cls) -> tuple[SceneSource, StyleSource] | None:

@@ -23,11 +23,7 @@ NETWORKS: dict[str, type[FeatureNetwork]] = {
 
 
 def load(name: str, path: str | Path | None = None) -> FeatureNetwork:
-    """A trained network of :data:`NETWORKS`, frozen, from a file or from where :func:`weights.find` looks.
-
-    Raises:
-        UserError: There is no such network, the file does not hold its weights, or it is missing.
-    """
+    """A trained network of :data:`NETWORKS`, frozen, from a file or from where :func:`weights.find` looks."""
     if name not in NETWORKS:
         raise UserError(f"there is no perceptual network {name!r}; choose from {', '.join(NETWORKS)}")
     file = weights.find(name, path)

@@ -264,9 +264,6 @@ def read(path: str | Path) -> dict[str, Tensor]:
     """The tensors of a ``.safetensors`` file, of a PyTorch file or of a training checkpoint (``state_dict`` in it).
 
     They are mapped where the format allows, so that an optimiser's state beside them is never read.
-
-    Raises:
-        UserError: It is truncated, or of another kind.
     """
     path = regular(path, most=None, what="file of weights")
     try:
