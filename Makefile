@@ -35,7 +35,7 @@ test: lint
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" --durations 15
 
 test-slow: setup
-	$(BIN)/python -m pytest -m slow --timeout 3600
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow --timeout 3600
 
 # Minutes; FUZZ_INPUTS=50000 FUZZ_SEED=1 for a night.
 fuzz: setup

@@ -54,6 +54,7 @@ def test_it_carries_configurations_plugins_and_weights(wheel):
     assert not [name for name in names if "__pycache__" in name or name.endswith((".nbi", ".nbc"))]
 
 
+@pytest.mark.slow
 def test_it_stylizes_from_another_folder(environment, tmp_path):
     clean = {key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "ANYSTYLE"))}
     command = [environment, "-m", "anystyle", "stylize", "scenes=procedural", "--text", "red and white stripes"]

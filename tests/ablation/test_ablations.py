@@ -87,6 +87,7 @@ def test_one_term_is_left_out_by_its_name_alone():
         objective(config)
 
 
+@pytest.mark.slow
 def test_the_table_trains_in_one_command_and_again_does_only_what_is_missing(capfd):
     multirun(TABLE, SITES)
     shown = capfd.readouterr()

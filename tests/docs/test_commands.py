@@ -28,6 +28,8 @@ BEFORE = {"docs/protocol.md": ("anystyle train -m experiment=tiny_style placemen
 """Commands of other pages whose results a page goes on with."""
 KEPT = re.compile(r"anystyle (stylize|plugins \w+ \w+$|weights)")
 """Commands that leave nothing for those after them: they run on the first page that shows them, and not again."""
+FIRST = ("README.md", "docs/getting_started.md", "docs/user_study.md", "docs/add_a_plugin.md")
+"""The pages that a newcomer reads; the commands of the others run in `make test-slow`."""
 LINES = [(named(page), line) for page in PAGES for line in shown(page)]
 
 
@@ -86,7 +88,13 @@ class Reader:
         return Done(process.returncode, first + out, err, 0.0)
 
 
-@pytest.mark.parametrize("page", sorted({page for page, line in LINES if reason(line) is None}))
+@pytest.mark.parametrize(
+    "page",
+    [
+        pytest.param(page, marks=[] if page in FIRST else [pytest.mark.slow])
+        for page in sorted({page for page, line in LINES if reason(line) is None})
+    ],
+)
 def test_commands_of_a_page_run(page, tmp_path, program):
     world.make(tmp_path)
     MORE.get(page, lambda folder: None)(tmp_path)

@@ -87,6 +87,7 @@ def test_nothing_is_rendered_twice(parts, tmp_path, monkeypatch):
     assert again == first
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_where_it_was(parts, tmp_path, monkeypatch):
     restyle = Counted(parts["stylizer"], monkeypatch, "restyle")
 

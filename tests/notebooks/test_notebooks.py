@@ -32,7 +32,9 @@ def run(name, folder, monkeypatch, program):
     return notebook
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name[:2] in ("01", "02") else [pytest.mark.slow]) for name in NAMES]
+)
 def test_notebook_runs(name, tmp_path, monkeypatch, program):
     notebook = run(name, tmp_path, monkeypatch, program)
     shown = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]

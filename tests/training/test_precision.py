@@ -1,5 +1,6 @@
 """Mixed precision: what is computed in bfloat16 and what is not, and that such a run continues bit for bit too."""
 
+import pytest
 import torch
 from safetensors.torch import load_file
 
@@ -15,6 +16,7 @@ WORDS = (
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_mixed_run_learns_and_continues_bit_for_bit(tmp_path):
     whole, halves = tmp_path / "whole", tmp_path / "halves"
     outcome = train(configuration(WORDS, whole), whole)

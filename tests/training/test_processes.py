@@ -55,7 +55,8 @@ def test_two_processes_that_are_killed_go_on_and_end_where_one_does(tmp_path):
     same(branch(tmp_path / "one"), branch(out), 1e-5)
 
 
-@pytest.mark.parametrize(("kills", "total"), [(3, 16), pytest.param(10, 60, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("kills", "total"), [(3, 16), (10, 60)])
 def test_killed_at_random_moments_a_run_ends_with_the_same_weights(tmp_path, kills, total):
     words = (*TOY, f"trainer.max_steps={total}", "checkpoint.every_steps=1", "average=0.9", "styles.num_styles=6")
     whole, out = tmp_path / "whole", tmp_path / "killed"
@@ -79,6 +80,7 @@ def test_killed_at_random_moments_a_run_ends_with_the_same_weights(tmp_path, kil
     assert not list(out.glob(".partial-*"))
 
 
+@pytest.mark.slow
 def test_a_full_disk_keeps_the_last_good_checkpoint_and_says_so_in_one_line(tmp_path):
     """A limit on the size of files stands for the disk: the operating system refuses to write what is beyond it."""
     words = (*TOY, "trainer.max_steps=4", "checkpoint.every_steps=2")

@@ -70,9 +70,6 @@ class AnySplat(contracts.Backbone):
         init: ``published``: initial values as DINOv2's, VGGT's and AnySplat's; ``scratch``: values from which
             photographs are reproduced on a plane at depth 1, for training without pretrained weights (see
             :mod:`anystyle.nn.scratch`). The computation is the same.
-
-    Raises:
-        UserError: Options contradict each other.
     """
 
     published: ClassVar[Published | None] = Checkpoints()

@@ -63,9 +63,6 @@ class DepthAnything(contracts.Backbone):
         init: ``published``: initial values as DINOv2's; ``scratch``: values from which photographs are reproduced on
             a plane at depth 1, for training without pretrained weights (see
             :mod:`anystyle.nn.scratch`). The computation is the same.
-
-    Raises:
-        UserError: Options contradict each other.
     """
 
     published: ClassVar[Published | None] = Checkpoints()

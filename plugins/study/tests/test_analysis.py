@@ -130,6 +130,7 @@ def test_a_verdict_is_a_preference_or_comparable_and_never_both(tmp_path, shift,
     assert (question.equivalence.pvalue < 0.025) == question.equivalence.shown
 
 
+@pytest.mark.slow
 def test_confidence_and_alternative_reach_every_figure(tmp_path):
     rows = answer_rows(people=20, items=10)
     write_csv(tmp_path / "r.csv", rows)

@@ -125,6 +125,7 @@ def test_nothing_is_asked_before_every_picture_is_there(page, designed, tmp_path
         assert 0 <= page.value(f"{given}[0].seconds") < waited - 1
 
 
+@pytest.mark.slow
 def test_a_study_survives_its_server_being_killed_between_any_two_answers(page, designed, tmp_path):
     study, folder = designed
     database = tmp_path / "answers.sqlite"

@@ -34,6 +34,7 @@ def rates_of(scenario, tests, studies, seed):
 ALIKE = {"item_sd": 0.0, "scene_sd": 0.0, "style_sd": 0.0}
 
 
+@pytest.mark.slow
 def test_false_positives_when_participants_differ():
     """The paper's design, no preference, an SD of 0.5 between participants: what may be believed, and what may not."""
     rates = rates_of(Scenario(participant_sd=0.5, **ALIKE), CALIBRATED, studies=500, seed=11)

@@ -88,6 +88,7 @@ def test_undistorted_images_are_full_and_exact(radial):
     assert np.abs(seen - border).min(0).min() < 1e-6
 
 
+@pytest.mark.slow
 def test_photographs_of_two_lenses():
     poses, world = arc(8, 40), World(0)
     truth = [200.0, 260.0] * 4
