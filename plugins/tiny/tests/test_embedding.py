@@ -104,7 +104,7 @@ class TestPerceptual:
         network = NormedTexture()
         images = hashed(1, [4, 3, 32, 32])
         for _ in range(3):
-            network(images, TAPS)  # running statistics that are not those at birth
+            network(images, TAPS)  # running statistics unlike those at initialisation
         network.eval()
         with torch.no_grad():
             for found, wanted in zip(network.folded()(images, TAPS), network(images, TAPS), strict=True):

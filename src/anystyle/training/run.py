@@ -102,8 +102,6 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None]) -> Ou
         warnings.filterwarnings("ignore", module=r"lightning\..*")
         warnings.filterwarnings("ignore", message=".*LeafSpec.*")
         warnings.filterwarnings("ignore", message="This DataLoader will create .* worker processes")
-        # The attributes of a branch are views of one tensor; nothing writes into them.
-        warnings.filterwarnings("ignore", message="FSDP2-wrapped module .* returned a view")
         try:
             path = None if resumed is None else resumed.path
             trainer.fit(training, datamodule=data, ckpt_path=path, weights_only=resumed is not None or None)
