@@ -117,6 +117,7 @@ def test_a_job_that_fails_leaves_the_others_and_the_sweep_says_so():
     assert [weights_of(job).is_file() for job in range(3)] == [True, False, True]
 
 
+@pytest.mark.slow
 def test_placements_are_swept_by_name():
     multirun("placement=head,aggregator,full", "trainer.max_steps=1")
     parts = [{key.split(".")[0] for key in load_file(weights_of(job))} for job in range(3)]

@@ -46,6 +46,7 @@ def test_it_is_formatted_as_the_project_is(written):
         assert done.returncode == 0, done.stdout.decode()
 
 
+@pytest.mark.slow
 def test_its_own_test_runs_in_its_folder(written):
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     environment.pop("ANYSTYLE_PLUGINS", None)

@@ -46,6 +46,7 @@ def test_every_page_is_built_and_found_in_the_navigation(tmp_path):
     assert not (tmp_path / "site" / "site").exists()
 
 
+@pytest.mark.slow
 def test_broken_links_are_refused(tmp_path):
     shutil.copytree(ROOT / "docs", tmp_path / "docs")
     (tmp_path / "src").symlink_to(ROOT / "src")

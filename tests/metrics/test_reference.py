@@ -49,6 +49,7 @@ def test_lpips_in_every_range(backbone):
     torch.testing.assert_close(network(*gray), torch.tensor(record["value_gray_1ch"]), rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_art_fid_end_to_end():
     metric = ArtFID(weights="published")
     assert metric.stand_ins == {}
@@ -154,6 +155,7 @@ def test_small_warps_of_both_variants():
     )
 
 
+@pytest.mark.slow
 def test_consistency_with_raft():
     record = golden("golden_metrics")["consistency"]
     frames = nine_frames()[None]

@@ -16,6 +16,7 @@ from anystyle.testing.metric import build
 from anystyle.testing.subject import subject
 from training_processes import forking
 
+pytestmark = pytest.mark.slow
 METRICS = sorted(BUILTIN["metric"])
 ROWS = 3
 

@@ -33,7 +33,7 @@ def run(name, folder, monkeypatch, program):
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name[:2] in ("01", "02") else [pytest.mark.slow]) for name in NAMES]
+    "name", [pytest.param(name, marks=[] if name.startswith("01") else [pytest.mark.slow]) for name in NAMES]
 )
 def test_notebook_runs(name, tmp_path, monkeypatch, program):
     notebook = run(name, tmp_path, monkeypatch, program)

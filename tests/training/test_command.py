@@ -78,6 +78,7 @@ def test_processes_that_a_training_starts_show_no_traceback_that_nobody_asked_fo
     assert capsys.readouterr().err == "anystyle: error: 3 scenes cannot be shared by 2 processes\n"
 
 
+@pytest.mark.slow
 def test_a_signal_ends_a_sweep_after_saving_and_the_next_start_goes_on(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     words = ["-m", *STYLIZATION, "trainer.max_steps=3", "seed=0,1", "hydra.sweep.dir=sweep"]

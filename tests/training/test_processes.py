@@ -41,6 +41,7 @@ def same(one, other, tolerance: float) -> None:
         torch.testing.assert_close(other[key], tensor, atol=tolerance, rtol=0)
 
 
+@pytest.mark.slow
 def test_two_processes_that_are_killed_go_on_and_end_where_one_does(tmp_path):
     words = (*TOY, "styles.num_styles=6", "trainer.max_steps=20", "checkpoint.every_steps=4")
     out, both = tmp_path / "two", (*words, "trainer.strategy=ddp")

@@ -54,7 +54,7 @@ def test_a_run_leaves_weights_that_say_how_they_were_made(uninterrupted):
     assert json.loads((out / "metrics.json").read_text())["train/loss"] == pytest.approx(outcome.metrics["train/loss"])
 
 
-@pytest.mark.parametrize(("how", "step"), [("signal", 3), ("failure", 5)])
+@pytest.mark.parametrize(("how", "step"), [("signal", 3), pytest.param("failure", 5, marks=pytest.mark.slow)])
 def test_a_run_that_was_stopped_ends_with_the_same_weights(uninterrupted, tmp_path, monkeypatch, how, step):
     whole, _ = uninterrupted
     overrides = (*RECONSTRUCTION, "checkpoint.every_steps=2")

@@ -52,10 +52,11 @@ def grown(file: Path, width: int, dtype: torch.dtype) -> None:
     save_file({f"encoder.{name}": torch.full(shape, 0.1, dtype=dtype) for name, shape in shapes.items()}, file)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="memory of files is told apart on Linux")
 @pytest.mark.parametrize(
     ("stored", "precision"),
-    [(torch.bfloat16, "fp32"), pytest.param(torch.float32, "bf16", marks=pytest.mark.slow)],
+    [(torch.bfloat16, "fp32"), (torch.float32, "bf16")],
 )
 def test_loading_holds_no_second_copy(tmp_path: Path, stored: torch.dtype, precision: str) -> None:
     """Not even where every tensor changes its type; on files of 250 and 500 MB, in a process of its own."""

@@ -100,6 +100,7 @@ def test_known_cameras_are_kept(stylizer):
     assert "heldout_psnr" not in results[0].report["reconstruction"]
 
 
+@pytest.mark.slow
 def test_a_branch_inside_of_the_network_colors_a_fitted_scene(orbit):
     """Its pixels come from the backbone's features of the same views."""
     results = anystyle.stylize(

@@ -55,6 +55,7 @@ def test_nothing_of_it_learns_or_is_kept(teacher):
     assert renders.grad is not None and renders.grad.abs().max() > 0
 
 
+@pytest.mark.slow
 def test_scenes_that_show_their_style_are_found_and_others_not():
     sheets = images(4, (96, 96), seed=3) * torch.linspace(0.3, 1, 4).view(4, 1, 1, 1)
     for shift, expected in ((0, 1.0), (1, 0.0)):

@@ -30,6 +30,7 @@ def _plugin(kind: str, name: str):
     return anystyle.catalog().find(kind, name).load()
 
 
+@pytest.mark.slow
 def test_captions_find_their_pictures_among_128(encoder):
     styles = _plugin("styles", "procedural")(split="heldout", size=256, num_styles=NUM_CAPTIONS)
     rows = [styles.read(index) for index in range(NUM_CAPTIONS)]

@@ -254,6 +254,7 @@ def test_p_values_as_people_write_them():
     assert p_text(5e-324, -591.2) == "= 1e-591"
 
 
+@pytest.mark.slow
 def test_the_command_writes_everything_twice_the_same(tmp_path):
     write_csv(tmp_path / "r.csv", answer_rows(people=10, items=6, questions=("style", "content")))
     words = ("analyze", "r.csv", "sign_flip.resamples=199")

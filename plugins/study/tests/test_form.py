@@ -184,6 +184,7 @@ def test_a_second_browser_is_told_until_the_code_is_released(page, designed, tmp
         assert page.value("document.querySelector('fieldset input:checked').value") == "1"
 
 
+@pytest.mark.slow
 def test_recruited_participants_agree_answer_and_go_back_with_a_code(page, tmp_path):
     """The whole way of one of Prolific's participants: id, consent, demographics, sets, code, and back."""
     visited = []

@@ -159,6 +159,7 @@ def bytes_of(size, scene, views):
     return digest.hexdigest()
 
 
+@pytest.mark.slow
 def test_bytes_are_the_same_in_another_process_and_in_threads():
     program = (
         "import hashlib\n"
