@@ -15,7 +15,7 @@ class Published(ABC):
 
     @abstractmethod
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The tensors under their publishers' names without prefixes, whichever of the files they come from."""
+        """The tensors under their publishers' names without prefixes, whatever file they come from."""
 
     @abstractmethod
     def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:

@@ -182,7 +182,7 @@ def _participants(
             repeat = repeats.setdefault(item.id, Check(identity, "repeat", item.id, item.ours, item.theirs))
             if item.id not in ours_is_a:
                 ours_is_a.add(repeat.id)
-            # At least half a form later, so that it is judged anew.
+            # At least half a form later, so that it is judged again.
             earliest = shown.index(item.id) + len(shown) // 2
             shown.insert(int(generator.integers(earliest, len(shown))) + 1, repeat.id)
         code = f"P{number + 1:0{max(2, len(str(plan.participants)))}d}"

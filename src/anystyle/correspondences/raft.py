@@ -35,7 +35,7 @@ class Raft(Correspondence):
         iterations: Number of updates.
         visibility: With ``cycle`` a pixel is visible if the flow back returns it to its start, at twice the cost; with
             ``frame`` if it stays in the frame, which suffices where visibility is not used.
-        weights: ``auto`` takes a search in windows as a stand-in where the weights are missing, and says so.
+        weights: ``auto`` falls back to a search in windows, with a warning, where the weights are missing.
     """
 
     def __init__(

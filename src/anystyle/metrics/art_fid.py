@@ -36,7 +36,7 @@ class ArtFID(NetworkMetric):
             5000 and more, so that with fewer images it is FID. ``corrected``: nothing rounded, 299 pixels for the
             Inception network as in its training, and a true extrapolation from the images there are; a warning where
             these are fewer than features.
-        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
+        weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
     """
 
     better: ClassVar[Mapping[str, str]] = dict.fromkeys(("art_fid", "fid", "fid_infinity", "lpips"), "lower")

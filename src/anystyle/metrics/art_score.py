@@ -21,7 +21,7 @@ class ArtScore(NetworkMetric, RowMean):
     Args:
         variant: ``reference`` resizes the shorter side to 224, in 8 bits; ``corrected`` resizes to a square of 224, as
             the network's authors do.
-        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
+        weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
     """
 
     better: ClassVar[Mapping[str, str]] = {"art_score": "higher"}

@@ -36,7 +36,7 @@ class CFSD(NetworkMetric, RowMean):
     Args:
         variant: ``reference`` sums over pixels and has images of 8 bits; ``corrected`` averages over pixels and rounds
             nothing, so that sizes can be compared.
-        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
+        weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
     """
 
     better: ClassVar[Mapping[str, str]] = {"cfsd": "lower"}

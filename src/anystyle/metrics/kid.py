@@ -23,7 +23,7 @@ class KID(NetworkMetric):
 
     Args:
         size: Pixels of the shorter side that images are resized to; 299 as in the network's training.
-        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
+        weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
     """
 
     better: ClassVar[Mapping[str, str]] = {"kid": "lower"}

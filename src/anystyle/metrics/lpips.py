@@ -20,7 +20,7 @@ class LPIPS(NetworkMetric, RowMean):
         size: Pixels of the shorter side that images are resized to; none keeps theirs.
         variant: ``reference`` has images of 8 bits before and after they are resized, as the published script has
             them from files; ``corrected`` rounds nothing.
-        weights: ``auto`` takes a stand-in where the published ones are missing, and says so.
+        weights: ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
     """
 
     better: ClassVar[Mapping[str, str]] = {"lpips": "lower"}

@@ -53,7 +53,7 @@ class WarpConsistency(NetworkMetric):
             which saturate; RMSE over all pixels, so that a hole is no error. ``corrected`` has images in [0, 1], LPIPS
             in [-1, 1], searches the flow in the photographs, moves only pixels that the correspondence calls visible,
             and averages RMSE over the pixels where they land. ``warp_coverage_*`` is their share.
-        weights: Of LPIPS; ``auto`` takes a stand-in where the published ones are missing, and says so.
+        weights: Of LPIPS; ``auto`` falls back to a stand-in, with a warning, where the published ones are missing.
     """
 
     better: ClassVar[Mapping[str, str]] = {

@@ -43,7 +43,7 @@ class Option:
     Args:
         name: As in the signature.
         hint: The annotation, evaluated.
-        default: What it is if nobody sets it; ``REQUIRED`` where there is none.
+        default: The value where it is not set; ``REQUIRED`` where there is none.
     """
 
     name: str

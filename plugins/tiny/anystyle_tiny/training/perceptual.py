@@ -172,7 +172,7 @@ def _cropped(images: Float[Tensor, "M 3 H W"], side: int) -> Float[Tensor, "M 3 
 
 
 def _recolored(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 H W"]:
-    """Channels permuted, and half of them inverted, anew for each picture."""
+    """Channels permuted, and half of them inverted, independently for each picture."""
     order = torch.rand(len(images), 3).argsort(dim=1).to(images.device)
     permuted = images.gather(1, order[:, :, None, None].expand_as(images))
     inverted = (torch.rand(len(images), 3, 1, 1) < 0.5).to(images.device)
