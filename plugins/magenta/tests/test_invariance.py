@@ -43,9 +43,9 @@ def changes(stylizer, views, order):
 @pytest.mark.parametrize(
     ("backbone", "capture"),
     [
-        ("anysplat_tiny", "procedural"),
+        pytest.param("anysplat_tiny", "procedural", marks=pytest.mark.slow),
         ("anysplat_tiny", "scenes/train/images"),
-        ("depth_anything_tiny", "procedural"),
+        pytest.param("depth_anything_tiny", "procedural", marks=pytest.mark.slow),
     ],
 )
 def test_exchanging_photographs_changes_a_style_by_no_more_than_the_scene(backbone, capture):

@@ -131,7 +131,7 @@ def blank_wall():
 @pytest.mark.parametrize(
     ("capture", "reason"),
     [
-        (lambda: photographs(panorama(6, 40)), "turned without moving"),
+        pytest.param(lambda: photographs(panorama(6, 40)), "turned without moving", marks=pytest.mark.slow),
         (lambda: two_rooms(1), "do not overlap: no two"),
         (lambda: two_rooms(2), "do not overlap: only"),
         (blank_wall, "too little to see"),

@@ -124,7 +124,7 @@ class ToyBackbone(Backbone):
     def __init__(self, *, dim: int = 24, depth: int = 3, patch_size: int = 8) -> None:
         super().__init__()
         self.patch_size = patch_size
-        self.resolution = 8 * patch_size
+        self.resolution = 4 * patch_size
         self.embedder = ToyEmbedder(dim=dim, patch_size=patch_size)
         self.aggregator = ToyAggregator(dim=dim, depth=depth)
         self.geometry_head = ToyGeometryHead(dim=dim, patch_size=patch_size)
