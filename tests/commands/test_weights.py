@@ -79,6 +79,7 @@ def test_what_a_file_holds(cli: Cli, tmp_path: Path) -> None:
     assert status == 0, err
     assert "none is published" in out and "float32" in out
     assert "branch that anystyle wrote" in cli("verify", "tiny_branch")[1]
+    assert "as published" in cli("verify", "magenta_transform")[1]
     save_file({"a": torch.tensor([1.0, torch.nan])}, tmp_path / "nan.safetensors")
     refused(cli, "verify", tmp_path / "nan.safetensors", told="is damaged: a holds values")
 

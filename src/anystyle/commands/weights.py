@@ -88,8 +88,8 @@ def verify(name: str) -> None:
                 f"again from {entry.source}"
             )
     print(f"{path}: SHA-256 {digest} ({'as published' if stated else 'none is published'})")
-    if path.name == weights.row("clip_vocabulary").file:
-        return
+    if path.suffix in (".gz", ".onnx"):
+        return  # a vocabulary, or a network for another reader: the checksum says all
     state = weights.read(path)
     for key, tensor in state.items():
         if tensor.is_floating_point() and not bool(tensor.isfinite().all()):

@@ -15,7 +15,7 @@ _log = logging.getLogger(__name__)
 
 @dataclass(kw_only=True, eq=False)
 class AutoRenderer(RendererOptions, Renderer):
-    """The renderer of the highest :attr:`~anystyle.contracts.Renderer.priority` for the tensors' device."""
+    """The renderer of the highest priority for the tensors' device."""
 
     def __post_init__(self) -> None:
         self._renderers: dict[str, Renderer] = {}
