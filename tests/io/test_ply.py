@@ -8,7 +8,7 @@ from plyfile import PlyData, PlyElement
 
 from anystyle.types import Gaussians
 
-GOLDENS = Path(__file__).parent / "goldens"
+GOLDENS = Path(__file__).parents[1] / "goldens"
 
 
 def random_gaussians(count=50, coefficients=4):
