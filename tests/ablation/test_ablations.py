@@ -111,6 +111,7 @@ def test_the_table_trains_in_one_command_and_again_does_only_what_is_missing(cap
         assert all(now[key].equal(branch[key]) for key in branch)
 
 
+@pytest.mark.slow
 def test_a_job_that_fails_leaves_the_others_and_the_sweep_says_so():
     with pytest.raises(ValueError, match=r"training\.text_ratio is 7\.0; give a fraction between 0 and 1"):
         multirun("training.text_ratio=0.5,7,0")
@@ -128,6 +129,7 @@ def test_placements_are_swept_by_name():
     assert sites == [{"head"}, {"aggregator"}, {"aggregator", "head"}]
 
 
+@pytest.mark.slow
 def test_low_rank_updates_alone_learn_where_the_copies_do_not():
     multirun("injector=lora,film", SITES, "training.learn_copies=false", "export.half=false")
     lora, film = (load_file(weights_of(job)) for job in range(2))

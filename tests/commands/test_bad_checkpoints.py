@@ -91,6 +91,7 @@ def test_sizes_that_are_no_multiples_where_nothing_is_resized(
     assert "with views.resize=false; give one of them" in refused(capsys, [*words, "views.resize=false"])
 
 
+@pytest.mark.slow
 def test_more_views_than_memory_allows(
     words: list[str], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -77,6 +77,7 @@ def test_the_reference_truncates_into_jpeg_and_the_corrected_rounds_into_png(par
         assert image.quantization[0][:4] == [8, 6, 5, 8]
 
 
+@pytest.mark.slow
 def test_nothing_is_rendered_twice(parts, tmp_path, monkeypatch):
     restyle = Counted(parts["stylizer"], monkeypatch, "restyle")
     encode = Counted(parts["stylizer"], monkeypatch, "encode")

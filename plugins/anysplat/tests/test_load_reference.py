@@ -56,6 +56,7 @@ def test_without_a_style_branch_it_is_the_reconstruction_whatever_the_style() ->
         assert torch.equal(getattr(unstyled, name), getattr(styled, name)), name
 
 
+@pytest.mark.slow
 def test_other_seeds_and_files_give_other_networks(tmp_path: Path) -> None:
     """What a file holds is what runs: nothing is taken from elsewhere, and no tensor is left as initialised."""
     state = checkpoint("agg", offset=77)

@@ -166,6 +166,7 @@ def test_without_pycolmap(monkeypatch, orbit):
         solve(orbit[1][:3])
 
 
+@pytest.mark.slow
 def test_steps_too_wide_in_real_frames_are_reported():
     """Both mappers misplace the last of these frames and report nothing; the others are right."""
     folder = real("scenes/train")
