@@ -19,18 +19,19 @@ from PIL import Image
 from torch import Tensor
 
 import anystyle
-from anystyle.contracts import Format
+from anystyle.contracts import Format, SceneSource
 from anystyle.methods.branch import Branch
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.export import export, export_styles, from_axes
 from anystyle.pipeline.options import PoseOptions, SplatOptions, ViewOptions
+from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import embed_styles
 from anystyle.pipeline.stylize import encode_inputs
 from anystyle.registry.build import build
+from anystyle.registry.catalog import catalog
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians, StyledScene
-from anystyle_tiny.procedural.scenes import ProceduralScenes
 from chromium import SOFTWARE_GL, browser, find_chromium
 
 sys.path.append(str(Path(__file__).parents[2] / "plugins/formats/tests"))
@@ -42,7 +43,9 @@ TEXTS = ("thick oil paint in orange and navy", "charcoal drawing", "red dots")
 def stylized(scene: int, size: int, num_views: int) -> tuple[EncodedCapture, list[tuple[str, Gaussians]]]:
     """A scene of the procedural world that no bundled network saw, unstyled and in styles."""
     stylizer = anystyle.load()
-    views = ProceduralScenes(split="heldout", size=size).read(scene, range(num_views))
+    views = build(
+        SceneSource, {"_target_": catalog().find("scenes", "procedural").path, "split": "heldout", "size": size}
+    ).read(scene, range(num_views))
     encoded = encode_inputs(views, stylizer, ViewOptions(), PoseOptions(), SplatOptions(), None, Stages())
     restyler = Restyler(encoded, Branch())
     styles = [(text, restyler(embed_styles([text], stylizer)[0])) for text in reversed(TEXTS)]

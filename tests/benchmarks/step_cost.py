@@ -35,7 +35,7 @@ KINDS = ("ours", "straightforward")
 OBJECTIVES = {
     "light": ("loss=[total_variation,luminance]",),
     "paper": (
-        "loss=[content,style,clip_directional,clip_patch,depth_consistency]", "style_encoder=clip",
+        "loss=[content,style,clip_directional,clip_patch,depth_consistency]", "style_encoder=long_clip",
         "training.text_ratio=0",
     ),
 }  # fmt: skip
@@ -68,8 +68,9 @@ class Case:
             f"backbone.native_resolution={self.side}", f"backbone.resolution={self.side}", "backbone.init=scratch",
             "renderer=cpu", "training=stylization", "training.batch_size=1",
             f"training.context_views=[{self.views},{self.views}]", "training.spread=any", "training.heights=null",
-            "training.width=null", f"scenes.size={self.side}", "scenes.num_scenes=2", "scenes.samples=1",
-            "styles=procedural", "styles.size=224", *OBJECTIVES[self.objective], "name=cost", "out=.",
+            "training.width=null", "scenes=procedural", f"scenes.size={self.side}", "scenes.num_scenes=2",
+            "scenes.samples=1", "styles=procedural", "styles.size=224", *OBJECTIVES[self.objective],
+            "name=cost", "out=.",
         ]  # fmt: skip
 
 

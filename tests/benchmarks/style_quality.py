@@ -34,6 +34,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 import anystyle
+from anystyle.contracts import Reconstruction
 from anystyle.data.images import read_image, to_tensor
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.geometry.warp import depth_around, reproject, sample_at
@@ -42,10 +43,11 @@ from anystyle.metrics.style_retrieval import StyleRetrieval
 from anystyle.pipeline.options import PoseOptions, SplatOptions, ViewOptions
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.stylize import encode_inputs
+from anystyle.registry.build import build
+from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
 from anystyle.types import Scene, Style, Views
 from anystyle.vision.statistics import centered_cosines, equalized_gray
-from anystyle_captures.fit import Fit
 from real_data import ROOT
 
 CAPTURES = {
@@ -149,7 +151,8 @@ def fitted(path: Path, stylizer: Stylizer, short_side: int) -> Scene:
     """Gaussians fitted to a capture, of at most twice as many views as are encoded elsewhere."""
     views = ViewOptions(short_side=short_side, take=2 * NUM_VIEWS)
     poses, splat = PoseOptions("sfm"), SplatOptions()
-    capture = encode_inputs(path, stylizer, views, poses, splat, Fit(holdout=0), Stages())
+    fit = build(Reconstruction, {"_target_": catalog().find("reconstruction", "fit").path, "holdout": 0})
+    capture = encode_inputs(path, stylizer, views, poses, splat, fit, Stages())
     return capture.capture.groups[0].scene
 
 
