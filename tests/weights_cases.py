@@ -60,7 +60,7 @@ def training_checkpoint(placement: str) -> dict[str, object]:
 
 def _published(state: Mapping[str, Tensor], names: object) -> dict[str, Tensor]:
     found = {}
-    for key, name in names(list(state)).items():  # type: ignore[operator]
+    for key, name in names(list(state)).items():
         tensor = state[key].clone()
         one_by_one = re.search(r"projects\.\d\.weight|zero_proj\.weight", name)
         found[name] = tensor[:, :, None, None] if one_by_one else tensor

@@ -27,11 +27,11 @@ def test_views_decoded_in_turns_give_the_same_scene(name: str, chunk: int) -> No
     features = backbone.aggregator(backbone.embedder(given.images))
     results = []
     for size in (chunk, 100):
-        backbone.gaussian_head.chunk = backbone.geometry_head.chunk = size  # type: ignore[assignment]
+        backbone.gaussian_head.chunk = backbone.geometry_head.chunk = size
         results.append((backbone.geometry_head(features, given.images), backbone.gaussian_head(features, given.images)))
     same(*results, rtol=1e-4, atol=1e-5)
     results[0][1].color.sum().backward()  # joined results carry gradients
-    assert all(parameter.grad is not None for parameter in backbone.gaussian_head.direct.parameters())  # type: ignore[union-attr]
+    assert all(parameter.grad is not None for parameter in backbone.gaussian_head.direct.parameters())
 
 
 def test_checkpointing_changes_no_gradient(name: str) -> None:
@@ -39,8 +39,8 @@ def test_checkpointing_changes_no_gradient(name: str) -> None:
     for checkpointing in (False, True):
         backbone = network(name, checkpointing=checkpointing).train()
         features = backbone.aggregator(backbone.embedder(views(2).images))
-        sum(tokens.data.square().mean() for tokens in features.values()).backward()  # type: ignore[union-attr]
-        gradients.append([parameter.grad.clone() for parameter in backbone.aggregator.parameters()])  # type: ignore[union-attr]
+        sum(tokens.data.square().mean() for tokens in features.values()).backward()
+        gradients.append([parameter.grad.clone() for parameter in backbone.aggregator.parameters()])
     same(*gradients, rtol=1e-5, atol=1e-7)
 
 
@@ -101,7 +101,7 @@ class TestScratch:
             intrinsics = scene.cameras.intrinsics / 50
             parts = [scene.geometry.depth, scene.geometry.confidence, intrinsics, *vars(gaussians).values()]
             loss = sum((part * hashed(index, part.shape, -1, 1)).sum() for index, part in enumerate(parts))
-            loss.backward()  # type: ignore[union-attr]
+            loss.backward()
             optimizer.step()
         assert [n for n, p in backbone.named_parameters() if p.grad is None or not p.grad.any()] == []
 

@@ -103,8 +103,8 @@ def tiny() -> Network:
 
 
 def inputs(record: Mapping[str, Any]) -> tuple[Views, StyleEmbedding]:
-    index, shape = re.fullmatch(r"IMG\((\d+),\[(.*)\]\)", record["inputs"]["images"]).groups()  # type: ignore[union-attr]
-    rows, dim = re.search(r"in\((\d+),\[(\d+),512\]", record["inputs"]["z"]).groups()  # type: ignore[union-attr]
+    index, shape = re.fullmatch(r"IMG\((\d+),\[(.*)\]\)", record["inputs"]["images"]).groups()
+    rows, dim = re.search(r"in\((\d+),\[(\d+),512\]", record["inputs"]["z"]).groups()
     vector = reference.style_vector(int(rows), int(dim))
     images = smooth_image(int(index), [int(length) for length in shape.split(",")])
     return Views(images), StyleEmbedding(vector, vector)

@@ -34,8 +34,8 @@ def checkpoint(variant: str, offset: int = 0) -> dict[str, Tensor]:
 
 
 def inputs() -> tuple[Views, StyleEmbedding]:
-    index, shape = re.fullmatch(r"IMG\((\d+),\[(.*)\]\)", CASE["inputs"]["images"]).groups()  # type: ignore[union-attr]
-    row = int(re.search(r"in\((\d+),", CASE["inputs"]["z"]).group(1))  # type: ignore[union-attr]
+    index, shape = re.fullmatch(r"IMG\((\d+),\[(.*)\]\)", CASE["inputs"]["images"]).groups()
+    row = int(re.search(r"in\((\d+),", CASE["inputs"]["z"]).group(1))
     vector = reference.style_vector(row)
     return Views(smooth_image(int(index), [int(side) for side in shape.split(",")])), StyleEmbedding(vector, vector)
 

@@ -29,7 +29,7 @@ Captioner = Callable[[Sequence[Image.Image], str], Sequence[str]]
 def transformers_captioner(model: str, device: str) -> Captioner:
     """A model of transformers' ``image-text-to-text`` pipeline, by its name on the hub or its folder."""
     try:
-        from transformers import pipeline  # type: ignore[import-not-found]
+        from transformers import pipeline  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError:
         raise ImportError('captions need transformers; pip install "anystyle[captions]"') from None
     describe = pipeline("image-text-to-text", model=model, device=device)

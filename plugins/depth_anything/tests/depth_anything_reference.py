@@ -41,7 +41,7 @@ def tiny_weights() -> dict[str, Tensor]:
 
 
 def images(inputs: Mapping[str, Any]) -> Tensor:
-    index, shape = re.fullmatch(r"\(IMG\((\d+),\[(.*)\]\)-mean\)/std", inputs["images"]).groups()  # type: ignore[union-attr]
+    index, shape = re.fullmatch(r"\(IMG\((\d+),\[(.*)\]\)-mean\)/std", inputs["images"]).groups()
     return smooth_image(int(index), [int(length) for length in shape.split(",")])
 
 

@@ -27,7 +27,7 @@ def cases(network: str, letters: str) -> list[str]:
 def tiny() -> DepthAnything:
     backbone = DepthAnything(**reference.TINY)
     backbone.load_reference(reference.tiny_weights())
-    return backbone.freeze()  # type: ignore[return-value]
+    return backbone.freeze()
 
 
 def published(name: str, *overrides: str) -> DepthAnything:
@@ -37,8 +37,8 @@ def published(name: str, *overrides: str) -> DepthAnything:
         backbone = build(Backbone, compose("stylize", words).backbone)
     state = backbone.state_dict()
     shapes = {published: state[key] for key, published in keys.backbone_names(state).items()}
-    backbone.load_reference(reference.weights(shapes))  # type: ignore[attr-defined]
-    return backbone.freeze()  # type: ignore[return-value]
+    backbone.load_reference(reference.weights(shapes))
+    return backbone.freeze()
 
 
 def run(backbone: DepthAnything, record: Mapping[str, Any]) -> None:

@@ -34,7 +34,7 @@ CHECKPOINTS = keys.Checkpoints()
 
 def preset(name: str) -> DepthAnything:
     with torch.device("meta"):
-        return build(Backbone, compose("stylize", [f"backbone=depth_anything_{name}"]).backbone)  # type: ignore[return-value]
+        return build(Backbone, compose("stylize", [f"backbone=depth_anything_{name}"]).backbone)
 
 
 @pytest.mark.parametrize("name", PUBLISHED)
@@ -135,7 +135,7 @@ def test_a_checkpoint_becomes_a_stylizer_by_one_call(tmp_path: Path, head: bool)
     # What shapes do not tell of a size that is not published.
     own = ["backbone=depth_anything", "backbone.taps=[3,5,7,9]"]
     stylizer = load_reference(file, overrides=[*own, "injector.hidden=8"])
-    assert torch.equal(stylizer.backbone.embedder.cls_token, state["backbone.pretrained.cls_token"])  # type: ignore[arg-type]
+    assert torch.equal(stylizer.backbone.embedder.cls_token, state["backbone.pretrained.cls_token"])
     assert not any(tensor.is_meta for tensor in stylizer.backbone.state_dict().values())
     with torch.no_grad():
         scene = stylizer.encode(Views(smooth_image(1, (1, 2, 3, 28, 42))))

@@ -123,7 +123,7 @@ def raw(cameras: Cameras, degree: int = 2) -> tuple[Attributes, Geometry]:
 
 
 def adapter(depth_along: str = "ray", rotations: str = "published") -> Adapter:
-    return Adapter(depth_along=depth_along, rotations=rotations, scale_min=1e-5, scale_max=30.0)  # type: ignore[arg-type]
+    return Adapter(depth_along=depth_along, rotations=rotations, scale_min=1e-5, scale_max=30.0)
 
 
 class TestAdapter:

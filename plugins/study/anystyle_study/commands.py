@@ -65,7 +65,8 @@ def build_tests(names: Sequence[str], overrides: Sequence[str], common: Mapping[
             raise UserError(f"{word!r} sets no option; expected TEST.OPTION=VALUE, such as wilcoxon.zero_method=pratt")
         if test not in options:
             raise UserError(unknown("test that is run", test, options))
-        options[test][option] = OmegaConf.to_container(OmegaConf.from_dotlist([f"value={value}"]))["value"]  # type: ignore[index]
+        parsed: Any = OmegaConf.to_container(OmegaConf.from_dotlist([f"value={value}"]))
+        options[test][option] = parsed["value"]
     tests: dict[str, StudyTest] = {}
     for name in chosen:
         plugin = catalog().find("study_test", name)

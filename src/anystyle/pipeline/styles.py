@@ -75,7 +75,7 @@ class EmbeddedStyle:
 
 
 def check_text(text: str, what: str = "the text of a style") -> None:
-    """Refuse a description that says nothing or does not end."""
+    """Raise a UserError for a description that is empty or longer than :data:`MAX_TEXT`."""
     if not text.strip():
         raise UserError(f"{what} is empty; say what the result should look like")
     if len(text) > MAX_TEXT:
