@@ -26,9 +26,6 @@ MAX_TEXT = 2000
 @dataclass(frozen=True)
 class Mixture:
     """The point at ``amount`` of the way from one style to another.
-
-    Raises:
-        UserError: The amount is outside.
     """
 
     first: "StyleInput"

@@ -36,10 +36,6 @@ class Rasterizer(RendererOptions, Renderer):
 
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
         """Render every camera of every scene.
-
-        Raises:
-            UserError: The renderer does not run on the tensors' device, or the tensors do not belong together.
-            ImportError: What the renderer needs is not installed.
         """
         check(gaussians, cameras, self.background, self.near)
         device = gaussians.means.device
