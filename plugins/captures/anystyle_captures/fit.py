@@ -206,10 +206,8 @@ def fit_photographs(
     values, from_cache = cached("fit", key if keep else None, compute)
     result = FitResult.from_dict(values, images.device)
     # Back to the order given.
-    positions = torch.tensor(order, device=images.device)
-    pixels, back = result.pixels.clone(), positions.argsort()
-    pixels[:, 0] = positions[pixels[:, 0]]
-    return replace(result, pixels=pixels, gains=result.gains[back], biases=result.biases[back], cached=from_cache)
+    back = torch.tensor(order, device=images.device).argsort()
+    return replace(result, gains=result.gains[back], biases=result.biases[back], cached=from_cache)
 
 
 def _write_state(loop: FitLoop, path: Path, key: str) -> None:
@@ -279,5 +277,4 @@ def scene_of_fit(views: Views, encoded: Scene, result: FitResult, renderer: Rend
         attributes=replace(encoded.attributes, color=color.to(encoded.attributes.color.dtype)),
         clusters=None,
         gaussians=result.gaussians,
-        origins=result.pixels[None],
     )

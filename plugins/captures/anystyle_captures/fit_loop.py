@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import interpolate
 from torchmetrics.functional.image import peak_signal_noise_ratio
@@ -86,7 +86,6 @@ class FitResult:
     """A fitted scene."""
 
     gaussians: Gaussians
-    pixels: Int[Tensor, "N 3"]  # view, row and column that each Gaussian was lifted from
     gains: Float[Tensor, "V 3"]  # photographs are gain * render + bias
     biases: Float[Tensor, "V 3"]
     steps: int
@@ -159,7 +158,7 @@ class FitLoop:
         self.order: list[int] = []  # of the views that are left of a pass
         self.recent: list[float] = []
         self.images, self.cameras, self.renderer, self.options = images, cameras, renderer, options
-        self.heldout, self.pixels = heldout, initial.pixels
+        self.heldout = heldout
         size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
         self.half_images, self.half_cameras = interpolate(images, size=size, mode="area"), cameras.resized(size)
         rates = {name: rate for name, (rate, _) in RATES.items()}
@@ -228,7 +227,6 @@ class FitLoop:
         index = (keep & (distance >= self.nearest)).nonzero()[:, 0]
         if len(index) < len(keep):
             self.splats.select(index)
-            self.pixels = self.pixels[index]
 
     def run(
         self,
@@ -255,7 +253,6 @@ class FitLoop:
         shares = [unexplained(self.render(view), self.images[view, None]) for view in self.training]
         return FitResult(
             gaussians=self.gaussians().detach(),
-            pixels=self.pixels,
             gains=1 + exposures[:, :3],
             biases=exposures[:, 3:],
             steps=self.step,
@@ -302,7 +299,6 @@ class FitLoop:
             "training": self.training,
             "order": self.order,
             "recent": self.recent,
-            "pixels": self.pixels,
             "splats": self.splats.state_dict(),
             "exposures": self.exposures.values.detach(),
             "exposure_optimizer": self.exposure_optimizer.state_dict(),
@@ -313,7 +309,6 @@ class FitLoop:
         self.generator.set_state(state["generator"])
         self.training = list(state["training"])
         self.step, self.order, self.recent = state["step"], list(state["order"]), list(state["recent"])
-        self.pixels = state["pixels"]
         self.splats.load_state_dict(state["splats"])
         with torch.no_grad():
             self.exposures.values.copy_(state["exposures"])

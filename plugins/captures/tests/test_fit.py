@@ -47,7 +47,6 @@ def test_photographs_alone_give_a_view_that_was_held_out(photographs):
     result = fit(photographs)
     assert result.steps == 70
     assert result.heldout is not None and result.heldout.psnr > 22
-    assert 4 not in set(result.pixels[:, 0].tolist())
     longer = fit(photographs, replace(OPTIONS, num_steps=150))
     assert longer.heldout is not None and longer.heldout.psnr > result.heldout.psnr
 
@@ -78,11 +77,10 @@ def test_a_fit_is_the_same_in_any_order_of_photographs(photographs, tmp_path, mo
     first, other = (fit(given) for given in (photographs, (images[order], cameras.select(order), None)))
     assert torch.equal(first.gaussians.means, other.gaussians.means)
     assert torch.equal(first.gaussians.harmonics, other.gaussians.harmonics)
-    assert torch.equal(first.pixels, torch.cat([torch.tensor(order)[other.pixels[:, :1]], other.pixels[:, 1:]], dim=1))
     assert torch.equal(first.gains[order], other.gains) and torch.equal(first.biases[order], other.biases)
     assert first.gains.std() > 0
     again = fit(photographs, keep=True), fit((images[order], cameras.select(order), None), keep=True)
-    assert [result.cached for result in again] == [False, True] and torch.equal(again[1].pixels, other.pixels)
+    assert [result.cached for result in again] == [False, True] and torch.equal(again[1].gains, other.gains)
 
 
 @pytest.mark.parametrize("steps", [20, 60], ids=["amid the fit", "before the final steps"])
