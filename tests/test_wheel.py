@@ -37,6 +37,7 @@ def environment(wheel, tmp_path_factory):
 
 def test_it_carries_configurations_plugins_and_weights(wheel):
     names = zipfile.ZipFile(wheel).namelist()
+    assert {f"anystyle/examples/{file}" for file in ("index.json", "street/LICENCE.txt", "street/12.jpg")} <= {*names}
     for part in (
         "conf/stylize.yaml",
         "plugins/anysplat/pyproject.toml",

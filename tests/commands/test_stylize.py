@@ -38,6 +38,11 @@ def photographs(tmp_path_factory):
     return folder
 
 
+def test_an_unknown_painting_is_told_before_a_scene_is_made(capsys, tmp_path):
+    line = fails(capsys, "example:street", "--image", "example:waves", "--out", tmp_path / "out", *SMALL)
+    assert line.startswith("anystyle: error: no example is named 'waves'. Did you mean 'wave'? Available: ")
+
+
 def test_every_file_is_there_and_agrees(photographs, tmp_path):
     run(photographs, "--text", "red and white stripes", "--out", tmp_path / "out", *SMALL)
     out = tmp_path / "out"

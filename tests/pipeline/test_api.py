@@ -118,8 +118,8 @@ def test_stages_are_announced_and_timed(photographs, stylizer):
     announced = []
     stages = Stages(lambda stage, progress: announced.append((stage, progress.line)))
     next(iter(anystyle.stylize(photographs, "dots", model=stylizer, views=VIEWS, stages=stages)))
-    assert [name for name, _ in announced] == ["load", "read", "encode", "embed", "restyle"] == list(stages.seconds)
-    assert announced[2] == ("encode", "3 views of 70x56") and announced[4] == ("restyle", "1/1: “dots”")
+    assert [name for name, _ in announced] == ["load", "embed", "read", "encode", "restyle"] == list(stages.seconds)
+    assert announced[3] == ("encode", "3 views of 70x56") and announced[4] == ("restyle", "1/1: “dots”")
 
 
 def test_what_cannot_be_done_is_one_line_and_leaves_nothing(photographs, stylizer, tmp_path):

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from anystyle.data import images
 from anystyle.errors import UserError
+from anystyle.examples import resolved
 from anystyle.io import video
 from anystyle.io.images import Picture
 from anystyle.io.limits import require
@@ -244,7 +245,7 @@ class _Shot(NamedTuple):
 
 def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]]:
     """The headers of photographs and the frames of videos, and what is wrong with the others."""
-    found = [path for item in inputs for path in _find(item)]
+    found = [path for item in inputs for path in _find(resolved(item))]
     paths = evenly(found, max_views)
     if len(paths) < len(found):
         _log.warning("%d of %d photographs are taken, evenly spaced; views.take sets how many", max_views, len(found))

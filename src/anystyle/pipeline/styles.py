@@ -12,6 +12,7 @@ from torch import Tensor
 
 from anystyle.data.images import read_image
 from anystyle.errors import UserError
+from anystyle.examples import resolved
 from anystyle.io.sheet import Cell, to_pil
 from anystyle.pipeline.controls import Controls, rescaled
 from anystyle.stylizer import Stylizer
@@ -109,7 +110,8 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             given = Style(text=(style,))
             return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer))
         case Path():
-            title, image = style.stem, read_image(style)[None]
+            file = resolved(style)
+            title, image = file.stem, read_image(file)[None]
         case Tensor():
             title, image = "image", style[None]
         case Style(image=Tensor() as image, names=names):

@@ -84,6 +84,8 @@ def stylize(
     with contextlib.nullcontext() if out is None else atomic_directory(out, export.folders) as folder:
         with stages("load", "the model"):
             loaded = load_model(model, reconstruction, method)
+        with stages("embed", "the styles"):  # before the scene, which takes longer than to find a mistake in these
+            embedded = embed_styles(given, loaded.stylizer, applied)
         encoded = encode_inputs(
             inputs,
             loaded.stylizer,
@@ -93,8 +95,6 @@ def stylize(
             loaded.reconstruction,
             stages,
         )
-        with stages("embed", "the styles"):
-            embedded = embed_styles(given, loaded.stylizer, applied)
         results = Results(
             encoded,
             embedded,

@@ -1,0 +1,45 @@
+"""A capture and paintings that come with the package; ``example:NAME`` stands for one wherever a path is taken."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from anystyle.errors import UserError, unknown
+from anystyle.io.documents import read_json
+
+PREFIX = "example:"
+
+
+@dataclass(frozen=True)
+class Example:
+    """An example, with what its licence asks to be said of it.
+
+    Args:
+        file: A folder of photographs or a painting, relative to this package.
+        title: What it is.
+        author: Who made it, and the years that a painter lived.
+        year: When it was made.
+        license: Under which it may be passed on.
+        provenance: Where the files come from.
+    """
+
+    file: str
+    title: str
+    author: str
+    year: str
+    license: str
+    provenance: str
+
+
+def examples() -> dict[str, Example]:
+    """All examples by their names."""
+    return read_json(Path(__file__).with_name("index.json"), dict[str, Example])
+
+
+def resolved(path: Path) -> Path:
+    """The files that ``example:NAME`` stands for; any other path as it is."""
+    if not str(path).startswith(PREFIX):
+        return path
+    name, known = str(path).removeprefix(PREFIX), examples()
+    if name not in known:
+        raise UserError(unknown("example", name, known))
+    return Path(__file__).parent / known[name].file

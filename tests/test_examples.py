@@ -1,0 +1,57 @@
+"""The examples: what the index says of them is so, and their names stand for paths."""
+
+from pathlib import Path
+
+import pytest
+
+import anystyle
+from anystyle.commands.examples import main
+from anystyle.data.folder import read_views
+from anystyle.data.images import image_size, open_image
+from anystyle.errors import UserError
+from anystyle.examples import examples, resolved
+from anystyle.pipeline.options import PoseOptions, ViewOptions
+from anystyle.pipeline.styles import Mixture
+
+NAMES = sorted(examples())
+PAINTINGS = [name for name in NAMES if examples()[name].license == "public domain"]
+
+
+def test_they_are_one_capture_with_its_licence_and_small_paintings():
+    (capture,) = {*NAMES} - {*PAINTINGS}
+    folder = resolved(Path(f"example:{capture}"))
+    assert [image_size(path) for path in sorted(folder.glob("*.jpg"))] == [(1024, 768)] * 12
+    assert "Redistribution" in (folder / "LICENCE.txt").read_text()
+    for name in PAINTINGS:
+        path = resolved(Path(f"example:{name}"))
+        assert path.stem == name and path.stat().st_size < 200_000
+        assert 256 <= min(open_image(path).size) <= 512
+
+
+def test_no_file_is_without_an_entry():
+    files = {path for path in (resolved(Path(f"example:{name}")) for name in NAMES) if path.is_file()}
+    assert files == {*(next(iter(files)).parent.iterdir())}
+
+
+def test_names_are_inputs_and_styles_in_python():
+    few = ViewOptions(take=2, short_side=56)
+    wave = Path("example:wave")
+    styles = [wave, Mixture("charcoal drawing", wave, 0.5)]
+    poses = PoseOptions("predicted")
+    results = anystyle.stylize("example:street", styles, reconstruction="feedforward", views=few, poses=poses)
+    assert [source.name for source in results.encoded.sources] == ["01", "12"]
+    assert [style.name for style in results.styles] == ["wave", "charcoal-drawing_0.50_wave"]
+
+
+def test_a_path_that_is_no_example_stays():
+    assert resolved(Path("photos/example:street")) == Path("photos/example:street")
+    with pytest.raises(UserError, match=r"no example is named 'stret'\. Did you mean 'street'"):
+        read_views([Path("example:stret")], short_side=56, multiple=14, max_views=1)
+
+
+def test_the_command_lists_all_with_their_licences(capsys, monkeypatch):
+    monkeypatch.setattr("sys.argv", ["anystyle"])
+    main()
+    listed = capsys.readouterr().out
+    for name, one in examples().items():
+        assert f"example:{name}\n  {one.title}\n  {one.author}, {one.year}; {one.license}\n" in listed
