@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
-from anystyle.methods.colors import fit_colors
+from anystyle.methods.colors import NEIGHBORS, fit_colors
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from renderers.scenes import cameras, gaussians
 
@@ -39,6 +39,16 @@ def dense_confidence(a, views):
     return (torch.cat(shares) + 1e-3).square()
 
 
+def filled(colors, weight, means):
+    """What a Gaussian lacks of a pixel is the mean colour of its nearest neighbours that have one."""
+    known = weight >= 1
+    result = colors.clone()
+    for index in (~known).nonzero()[:, 0]:
+        nearest = (means[known] - means[index]).norm(dim=1).argsort()[:NEIGHBORS]
+        result[index] += (1 - weight[index]) * (colors[known][nearest].mean() - colors[index])
+    return result
+
+
 @pytest.mark.parametrize("largest", [False, True])
 def test_agrees_with_the_dense_solution(largest):
     scene, views = small_scene()
@@ -54,9 +64,9 @@ def test_agrees_with_the_dense_solution(largest):
         behind = RENDERER(colored(scene, torch.zeros(12, 3)), views).color[0, :, channel].flatten().double()
         target = targets[:, channel].flatten().double()
         weight = transposed.sum(1)
-        means = (transposed @ target) / weight
-        damped = transposed @ a + 0.02 * torch.diag(weight)
-        expected = torch.linalg.solve(damped, transposed @ (target - behind) + 0.02 * weight * means)
+        means = filled((transposed @ target) / weight, weight, scene.means[0])
+        pull = 0.02 * weight + (1 - weight).clamp_min(0)
+        expected = torch.linalg.solve(transposed @ a + torch.diag(pull), transposed @ (target - behind) + pull * means)
         assert expected.min() > 0 and expected.max() < 1, "a cut colour would say nothing"
         torch.testing.assert_close(actual[:, channel], expected, rtol=0, atol=2e-3)
 
@@ -84,20 +94,37 @@ def test_brings_back_the_colors_of_its_own_renders():
     assert errors[-1] < 1e-6
 
 
-def test_what_no_view_sees_keeps_its_color_or_has_that_of_its_pixel():
+def test_what_no_view_sees_has_the_mean_color_of_its_neighbors():
     scene, views = small_scene()
     hidden = torch.tensor([0, 5])
     scene = replace(scene, opacities=scene.opacities.index_fill(1, hidden, 0.0))
-    targets = torch.rand(4, 3, 24, 32)
-    result = fit_colors(scene, views, targets, RENDERER, steps=2)
-    torch.testing.assert_close(result.harmonics[:, hidden], scene.harmonics[:, hidden])
-    origins = torch.stack([torch.arange(12) % 4, torch.arange(12), torch.arange(12) + 7], dim=1)
-    painted = fit_colors(scene, views, targets, RENDERER, steps=2, origins=origins)
-    expected = torch.stack([targets[0, :, 0, 7], targets[1, :, 5, 12]])
-    torch.testing.assert_close(rgb_from_constant(painted.harmonics[0, hidden, 0]), expected)
-    assert torch.equal(painted.harmonics[:, 1], result.harmonics[:, 1])
-    assert not torch.equal(result.harmonics[:, 1], scene.harmonics[:, 1])
-    assert result.means is scene.means or torch.equal(result.means, scene.means)
+    result = fit_colors(scene, views, torch.rand(4, 3, 24, 32), RENDERER, steps=0)
+    others = torch.tensor([index for index in range(12) if index not in hidden])
+    for index in hidden:
+        distance = (scene.means[0, others] - scene.means[0, index]).norm(dim=1)
+        expected = result.harmonics[0, others[distance.argsort()[:NEIGHBORS]]].mean(0)
+        torch.testing.assert_close(result.harmonics[0, index], expected)
+    assert torch.equal(result.means, scene.means)
+
+
+def test_what_is_hardly_seen_stays_in_the_range_of_its_neighbors(monkeypatch):
+    """Least squares alone would put what is left of the error on it: a share of a pixel takes any colour."""
+    scene, views = small_scene()
+    renderer, faint = CpuRenderer(background=(0.5, 0.5, 0.5)), torch.tensor([3, 8])
+    scene = replace(scene, opacities=scene.opacities.index_fill(1, faint, 0.006))
+    targets = 0.5 + 0.1 * torch.randn(4, 3, 24, 32, generator=torch.Generator().manual_seed(0))
+    colors = rgb_from_constant(fit_colors(scene, views, targets, renderer, steps=30).harmonics[0, :, 0])
+    assert (colors[faint] - 0.5).abs().max() < 0.05
+    monkeypatch.setattr("anystyle.methods.colors.EVIDENCE", 1e-6)
+    alone = fit_colors(scene.map(torch.clone), views, targets, renderer, steps=30)
+    assert (rgb_from_constant(alone.harmonics[0, faint, 0]) - 0.5).abs().max() > 0.3
+
+
+def test_what_is_shown_nowhere_keeps_its_colors():
+    scene, views = small_scene()
+    scene = replace(scene, opacities=torch.zeros_like(scene.opacities))
+    result = fit_colors(scene, views, torch.rand(4, 3, 24, 32), RENDERER)
+    assert torch.equal(result.harmonics, scene.harmonics)
 
 
 def test_refuses_what_does_not_belong_together():

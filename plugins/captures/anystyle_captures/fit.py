@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn.functional import interpolate
 
 from anystyle.contracts import Reconstruction, Renderer
 from anystyle.errors import UserError
@@ -39,16 +40,15 @@ class Preset(NamedTuple):
 
 
 PRESETS = {
-    "draft": Preset(192, 15_000, FitOptions(num_steps=400, final_steps=60, evaluate_every=100)),
-    "good": Preset(
-        256,
-        30_000,
-        FitOptions(
-            num_steps=600, half_resolution=0.35, scale_weight=0.001, final_steps=80, evaluate_every=100, patience=3
-        ),
-    ),
-    "best": Preset(384, 80_000, FitOptions(num_steps=5000, final_steps=500, evaluate_every=250, patience=4)),
+    "draft": Preset(256, 20_000, FitOptions(num_steps=400, final_steps=60, scale_weight=0.001)),
+    "good": Preset(384, 40_000, FitOptions(num_steps=900, final_steps=100, scale_weight=0.001)),
+    "best": Preset(768, 120_000, FitOptions(num_steps=2000, final_steps=200, scale_weight=0.001)),
+    "full": Preset(1 << 16, 200_000, FitOptions(num_steps=4000, final_steps=400, scale_weight=0.001)),
 }
+"""Photographs are not enlarged, so that ``full`` is their own size."""
+
+STEREO_SIDE = 256
+"""Short side in pixels of the images that stereo reads: Gaussians move to where larger ones have them."""
 
 UNSUPPORTED, BEHIND = 0.1, 0.05
 """Fraction of the pixels without a supported depth that is lifted nevertheless; Gaussians of the backdrop, relative to
@@ -63,9 +63,10 @@ class Fit(Reconstruction):
     """Gaussians fitted to the photographs through the renderer, beginning with depths by stereo.
 
     Args:
-        quality: ``draft``, ``good`` or ``best``: the size of the photographs, and the number of Gaussians and steps.
+        quality: The size of the photographs, and the number of Gaussians and steps: ``draft`` has a shorter side of 256
+            pixels, ``good`` 384, ``best`` 768, and ``full`` that of the photographs.
         num_gaussians: At the start, about, instead of the quality's.
-        num_steps: At most, instead of the quality's.
+        num_steps: Instead of the quality's.
         degree: Of the spherical harmonics of colours.
         holdout: Every ``holdout``-th view, in the natural order of their names, is held out of the fit to measure it;
             the final steps see all views. Fewer views are not held out; 0 holds out none.
@@ -205,10 +206,8 @@ def fit_photographs(
     values, from_cache = cached("fit", key if keep else None, compute)
     result = FitResult.from_dict(values, images.device)
     # Back to the order given.
-    positions = torch.tensor(order, device=images.device)
-    pixels, back = result.pixels.clone(), positions.argsort()
-    pixels[:, 0] = positions[pixels[:, 0]]
-    return replace(result, pixels=pixels, gains=result.gains[back], biases=result.biases[back], cached=from_cache)
+    back = torch.tensor(order, device=images.device).argsort()
+    return replace(result, gains=result.gains[back], biases=result.biases[back], cached=from_cache)
 
 
 def _write_state(loop: FitLoop, path: Path, key: str) -> None:
@@ -244,7 +243,11 @@ def _initial(
     seed: int,
 ) -> InitialGaussians:
     """Gaussians at pixels of the training views, on the device of the images."""
-    chosen, posed = images[training].cpu(), cameras.select(training).to("cpu")
+    height, width = images.shape[-2:]
+    ratio = max(1.0, min(height, width) / STEREO_SIDE)
+    size = (round(height / ratio), round(width / ratio))
+    chosen = interpolate(images[training].cpu(), size=size, mode="area")
+    posed = cameras.select(training).to("cpu").resized(size)
     stereo = plane_sweep(chosen, posed, points=None if points is None else [points[view].cpu() for view in training])
     generator = torch.Generator().manual_seed(seed)
     lifted = from_stereo(
@@ -252,7 +255,10 @@ def _initial(
     )
     behind = backdrop(chosen, posed, stereo, num_gaussians=math.ceil(BEHIND * num_gaussians), generator=generator)
     initial = InitialGaussians.cat([lifted, behind])
-    initial.pixels[:, 0] = torch.tensor(training)[initial.pixels[:, 0]]
+    view, row, column = initial.pixels.unbind(1)
+    rows, columns = (row + 0.5) * height / size[0], (column + 0.5) * width / size[1]
+    pixels = torch.stack([torch.tensor(training)[view], rows.long(), columns.long()], dim=1)
+    initial = replace(initial, pixels=pixels, footprints=initial.footprints * size[1] / width)
     return initial.to(images.device)
 
 
@@ -271,5 +277,4 @@ def scene_of_fit(views: Views, encoded: Scene, result: FitResult, renderer: Rend
         attributes=replace(encoded.attributes, color=color.to(encoded.attributes.color.dtype)),
         clusters=None,
         gaussians=result.gaussians,
-        origins=result.pixels[None],
     )

@@ -1,13 +1,12 @@
 """The optimisation of Gaussians through a renderer, towards posed photographs."""
 
-import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import interpolate
 from torchmetrics.functional.image import peak_signal_noise_ratio
@@ -18,8 +17,6 @@ from anystyle.methods.gaussian_parameters import GaussianParameters
 from anystyle.types import Cameras, Gaussians
 from anystyle_captures.initial import InitialGaussians
 from anystyle_captures.photometric import Quality, photometric_loss, quality_of, unexplained
-
-logger = logging.getLogger(__name__)
 
 RATES = {
     "offsets": (0.07, 0.05),  # of centres, in footprints of a pixel
@@ -41,8 +38,11 @@ MIN_OPACITY, MAX_FOOTPRINTS, NEAREST = 0.02, 60.0, 0.03
 """A Gaussian is removed below this opacity, above this scale in footprints, or nearer to a camera than this fraction of
 the median depth."""
 
-MIN_GAIN = 0.03
-"""A rise of PSNR in dB that counts as progress."""
+MAX_OPACITY = 0.999
+"""Of the Gaussians that stand in for those left out."""
+
+PRUNE_EVERY = 200
+"""Steps between removals of Gaussians."""
 
 NEAREST_EXPOSURES = 2
 """A held-out view takes the exposure of this many nearest training views."""
@@ -56,13 +56,12 @@ class FitOptions:
     reproduce them as well as small ones, and only small ones leave room for the strokes of a style.
     """
 
-    num_steps: int = 1500  # at most, of one view each
-    half_resolution: float = 0.25  # fraction of the steps that is taken at half the resolution
+    num_steps: int = 1000  # of one view each
+    half_resolution: float = 0.6  # fraction of the steps that is taken at half the resolution
+    dropout: float = 0.1  # fraction of the Gaussians that a step leaves out, as DropGaussian (Park et al. 2025)
     degree: int = 0  # of the spherical harmonics
     exposure_lr: float = 0.002  # falls to a tenth; 0 disables exposure
     scale_weight: float = 0.0
-    prune_every: int = 200  # 0 removes no Gaussians
-    patience: int = 0  # evaluations without a rise of PSNR before the fit stops; 0 disables stopping
     evaluate_every: int = 200
     final_steps: int = 0  # on all views, if some are held out; the reported quality precedes them
     seed: int = 0
@@ -87,7 +86,6 @@ class FitResult:
     """A fitted scene."""
 
     gaussians: Gaussians
-    pixels: Int[Tensor, "N 3"]  # view, row and column that each Gaussian was lifted from
     gains: Float[Tensor, "V 3"]  # photographs are gain * render + bias
     biases: Float[Tensor, "V 3"]
     steps: int
@@ -160,7 +158,7 @@ class FitLoop:
         self.order: list[int] = []  # of the views that are left of a pass
         self.recent: list[float] = []
         self.images, self.cameras, self.renderer, self.options = images, cameras, renderer, options
-        self.heldout, self.pixels = heldout, initial.pixels
+        self.heldout = heldout
         size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
         self.half_images, self.half_cameras = interpolate(images, size=size, mode="area"), cameras.resized(size)
         rates = {name: rate for name, (rate, _) in RATES.items()}
@@ -169,9 +167,7 @@ class FitLoop:
         self.nearest = NEAREST * float((initial.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
         self.exposures = Exposures(cameras, self.training)
         self.exposure_optimizer = torch.optim.Adam([self.exposures.values], lr=options.exposure_lr)
-        self.end = options.num_steps
         self.quality: Quality | None = None
-        self.best, self.stale = float("-inf"), 0
 
     def gaussians(self) -> Gaussians:
         """The current Gaussians, a batch of one scene."""
@@ -180,7 +176,7 @@ class FitLoop:
     def advance(self) -> float:
         """Take one step, on one view, and return the PSNR before it."""
         options = self.options
-        fraction = self.step / options.num_steps if self.step < self.end else 1.0
+        fraction = min(self.step / options.num_steps, 1.0)
         self.splats.set_rates({name: rate * decay**fraction for name, (rate, decay) in RATES.items()})
         if not self.order:
             self.order = [self.training[i] for i in torch.randperm(len(self.training), generator=self.generator)]
@@ -188,7 +184,10 @@ class FitLoop:
         coarse = fraction < options.half_resolution
         images, cameras = (self.half_images, self.half_cameras) if coarse else (self.images, self.cameras)
         target = images[view, None]
-        renders = self.renderer(self.gaussians(), cameras.select([view]))
+        gaussians = self.gaussians()
+        kept = torch.rand(len(self.splats), generator=self.generator).to(images) >= options.dropout
+        opacities = (gaussians.opacities * kept / (1 - options.dropout)).clamp_max(MAX_OPACITY)
+        renders = self.renderer(replace(gaussians, opacities=opacities), cameras.select([view]))
         # Over random colours, so that no Gaussian lets the background through where there is something.
         transmittance = 1 - renders.alpha[0, :, None]
         color = self.exposures.apply(renders.color[0] - transmittance * self.background, view)
@@ -203,7 +202,7 @@ class FitLoop:
             self.exposure_optimizer.zero_grad(set_to_none=True)
             self.exposures.center()
         self.step += 1
-        if options.prune_every and self.step % options.prune_every == 0 and fraction < 0.8:
+        if self.step % PRUNE_EVERY == 0 and fraction < 0.8:
             self._prune()
         return float(peak_signal_noise_ratio(color.detach(), target, data_range=1.0))
 
@@ -228,21 +227,23 @@ class FitLoop:
         index = (keep & (distance >= self.nearest)).nonzero()[:, 0]
         if len(index) < len(keep):
             self.splats.select(index)
-            self.pixels = self.pixels[index]
 
     def run(
         self,
         on_progress: Callable[[FitProgress], None] = lambda progress: None,
         on_checkpoint: Callable[[], None] | None = None,
     ) -> FitResult:
-        """Take steps until PSNR stops rising, or all; then the final ones, on all views."""
+        """Take all steps; the final ones are on all views."""
         started, first = time.monotonic(), self.step
         while self.step < self.last_step:
             self.recent = [*self.recent[1 - len(self.training) :], self.advance()]
             # Held-out views are included after the last step without them.
-            if self.step % self.options.evaluate_every and self.step not in (self.last_step, self.end):
+            if self.step % self.options.evaluate_every and self.step not in (self.last_step, self.options.num_steps):
                 continue
-            self.look()
+            if self.step <= self.options.num_steps:
+                self.quality = self.heldout_quality()
+            if self.step == self.options.num_steps and self.options.final_steps:
+                self._include_heldout()
             pace = (time.monotonic() - started) / (self.step - first)
             heldout, left = self.quality and self.quality.psnr, pace * (self.last_step - self.step)
             on_progress(FitProgress(self.step, self.last_step, self.mean, heldout, left))
@@ -252,7 +253,6 @@ class FitLoop:
         shares = [unexplained(self.render(view), self.images[view, None]) for view in self.training]
         return FitResult(
             gaussians=self.gaussians().detach(),
-            pixels=self.pixels,
             gains=1 + exposures[:, :3],
             biases=exposures[:, 3:],
             steps=self.step,
@@ -268,22 +268,8 @@ class FitLoop:
 
     @property
     def last_step(self) -> int:
-        """The step at which it ends, as currently planned."""
-        return self.end + (self.options.final_steps if self.heldout else 0)
-
-    def look(self) -> None:
-        """Measure the views held out, and stop where PSNR has stopped rising; not in the final steps."""
-        if self.step > self.end:
-            return
-        self.quality = self.heldout_quality()
-        psnr = self.mean if self.quality is None else self.quality.psnr
-        self.stale = 0 if psnr > self.best + MIN_GAIN else self.stale + 1
-        self.best = max(self.best, psnr)
-        if self.options.patience and self.stale >= self.options.patience:
-            logger.info("no gain in %d evaluations: the fit ends at step %d", self.stale, self.step)
-            self.end = self.step
-        if self.step == self.end and self.options.final_steps:
-            self._include_heldout()
+        """The step at which it ends."""
+        return self.options.num_steps + (self.options.final_steps if self.heldout else 0)
 
     def _include_heldout(self) -> None:
         """From now on steps see all views; those held out begin with the exposure of neighbouring views."""
@@ -313,29 +299,22 @@ class FitLoop:
             "training": self.training,
             "order": self.order,
             "recent": self.recent,
-            "pixels": self.pixels,
             "splats": self.splats.state_dict(),
             "exposures": self.exposures.values.detach(),
             "exposure_optimizer": self.exposure_optimizer.state_dict(),
-            "end": self.end,
             "quality": self.quality and tuple(self.quality),
-            "best": self.best,
-            "stale": self.stale,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         self.generator.set_state(state["generator"])
         self.training = list(state["training"])
         self.step, self.order, self.recent = state["step"], list(state["order"]), list(state["recent"])
-        self.pixels = state["pixels"]
         self.splats.load_state_dict(state["splats"])
         with torch.no_grad():
             self.exposures.values.copy_(state["exposures"])
         self.exposure_optimizer.load_state_dict(state["exposure_optimizer"])
         self.exposures.train(self.training)
-        self.end = state["end"]
         self.quality = state["quality"] and Quality(*state["quality"])
-        self.best, self.stale = state["best"], state["stale"]
 
 
 @torch.no_grad()

@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from torch.nn.functional import pad
 
 from anystyle.errors import UserError
+from anystyle_captures import fit as captures_fit
 from anystyle_captures.fit import Fit, fit_photographs, held_out
 from anystyle_captures.fit_loop import FitOptions
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from known_scene import photographed_wall
 
-OPTIONS = FitOptions(num_steps=60, evaluate_every=20, final_steps=10, prune_every=25)
+OPTIONS = FitOptions(num_steps=60, evaluate_every=20, final_steps=10)
 RENDERER = CpuRenderer(background=(1.0, 0.5, 0.0))
 
 
@@ -45,9 +47,26 @@ def test_photographs_alone_give_a_view_that_was_held_out(photographs):
     result = fit(photographs)
     assert result.steps == 70
     assert result.heldout is not None and result.heldout.psnr > 22
-    assert 4 not in set(result.pixels[:, 0].tolist())
     longer = fit(photographs, replace(OPTIONS, num_steps=150))
     assert longer.heldout is not None and longer.heldout.psnr > result.heldout.psnr
+
+
+def test_stereo_reads_small_images_and_pixels_are_those_of_the_photographs(photographs, monkeypatch):
+    images, cameras, _ = photographs
+    given = images, cameras, list(range(9)), None, 900, 0
+    whole = captures_fit._initial(*given)
+    monkeypatch.setattr(captures_fit, "STEREO_SIDE", min(images.shape[-2:]) // 2)
+    small = captures_fit._initial(*given)
+    for initial in (whole, small):
+        view, row, column = initial.pixels.unbind(1)
+        local = torch.einsum("nij,nj->ni", cameras.camera_from_world[0, view], pad(initial.means, (0, 1), value=1.0))
+        image = torch.einsum("nij,nj->ni", cameras.intrinsics[0, view], local[:, :3])
+        position = image[:, :2] / image[:, 2:]
+        inside = ((position > 0) & (position < torch.tensor([images.shape[-1], images.shape[-2]]))).all(1)
+        assert 500 < inside.sum() < len(inside)
+        off = (position - torch.stack([column, row], dim=1) - 0.5)[inside].abs().max()
+        assert off < (0.01 if initial is whole else 0.51)
+        torch.testing.assert_close(initial.footprints, local[:, 2] / cameras.intrinsics[0, view, 0, 0])
 
 
 def test_a_fit_is_the_same_in_any_order_of_photographs(photographs, tmp_path, monkeypatch):
@@ -58,11 +77,10 @@ def test_a_fit_is_the_same_in_any_order_of_photographs(photographs, tmp_path, mo
     first, other = (fit(given) for given in (photographs, (images[order], cameras.select(order), None)))
     assert torch.equal(first.gaussians.means, other.gaussians.means)
     assert torch.equal(first.gaussians.harmonics, other.gaussians.harmonics)
-    assert torch.equal(first.pixels, torch.cat([torch.tensor(order)[other.pixels[:, :1]], other.pixels[:, 1:]], dim=1))
     assert torch.equal(first.gains[order], other.gains) and torch.equal(first.biases[order], other.biases)
     assert first.gains.std() > 0
     again = fit(photographs, keep=True), fit((images[order], cameras.select(order), None), keep=True)
-    assert [result.cached for result in again] == [False, True] and torch.equal(again[1].pixels, other.pixels)
+    assert [result.cached for result in again] == [False, True] and torch.equal(again[1].gains, other.gains)
 
 
 @pytest.mark.parametrize("steps", [20, 60], ids=["amid the fit", "before the final steps"])

@@ -79,7 +79,6 @@ def test_a_view_held_out_comes_out(photographs):
     exposed = (render * result.gains[3, :, None, None] + result.biases[3, :, None, None]).clamp(0, 1)
     mse = (exposed - images[3]).square().mean()
     assert abs(float(-10 * mse.log10()) - result.heldout.psnr) < 1e-3
-    assert len(result.pixels) == result.gaussians.means.shape[1]
 
 
 def test_exposure_is_told_apart_from_color(photographs):
@@ -106,22 +105,31 @@ def test_a_view_held_out_has_the_exposure_of_those_beside_it():
     assert torch.equal(exposures.of(2), exposures.values[2])
 
 
-def test_it_stops_when_nothing_is_gained(photographs, monkeypatch):
-    monkeypatch.setattr(fit_loop, "RATES", dict.fromkeys(fit_loop.RATES, (0.0, 1.0)))
-    options = FitOptions(num_steps=500, evaluate_every=5, patience=2, half_resolution=0.0, exposure_lr=0.0)
-    assert fit(photographs, options).run().steps == 15
+def test_a_step_leaves_out_some_gaussians_and_the_others_stand_in(photographs):
+    images, cameras, _ = photographs
+    drawn = []
+
+    def renderer(gaussians, seen):
+        drawn.append(gaussians.opacities.detach())
+        return RENDERER(gaussians, seen)
+
+    FitLoop(images, cameras, initial(photographs), renderer, FitOptions(dropout=0.2)).advance()
+    kept = drawn[-1] > 0
+    assert abs(float(kept.float().mean()) - 0.8) < 0.05
+    torch.testing.assert_close(drawn[-1], fit_loop.OPACITY / 0.8 * kept)
 
 
-def test_what_shows_nothing_is_removed(photographs):
+def test_what_shows_nothing_is_removed(photographs, monkeypatch):
+    monkeypatch.setattr(fit_loop, "PRUNE_EVERY", 1)
     images, cameras, _ = photographs
     lifted = initial(photographs)
-    run = FitLoop(images, cameras, lifted, RENDERER, FitOptions(num_steps=50, prune_every=1))
+    run = FitLoop(images, cameras, lifted, RENDERER, FitOptions(num_steps=50))
     with torch.no_grad():
         run.splats.parameters["opacities"][10:30] = -9.0
         run.splats.parameters["scales"][40] = 5.0
     run.advance()
     keep = [i for i in range(len(lifted.means)) if not 10 <= i < 30 and i != 40]
-    assert torch.equal(run.pixels, lifted.pixels[keep])
+    assert torch.equal(run.splats.units, lifted.footprints[keep])
     assert all(len(value) == len(keep) for value in run.splats.parameters.values())
     run.advance()
 

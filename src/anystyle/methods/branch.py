@@ -41,10 +41,9 @@ class Branch(Method):
             return stylizer.restyle(scene, embedding)
         color = stylizer.branch(scene, embedding).color[0]  # V H W 3 K
         targets = rgb_from_constant(color[..., 0]).clamp(0, 1).movedim(-1, 1).float()  # V 3 H W
-        origins = None if scene.origins is None else scene.origins[0]
         with torch.enable_grad():
             colored = fit_colors(
                 scene.gaussians, scene.cameras, targets, stylizer.renderer, steps=self.fit_colors, largest=True,
-                keep=self.keep_harmonics, origins=origins,
+                keep=self.keep_harmonics,
             )  # fmt: skip
         return colored.detach()

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from anystyle.contracts import Renderer
@@ -16,13 +17,11 @@ from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, Toke
 
 MIN_WEIGHT = 1e-3
 """A Gaussian that all views together show less of than so many pixels keeps its colour."""
+EVIDENCE, NEIGHBORS = 1.0, 8
+"""A Gaussian that all views together show less of than so many pixels takes after so many nearest ones of which they
+show more, in place of the pixels that it lacks."""
 MIN_CONFIDENCE = 1e-3
 """Of a pixel all of whose Gaussians are seen larger elsewhere."""
-
-
-def _at(pictures: Float[Tensor, "V 3 H W"], pixels: Int[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
-    view, row, column = pixels.unbind(1)
-    return pictures[view, :, row, column]
 
 
 def fit_colors(
@@ -35,7 +34,6 @@ def fit_colors(
     damping: float = 0.0,
     largest: bool = False,
     keep: bool = False,
-    origins: Int[Tensor, "N 3"] | None = None,
 ) -> Gaussians:
     """Colour Gaussians so that their renders are as near as can be to targets, in squared error.
 
@@ -48,9 +46,11 @@ def fit_colors(
     by the square of the share that Gaussians have in it which no other view shows larger, so that each place is painted
     by one view, as surfaces are textured from photographs (Lempitsky and Ivanov 2007).
 
+    Gaussians that views hardly show, on which least squares would put what is left of the error, are pulled towards the
+    colours of their neighbours.
+
     Args:
-        gaussians: A batch of one scene; their colours are kept only where no view sees them, and
-            no origin is known.
+        gaussians: A batch of one scene; their colours are kept only where the views show none of them.
         cameras: A batch of one scene, for images of the targets' size.
         targets: sRGB in [0, 1].
         renderer: Differentiable in colours; what it has behind the scene is taken out of the targets.
@@ -59,7 +59,6 @@ def fit_colors(
         damping: Pulls each colour towards its weighted mean, with this share of its own weight.
         largest: Whether pixels count where their view shows a place largest; all count alike otherwise.
         keep: Whether harmonics above degree 0 stay as they are.
-        origins: View, row and column of the pixel that each Gaussian comes from, for what no view sees.
     """
     if gaussians.means.shape[0] != 1 or cameras.world_from_camera.shape[:2] != (1, len(targets)):
         raise UserError(
@@ -76,35 +75,36 @@ def fit_colors(
     if largest:
         system = system.confident
     weights = system.weights
+    known, nearest = system.neighbors
+    if not known.any():
+        return replace(gaussians, harmonics=torch.cat([gaussians.harmonics[0, :, :1], higher], dim=1)[None])
     means = system.backproject(lambda view: targets[view]) / weights.clamp_min(MIN_WEIGHT)[:, None]  # N 3
-    seen = weights > MIN_WEIGHT
-    colors = _conjugate_gradients(system, targets, weights * seen, means, steps, damping) if steps else means
+    missing = (1 - weights / EVIDENCE).clamp_min(0)
+    means[~known] = means[~known].lerp(means[known][nearest].mean(1), missing[~known, None])
+    pull = damping * weights + EVIDENCE * missing
+    colors = _conjugate_gradients(system, targets, means, pull, steps) if steps else means
     constant = constant_from_rgb(colors.clamp(0, 1))
-    unseen = gaussians.harmonics[0, :, 0] if origins is None else constant_from_rgb(_at(targets, origins))
-    constant = torch.where(seen[:, None], constant, unseen)
     return replace(gaussians, harmonics=torch.cat([constant[:, None], higher], dim=1)[None])
 
 
 def _conjugate_gradients(
     system: "_System",
     targets: Float[Tensor, "V 3 H W"],
-    weights: Float[Tensor, " N"],
     means: Float[Tensor, "N 3"],
+    pull: Float[Tensor, " N"],
     steps: int,
-    damping: float,
 ) -> Float[Tensor, "N 3"]:
-    """Solve ``(AᵀA + damping W) c = Aᵀ targets + damping W means``, each channel by itself, beginning at the means.
+    """Solve ``(AᵀA + P) c = Aᵀ targets + P means`` with ``P = diag(pull)``, each channel alone, beginning at the means.
 
-    ``W`` holds the weights, the sums of rows of ``Aᵀ``; where pixels are opaque they are the sums of rows of ``AᵀA``
-    too, which makes them the preconditioner.
+    The sums of rows of ``Aᵀ``, which where pixels are opaque are those of ``AᵀA`` too, and ``P`` precondition it.
     """
-    inverse = torch.where(weights > 0, 1 / weights.clamp_min(MIN_WEIGHT), 0.0)[:, None]
+    inverse = 1 / (system.weights + pull)[:, None]
     colors = means
-    residual = system.backproject(lambda view: targets[view] - system.render(view, colors)) * (inverse > 0)
+    residual = system.backproject(lambda view: targets[view] - system.render(view, colors))
     direction = inverse * residual
     energy = (residual * direction).sum(0)  # 3
     for step in range(steps):
-        curvature = system.normal(direction) * (inverse > 0) + damping * weights[:, None] * direction
+        curvature = system.normal(direction) + pull[:, None] * direction
         length = energy / (direction * curvature).sum(0).clamp_min(1e-20)
         colors = colors + length * direction
         if step + 1 == steps:
@@ -195,6 +195,16 @@ class _System:
         """How many pixels each Gaussian covers in all views together."""
         size = self.cameras.size
         return self.backproject(lambda view: self.gray.new_ones(3, *size).detach())[:, 0]
+
+    @cached_property
+    def neighbors(self) -> tuple[Bool[Tensor, " N"], Int[Tensor, "M K"]]:
+        """Which Gaussians the views show enough of, and the nearest of these to each of the others."""
+        known, means = self.weights >= EVIDENCE, self.gaussians.means[0]
+        count = min(NEIGHBORS, int(known.sum()))
+        if not count or bool(known.all()):
+            return known, torch.zeros(int((~known).sum()), 1, dtype=torch.long, device=known.device)
+        _, nearest = KDTree(means[known].cpu().numpy()).query(means[~known].cpu().numpy(), k=count)
+        return known, torch.from_numpy(nearest).view(-1, count).to(known.device)
 
 
 _SYSTEMS: LRUCache[tuple[object, ...], _System] = LRUCache(1)

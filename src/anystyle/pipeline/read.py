@@ -142,12 +142,12 @@ def _estimated(
     estimator: PoseEstimator,
     stages: Stages,
 ) -> PosedViews | Verdict:
+    short_side, enlarge = view_size(backbone, options, reconstruction)
     with stages("read", "the photographs"):
-        originals = read_originals(paths, longest=estimator.longest, max_views=options.take)
+        originals = read_originals(paths, longest=max(estimator.longest, 2 * short_side), max_views=options.take)
     if len(originals) < estimator.min_views:
         few = f"{len(originals)} photographs are too few for their cameras to be found"
         return Verdict("failed", (f"{few}, which takes {estimator.min_views} that overlap",), {})
-    short_side, enlarge = view_size(backbone, options, reconstruction)
     with stages("cameras", f"of {len(originals)} photographs") as on_progress:
         posed = estimator(
             originals,

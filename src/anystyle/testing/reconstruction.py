@@ -36,17 +36,6 @@ def test_makes_a_scene_of_the_views(plugin: Plugin) -> None:
     assert all(math.isfinite(value) for value in measures.values()), f"measures that are not finite: {measures}"
 
 
-def test_origins_are_pixels_of_the_views(plugin: Plugin) -> None:
-    """Where Gaussians come from pixels, ``origins`` holds the view, row and column of each, inside of the views."""
-    scene = _once(plugin).scene
-    if scene.origins is not None:
-        assert scene.gaussians is not None, "origins without Gaussians"
-        shape = (1, scene.gaussians.means.shape[1], 3)
-        assert tuple(scene.origins.shape) == shape, f"origins of shape {list(scene.origins.shape)}, not {shape}"
-        inside = bool(((scene.origins >= 0) & (scene.origins < torch.tensor([NUMBER, *SIZE]))).all())
-        assert inside, "origins outside of the views as they were given; count from 0"
-
-
 def test_cameras_are_kept_or_asked_for(plugin: Plugin) -> None:
     """Where it needs cameras, the scene has those of the views, and views without them raise a ValueError."""
     if plugin.instance.needs_cameras:

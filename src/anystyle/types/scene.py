@@ -73,7 +73,6 @@ class Scene(Value):
         clusters: Which pixels become which Gaussian; ``None`` where each is its own.
         gaussians: Fitted or given Gaussians, coloured by the pixels that a style branch predicts; ``None`` if they are
             the backbone's.
-        origins: Which pixel each of these comes from: view, row and column, where that is known.
     """
 
     views: Views
@@ -83,7 +82,6 @@ class Scene(Value):
     attributes: Attributes
     clusters: Clusters | None
     gaussians: Gaussians | None = None
-    origins: Int[Tensor, "B N 3"] | None = None
 
     @property
     def cameras(self) -> Cameras:

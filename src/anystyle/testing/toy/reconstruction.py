@@ -39,8 +39,8 @@ class ToyReconstruction(Reconstruction):
         depth = torch.full((batch, number, height, width), self.depth)
         geometry = Geometry(views.cameras, depth, torch.ones_like(depth))
         every = (torch.arange(number), torch.arange(0, height, self.stride), torch.arange(0, width, self.stride))
-        origins = torch.cartesian_prod(*every)  # N 3
-        (view, row, column), count = origins.unbind(1), len(origins)
+        view, row, column = torch.cartesian_prod(*every).unbind(1)
+        count = len(view)
         gaussians = Gaussians(
             means=geometry.points()[:, view, row, column],
             rotations=torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(batch, count, 4).clone(),
@@ -48,5 +48,5 @@ class ToyReconstruction(Reconstruction):
             opacities=torch.full((batch, count), 0.9),
             harmonics=views.images.movedim(2, -1)[:, view, row, column][:, :, None] - 0.5,
         )
-        scene = replace(encode(views), geometry=geometry, gaussians=gaussians, origins=origins[None], clusters=None)
+        scene = replace(encode(views), geometry=geometry, gaussians=gaussians, clusters=None)
         return Reconstructed(scene, {"num_gaussians": float(count)})
