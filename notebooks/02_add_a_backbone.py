@@ -24,7 +24,7 @@ from torch import nn
 
 import anystyle
 from anystyle import contracts
-from anystyle.geometry.cameras import orbit
+from anystyle.geometry.cameras import smooth_path
 from anystyle.io.sheet import contact_sheet, to_pil
 from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Site, Tokens, untouched
 
@@ -202,7 +202,7 @@ ProceduralScenes = anystyle.catalog().find("scenes", "procedural").load()
 views = ProceduralScenes(split="heldout", size=112).read(11, [0])
 scene = stylizer.encode(views)
 gaussians = stylizer.unstyled(scene)
-around = stylizer.render(gaussians, orbit(scene.cameras, 5, degrees=30)).color[0]
+around = stylizer.render(gaussians, smooth_path(scene.cameras, 5)).color[0]
 contact_sheet([[to_pil(views.images[0, 0]), *map(to_pil, around)]], column_titles=["photograph", *5 * [""]])
 
 # %% [markdown]

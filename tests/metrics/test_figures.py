@@ -111,7 +111,6 @@ def test_a_wall_agrees_with_itself_and_one_that_moved_does_not():
 def test_seconds_are_averaged_over_rows():
     given = replace(pictures(styles=2, frames=3), seconds=torch.tensor([1.0, 2.0]))
     assert figure(Timing(), given) == 1.5
-    assert figure(Timing(per_view=True), given) == 0.5
 
 
 def test_stand_ins_are_named_by_figure():

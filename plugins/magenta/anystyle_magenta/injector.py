@@ -84,10 +84,6 @@ class MagentaInjector(Injector):
         pretrained: Whether the network starts from Magenta's weights (``anystyle weights list magenta_transform``).
             One that starts from scratch takes any sites and any embedding.
         chunk: Views convolved at a time, which changes memory alone.
-
-    Raises:
-        UserError: The site or the embedding is not what the published weights are for, or a size is too small.
-        FileNotFoundError: The package with the weights is not installed.
     """
 
     def __init__(

@@ -79,10 +79,6 @@ class MagentaEncoder(StyleEncoder):
 
     Args:
         pretrained: Whether the networks have their weights (``anystyle weights list magenta_predict magenta_text``).
-
-    Raises:
-        FileNotFoundError: The package with Magenta's weights is not installed.
-        UserError: The package holds another file than the published one.
     """
 
     unit_norm: bool = False

@@ -72,7 +72,6 @@ class CaptionTraining(Training):
         batch_size: Captions a step.
         pool: Styles to draw from; ``None`` means all there are.
         axes_on: How many styles the principal axes are computed from.
-        noise_words: Fraction of captions with a made-up word in them, so that unknown words come to mean nothing.
         learning_rate: Peak, of AdamW.
         warmup: Steps of the warm-up.
         weight_decay: Of matrices.
@@ -87,7 +86,6 @@ class CaptionTraining(Training):
         batch_size: int = 128,
         pool: int | None = None,
         axes_on: int = 1024,
-        noise_words: float = 0.2,
         learning_rate: float = 2e-3,
         warmup: int = 100,
         weight_decay: float = 0.02,
@@ -97,7 +95,6 @@ class CaptionTraining(Training):
         self.tower = TextTower()
         self.register_buffer("variance", torch.ones(()))
         self.batch_size, self.pool, self.axes_on = batch_size, pool, axes_on
-        self.noise_words = noise_words
         self.learning_rate, self.warmup, self.weight_decay = learning_rate, warmup, weight_decay
         self.source: CaptionBatches | None = None
 
@@ -124,7 +121,7 @@ class CaptionTraining(Training):
 
     def training_step(self, batch: CaptionBatch, step: int) -> Tensor:
         """The squared error as a fraction of the variance."""
-        predicted = self.tower([with_made_up_word(text, self.noise_words) for text in batch.texts])
+        predicted = self.tower([with_made_up_word(text) for text in batch.texts])
         loss = (predicted - batch.vectors).square().sum(1).mean() / self.variance
         self.log("train/loss", loss, batch_size=len(batch.texts), prog_bar=True)
         return loss

@@ -48,10 +48,6 @@ class CrossedT(Significance):
 
     See :mod:`anystyle_study.statistics`. The claim generalises to new scenes and styles if those of the items are
     known, otherwise to new sets of the same scenes and styles.
-
-    Args:
-        alternative: ``less`` claims that ours is preferred.
-        confidence: Level of the intervals.
     """
 
     units: ClassVar[tuple[Unit, ...]] = ("response",)
@@ -85,12 +81,7 @@ class CrossedT(Significance):
 
 
 class OneSampleT(Significance):
-    """Student's one-sample t test of the mean deviation; the paper runs it on single responses.
-
-    Args:
-        alternative: ``less`` claims that ours is preferred.
-        confidence: Level of the interval.
-    """
+    """Student's one-sample t test of the mean deviation; the paper runs it on single responses."""
 
     units: ClassVar[tuple[Unit, ...]] = ("response", "participant", "item")
 
@@ -121,10 +112,6 @@ class OrdinalMixed(Significance):
 
     See :mod:`anystyle_study.clmm`. The estimate is in logits, not on the answer scale; the test is Wald's, on
     Satterthwaite's degrees of freedom.
-
-    Args:
-        alternative: ``less`` claims that ours is preferred.
-        confidence: Level of the intervals.
     """
 
     units: ClassVar[tuple[Unit, ...]] = ("response",)
@@ -166,10 +153,8 @@ class SignFlip(Significance):
     are quantiles of the means of random subsets, the typical values of Hartigan (1969).
 
     Args:
-        alternative: ``less`` claims that ours is preferred.
         resamples: Number of random flips, and of random subsets for the interval.
         seed: Of both.
-        confidence: Level of the interval.
     """
 
     units: ClassVar[tuple[Unit, ...]] = ("participant",)
@@ -224,11 +209,9 @@ class Wilcoxon(Significance):
     The statistic is the rank sum of the positive deviations; the effect is the matched-pairs rank-biserial correlation.
 
     Args:
-        alternative: ``less`` claims that ours is preferred.
         zero_method: Neutral answers are dropped, ranked and then dropped, or split between the sides.
         method: ``auto`` is exact up to 50 observations without ties or zeros, and otherwise ``approx``, the normal
             approximation with tie correction and without continuity correction.
-        confidence: Level of the interval.
     """
 
     units: ClassVar[tuple[Unit, ...]] = ("response", "participant", "item")

@@ -39,9 +39,6 @@ class CaptionedPictures(StyleSource):
         pictures: How many of the styles are pictures of the folders, from 0 to 1.
         retouch: Whether these are recoloured and covered, or left as they are, but for what is cut out of them; then
             they have a caption only if it is in the folder, and all that have one are in every split.
-
-    Raises:
-        UserError: A number is out of range, or a folder has no images.
     """
 
     def __init__(

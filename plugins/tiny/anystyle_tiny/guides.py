@@ -33,9 +33,6 @@ class TextAndImage(Protocol):
         num_scenes: Of the scenes, the first so many.
         num_styles: Of the styles, the first so many.
         num_views: Of each scene, the first so many are seen and judged.
-
-    Raises:
-        UserError: A number is below 1, or a source is not configured.
     """
 
     @classmethod

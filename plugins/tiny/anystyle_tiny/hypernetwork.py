@@ -23,9 +23,6 @@ class HyperNetwork(TokenInjector):
     Args:
         width: Hidden channels of the network that is made.
         hidden: Width of the layers that make it.
-
-    Raises:
-        UserError: ``width`` or ``hidden`` is below 1.
     """
 
     def __init__(

@@ -43,9 +43,6 @@ def open_image(source: Picture, name: str = "", *, longest: int = 4096) -> Image
         source: A file that Pillow opens, or the bytes of one, which messages call by ``name``.
         name: Of bytes.
         longest: Images with a longer side are reduced to no less than this.
-
-    Raises:
-        UserError: It is no image, a damaged one, or too large.
     """
     with opened(source, name) as image:
         decodable(image, longest)

@@ -1,7 +1,5 @@
 """Camera paths."""
 
-import math
-
 import numpy as np
 import torch
 from jaxtyping import Float
@@ -81,31 +79,3 @@ def looking_at(
     focal = float(width)
     intrinsics = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
     return Cameras(look_at(eye[None], center[None])[None], intrinsics[None, None], size)
-
-
-def orbit(cameras: Cameras, frames: int, *, degrees: float = 360.0, distance: float = 1.0) -> Cameras:
-    """An orbit of the middle camera of one scene around the point that it looks at, about its own vertical.
-
-    Args:
-        cameras: A batch of one scene.
-        frames: How many cameras to return, at least 1; a full circle does not repeat the first at its end.
-        degrees: Angle of the arc, half of it to either side; a full circle starts at the camera.
-        distance: From the camera to the point, in world units.
-    """
-    if cameras.intrinsics.shape[0] != 1 or frames < 1:
-        raise ValueError(
-            f"an orbit needs one scene and at least 1 frame, not {cameras.intrinsics.shape[0]} and {frames}"
-        )
-    middle = cameras.intrinsics.shape[1] // 2
-    pose = cameras.world_from_camera[0, middle]
-    full = abs(degrees) >= 360
-    fraction = torch.linspace(0.0, 1.0, frames + 1)[:-1] if full else torch.linspace(-0.5, 0.5, frames)
-    angle = (fraction * math.radians(degrees)).to(pose)
-    zero = torch.zeros_like(angle)
-    eye = distance * torch.stack([-angle.sin(), zero, 1 - angle.cos()], dim=-1)
-    local = look_at(eye, eye.new_tensor([0.0, 0.0, distance]).expand_as(eye))
-    return Cameras(
-        world_from_camera=(pose @ local)[None],
-        intrinsics=cameras.intrinsics[:, middle, None].expand(1, frames, 3, 3),
-        size=cameras.size,
-    )

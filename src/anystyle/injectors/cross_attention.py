@@ -21,9 +21,6 @@ class CrossAttention(TokenInjector):
         num_tokens: Style tokens that the vector becomes; at least 2, for with one there is nothing to choose from.
         heads: Of the attention.
         head_dim: Channels of each head.
-
-    Raises:
-        UserError: ``num_tokens`` is below 2, or there is no head or channel.
     """
 
     def __init__(

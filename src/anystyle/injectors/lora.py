@@ -22,9 +22,6 @@ class LoRA(TokenInjector):
     Args:
         rank: Of the update, at most ``dim``.
         alpha: The update is scaled by ``alpha / rank``, so that another rank needs no other learning rate.
-
-    Raises:
-        UserError: ``rank`` is below 1.
     """
 
     def __init__(

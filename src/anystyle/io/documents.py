@@ -88,9 +88,6 @@ def read_json(path: str | Path, shape: type[T] | Any, *, what: str = "JSON file"
         path: Of the file.
         shape: A type that msgspec knows: built-in ones, dataclasses, typed dictionaries, ``Annotated`` bounds.
         what: What the file is called in messages.
-
-    Raises:
-        UserError: It is no JSON, or does not fit the shape; the message names the file, the key and what is expected.
     """
     return parse_json(read_bytes(path, what=what), shape, source=str(path), what=what)
 

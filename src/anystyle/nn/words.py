@@ -63,7 +63,7 @@ def hash_words(text: str, *, buckets: int, max_words: int) -> list[tuple[int, ..
     ]
 
 
-def with_made_up_word(text: str, chance: float) -> str:
+def with_made_up_word(text: str, chance: float = 0.2) -> str:
     """Insert a made-up word with a probability, so that training learns to ignore unknown words."""
     if torch.rand(()) >= chance:
         return text

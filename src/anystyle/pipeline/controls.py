@@ -55,9 +55,6 @@ class Controls:
         preserve_color: In [0, 1]: how much of the scene's own hues stays under the style's strokes.
         scale: Size of strokes, for styles given as images: 2 shows the encoder strokes twice as large.
         mask: Where style enters; everywhere without one.
-
-    Raises:
-        UserError: One is out of its range.
     """
 
     strength: float = 1.0

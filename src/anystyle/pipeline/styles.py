@@ -26,11 +26,7 @@ MAX_TEXT = 2000
 
 @dataclass(frozen=True)
 class Mixture:
-    """The point at ``amount`` of the way from one style to another.
-
-    Raises:
-        UserError: The amount is outside.
-    """
+    """The point at ``amount`` of the way from one style to another."""
 
     first: "StyleInput"
     second: "StyleInput"

@@ -14,9 +14,6 @@ class Sites(Placement):
     Args:
         patterns: Names of sites such as ``head/direct`` and ``color``, or patterns of them such as ``aggregator/1?``
             and ``head/*``.
-
-    Raises:
-        UserError: There is no pattern.
     """
 
     @classmethod

@@ -40,9 +40,6 @@ def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | Non
         config_name: A file of the folder, such as ``stylize``.
         overrides: In Hydra's grammar, such as ``backbone=anysplat_tiny``; see :func:`override`.
         conf: The folder; the one that comes with the package if it is not given.
-
-    Raises:
-        UserError: Something is unknown or of the wrong type; one line says what.
     """
     register()
     check_words(overrides)

@@ -35,12 +35,7 @@ class Rasterizer(RendererOptions, Renderer):
     """Accumulates Gaussians over black, and composites the result over a background."""
 
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
-        """Render every camera of every scene.
-
-        Raises:
-            UserError: The renderer does not run on the tensors' device, or the tensors do not belong together.
-            ImportError: What the renderer needs is not installed.
-        """
+        """Render every camera of every scene."""
         check(gaussians, cameras, self.background, self.near)
         device = gaussians.means.device
         if self.devices and device.type not in self.devices:

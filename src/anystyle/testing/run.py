@@ -64,10 +64,6 @@ def assert_contract(kind: str, cls: type, **options: Any) -> None:
         kind: A kind of plugin.
         cls: The class.
         options: Of its constructor; by default those that its ``example`` returns.
-
-    Raises:
-        AssertionError: A promise is broken.
-        UserError: The class does not inherit from the contract of the kind.
     """
     with one_thread():
         for _, promise, argument in _checks(subject(kind, cls, options or None)):

@@ -58,9 +58,6 @@ class ProceduralScenes(SceneSource):
         seed: Of the world; the splits of one seed share no scene.
         split: Which scenes.
         samples: Rays a pixel's side; their square is cast for a pixel.
-
-    Raises:
-        UserError: A number is out of range.
     """
 
     def __init__(

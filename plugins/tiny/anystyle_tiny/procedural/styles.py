@@ -51,9 +51,6 @@ class ProceduralStyles(StyleSource):
         seed: Of the pictures and captions; which combinations are held out does not depend on it.
         split: Which combinations, and which pictures of them.
         max_colors: The most colours a picture has.
-
-    Raises:
-        UserError: A number is out of range.
     """
 
     def __init__(

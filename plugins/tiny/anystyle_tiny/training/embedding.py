@@ -33,7 +33,6 @@ class EmbeddingTraining(StyleTraining):
         feature_noise: Relative noise on cached features, instead of augmenting the pictures.
         names_weight: Of naming pattern, scale and brushwork.
         palette_weight: Of the palette, the squared error of the ramp over the variance of uniform colours.
-        noise_words: Fraction of captions with a made-up word inserted.
         whiten_at: Where whitening is fixed, as a fraction of the training.
         whiten_on: How many styles it is computed from.
         learning_rate: Peak, of AdamW.
@@ -52,7 +51,6 @@ class EmbeddingTraining(StyleTraining):
         feature_noise: float = 0.05,
         names_weight: float = 0.5,
         palette_weight: float = 40.0,
-        noise_words: float = 0.2,
         whiten_at: float = 0.6,
         whiten_on: int = 2048,
         learning_rate: float = 2e-3,
@@ -70,7 +68,7 @@ class EmbeddingTraining(StyleTraining):
         self.feature_noise = feature_noise
         self._known: dict[int, tuple[Tensor, Tensor]] = {}
         self.batch_size, self.photos, self.pool = batch_size, photos, pool
-        self.names_weight, self.palette_weight, self.noise_words = names_weight, palette_weight, noise_words
+        self.names_weight, self.palette_weight = names_weight, palette_weight
         self.whiten_at, self.whiten_on = whiten_at, whiten_on
         self.learning_rate, self.warmup, self.weight_decay = learning_rate, warmup, weight_decay
         self.traits = TraitHeads(style_encoder.dim)
@@ -96,9 +94,7 @@ class EmbeddingTraining(StyleTraining):
         images = torch.cat([batch.images, batch.photos])
         raw, ramps = self.known_pictures(images, batch.keys)
         pictures = self.style_encoder.from_image_tower(raw)
-        captions = self.style_encoder.embed_texts(
-            [with_made_up_word(text, self.noise_words) for text in batch.texts + batch.photo_texts]
-        )
+        captions = self.style_encoder.embed_texts([with_made_up_word(text) for text in batch.texts + batch.photo_texts])
         terms = {"contrast": self.contrast(pictures, captions, len(batch.photos))}
         for name, vectors in (("image", pictures), ("text", captions)):
             named = self.traits.losses(self._scaled(vectors[:styles]), batch.traits)

@@ -23,6 +23,14 @@ from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, R
 from anystyle_tiny.training.matches import FeatureProbes, correlation_loss, feature_dims, patch_matches
 from anystyle_tiny.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
 
+WEIGHTS = {
+    "depth": 1.0, "camera": 1.0, "transfer": 1.0, "point": 0.5, "render": 5.0, "ssim": 0.2,
+    "match": 0.1, "glide": 1.0, "locate": 1.0, "shift": 5.0, "correlation": 0.3,
+}  # fmt: skip
+"""Of the terms: depth; cameras by themselves and as points move; points; renders and their structure; then what each
+patch must predict: its match in the first view, the match's expected position, its own world point, its motion toward
+the first view; and the matches of an :class:`~anystyle.nn.aligner.Aligner`."""
+
 
 class ReconstructionTraining(Training):
     """Train a backbone to predict depth, cameras and Gaussians.
@@ -41,21 +49,10 @@ class ReconstructionTraining(Training):
         learning_rate: Of AdamW, at the end of the warm-up.
         warmup: Steps of the warm-up.
         weight_decay: Of matrices.
-        depth_weight: Of the depth loss.
-        camera_weight: Of the errors of rotation, translation and focal length.
-        transfer_weight: Of the camera errors measured on points.
-        point_weight: Of the errors of world points.
-        render_weight: Of the squared error of renders.
-        ssim_weight: Of their structural dissimilarity.
-        predicted_camera_weight: Factor of both for a context view rendered at its predicted camera, as AnySplat is
-            trained (arXiv 2505.23716); 0 renders none.
+        predicted_camera_weight: Factor of the rendering terms for a context view rendered at its predicted camera, as
+            AnySplat is trained (arXiv 2505.23716); 0 renders none.
         render_every: Steps between two with renders.
         render_scenes: Number of scenes of the batch that are rendered: the target views and one context view each.
-        match_weight: Of the cross entropy of matching patches.
-        glide_weight: Of the expected position of the match.
-        locate_weight: Of each patch's world point.
-        shift_weight: Of how each patch moves toward the first view.
-        correlation_weight: Of the matches of an :class:`~anystyle.nn.aligner.Aligner`.
     """
 
     def __init__(
@@ -71,20 +68,9 @@ class ReconstructionTraining(Training):
         learning_rate: float = 1e-3,
         warmup: int = 200,
         weight_decay: float = 0.05,
-        depth_weight: float = 1.0,
-        camera_weight: float = 1.0,
-        transfer_weight: float = 1.0,
-        point_weight: float = 0.5,
-        render_weight: float = 5.0,
-        ssim_weight: float = 0.2,
         predicted_camera_weight: float = 0.0,
         render_every: int = 4,
         render_scenes: int = 4,
-        match_weight: float = 0.1,
-        glide_weight: float = 1.0,
-        locate_weight: float = 1.0,
-        shift_weight: float = 5.0,
-        correlation_weight: float = 0.3,
     ) -> None:
         super().__init__()
         self.backbone, self.renderer, self.target_views = backbone, renderer, target_views
@@ -95,13 +81,8 @@ class ReconstructionTraining(Training):
         self.learning_rate, self.warmup, self.weight_decay = learning_rate, warmup, weight_decay
         self.render_every, self.render_scenes = render_every, render_scenes
         self.predicted_camera_weight = predicted_camera_weight
-        self.weights = {
-            "depth": depth_weight, "camera": camera_weight, "transfer": transfer_weight, "point": point_weight,
-            "render": render_weight, "predicted_render": predicted_camera_weight * render_weight,
-            "ssim": ssim_weight, "predicted_ssim": predicted_camera_weight * ssim_weight,
-            "match": match_weight, "glide": glide_weight, "locate": locate_weight, "shift": shift_weight,
-            "correlation": correlation_weight,
-        }  # fmt: skip
+        predicted = {f"predicted_{name}": predicted_camera_weight * WEIGHTS[name] for name in ("render", "ssim")}
+        self.weights = {**WEIGHTS, **predicted}
         self.probes = FeatureProbes(feature_dims(backbone))
         self._correlation: Float[Tensor, "B v r c r c"] | None = None
         for module in backbone.modules():

@@ -11,9 +11,6 @@ class ToyPlacement(Placement):
 
     Args:
         num_sites: How many.
-
-    Raises:
-        ValueError: Fewer than one site is asked for.
     """
 
     def __init__(self, *, num_sites: int = 2) -> None:
