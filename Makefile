@@ -16,16 +16,12 @@ setup: .venv/.ready
 	$(BIN)/pip install --quiet --no-deps open_clip_torch==3.3.0
 	touch $@
 
-# The scene is one that no bundled network saw; prompts and pictures were chosen by looking.
-DEMO := scenes=procedural scenes.split=heldout scenes.size=112 scene=11 styles=procedural styles.split=heldout
+# A real place, its cameras found and a scene fitted; the styles were chosen by looking.
 demo: export OMP_NUM_THREADS = 2
 demo: setup
-	$(BIN)/anystyle stylize $(DEMO) styles.size=256 "style=[4,19]" --text "the starry night in thick oil paint" \
-		--text "gold leaf, klimt" --text "pink and mint watercolor" --text "sunset in oil paint" \
-		--text "charcoal drawing" --out out/demo
-	$(BIN)/anystyle stylize $(DEMO) --text "pink and mint watercolor" --text "the starry night in thick oil paint" \
-		--mix 0,0.25,0.5,0.75,1 --out out/demo/strip
-	@echo "the results are in out/demo: look at out/demo/sheet.png and out/demo/strip/sheet.png"
+	$(BIN)/anystyle stylize example:street --text "pink and mint watercolor" --text "charcoal drawing" \
+		--image example:starry_night --image example:wave --image example:scream --image example:water_lilies \
+		--export html --open --out out/demo
 
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --config-file docs/site/mkdocs.yml

@@ -25,6 +25,7 @@ _SOURCES = "scenes=folder scenes.root=SCENES styles=folder styles.root=STYLES"
 ADDED = (
     (r"anystyle stylize (?!.*--cfg)(?!.*short_side)", "views.short_side=56"),
     (r"anystyle stylize (?!.*--cfg)", "video.frames=2"),
+    (r"anystyle stylize example:", "reconstruction=feedforward poses=predicted views.take=3"),
     (r"anystyle train .*=tiny_", "trainer.max_steps=2 training.warmup=1 scenes.size=28 scenes.num_scenes=2"),
     (r"anystyle train .*=tiny_(style|ablation)", "training.batch_size=1 styles.num_styles=1 styles.size=28"),
     (r"anystyle train .*=tiny_(style|ablation)", "training.pool=2 training.cache_scenes=2 training.preview_every=0"),
@@ -93,7 +94,8 @@ ENDS = {
 TELLS = {
     r"anystyle plugins check ": "promises kept",
     r"anystyle stylize placement=sparse placement.step=3 --cfg job": "_target_: sparse.Sparse\nstep: 3",
-    r"anystyle stylize photos/ (?!.*(=any|weights))": "look at out/sheet.png",
+    r"anystyle stylize (photos/|example:\w+) (?!.*(=any|weights|html))": "look at out/sheet.png",
+    r"anystyle stylize photos/ .*html": "look at out/scene.html",
     r"anystyle train (?!.*(-m|--cfg|--info|fast_dev|smoke|paper))": "steps done; ",
 }
 """What the commands that begin so say, by which it is seen that they did their work."""

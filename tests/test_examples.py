@@ -1,5 +1,6 @@
 """The examples: what the index says of them is so, and their names stand for paths."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from anystyle.data.folder import read_views
 from anystyle.data.images import image_size, open_image
 from anystyle.errors import UserError
 from anystyle.examples import examples, resolved
-from anystyle.pipeline.options import PoseOptions, ViewOptions
+from anystyle.pipeline.options import PoseOptions, VideoOptions, ViewOptions
 from anystyle.pipeline.styles import Mixture
 
 NAMES = sorted(examples())
@@ -41,6 +42,14 @@ def test_names_are_inputs_and_styles_in_python():
     results = anystyle.stylize("example:street", styles, reconstruction="feedforward", views=few, poses=poses)
     assert [source.name for source in results.encoded.sources] == ["01", "12"]
     assert [style.name for style in results.styles] == ["wave", "charcoal-drawing_0.50_wave"]
+
+
+@pytest.mark.slow
+def test_the_cameras_of_the_capture_are_found(tmp_path):
+    few = VideoOptions(frames=2)
+    anystyle.stylize("example:street", "charcoal drawing", views=ViewOptions(short_side=56), video=few, out=tmp_path)
+    made = json.loads((tmp_path / "report.json").read_text())["reconstruction"]
+    assert (made["kind"], made["registered"], made["trust"]) == ("fit", 12, "good")
 
 
 def test_a_path_that_is_no_example_stays():

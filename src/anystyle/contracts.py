@@ -391,6 +391,9 @@ class Format(Socket, ABC):
     has_notes: ClassVar[bool] = False
     """Whether a file has room for :attr:`~anystyle.types.StyledScene.notes`."""
 
+    many_styles: ClassVar[bool] = False
+    """Whether a file has room for several styles."""
+
     @abstractmethod
     def write(self, scene: StyledScene, path: Path) -> None:
         """Write a scene, whole or not at all.

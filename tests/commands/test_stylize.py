@@ -1,4 +1,8 @@
 import json
+import os
+import re
+import subprocess
+import sys
 
 import av
 import numpy as np
@@ -9,7 +13,10 @@ from plyfile import PlyData
 
 from anystyle.commands._compose import main
 from anystyle.commands.stylize import command, parser
+from anystyle.errors import UserError
+from anystyle.formats.ply import Ply
 from anystyle.io.video import write_video
+from anystyle.pipeline.saved import read_saved
 from anystyle.stylizer import Stylizer
 
 SMALL = ["video.frames=3", "video.scale=0.5", "views.take=3", "views.short_side=56"]
@@ -85,6 +92,55 @@ def test_several_styles_share_one_encoding_and_have_folders_of_their_own(photogr
     assert (tmp_path / "out" / "sheet.png").is_file()
 
 
+def test_a_result_that_cannot_be_written_leaves_nothing(photographs, tmp_path, capsys, monkeypatch):
+    kept = Ply.write
+
+    def write(self, scene, path):
+        if scene.title == "“second”":
+            raise UserError("the disk is on fire")
+        kept(self, scene, path)
+
+    monkeypatch.setattr(Ply, "write", write)
+    words = ["--text", "first", "--text", "second", "--text", "third"]
+    assert fails(capsys, photographs, *words, "--out", tmp_path / "out", *SMALL).endswith("the disk is on fire")
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_last_line_says_what_files_cost(photographs, tmp_path, capsys):
+    words = ["--text", "first", "--text", "second", "--export", "glb,html"]
+    run(photographs, *words, "--out", tmp_path / "out", *SMALL)
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    seconds = report["seconds"]
+    assert 0 < report["write_share"] < 1
+    assert report["write_share"] == pytest.approx(seconds["write"] / sum(seconds.values()), abs=1e-3)
+    share = f"{sum(seconds.values()):.0f} s, {report['write_share']:.0%} of them for files; look at "
+    assert share + str(tmp_path / "out" / "scene.html") in capsys.readouterr().out.splitlines()[-1]
+    # The page holds all styles; a file with room for one lies in the folder of each.
+    names = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("scene.*")}
+    assert {"01-first/scene.glb", "02-second/scene.glb", "scene.html"} <= names
+    assert not {"01-first/scene.html", "scene.glb", "scene.ply"} & names
+    assert [title for title, _ in read_saved(tmp_path / "out").styles] == ["unstyled", "“first”", "“second”"]
+    page = (tmp_path / "out" / "scene.html").read_text()
+    manifest = json.loads(re.search(r'id="manifest">(.*?)</script>', page, re.S)[1])
+    assert [style["title"] for style in manifest["styles"]] == ["unstyled", "“first”", "“second”"]
+
+
+@pytest.mark.parametrize("display", [True, False])
+def test_a_browser_opens_where_there_is_a_display(tmp_path, display):
+    browser = tmp_path / "browser"
+    browser.write_text(f"#!/bin/sh\necho $1 > {tmp_path}/opened\n")
+    browser.chmod(0o755)
+    shown = {"DISPLAY": ":9"} if display else {}
+    clean = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    code = (
+        f"from pathlib import Path; from anystyle.commands._run import show; show(Path({str(tmp_path)!r}, 'page.html'))"
+    )
+    environment = clean | shown | {"BROWSER": f"{browser} %s"}
+    assert subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True).stdout == b""
+    assert (tmp_path / "opened").is_file() == display
+    assert not display or (tmp_path / "opened").read_text() == (tmp_path / "page.html").as_uri() + "\n"
+
+
 def numbers(path):
     """What a PLY file has behind its header, which names the style."""
     return path.read_bytes().partition(b"end_header\n")[2]
@@ -102,8 +158,9 @@ def test_the_ends_of_a_mixture_are_its_styles(photographs, tmp_path):
 
 def test_the_same_command_twice_gives_the_same_bytes(photographs, tmp_path):
     for name in ("a", "b"):
-        run(photographs, "--text", "swirling strokes", "--out", tmp_path / name, *SMALL)
-    for file in ("scene.ply", "scene.safetensors", "renders/img-1.png", "sheet.png", "cameras.json"):
+        run(photographs, "--text", "swirling strokes", "--text", "dots", "--out", tmp_path / name, *SMALL)
+    of_style = ("scene.ply", "scene.safetensors", "renders/img-1.png", "sheet.png", "cameras.json", "video.mp4")
+    for file in ("sheet.png", *(f"02-dots/{name}" for name in of_style)):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
 
 

@@ -3,7 +3,7 @@ import pytest
 import torch
 from PIL import Image, ImageFont
 
-from anystyle.io.sheet import TextCard, contact_sheet, to_pil, wrap
+from anystyle.io.sheet import TextCard, contact_sheet, save_png, style_sheet, thumbnails, to_pil, wrap
 
 
 def test_pixels_are_rounded_to_nearest():
@@ -28,6 +28,20 @@ def test_words_are_wrapped_and_endless_ones_end_in_an_ellipsis():
     assert all(ImageFont.load_default(size=15).getlength(line) <= 150 for line in lines)
     assert wrap("a\nb", 15, 150, max_lines=2) == "a b"
     assert wrap("x" * 500, 15, 100, max_lines=1).endswith("…")
+
+
+def test_thumbnails_are_the_first_the_last_and_two_between():
+    views = [Image.new("RGB", (400, 300), (index, 0, 0)) for index in range(7)]
+    small = thumbnails(views)
+    assert [image.getpixel((9, 9))[0] for image in small] == [0, 2, 4, 6]
+    assert {image.size for image in small} == {(224, 168)}
+    assert style_sheet(small, [("one", None, small)]).width == 10 + 2 * 234
+
+
+def test_png_files_hold_every_pixel(tmp_path):
+    noise = Image.fromarray(np.random.default_rng(0).integers(0, 255, (30, 40, 3), dtype=np.uint8))
+    save_png(noise, tmp_path / "noise.png")
+    assert (np.asarray(Image.open(tmp_path / "noise.png")) == np.asarray(noise)).all()
 
 
 def test_ragged_rows_are_refused():

@@ -56,7 +56,7 @@ def test_the_call_writes_what_the_command_writes(photographs, stylizer, tmp_path
             assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes(), file
     reports = [json.loads((tmp_path / name / "report.json").read_text()) for name in ("a", "b")]
     for report in reports:
-        del report["seconds"], report["reconstruction"]["seconds"]
+        del report["seconds"], report["write_share"], report["reconstruction"]["seconds"]
     assert reports[0]["config"]["views"]["take"] == 3
     assert {key: reports[0][key] for key in reports[1]} == reports[1]
 

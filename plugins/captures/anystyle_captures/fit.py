@@ -40,10 +40,10 @@ class Preset(NamedTuple):
 
 
 PRESETS = {
-    "draft": Preset(256, 20_000, FitOptions(num_steps=400, final_steps=60, scale_weight=0.001)),
-    "good": Preset(384, 40_000, FitOptions(num_steps=900, final_steps=100, scale_weight=0.001)),
-    "best": Preset(768, 120_000, FitOptions(num_steps=2000, final_steps=200, scale_weight=0.001)),
-    "full": Preset(1 << 16, 200_000, FitOptions(num_steps=4000, final_steps=400, scale_weight=0.001)),
+    "draft": Preset(256, 20_000, FitOptions(num_steps=400, final_steps=100, scale_weight=0.001)),
+    "good": Preset(384, 40_000, FitOptions(num_steps=800, final_steps=200, scale_weight=0.001)),
+    "best": Preset(768, 120_000, FitOptions(num_steps=1800, final_steps=400, scale_weight=0.001)),
+    "full": Preset(1 << 16, 200_000, FitOptions(num_steps=3600, final_steps=800, scale_weight=0.001)),
 }
 """Photographs are not enlarged, so that ``full`` is their own size."""
 
@@ -194,8 +194,16 @@ def fit_photographs(
 
     def compute() -> dict[str, Any]:
         training = [view for view in range(len(images)) if view not in hidden]
-        initial = _initial(images, cameras, training, points, num_gaussians, options.seed)
-        loop = FitLoop(images, cameras, initial, renderer, options, heldout=hidden)
+        start = partial(_initial, images, cameras, points, num_gaussians, options.seed)
+        loop = FitLoop(
+            images,
+            cameras,
+            start(training, training),
+            renderer,
+            options,
+            heldout=hidden,
+            initial_of_heldout=partial(start, range(len(images)), hidden),
+        )
         if state is None:
             return loop.run(on_progress).as_dict()
         _resume(loop, state, key, images.device)
@@ -237,29 +245,31 @@ def _resume(loop: FitLoop, path: Path, key: str, device: torch.device) -> None:
 def _initial(
     images: Float[Tensor, "V 3 H W"],
     cameras: Cameras,
-    training: list[int],
     points: Sequence[Float[Tensor, "_ 3"]] | None,
     num_gaussians: int,
     seed: int,
+    seen: Sequence[int],
+    lifted: Sequence[int],
 ) -> InitialGaussians:
-    """Gaussians at pixels of the training views, on the device of the images."""
+    """Gaussians at pixels of the views ``lifted``, by stereo of the views ``seen``, on the device of the images."""
     height, width = images.shape[-2:]
     ratio = max(1.0, min(height, width) / STEREO_SIDE)
     size = (round(height / ratio), round(width / ratio))
-    chosen = interpolate(images[training].cpu(), size=size, mode="area")
-    posed = cameras.select(training).to("cpu").resized(size)
-    stereo = plane_sweep(chosen, posed, points=None if points is None else [points[view].cpu() for view in training])
+    chosen = interpolate(images[list(seen)].cpu(), size=size, mode="area")
+    posed = cameras.select(list(seen)).to("cpu").resized(size)
+    stereo = plane_sweep(chosen, posed, points=None if points is None else [points[view].cpu() for view in seen])
     generator = torch.Generator().manual_seed(seed)
-    lifted = from_stereo(
+    surfaces = from_stereo(
         chosen, posed, stereo, num_gaussians=num_gaussians, unsupported=UNSUPPORTED, generator=generator
     )
     behind = backdrop(chosen, posed, stereo, num_gaussians=math.ceil(BEHIND * num_gaussians), generator=generator)
-    initial = InitialGaussians.cat([lifted, behind])
+    initial = InitialGaussians.cat([surfaces, behind])
     view, row, column = initial.pixels.unbind(1)
     rows, columns = (row + 0.5) * height / size[0], (column + 0.5) * width / size[1]
-    pixels = torch.stack([torch.tensor(training)[view], rows.long(), columns.long()], dim=1)
+    pixels = torch.stack([torch.tensor(seen)[view], rows.long(), columns.long()], dim=1)
     initial = replace(initial, pixels=pixels, footprints=initial.footprints * size[1] / width)
-    return initial.to(images.device)
+    keep = torch.isin(pixels[:, 0], torch.tensor(lifted))
+    return initial.map(lambda tensor: tensor[keep]).to(images.device)
 
 
 @torch.no_grad()

@@ -151,7 +151,9 @@ class FitLoop:
         options: FitOptions,
         *,
         heldout: tuple[int, ...] = (),
+        initial_of_heldout: Callable[[], InitialGaussians] | None = None,
     ) -> None:
+        self.initial_of_heldout = initial_of_heldout
         self.training = [view for view in range(len(images)) if view not in heldout]
         self.generator = torch.Generator().manual_seed(options.seed)
         self.step = 0
@@ -161,13 +163,15 @@ class FitLoop:
         self.heldout = heldout
         size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
         self.half_images, self.half_cameras = interpolate(images, size=size, mode="area"), cameras.resized(size)
-        rates = {name: rate for name, (rate, _) in RATES.items()}
-        self.splats = GaussianParameters(_round_gaussians(initial, options.degree), rates, initial.footprints)
+        self.splats = self._parameters(_round_gaussians(initial, options.degree), initial.footprints)
         self.background = _background(renderer, self.gaussians(), cameras)
         self.nearest = NEAREST * float((initial.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
         self.exposures = Exposures(cameras, self.training)
         self.exposure_optimizer = torch.optim.Adam([self.exposures.values], lr=options.exposure_lr)
         self.quality: Quality | None = None
+
+    def _parameters(self, gaussians: Gaussians, footprints: Float[Tensor, " N"]) -> GaussianParameters:
+        return GaussianParameters(gaussians, {name: rate for name, (rate, _) in RATES.items()}, footprints)
 
     def gaussians(self) -> Gaussians:
         """The current Gaussians, a batch of one scene."""
@@ -176,12 +180,14 @@ class FitLoop:
     def advance(self) -> float:
         """Take one step, on one view, and return the PSNR before it."""
         options = self.options
-        fraction = min(self.step / options.num_steps, 1.0)
+        fraction = self.step / options.num_steps
+        if fraction >= 1:  # rates rise again for the views that were held out
+            fraction = (1 + (self.step - options.num_steps) / options.final_steps) / 2
         self.splats.set_rates({name: rate * decay**fraction for name, (rate, decay) in RATES.items()})
         if not self.order:
             self.order = [self.training[i] for i in torch.randperm(len(self.training), generator=self.generator)]
         view = self.order.pop()
-        coarse = fraction < options.half_resolution
+        coarse = self.step < options.half_resolution * options.num_steps
         images, cameras = (self.half_images, self.half_cameras) if coarse else (self.images, self.cameras)
         target = images[view, None]
         gaussians = self.gaussians()
@@ -276,6 +282,11 @@ class FitLoop:
         with torch.no_grad():
             for view in self.heldout:
                 self.exposures.values[view] = self.exposures.of(view)
+        if self.initial_of_heldout is not None:
+            added = self.initial_of_heldout()
+            new = _round_gaussians(added, self.options.degree)
+            together = Gaussians.cat([self.gaussians().detach(), new], dim=1)
+            self.splats = self._parameters(together, torch.cat([self.splats.units, added.footprints]))
         self.training = list(range(len(self.images)))
         self.exposures.train(self.training)
         self.order = []

@@ -51,12 +51,26 @@ def test_photographs_alone_give_a_view_that_was_held_out(photographs):
     assert longer.heldout is not None and longer.heldout.psnr > result.heldout.psnr
 
 
+def test_the_final_steps_begin_with_gaussians_of_the_views_held_out(photographs):
+    images, cameras, _ = photographs
+
+    def psnr(result):
+        render = RENDERER(result.gaussians, cameras.select([4])).color[0, 0]
+        exposed = render * result.gains[4, :, None, None] + result.biases[4, :, None, None]
+        return float(-10 * (exposed - images[4]).square().mean().log10())
+
+    before, after = fit(photographs, replace(OPTIONS, final_steps=0)), fit(photographs)
+    assert before.heldout == after.heldout
+    assert 1.05 < after.gaussians.means.shape[1] / before.gaussians.means.shape[1] < 1.2  # one of nine views
+    assert psnr(after) > psnr(before) + 0.5
+
+
 def test_stereo_reads_small_images_and_pixels_are_those_of_the_photographs(photographs, monkeypatch):
     images, cameras, _ = photographs
-    given = images, cameras, list(range(9)), None, 900, 0
-    whole = captures_fit._initial(*given)
+    given = images, cameras, None, 900, 0
+    whole = captures_fit._initial(*given, range(9), range(9))
     monkeypatch.setattr(captures_fit, "STEREO_SIDE", min(images.shape[-2:]) // 2)
-    small = captures_fit._initial(*given)
+    small = captures_fit._initial(*given, range(9), range(9))
     for initial in (whole, small):
         view, row, column = initial.pixels.unbind(1)
         local = torch.einsum("nij,nj->ni", cameras.camera_from_world[0, view], pad(initial.means, (0, 1), value=1.0))

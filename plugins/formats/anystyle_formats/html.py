@@ -31,7 +31,7 @@ class Html(Format):
     View-dependent colour is left out.
     """
 
-    has_notes = True
+    has_notes = many_styles = True
 
     def write(self, scene: StyledScene, path: Path) -> None:
         titles = [title for title, _ in scene.styles]

@@ -4,7 +4,10 @@ import os
 import signal
 import sys
 import threading
+import webbrowser
 from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
 from typing import Any, NoReturn
 
 from anystyle.errors import UserError, one_line
@@ -38,6 +41,13 @@ def run(command: Callable[[], Any]) -> None:
             raise
         print(f"anystyle: error: {text}", file=sys.stderr)
         sys.exit(FAILED)
+
+
+def show(path: Path) -> None:
+    """Open a file in the browser where there is a display; nothing happens elsewhere."""
+    if sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
+        with suppress(webbrowser.Error, OSError):
+            webbrowser.open(path.resolve().as_uri())
 
 
 def _terminated(number: int, frame: object) -> NoReturn:

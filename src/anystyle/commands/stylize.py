@@ -11,6 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from anystyle.commands._compose import checked_seed, job_folder, main, with_sweep
 from anystyle.commands._flags import new_parser
+from anystyle.commands._run import show
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.errors import UserError
 from anystyle.io.sheet import to_pil
@@ -20,6 +21,7 @@ from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import Mixture, StyleInput, check_text
 from anystyle.pipeline.stylize import stylize
 from anystyle.registry.build import build
+from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import options
 from anystyle.types import Progress, Style, Views
 
@@ -53,6 +55,7 @@ def parser() -> argparse.ArgumentParser:
         help="further files of the scene, by the names of `anystyle plugins format`; several with commas",
     )
     flags.add_argument("--out", default="out", help="where the results go (default: %(default)s)")
+    flags.add_argument("--open", action="store_true", help="look at them in the browser, where there is a display")
     return flags
 
 
@@ -70,6 +73,7 @@ def command(config: DictConfig, arguments: argparse.Namespace) -> None:
     target = job_folder(arguments.out)
     torch.manual_seed(checked_seed(config.seed))
     with ExitStack() as cleanup:
+        stages = Stages(reporter(target.with_name(f"{target.name}.progress.png"), cleanup))
         results = stylize(
             arguments.inputs or scene_views(config, views),
             given_styles(arguments, config, amounts),
@@ -85,10 +89,15 @@ def command(config: DictConfig, arguments: argparse.Namespace) -> None:
                 "seed": config.seed,
                 "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True),
             },
-            stages=Stages(reporter(target.with_name(f"{target.name}.progress.png"), cleanup)),
+            stages=stages,
         )
     scenes = f"{len(results)} stylized scene{'s' if len(results) > 1 else ''}"
-    print(f"{scenes} in {target}; look at {target / 'sheet.png'}")
+    held = (name for name in export.formats if catalog().find("format", name).load().many_styles)
+    page = next((path for name in held if (path := target / f"scene.{name}").is_file()), target / "sheet.png")
+    took = f"{sum(stages.seconds.values()):.0f} s, {stages.write_share:.0%} of them for files"
+    print(f"{scenes} in {target} in {took}; look at {page}")
+    if arguments.open:
+        show(page)
 
 
 def reporter(thumbnail: Path, cleanup: ExitStack) -> Callable[[str, Progress], None]:

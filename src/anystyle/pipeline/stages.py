@@ -37,6 +37,16 @@ class Stages:
         finally:
             self.seconds[stage] = self.seconds.get(stage, 0.0) + time.perf_counter() - start
 
+    @property
+    def write_share(self) -> float:
+        """The fraction of all seconds so far that the run waited for its files."""
+        return self.seconds.get("write", 0.0) / max(sum(self.seconds.copy().values()), 1e-9)
+
+    def report(self) -> dict[str, object]:
+        """Seconds a stage so far, for ``report.json``."""
+        seconds = {stage: round(seconds, 4) for stage, seconds in self.seconds.copy().items()}
+        return {"seconds": seconds, "write_share": round(self.write_share, 4)}
+
     def note(self, stage: str, line: str) -> None:
         """Report a line at once."""
         self._reported = time.perf_counter()
