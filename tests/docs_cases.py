@@ -86,6 +86,7 @@ FEWER = {
 are trained by ``ablation/test_ablations.py``."""
 ENDS = {
     r"anystyle weights download ": "cannot be fetched",
+    r"anystyle data caption ": "captions need transformers",
     r"anystyle (stylize|benchmark) .*model=any(splat|style_head|style_full)\b": "the weights '.*' are missing: get",
     r"anystyle stylize .*reconstruction=fit": "no cameras are found: there is too little to see",
     r"anystyle stylize .*weights.backbone=model.safetensors": "there is no weights file model.safetensors",

@@ -1,6 +1,7 @@
 """The command ``anystyle data``."""
 
 import argparse
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -11,15 +12,17 @@ from anystyle.errors import UserError
 from anystyle.evaluation.paper_folder import PaperFolder, is_paper_folder
 from anystyle.io.atomic import atomic_path
 from anystyle.registry.socket import Command
+from anystyle_datasets.captioning import DEFAULT_MODEL, PROMPT, caption_folder, transformers_captioner
 from anystyle_datasets.checking import Report, check, same_pictures
 
 SUBCOMMANDS = {
     "check": "what a folder of scenes or styles holds, and what in it is missing or damaged",
+    "caption": "describe the paintings of a folder by an image-to-text model",
 }
 
 
 class Data(Command):
-    """Check training data before it is trained on."""
+    """Check training data before it is trained on, and describe paintings."""
 
     def __call__(self, words: Sequence[str]) -> None:
         name = subcommand("data", self.__doc__, SUBCOMMANDS, words)
@@ -27,14 +30,23 @@ class Data(Command):
             return
         flags = new_parser(f"data {name}", SUBCOMMANDS[name])
         add = flags.add_argument
-        layouts = ("scenes", "re10k", "styles", "wikiart", "tables")
-        add("path", type=Path, help="a folder")
-        add("--as", dest="layout", choices=layouts, help="how to read it (default: recognised)")
-        add("--min-views", type=int, default=2, help="views that a scene needs (default: %(default)s)")
-        add("--headers", action="store_true", help="do not decode pixels: faster, but misses truncated files")
-        add("--against", type=Path, help="a folder of test styles: name the pictures that are in both")
-        add("--write", type=Path, help="write their names to a file, for styles.exclude=[FILE]")
-        check_command(parse(flags, words[1:]))
+        if name == "check":
+            layouts = ("scenes", "re10k", "styles", "wikiart", "tables")
+            add("path", type=Path, help="a folder")
+            add("--as", dest="layout", choices=layouts, help="how to read it (default: recognised)")
+            add("--min-views", type=int, default=2, help="views that a scene needs (default: %(default)s)")
+            add("--headers", action="store_true", help="do not decode pixels: faster, but misses truncated files")
+            add("--against", type=Path, help="a folder of test styles: name the pictures that are in both")
+            add("--write", type=Path, help="write their names to a file, for styles.exclude=[FILE]")
+            check_command(parse(flags, words[1:]))
+        else:
+            add("path", type=Path, help="a folder, walked to any depth")
+            add("--model", default=DEFAULT_MODEL, help="of the image-text-to-text pipeline (default: %(default)s)")
+            add("--device", default="cpu", help="where it runs, such as cuda:0 (default: %(default)s)")
+            add("--out", type=Path, help="the file (default: captions.jsonl in the folder)")
+            add("--prompt", default=PROMPT, help="the question to the model")
+            add("--batch", type=int, default=8, help="pictures at a time (default: %(default)s)")
+            caption_command(parse(flags, words[1:]))
 
 
 def check_command(arguments: argparse.Namespace) -> None:
@@ -100,3 +112,21 @@ def _overlap(root: Path, tests: Path, write: Path | None) -> None:
     if write is not None:
         with atomic_path(write) as temporary:
             temporary.write_text("".join(f"{path.relative_to(root).as_posix()}\n" for path in both), encoding="utf-8")
+
+
+def caption_command(arguments: argparse.Namespace) -> None:
+    """Run ``anystyle data caption``."""
+    if not arguments.path.is_dir():
+        raise UserError(f"there is no folder {arguments.path}")
+    out = arguments.out or arguments.path / "captions.jsonl"
+    failed = caption_folder(
+        arguments.path,
+        transformers_captioner(arguments.model, arguments.device),
+        out=out,
+        prompt=arguments.prompt,
+        batch=arguments.batch,
+        progress=lambda done, total: print(f"{done}/{total} …", file=sys.stderr, flush=True),
+    )
+    for name, reason in failed.items():
+        print(f"left out: {name}: {reason}", file=sys.stderr)
+    print(out)

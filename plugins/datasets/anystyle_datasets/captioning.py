@@ -1,0 +1,95 @@
+"""Describing images with an image-to-text model."""
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from PIL import Image
+
+from anystyle.data.captions import read_captions
+from anystyle.data.images import SUFFIXES, open_image
+from anystyle.errors import UserError
+from anystyle.io.atomic import atomic_path
+
+PROMPT = (
+    "Describe the artistic style of this painting in at most 300 characters: brushwork, palette, texture, composition. "
+    "Say nothing of what it depicts."
+)
+DEFAULT_MODEL = "HuggingFaceTB/SmolVLM-Instruct"
+"""Part of the transformers library. The paper's MiniCPM-V 4.5 is not: its page loads code from the hub. Write its
+captions with the script on its page, and read the file here."""
+SIDE = 224
+LONGEST = 300
+"""Characters of a caption; longer ones are cut at a word."""
+
+Captioner = Callable[[Sequence[Image.Image], str], Sequence[str]]
+"""From images and a prompt to one text for each image."""
+
+
+def transformers_captioner(model: str, device: str) -> Captioner:
+    """A model of transformers' ``image-text-to-text`` pipeline, by its name on the hub or its folder."""
+    try:
+        from transformers import pipeline  # pyright: ignore[reportMissingImports]
+    except ModuleNotFoundError:
+        raise ImportError('captions need transformers; pip install "anystyle[captions]"') from None
+    describe = pipeline("image-text-to-text", model=model, device=device)
+
+    def captions(images: Sequence[Image.Image], prompt: str) -> Sequence[str]:
+        chats = [
+            [{"role": "user", "content": [{"type": "image", "image": image}, {"type": "text", "text": prompt}]}]
+            for image in images
+        ]
+        return [output[0]["generated_text"] for output in describe(text=chats, return_full_text=False)]
+
+    return captions
+
+
+def caption_folder(
+    root: Path,
+    captioner: Captioner,
+    *,
+    out: Path,
+    prompt: str = PROMPT,
+    batch: int = 8,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Mapping[str, str]:
+    """Describe every image below a folder; the result is, for each image that could not be read, why.
+
+    The file, ``.jsonl`` for ``styles=folder`` or lines ``path;text`` for ``styles=wikiart``, grows with every batch;
+    captions in it are kept, so that an interrupted run is continued.
+    """
+    names = sorted(path.relative_to(root).as_posix() for path in root.rglob("*") if path.suffix.lower() in SUFFIXES)
+    if not names:
+        raise UserError(f"there are no pictures below {root}")
+    texts = read_captions(out) if out.is_file() else {}
+    left = [name for name in names if not texts.get(name)]
+    failed: dict[str, str] = {}
+    for start in range(0, len(left), batch):
+        images: dict[str, Image.Image] = {}
+        for name in left[start : start + batch]:
+            try:
+                image = open_image(root / name, longest=2 * SIDE)
+                images[name] = image.resize((SIDE, SIDE), Image.Resampling.LANCZOS)
+            except (UserError, OSError) as error:
+                failed[name] = str(error)
+        if images:
+            answers = list(captioner(list(images.values()), prompt))
+            if len(answers) != len(images):
+                raise UserError(f"the model gave {len(answers)} texts for {len(images)} pictures")
+            texts |= {name: tidy(text) for name, text in zip(images, answers, strict=True)}
+            _write(out, texts)
+        progress(len(names) - len(left) + min(start + batch, len(left)), len(names))
+    return failed
+
+
+def tidy(text: str) -> str:
+    """A caption in one line without the file's separator, no longer than :data:`LONGEST`."""
+    words = " ".join(text.replace(";", ",").split())
+    return words if len(words) <= LONGEST else words[: LONGEST + 1].rpartition(" ")[0].rstrip(",.:") + "."
+
+
+def _write(out: Path, texts: Mapping[str, str]) -> None:
+    with atomic_path(out) as temporary, temporary.open("w", encoding="utf-8") as file:
+        for name, text in sorted(texts.items()):
+            row = json.dumps({"image": name, "text": text}, ensure_ascii=False)
+            file.write(f"{row}\n" if out.suffix.lower() == ".jsonl" else f"{name};{text}\n")
