@@ -12,7 +12,7 @@ from torch import Tensor
 from anystyle.contracts import neutral_embedding
 from anystyle.style_encoders.long_clip import LongClip, TextAdapter, small_templates
 from anystyle.vision import bpe, weights
-from anystyle.vision.clip import STRETCHED, Clip, load_clip, stretch
+from anystyle.vision.clip import STRETCHED, Clip, load_clip
 from oracle import assert_matches, fill_sorted, golden, hashed, smooth_image
 
 GOLDEN = golden("anystyle_golden")
@@ -143,32 +143,17 @@ def test_images_go_through_a_square_of_256_pixels(tmp_path: Path) -> None:
 # Weights
 
 
-def test_positions_are_stretched_as_long_clip_does() -> None:
-    """Kept, then interpolated with quarters, the last ones extrapolated."""
-    line = torch.arange(77.0)[:, None] * torch.tensor([1.0, -2.0])
-    stretched = stretch(line, 248)
-    assert torch.equal(stretched[:20], line[:20])
-    torch.testing.assert_close(stretched[20:, 0], 20 + torch.arange(228) / 4)
-    torch.testing.assert_close(stretched[:, 1], -2 * stretched[:, 0])
-    with pytest.raises(ValueError, match="77 positions stretch to 248, not to 200"):
-        stretch(line, 200)
-
-
 def small_clip(context: int) -> Clip:
     torch.manual_seed(1)
     return Clip(context=context, vocabulary=40, text_width=64, text_layers=1, image_width=64, image_layers=1, dim=8)
 
 
-def test_weights_of_clip_are_stretched_where_asked() -> None:
-    source, target = small_clip(77), small_clip(248)
+def test_weights_of_clip_load_without_what_no_embedding_needs() -> None:
+    source, target = small_clip(77), small_clip(77)
     extras = {"input_resolution": torch.tensor(224), "context_length": torch.tensor(77), "logit_scale": torch.ones(())}
     load_clip(target, {f"module.{key}": tensor.half() for key, tensor in (source.state_dict() | extras).items()})
-    positions = stretch(source.positional_embedding.half().float(), 248)
-    torch.testing.assert_close(target.positional_embedding, positions)
+    assert torch.equal(target.positional_embedding, source.positional_embedding.half().float())
     assert target.text_projection.dtype == torch.float32
-    short = small_clip(77)
-    load_clip(short, source.state_dict())
-    assert torch.equal(short.positional_embedding, source.positional_embedding)
 
 
 def test_long_clip_uses_its_second_table_from_position_20_on() -> None:

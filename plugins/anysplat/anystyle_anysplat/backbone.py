@@ -180,15 +180,14 @@ class AnySplat(contracts.Backbone):
             focal_epsilon=focal_epsilon,
             aligner=Aligner() if poses == "aligned" else None,
         )
-        self.gaussian_head = GaussianHead(
+        dpt = Dpt(
             dim=2 * dim,
             features=gaussian_features,
             channels=gaussian_channels,
             hidden=gaussian_hidden,
-            sh_degree=sh_degree,
-            taps=taps,
-            chunk=chunk,
+            outputs=9 + 3 * (sh_degree + 1) ** 2,
         )
+        self.gaussian_head = GaussianHead(dpt, sh_degree=sh_degree, taps=taps, chunk=chunk)
         self.adapter = Adapter(
             sh_degree=sh_degree,
             sh_mode=sh_mode,
@@ -223,6 +222,6 @@ def start_gaussians(head: GaussianHead, scale: float) -> None:
     bias[0] = initial.OPACITY_LOGIT
     bias[1:4] = scale + math.log(-math.expm1(-scale))  # the inverse of softplus
     bias[7] = 1.0  # the real part of xyzw
-    for color, (carrier, _) in enumerate(initial.carriers(head.direct_dim)):
+    for color, (carrier, _) in enumerate(initial.carriers(head.dpt.width)):
         initial.connect(head.direct, carrier, color, 0.0)
     initial.pass_colors_on(head.dpt, 8, head.coefficients, [1 / CONSTANT] * 3, [-0.5 / CONSTANT] * 3)

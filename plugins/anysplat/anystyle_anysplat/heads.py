@@ -61,7 +61,7 @@ def decode_pose(encoding: Float[Tensor, "B V 9"], size: tuple[int, int], *, foca
     return centred_cameras(rotation.mT, origin, (encoding[..., 7:] / 2).tan() + focal_epsilon, size)
 
 
-class GeometryHead(DptGeometry, contracts.GeometryHead):
+class GeometryHead(DptGeometry[CameraHead], contracts.GeometryHead):
     """The camera head and a DPT for depth; see :class:`anystyle.nn.heads.DptGeometry`."""
 
     def __init__(
@@ -74,8 +74,7 @@ class GeometryHead(DptGeometry, contracts.GeometryHead):
         focal_epsilon: float,
         aligner: Aligner | None = None,
     ) -> None:
-        super().__init__(depth, taps=taps, chunk=chunk, aligner=aligner)
-        self.camera = camera
+        super().__init__(camera, depth, taps=taps, chunk=chunk, aligner=aligner)
         self.focal_epsilon = focal_epsilon
 
     def cameras(self, tokens: Float[Tensor, "B V C"], size: tuple[int, int]) -> Cameras:
@@ -91,21 +90,9 @@ class GaussianHead(DptGaussians, contracts.GaussianHead):
     Options are explained at :class:`~anystyle_anysplat.AnySplat`.
     """
 
-    def __init__(
-        self,
-        *,
-        dim: int,
-        features: int,
-        channels: Sequence[int],
-        hidden: int,
-        sh_degree: int,
-        taps: Sequence[int],
-        chunk: int,
-    ) -> None:
-        outputs = 9 + 3 * (sh_degree + 1) ** 2
-        dpt = Dpt(dim=dim, features=features, channels=channels, hidden=hidden, outputs=outputs)
-        super().__init__(dpt, dim=dim, direct_dim=features // 2, sh_degree=sh_degree, taps=taps, chunk=chunk)
-        self.direct = nn.Conv2d(3, self.direct_dim, 7, padding=3)
+    def __init__(self, dpt: Dpt, *, sh_degree: int, taps: Sequence[int], chunk: int) -> None:
+        super().__init__(dpt, sh_degree=sh_degree, taps=taps, chunk=chunk)
+        self.direct = nn.Conv2d(3, dpt.width, 7, padding=3)
 
     def image_features(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M p C"]:
         # Channels lie side by side, so that pixels as tokens are a view: nothing is copied, with or without style.

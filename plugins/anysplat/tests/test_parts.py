@@ -202,9 +202,8 @@ def test_depth_head(chunk: int) -> None:
 
 
 def gaussian_head(dim: int, channels: tuple[int, ...], chunk: int = 4) -> GaussianHead:
-    return GaussianHead(
-        dim=dim, features=256, channels=channels, hidden=128, sh_degree=4, taps=(0, 1, 2, 3), chunk=chunk
-    )
+    decoder = dpt.Dpt(dim=dim, features=256, channels=channels, hidden=128, outputs=84)
+    return GaussianHead(decoder, sh_degree=4, taps=(0, 1, 2, 3), chunk=chunk)
 
 
 @pytest.mark.parametrize("chunk", [1, 4])

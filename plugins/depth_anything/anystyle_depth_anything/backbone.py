@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import ClassVar, Literal
 
@@ -13,12 +14,13 @@ from anystyle.errors import UserError
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.nn import scratch as initial
 from anystyle.nn.aligner import Aligner
+from anystyle.nn.dpt import Dpt
 from anystyle.nn.heads import check_options
 from anystyle.nn.reference_view import Strategy
 from anystyle.nn.tokens import IMAGENET_MEAN, IMAGENET_STD
 from anystyle.published import Published
 from anystyle_depth_anything.adapter import Adapter
-from anystyle_depth_anything.heads import GaussianHead, GeometryHead
+from anystyle_depth_anything.heads import HIDDEN, CameraDecoder, GaussianHead, GeometryHead
 from anystyle_depth_anything.keys import Checkpoints
 from anystyle_depth_anything.transformer import Aggregator, Embedder
 
@@ -148,22 +150,17 @@ class DepthAnything(contracts.Backbone):
             taps=taps,
             checkpointing=checkpointing,
         )
+        decoder = partial(Dpt, dim=2 * dim, hidden=HIDDEN, rectified=False)
         self.geometry_head = GeometryHead(
-            dim=2 * dim,
-            features=depth_features,
-            channels=depth_channels,
+            CameraDecoder(2 * dim),
+            decoder(features=depth_features, channels=depth_channels, outputs=2),
             taps=taps,
             chunk=2 * chunk,
             aligner=Aligner() if poses == "aligned" else None,
         )
-        self.gaussian_head = GaussianHead(
-            dim=2 * dim,
-            features=gaussian_features,
-            channels=gaussian_channels,
-            sh_degree=sh_degree,
-            taps=taps,
-            chunk=chunk,
-        )
+        outputs = 11 + 3 * (sh_degree + 1) ** 2
+        dpt = decoder(features=gaussian_features, channels=gaussian_channels, outputs=outputs, normed=False)
+        self.gaussian_head = GaussianHead(dpt, sh_degree=sh_degree, taps=taps, chunk=chunk)
         self.adapter = Adapter(depth_along=depth_along, rotations=rotations, scale_min=scale_min, scale_max=scale_max)
         if init == "scratch":
             start_geometry(self.embedder, self.geometry_head)
@@ -196,7 +193,7 @@ def start_gaussians(head: GaussianHead, *, scale_min: float, scale_max: float) -
     bias[2:5] = math.log(fraction / (1 - fraction))
     bias[8] = 1.0  # the real part of xyzw
     bias[-1] = initial.OPACITY_LOGIT
-    for color, (carrier, _) in enumerate(initial.carriers(head.direct_dim)):
+    for color, (carrier, _) in enumerate(initial.carriers(head.dpt.width)):
         initial.connect(head.direct[0], color, color, LIFT)
         initial.connect(head.direct[2], color, color, 0.0)
         initial.connect(head.direct[4], carrier, color, 0.0)

@@ -9,7 +9,6 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle import contracts
-from anystyle.nn.aligner import Aligner
 from anystyle.nn.dpt import Dpt
 from anystyle.nn.heads import DptGaussians, DptGeometry, centred_cameras, rotation_of
 from anystyle.nn.tokens import normalised
@@ -46,23 +45,8 @@ HIDDEN = 32
 """Channels of decoders' last hidden layers, in every size."""
 
 
-class GeometryHead(DptGeometry, contracts.GeometryHead):
-    """The camera decoder and the decoder for depth; see :class:`anystyle.nn.heads.DptGeometry`."""
-
-    def __init__(
-        self,
-        *,
-        dim: int,
-        features: int,
-        channels: Sequence[int],
-        taps: Sequence[int],
-        chunk: int,
-        aligner: Aligner | None = None,
-    ) -> None:
-        camera = CameraDecoder(dim)
-        depth = Dpt(dim=dim, features=features, channels=channels, hidden=HIDDEN, outputs=2, rectified=False)
-        super().__init__(depth, taps=taps, chunk=chunk, aligner=aligner)
-        self.camera = camera
+class GeometryHead(DptGeometry[CameraDecoder], contracts.GeometryHead):
+    """The camera decoder and the decoder for depth."""
 
     def cameras(self, tokens: Float[Tensor, "B V C"], size: tuple[int, int]) -> Cameras:
         return decode_pose(self.camera(tokens).float(), size)
@@ -77,20 +61,9 @@ class GaussianHead(DptGaussians, contracts.GaussianHead):
     Options are explained at :class:`~anystyle_depth_anything.DepthAnything`.
     """
 
-    def __init__(
-        self, *, dim: int, features: int, channels: Sequence[int], sh_degree: int, taps: Sequence[int], chunk: int
-    ) -> None:
-        dpt = Dpt(
-            dim=dim,
-            features=features,
-            channels=channels,
-            hidden=HIDDEN,
-            outputs=11 + 3 * (sh_degree + 1) ** 2,
-            normed=False,
-            rectified=False,
-        )
-        super().__init__(dpt, dim=dim, direct_dim=features // 2, sh_degree=sh_degree, taps=taps, chunk=chunk)
-        widths = (3, features // 8, features // 4, features // 2)
+    def __init__(self, dpt: Dpt, *, sh_degree: int, taps: Sequence[int], chunk: int) -> None:
+        super().__init__(dpt, sh_degree=sh_degree, taps=taps, chunk=chunk)
+        widths = (3, dpt.width // 4, dpt.width // 2, dpt.width)
         layers = [(nn.Conv2d(a, b, 3, padding=1), nn.GELU()) for a, b in pairwise(widths)]
         self.direct = nn.Sequential(*(module for pair in layers for module in pair))
 

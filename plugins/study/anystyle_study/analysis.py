@@ -14,7 +14,7 @@ from anystyle_study.checks import Checks, check
 from anystyle_study.contract import Alternative, Responses, Scale, StudyTest, TestResult, Unit
 from anystyle_study.protocol import Rules, Study
 from anystyle_study.reading import Records
-from anystyle_study.statistics import Crossing, Effect, Variation, agreement, effects, holm, log_t_cdf, variation
+from anystyle_study.statistics import Crossing, Effect, Variation, agreement, effects, holm, t_pvalue, variation
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class NamedResult:
 
     name: str  # name of the test in the catalog
     result: TestResult  # its result
-    log_pvalue_holm: float = math.nan  # logarithm of the p-value after Holm's adjustment over the questions
+    pvalue_holm: float = math.nan  # after Holm's adjustment over the questions
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class QuestionAnalysis:
     @property
     def primary(self) -> NamedResult | None:
         """The result to draw conclusions from: the one in points that generalises to most, participants included."""
-        usable = [one for one in self.tests if one.result.estimate_unit == "points" and one.result.pvalue > 0]
+        usable = [one for one in self.tests if one.result.estimate_unit == "points" and one.result.pvalue >= 0]
         usable = [one for one in usable if "participants" in one.result.generalizes_to]
         return max(usable, key=lambda one: len(one.result.generalizes_to), default=None)
 
@@ -134,9 +134,9 @@ def analyze(
         questions.append(_question(responses, tests, settings))
     # Holm's adjustment of each test over the questions.
     for index in range(len(questions[0].tests)):
-        adjusted = holm([question.tests[index].result.log_pvalue for question in questions])
+        adjusted = holm([question.tests[index].result.pvalue for question in questions])
         for question, value in zip(questions, adjusted, strict=True):
-            question.tests[index].log_pvalue_holm = value
+            question.tests[index].pvalue_holm = value
     return Analysis(tuple(questions), checks, settings, records)
 
 
@@ -170,7 +170,7 @@ def _equivalence(responses: Responses, margin: float, confidence: float) -> Equi
     low, high = crossed.interval(confidence)
     # The nearer margin decides: its statistic has the larger p-value.
     statistic = (abs(float(crossed.mean)) - points) / float(crossed.error)
-    return Equivalence(points, math.exp(log_t_cdf(statistic, float(crossed.df))), -points < low and high < points)
+    return Equivalence(points, t_pvalue(statistic, float(crossed.df), "less"), -points < low and high < points)
 
 
 def unit_means(responses: Responses, unit: Unit, confidence: float) -> tuple[Mean, ...]:
@@ -248,14 +248,7 @@ def _question_json(question: QuestionAnalysis) -> dict[str, Any]:
         "sd": responses.deviations.std(ddof=1) if responses.count > 1 else math.nan,
         "distribution": {f"{level:g}": count for level, count in question.distribution.items()},
         "tests": [
-            {
-                "name": named.name,
-                **{name: value for name, value in asdict(named.result).items() if name != "log_pvalue"},
-                "pvalue": named.result.pvalue,
-                "log10_pvalue": named.result.log10_pvalue,
-                "pvalue_holm": math.exp(named.log_pvalue_holm),
-            }
-            for named in question.tests
+            {"name": named.name, **asdict(named.result), "pvalue_holm": named.pvalue_holm} for named in question.tests
         ],
         "agreement": {"name": "krippendorff_alpha_ordinal", "estimate": question.alpha},
         "ratings": responses.ratings and dict(zip(("ours", "theirs"), responses.ratings, strict=True)),

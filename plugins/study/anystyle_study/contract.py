@@ -27,9 +27,6 @@ Population = Literal["participants", "items", "scenes", "styles"]
 MIN_LEVELS = 3
 """Fewer scenes (or styles) are treated as fixed: claims do not generalise to others."""
 
-TINY = 5e-324
-"""The smallest positive double, reported for p-values below it; their logarithm is exact."""
-
 
 @dataclass(frozen=True)
 class Scale:
@@ -157,7 +154,7 @@ class TestResult:
     Args:
         unit: What was counted as one observation.
         statistic: The test statistic; ``nan`` if the test is undefined.
-        log_pvalue: Natural logarithm of the p-value, which may be far below the smallest double.
+        pvalue: The p-value; 0 where it is below the smallest double, ``nan`` if the test is undefined.
         alternative: The alternative hypothesis.
         estimate: The preference, in ``estimate_unit``; negative means ours is preferred.
         interval: Confidence interval of the estimate, one-sided if ``alternative`` is; ``nan`` if there is none.
@@ -176,7 +173,7 @@ class TestResult:
 
     unit: Unit
     statistic: float
-    log_pvalue: float
+    pvalue: float
     alternative: str
     estimate: float
     interval: tuple[float, float]
@@ -189,16 +186,6 @@ class TestResult:
     note: str = ""
     generalizes_to: tuple[Population, ...] = ()
     estimate_unit: str = "points"
-
-    @property
-    def pvalue(self) -> float:
-        """The p-value, never 0: at least :data:`TINY`."""
-        return math.nan if math.isnan(self.log_pvalue) else max(math.exp(self.log_pvalue), TINY)
-
-    @property
-    def log10_pvalue(self) -> float:
-        """Decimal logarithm of the p-value, exact even where the p-value underflows."""
-        return self.log_pvalue / math.log(10)
 
     @classmethod
     def untestable(cls, responses: Responses, *, reason: str, alternative: str, method: str = "") -> "TestResult":

@@ -125,7 +125,7 @@ def rejection_rates(
             for name, test in tests.items():
                 for result in (test(averaged[unit]) for unit in test.units):
                     key = name, result.unit
-                    counts[key][kind] += bool(result.log_pvalue <= math.log(level))
+                    counts[key][kind] += result.pvalue <= level
                     claims[key] = claims.get(key) or result.generalizes_to
 
     def rate(count: int) -> tuple[float, tuple[float, float]]:

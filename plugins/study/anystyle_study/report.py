@@ -39,8 +39,8 @@ def tests_table(question: QuestionAnalysis, confidence: float) -> Table:
                 f"{result.estimate:.3f}" + f" {result.estimate_unit}" * (result.estimate_unit != "points"),
                 # An interval of single answers would have no coverage.
                 bounds(result.interval) if result.generalizes_to else "—",
-                p_text(result.pvalue, result.log10_pvalue).removeprefix("= "),
-                p_text(math.exp(named.log_pvalue_holm)).removeprefix("= "),
+                p_text(result.pvalue).removeprefix("= "),
+                p_text(named.pvalue_holm).removeprefix("= "),
                 effect,
                 "; ".join(filter(None, [wording.generalization(result.generalizes_to), result.note])),
             )

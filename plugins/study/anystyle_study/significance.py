@@ -10,7 +10,7 @@ from scipy import special, stats
 
 from anystyle.errors import UserError
 from anystyle_study.contract import Alternative, Responses, StudyTest, TestResult, Unit, generalization
-from anystyle_study.statistics import Crossing, log_t_pvalue, superiority, t_interval
+from anystyle_study.statistics import Crossing, superiority, t_interval, t_pvalue
 
 
 class Significance(StudyTest):
@@ -68,7 +68,7 @@ class CrossedT(Significance):
             responses,
             unit="participant",
             statistic=statistic,
-            log_pvalue=log_t_pvalue(statistic, df, self.alternative),
+            pvalue=t_pvalue(statistic, df, self.alternative),
             estimate=float(crossed.mean),
             interval=crossed.interval(self.confidence, self.alternative),
             effect=effect.estimate,
@@ -98,7 +98,7 @@ class OneSampleT(Significance):
         return self.result(
             responses,
             statistic=mean / error,
-            log_pvalue=log_t_pvalue(mean / error, float(n - 1), self.alternative),
+            pvalue=t_pvalue(mean / error, float(n - 1), self.alternative),
             estimate=mean,
             interval=t_interval(mean, error, float(n - 1), self.confidence, self.alternative),
             effect=mean / sd,
@@ -132,7 +132,7 @@ class OrdinalMixed(Significance):
             responses,
             unit="participant",
             statistic=statistic,
-            log_pvalue=log_t_pvalue(statistic, fitted.df, self.alternative),
+            pvalue=t_pvalue(statistic, fitted.df, self.alternative),
             estimate=fitted.preference,
             interval=(low, high),
             effect=math.exp(fitted.preference),
@@ -193,7 +193,7 @@ class SignFlip(Significance):
         return self.result(
             responses,
             statistic=mean,
-            log_pvalue=math.log(test.pvalue),
+            pvalue=float(test.pvalue),
             estimate=mean,
             interval=(low, high),
             method=f"{method}; interval: typical values of random subsets",
@@ -243,16 +243,16 @@ class Wilcoxon(Significance):
         exact = (
             self.method == "auto" and not zeros and ranked <= _MAX_EXACT and len(np.unique(np.abs(values))) == ranked
         )
-        log_pvalue = log_t_pvalue(float(normal.zstatistic), math.inf, self.alternative)
+        pvalue = t_pvalue(float(normal.zstatistic), math.inf, self.alternative)
         if exact:
             result: Any = stats.wilcoxon(values, alternative=self.alternative, method="exact")
-            log_pvalue = math.log(result.pvalue)
+            pvalue = float(result.pvalue)
         median, interval = pseudo_median(values, self.confidence, self.alternative)
         how = "exact distribution" if exact else "normal approximation with tie correction"
         return self.result(
             responses,
             statistic=float(normal.statistic),
-            log_pvalue=log_pvalue,
+            pvalue=pvalue,
             estimate=median,
             interval=interval,
             effect=(2 * float(normal.statistic) - total) / total,

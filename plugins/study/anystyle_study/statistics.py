@@ -1,4 +1,4 @@
-"""p-values as logarithms, t intervals, means over crossed random factors, standardised effects and agreement.
+"""p-values, t intervals, means over crossed random factors, standardised effects and agreement.
 
 The mean of answers that share participants, items, scenes and styles has all of these as random factors. Variance
 components are estimated by the method of moments (Henderson's method 1; Searle, Casella and McCulloch 1992, chapter 5):
@@ -17,24 +17,10 @@ from scipy import sparse, special
 from anystyle_study.contract import Alternative, Population, Responses
 
 
-def log_t_cdf(statistic: float, df: float) -> float:
-    """Natural logarithm of Student's t distribution function, exact far into the lower tail."""
-    if math.isinf(df):
-        return float(special.log_ndtr(statistic))
-    plain = float(special.stdtr(df, statistic))
-    if plain > 1e-280:  # below, it may have lost digits or be 0
-        return math.log(plain)
-    # P = I_x(a, 1/2) / 2 with x = df / (df + t^2), through x^a (1-x)^b / (a B(a, b)) 2F1(a + b, 1; a + 1; x).
-    a, b, ratio = df / 2, 0.5, statistic**2 / df
-    x = 1 / (1 + ratio)
-    head = -a * math.log1p(ratio) + b * math.log(ratio * x) - math.log(a) - float(special.betaln(a, b))
-    return head + math.log(float(special.hyp2f1(a + b, 1.0, a + 1.0, x))) - math.log(2)
-
-
-def log_t_pvalue(statistic: float, df: float, alternative: Alternative) -> float:
-    """Logarithm of the p-value of a t test, or of a z test with infinite degrees of freedom."""
-    lower, upper = log_t_cdf(statistic, df), log_t_cdf(-statistic, df)
-    return {"less": lower, "greater": upper, "two-sided": min(0.0, min(lower, upper) + math.log(2))}[alternative]
+def t_pvalue(statistic: float, df: float, alternative: Alternative) -> float:
+    """The p-value of a t test, or of a z test with infinite degrees of freedom."""
+    lower, upper = (float(special.stdtr(df, value)) for value in (statistic, -statistic))
+    return {"less": lower, "greater": upper, "two-sided": min(1.0, 2 * min(lower, upper))}[alternative]
 
 
 def t_interval(
@@ -48,13 +34,12 @@ def t_interval(
     return low, math.inf if alternative == "greater" else mean + half_width
 
 
-def holm(log_pvalues: Sequence[float]) -> list[float]:
-    """Holm's step-down adjustment, on logarithms; ``nan`` stays ``nan`` and counts as no test."""
-    values = np.asarray(log_pvalues, dtype=float)
+def holm(pvalues: Sequence[float]) -> list[float]:
+    """Holm's step-down adjustment; ``nan`` stays ``nan`` and counts as no test."""
+    values = np.asarray(pvalues, dtype=float)
     order = np.argsort(values, kind="stable")[: int((~np.isnan(values)).sum())]
-    steps = np.log(np.arange(len(order), 0, -1))
     adjusted = np.full(len(values), np.nan)
-    adjusted[order] = np.minimum(np.maximum.accumulate(values[order] + steps), 0.0)
+    adjusted[order] = np.minimum(np.maximum.accumulate(values[order] * np.arange(len(order), 0, -1)), 1.0)
     return adjusted.tolist()
 
 

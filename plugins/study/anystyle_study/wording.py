@@ -23,12 +23,12 @@ def percent(fraction: float) -> str:
     return f"{100 * fraction:.0f} %"
 
 
-def p_text(pvalue: float, log10_pvalue: float | None = None) -> str:
+def p_text(pvalue: float) -> str:
     """A p-value with its relation sign: ``= 0.013``, ``= 3.5e-40``, ``< 1e-300``."""
     if math.isnan(pvalue):
         return "n/a"
     if pvalue < 1e-300:
-        return "< 1e-300" if log10_pvalue is None else f"= 1e{log10_pvalue:.0f}"
+        return "< 1e-300"
     if pvalue < 1e-3:
         return f"= {pvalue:.2e}" if pvalue < 1e-4 else f"= {pvalue:.4f}"
     return f"= {pvalue:.3f}"
@@ -71,7 +71,7 @@ def verdict(analysis: Analysis, question: QuestionAnalysis) -> str:
         notes = [named.result.note for named in question.tests if named.result.note]
         return f"No conclusion is possible: {notes[0] if notes else 'no test generalises to new participants'}."
     result, level = primary.result, 1 - analysis.settings.confidence
-    whom, adjusted = generalization(result.generalizes_to), math.exp(primary.log_pvalue_holm)
+    whom, adjusted = generalization(result.generalizes_to), primary.pvalue_holm
     evidence = f"(p {p_text(adjusted)}, adjusted over the questions)"
     margin = f"the margin of {equivalence.margin:.2g} points" if equivalence else ""
     shown = equivalence is not None and equivalence.shown
@@ -104,7 +104,7 @@ def paragraph(analysis: Analysis, question: QuestionAnalysis) -> str:
     if primary is not None:
         result, confidence = primary.result, f"{100 * analysis.settings.confidence:g} % interval"
         text += f" The mean preference is {result.estimate:+.2f} points ({confidence} {bounds(result.interval)}"
-        text += f", {title_of(primary.name)}, p {p_text(result.pvalue, result.log10_pvalue)})."
+        text += f", {title_of(primary.name)}, p {p_text(result.pvalue)})."
     sizes = [f"{title_of(one.name)} {one.estimate:.2f} {bounds(one.interval)}" for one in question.effects]
     return f"{text} {'; '.join(sizes).capitalize()}."
 

@@ -251,7 +251,6 @@ def test_answers_that_say_little_give_a_report_all_the_same(tmp_path, people, it
 def test_p_values_as_people_write_them():
     texts = ["= 0.050", "= 1.000", "= 0.0004", "= 3.47e-40", "n/a"]
     assert [p_text(p) for p in (0.0499, 0.99999, 0.00042, 3.47e-40, math.nan)] == texts
-    assert p_text(5e-324, -591.2) == "= 1e-591"
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from scipy import stats
 from anystyle_study import clmm
 from anystyle_study.contract import Responses
 from anystyle_study.significance import CrossedT, OneSampleT, OrdinalMixed, SignFlip, Wilcoxon
-from anystyle_study.statistics import Crossing, effects, holm, krippendorff_alpha, log_t_cdf
+from anystyle_study.statistics import Crossing, effects, holm, krippendorff_alpha, t_pvalue
 
 
 def table(deviations, ours_is_a=None) -> Responses:
@@ -68,8 +68,8 @@ def test_wilcoxon_equals_scipy_with_ties_and_zeros(unit, alternative, zero_metho
         assert mine.pvalue == pytest.approx(theirs.pvalue, rel=1e-10)
 
 
-@pytest.mark.parametrize(("shift", "exponent"), [(-0.52, -50), (-1.05, -150), (-1.9, -299)])
-def test_tiny_p_values_agree_and_do_not_underflow(shift, exponent):
+@pytest.mark.parametrize("shift", [-0.52, -1.05, -1.9])
+def test_tiny_p_values_agree(shift):
     random = np.random.default_rng(1)
     values = random.normal(shift, 1, 1500)
     rows = table(values[:, None])
@@ -80,31 +80,24 @@ def test_tiny_p_values_agree_and_do_not_underflow(shift, exponent):
             stats.wilcoxon(values, alternative="less", method="approx", correction=False),
         ),
     ):
-        assert mine.pvalue > 0
-        if theirs.pvalue > 1e-300:
-            assert mine.pvalue == pytest.approx(theirs.pvalue, rel=1e-10)
-            assert mine.log10_pvalue == pytest.approx(math.log10(theirs.pvalue), rel=1e-12)
-    assert OneSampleT(alternative="less")(rows).log10_pvalue < exponent
+        assert mine.pvalue == pytest.approx(theirs.pvalue, rel=1e-10, abs=1e-300)
 
 
-@pytest.mark.parametrize(
-    ("statistic", "df"),
-    [(-2.0, 39), (-14.0, 799), (-60.0, 5000), (-37.1, 100_000), (-1e8, 39), (-300.0, 99_999), (2.0, 5)],
-)
+@pytest.mark.parametrize(("statistic", "df"), [(-2.0, 39), (-14.0, 799), (-30.0, 5000), (2.0, 5)])
 def test_t_tail_against_forty_digits(statistic, df):
     with mpmath.workdps(40):
         half, ratio = mpmath.mpf(df) / 2, df / (df + mpmath.mpf(statistic) ** 2)
         tail = mpmath.betainc(half, mpmath.mpf(1) / 2, 0, ratio, regularized=True) / 2
-        expected = float(mpmath.log(tail if statistic < 0 else 1 - tail))
-    assert log_t_cdf(statistic, float(df)) == pytest.approx(expected, rel=1e-12)
+        expected = float(tail if statistic < 0 else 1 - tail)
+    assert t_pvalue(statistic, float(df), "less") == pytest.approx(expected, rel=1e-11)
 
 
 def test_holm_equals_its_definition():
     pvalues = np.sort(np.random.default_rng(0).random(9) ** 3)
     expected = [min(1.0, max((9 - j) * pvalues[j] for j in range(i + 1))) for i in range(9)]
     shuffle = np.random.default_rng(1).permutation(9)
-    assert np.exp(holm(np.log(pvalues[shuffle]).tolist())) == pytest.approx(np.array(expected)[shuffle], rel=1e-12)
-    assert holm([math.nan, math.log(0.01)]) == pytest.approx([math.nan, math.log(0.01)], nan_ok=True)
+    assert holm(pvalues[shuffle].tolist()) == pytest.approx(np.array(expected)[shuffle], rel=1e-12)
+    assert holm([math.nan, 0.01]) == pytest.approx([math.nan, 0.01], nan_ok=True)
 
 
 def test_sign_flip_equals_enumeration():

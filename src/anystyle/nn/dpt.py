@@ -129,6 +129,7 @@ class Dpt(nn.Module):
                 f"a decoder of {features} features and levels of {list(channels)} channels; features must be a "
                 "multiple of 8, and the four levels multiples of 4"
             )
+        self.dim, self.width = dim, features // 2
         fine, medium, _, coarse = channels
         self.norm = nn.LayerNorm(dim) if normed else nn.Identity()
         # A 1x1 convolution, on tokens instead of a map: no transposed copy of many channels is needed.

@@ -3,6 +3,7 @@
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Generic, TypeVar
 
 import torch
 from jaxtyping import Float
@@ -20,17 +21,14 @@ class DptGaussians(nn.Module):
 
     Args:
         dpt: The decoder; the channels of its result are those that :meth:`attributes` reads.
-        dim: Channels of the tokens.
-        direct_dim: Channels of the decoder at full size, and of the image features.
         sh_degree: Of the harmonics.
         taps: The layers that the decoder reads, four, in rising order.
         chunk: Views decoded at a time, which changes memory only.
     """
 
-    def __init__(self, dpt: Dpt, *, dim: int, direct_dim: int, sh_degree: int, taps: Sequence[int], chunk: int) -> None:
+    def __init__(self, dpt: Dpt, *, sh_degree: int, taps: Sequence[int], chunk: int) -> None:
         super().__init__()
         self.dpt = dpt
-        self.dim, self.direct_dim = dim, direct_dim
         self.coefficients = (sh_degree + 1) ** 2
         self.taps = tuple(taps)
         self.chunk = chunk
@@ -46,8 +44,8 @@ class DptGaussians(nn.Module):
     @property
     def sites(self) -> tuple[Site, ...]:
         """``head/tokens/0..3``, normalised patch tokens of the levels; ``head/direct``, features of pixels."""
-        tokens = tuple(Site(f"head/tokens/{level}", self.dim) for level in range(len(self.taps)))
-        return (*tokens, Site("head/direct", self.direct_dim))
+        tokens = tuple(Site(f"head/tokens/{level}", self.dpt.dim) for level in range(len(self.taps)))
+        return (*tokens, Site("head/direct", self.dpt.width))
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
         batch, views = images.shape[:2]
@@ -72,18 +70,25 @@ class DptGaussians(nn.Module):
         return self.dpt.predict_(decoded.add_(direct)).unflatten(0, (batch, count))
 
 
-class DptGeometry(nn.Module):
+Camera = TypeVar("Camera", bound=nn.Module)
+
+
+class DptGeometry(nn.Module, Generic[Camera]):
     """Cameras from the last tap's leading token, and a DPT for depth; in the weights' precision throughout.
 
     Args:
+        camera: Reads pose encodings off tokens, as :meth:`cameras` asks.
         depth: Predicts the logarithm of depth, and of confidence less one.
         taps: The layers that the depth head reads, four, in rising order.
         chunk: Views decoded at a time, which changes memory only.
         aligner: Computes poses from matches instead of the regressed ones, whose focal lengths are kept.
     """
 
-    def __init__(self, depth: Dpt, *, taps: Sequence[int], chunk: int, aligner: Aligner | None) -> None:
+    def __init__(
+        self, camera: Camera, depth: Dpt, *, taps: Sequence[int], chunk: int, aligner: Aligner | None = None
+    ) -> None:
         super().__init__()
+        self.camera: Camera = camera
         self.depth = depth
         self.taps = tuple(taps)
         self.chunk = chunk

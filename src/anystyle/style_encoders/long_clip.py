@@ -45,7 +45,7 @@ class LongClip(StyleEncoder):
     A text is put into 27 templates, whose embeddings are averaged. With ``context=77`` it is CLIP itself.
 
     Args:
-        context: Tokens of the longest text, template included. Weights of CLIP, which reads 77, are stretched to 248.
+        context: Tokens of the longest text, template included.
         templates: ``small``, the published 27, or ``none``.
         neutral: The prompt that stands for no style.
         text_adapter: Whether texts pass a residual MLP, whose weights come with a style branch. Published branches need

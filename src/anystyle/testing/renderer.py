@@ -40,7 +40,7 @@ def test_transparent_gaussians_are_invisible(plugin: Plugin) -> None:
     constant = torch.equal(empty.color, empty.color[:, :1, :, :1, :1].expand_as(empty.color))
     assert constant and not bool(empty.alpha.any() | empty.depth.any()), "something is seen where all opacities are 0"
     padding = replace(gaussians(1, 7, seed=5), opacities=torch.zeros(1, 7), scales=torch.zeros(1, 7, 3))
-    padded = _render(plugin, _joined(scene, replace(padding, means=torch.zeros(1, 7, 3))), seen)
+    padded = _render(plugin, Gaussians.cat([scene, replace(padding, means=torch.zeros(1, 7, 3))], dim=1), seen)
     asserts.close(padded, _render(plugin, scene, seen), "renders with seven Gaussians of opacity 0 and scale 0")
 
 
@@ -89,7 +89,7 @@ def test_near_hides_far(plugin: Plugin) -> None:
     """An opaque Gaussian hides what is behind it, and shows its own colour."""
     front, back = (_single(torch.tensor([0.0, 0.0, z]), size=1.0, color=c) for z, c in ((-1.0, RED), (1.0, GREEN)))
     for pair in ((front, back), (back, front)):
-        middle = _render(plugin, _joined(*pair), cameras(1, 1, (33, 33))).color[0, 0, :, 16, 16]
+        middle = _render(plugin, Gaussians.cat(pair, dim=1), cameras(1, 1, (33, 33))).color[0, 0, :, 16, 16]
         assert float((middle - torch.tensor(RED)).abs().max()) < 0.03, f"{middle.tolist()} in front, not {RED}"
 
 
@@ -124,10 +124,6 @@ def _device(plugin: Plugin) -> str:
 def _render(plugin: Plugin, scene: Gaussians, seen: Cameras) -> Renders:
     device = _device(plugin)
     return plugin.instance(scene.to(device), seen.to(device)).to("cpu")
-
-
-def _joined(one: Gaussians, other: Gaussians) -> Gaussians:
-    return Gaussians(**{name: torch.cat([value, getattr(other, name)], dim=1) for name, value in vars(one).items()})
 
 
 def _single(point: Float[Tensor, "3"], *, size: float, color: tuple[float, float, float] = GREY) -> Gaussians:

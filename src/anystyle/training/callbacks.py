@@ -192,8 +192,3 @@ class ProgressLines(Callback):
         metrics = {name: value for name, value in logged(trainer).items() if name.startswith("val/")}
         if metrics and trainer.is_global_zero:
             sys.stderr.write("  ".join(f"{name} {value:.4g}" for name, value in sorted(metrics.items())) + "\n")
-
-
-def of_rank(path: Path, rank: int) -> Path:
-    """A path with the rank appended to its stem, where that is above 0."""
-    return path if rank == 0 else path.with_stem(f"{path.stem}_{rank}")

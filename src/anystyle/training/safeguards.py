@@ -12,7 +12,6 @@ from torch import Tensor, nn
 
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
-from anystyle.training.callbacks import of_rank
 
 
 class FiniteLoss(Callback):
@@ -53,7 +52,8 @@ class FiniteLoss(Callback):
         # gradients are the same in all of them.
         if not trainer.strategy.reduce_boolean_decision(bool(problem), all=False):
             return
-        path = of_rank(self.path, trainer.global_rank)
+        rank = trainer.global_rank
+        path = self.path.with_stem(f"{self.path.stem}_{rank}") if rank else self.path
         with atomic_path(path) as temporary:
             torch.save({"step": trainer.global_step, "batch": self._batch}, temporary)
         raise UserError(

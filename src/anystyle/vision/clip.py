@@ -9,7 +9,6 @@ import torch.nn.functional as F
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from anystyle.errors import UserError
 from anystyle.io.checkpoint import load_strictly
 
 MEAN = (0.48145466, 0.4578275, 0.40821073)
@@ -129,27 +128,12 @@ def quick_gelu(x: Float[Tensor, "*batch C"]) -> Float[Tensor, "*batch C"]:
     return x * torch.sigmoid(1.702 * x)
 
 
-def stretch(positions: Float[Tensor, "L C"], context: int) -> Float[Tensor, "K C"]:
-    """Position embeddings for longer texts, as Long-CLIP's: some are kept, the others interpolated to four times."""
-    length = len(positions)
-    stretched = NUM_KEPT + 4 * (length - NUM_KEPT)
-    if context != stretched:
-        raise UserError(f"{length} positions stretch to {stretched}, not to {context}; set context to one of these")
-    rest = positions[NUM_KEPT:]
-    steps = torch.cat([rest[1:] - rest[:-1], rest[-1:] - rest[-2:-1]])
-    quarters = torch.arange(4, device=positions.device, dtype=positions.dtype) / 4
-    between = rest[:, None] + quarters[:, None] * steps[:, None]
-    return torch.cat([positions[:NUM_KEPT], between.flatten(0, 1)])
-
-
 def load_clip(network: Clip, state: Mapping[str, Tensor]) -> None:
-    """Load CLIP's, OpenCLIP's or Long-CLIP's weights, strictly; positions of a shorter context are stretched."""
+    """Load CLIP's, OpenCLIP's or Long-CLIP's weights, strictly."""
     given = {key.removeprefix("module."): tensor for key, tensor in state.items()}
     second = given.pop(STRETCHED, None)
     positions = given.get("positional_embedding")
     if second is not None and positions is not None and second.shape == positions.shape:
         given["positional_embedding"] = torch.cat([positions[:NUM_KEPT], second[NUM_KEPT:]])
-    elif positions is not None and positions.dim() == 2 and len(positions) < network.context:
-        given["positional_embedding"] = stretch(positions.float(), network.context)
     given = {key: tensor for key, tensor in given.items() if key not in UNUSED}
     load_strictly(network, given, source="the checkpoint of CLIP or Long-CLIP")

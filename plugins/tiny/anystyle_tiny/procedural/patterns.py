@@ -6,7 +6,7 @@ A pattern is a function of the position in periods; its edges are as soft as a p
 import numpy as np
 
 from anystyle.compiled import compiled
-from anystyle_tiny.procedural.volumes import chance, cover, noise_at, rough, sine
+from anystyle_tiny.procedural.volumes import chance, cover, noise_at, rough, sine, turns
 
 PATTERNS = (
     "plain", "stripes", "dots", "mosaic", "checker", "bricks", "hatching", "strokes", "swirls", "waves", "zigzag",
@@ -39,20 +39,6 @@ def _staggered(x: float, y: float) -> tuple[int, int, float, float]:
 @compiled
 def _pick(i: int, j: int, salt: int, count: int) -> int:
     return int(chance(i, j, salt) * count) % count
-
-
-@compiled
-def _angle(y: float, x: float) -> float:
-    """The angle of (x, y) in turns, in (-0.5, 0.5]."""
-    ax, ay = abs(x), abs(y)
-    a = min(ax, ay) / max(max(ax, ay), 1e-12)
-    s = a * a
-    r = (((-0.0464964749 * s + 0.15931422) * s - 0.327622764) * s * a + a) * 0.15915494
-    if ay > ax:
-        r = 0.25 - r
-    if x < 0:
-        r = 0.5 - r
-    return -r if y < 0 else r
 
 
 @compiled
@@ -159,7 +145,7 @@ def _swirls(x: float, y: float, foot: float, count: int, salt: int, noise: np.nd
             best, rx, ry, ci, cj = d, dx, dy, i, j
     r = np.sqrt(best)
     spin = 1.0 if chance(ci, cj, salt + 2) < 0.5 else -1.0
-    phase = r * 5.0 + spin * _angle(ry, rx) * 2.0 * ((count + 1) // 2)
+    phase = r * 5.0 + spin * turns(ry, rx) * 2.0 * ((count + 1) // 2)
     band = np.floor(phase)
     k = int(band + 64 * count) % count
     f = phase - band
@@ -185,7 +171,7 @@ def _splatter(x: float, y: float, foot: float, count: int, salt: int, noise: np.
             radius = 0.16 + 0.3 * size * size
             if d > 1.3 * radius + foot * s:
                 continue
-            angle = _angle(dy, dx)
+            angle = turns(dy, dx)
             lobes = 0.12 * sine(6.2831853 * (angle * (5 + _pick(i, j, salt, 4)) + chance(i, j, salt + 5)))
             lobes += 0.06 * sine(6.2831853 * (angle * 11 + chance(i, j, salt + 6)))
             hit = cover(radius * (1 + 1.6 * lobes) - d, foot * s)
@@ -245,7 +231,7 @@ def _flowers(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
     dx, dy = dx + 0.1 * (chance(i, j, salt) - 0.5), dy + 0.1 * (chance(i, j, salt + 1) - 0.5)
     d = np.sqrt(dx * dx + dy * dy)
     petals = 5 + _pick(i, j, salt + 2, 3)
-    radius = 0.33 + 0.12 * sine(6.2831853 * (petals * _angle(dy, dx) + chance(i, j, salt + 3)))
+    radius = 0.33 + 0.12 * sine(6.2831853 * (petals * turns(dy, dx) + chance(i, j, salt + 3)))
     k = 1 + _pick(i, j, salt + 4, count - 1)
     heart = (k % (count - 1)) + 1 if count > 2 else 0
     if d < 0.13:

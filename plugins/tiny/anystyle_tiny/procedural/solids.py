@@ -6,6 +6,7 @@ The world's y axis points up and lengths are metres. A scene's solids are a tabl
 import numpy as np
 
 from anystyle.compiled import compiled
+from anystyle_tiny.procedural.volumes import turns
 
 SPHERE, BOX, CYLINDER, CONE = range(4)
 
@@ -102,20 +103,6 @@ def hit_solid(solids: np.ndarray, i: int, origin: Vector, ray: Vector, near: flo
 
 
 @compiled
-def _angle(y: float, x: float) -> float:
-    """The angle of (x, y) in (-pi, pi], continuous to 1e-3: enough to wrap a pattern around."""
-    ax, ay = abs(x), abs(y)
-    a = min(ax, ay) / max(max(ax, ay), 1e-12)
-    s = a * a
-    r = ((-0.0464964749 * s + 0.15931422) * s - 0.327622764) * s * a + a
-    if ay > ax:
-        r = 1.57079637 - r
-    if x < 0:
-        r = 3.14159274 - r
-    return -r if y < 0 else r
-
-
-@compiled
 def surface(solids: np.ndarray, i: int, point: Vector) -> tuple[Vector, Vector, float, float]:
     """Normal, position in the solid's axes in metres and position on its unrolled surface, at a point of a solid."""
     c, s = solids[i, COS], solids[i, SIN]
@@ -135,9 +122,9 @@ def surface(solids: np.ndarray, i: int, point: Vector) -> tuple[Vector, Vector, 
         else:
             nx, ny, nz, u, v = 0.0, 0.0, (1.0 if uz > 0 else -1.0), lx, ly
     elif shape == SPHERE:
-        nx, ny, nz, u, v = ux / a, uy / b, uz / e, _angle(lz, lx) * a, uy * 1.4 * b
+        nx, ny, nz, u, v = ux / a, uy / b, uz / e, 6.2831853 * turns(lz, lx) * a, uy * 1.4 * b
     else:
-        nx, ny, nz, u, v = ux / a, slope * (1.0 - slope * (uy + 1.0)) / b, uz / e, _angle(lz, lx) * a, ly
+        nx, ny, nz, u, v = ux / a, slope * (1.0 - slope * (uy + 1.0)) / b, uz / e, 6.2831853 * turns(lz, lx) * a, ly
     nx, ny, nz = scaled((nx, ny, nz), np.sqrt(dot((nx, ny, nz), (nx, ny, nz))))
     return (c * nx + s * nz, ny, -s * nx + c * nz), (lx, ly, lz), u, v
 

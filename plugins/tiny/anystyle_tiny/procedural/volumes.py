@@ -21,6 +21,20 @@ NOISE_UNITS = 4.0
 
 
 @compiled
+def turns(y: float, x: float) -> float:
+    """The angle of (x, y) in turns, in (-0.5, 0.5], continuous to 1e-3: enough to wrap a pattern around."""
+    ax, ay = abs(x), abs(y)
+    a = min(ax, ay) / max(max(ax, ay), 1e-12)
+    s = a * a
+    r = (((-0.0464964749 * s + 0.15931422) * s - 0.327622764) * s * a + a) * 0.15915494
+    if ay > ax:
+        r = 0.25 - r
+    if x < 0:
+        r = 0.5 - r
+    return -r if y < 0 else r
+
+
+@compiled
 def sine(x: float) -> float:
     """The sine to 1e-7, from operations that every machine rounds alike."""
     turns = x * 0.15915494309189535
