@@ -1,6 +1,7 @@
 """Stylizing as a library call."""
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from anystyle.commands._compose import main
 from anystyle.commands.stylize import command, parser
 from anystyle.contracts import SceneSource
 from anystyle.data.folder import read_views
+from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import slug
 from anystyle.types import Gaussians, Style
@@ -39,6 +41,23 @@ def test_a_result_is_the_single_pass(photographs, stylizer):
     rendered = torch.stack(list(result.render()))
     torch.testing.assert_close(rendered, stylizer.render(expected, result.cameras).color[0])
     assert [image.shape for image in result.render(result.cameras.select([1]))] == [(3, *views.size)]
+
+
+def test_a_film_that_is_not_needed_any_more_is_not_finished(photographs, stylizer, tmp_path, monkeypatch):
+    styled = Restyler.__call__
+
+    def interrupted(self, style):
+        if style.name == "waves":
+            raise KeyboardInterrupt
+        return styled(self, style)
+
+    monkeypatch.setattr(Restyler, "__call__", interrupted)
+    long = VideoOptions(frames=100_000, scale=0.5)  # minutes
+    start = time.perf_counter()
+    with pytest.raises(KeyboardInterrupt):
+        anystyle.stylize(photographs, ["dots", "waves"], model=stylizer, views=VIEWS, video=long, out=tmp_path / "out")
+    assert time.perf_counter() - start < 30
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_call_writes_what_the_command_writes(photographs, stylizer, tmp_path):
