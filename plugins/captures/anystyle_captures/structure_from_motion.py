@@ -1,8 +1,10 @@
 """Cameras by structure from motion, and the photographs as views with them."""
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import zip_longest
 from math import fsum
 from typing import Any
 
@@ -16,8 +18,10 @@ from anystyle.methods.order import canonical_order
 from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
 from anystyle.types import Cameras, OnProgress, Progress
 from anystyle_captures.cache import cached, key_of
-from anystyle_captures.sfm.model import MIN_VIEWS, Lens, Photograph, SearchOptions, SparseModel
+from anystyle_captures.sfm.model import MIN_VIEWS, SEARCHES, Lens, Photograph, SearchOptions, SparseModel
 from anystyle_captures.sfm.trust import judge
+
+logger = logging.getLogger(__name__)
 
 
 class StructureFromMotion(PoseEstimator):
@@ -100,17 +104,17 @@ def find_cameras(
     photographs: Sequence[Photograph],
     *,
     ordered: bool = False,
-    options: SearchOptions | None = None,
+    searches: Sequence[SearchOptions] = SEARCHES,
     threads: int = 1,
     keep: bool = False,
     progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
 ) -> FoundCameras:
     """Find where photographs of one rigid scene were taken, by SIFT features and COLMAP's two mappers.
 
-    The same photographs, options and number of threads give the same cameras, bit for bit, in whatever order they are
-    given, unless they are ordered. A failure raises nothing: the verdict states it.
+    Further searches follow while photographs lack a confirmed camera and have more pixels than were searched; the one
+    that finds most cameras counts. The same photographs, searches and number of threads give the same cameras, bit for
+    bit, in whatever order they are given, unless they are ordered. A failure raises nothing: the verdict states it.
     """
-    options = options or SearchOptions()
     names = [photograph.name for photograph in photographs]
     if not names or len(set(names)) < len(names):
         raise ValueError(f"{len(names)} photographs with {len(set(names))} names; give one or more, of distinct names")
@@ -126,12 +130,23 @@ def find_cameras(
                 "cameras from photos need pycolmap: pip install pycolmap (for Linux and Windows on x86-64, macOS on "
                 "arm64)"
             ) from error
-        model, verdict = judge(*search(arranged, options, ordered=ordered, threads=threads, progress=progress))
+        found: list[tuple[SparseModel, Verdict]] = []
+        longer = max(max(photograph.size) for photograph in arranged)
+        for options, further in zip_longest(searches, searches[1:]):
+            found.append(judge(*search(arranged, options, ordered=ordered, threads=threads, progress=progress)))
+            model, verdict = found[-1]
+            registered = int(model.registered.sum())
+            complete = registered == len(names) and verdict.trust == "good"
+            if complete or len(names) < MIN_VIEWS or longer <= options.max_side or further is None:
+                break
+            given = registered, len(names), options.max_side, min(longer, further.max_side)
+            logger.info("%d of %d photographs have a camera at %d pixels; searching again at %d", *given)
+        model, verdict = max(found, key=lambda one: one[0].registered.sum())
         arrays = {name: torch.from_numpy(array) for name, array in vars(model).items()}
         return {"model": arrays, "verdict": {**vars(verdict), "measures": dict(verdict.measures)}}
 
     lenses = [(photograph.name, photograph.focal_length, photograph.lens) for photograph in arranged]
-    key = key_of(*(photograph.pixels for photograph in arranged), lenses, ordered, options) if keep else None
+    key = key_of(*(photograph.pixels for photograph in arranged), lenses, ordered, searches) if keep else None
     values, from_cache = cached("cameras", key, compute)
     model = SparseModel(**{name: tensor.numpy() for name, tensor in values["model"].items()})
     return FoundCameras(model.reordered(order), Verdict(**values["verdict"]), from_cache)

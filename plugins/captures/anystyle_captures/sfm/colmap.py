@@ -95,7 +95,7 @@ def _matched(
     pycolmap.import_images(path, folder, pycolmap.CameraMode.PER_FOLDER, names, reader)
     extraction = pycolmap.FeatureExtractionOptions()
     extraction.num_threads, extraction.use_gpu = threads, False
-    extraction.sift.max_num_features = options.num_features
+    extraction.sift.max_num_features, extraction.sift.peak_threshold = options.num_features, options.min_contrast
     with closing(pycolmap.Database.open(path)) as database:
         ids = {image.name: image.image_id for image in database.read_all_images()}
         for name, photograph, (_, width) in zip(names, photographs, sizes, strict=True):

@@ -188,8 +188,14 @@ class SearchOptions:
     min_side: int = 512  # smaller photographs are enlarged to this longer side: SIFT finds few features in them
     max_side: int = 768
     num_features: int = 1500  # of each photograph, the strongest
+    min_contrast: float = 0.02 / 3  # of a feature, in the range of grey values
     min_inliers: int = 15  # matches with which the incremental mapper tries to register a view
     seed: int = 0
+
+
+SEARCHES = (SearchOptions(), SearchOptions(max_side=1600, num_features=8000, min_contrast=0.003))
+"""The second is begun where the first leaves photographs out that have more pixels than it looked at. More features of
+the same pixels find wrong places (docs/notes/2026-11-captures.md)."""
 
 
 class VerifiedPair(NamedTuple):

@@ -52,6 +52,7 @@ def judge(graph: ViewGraph, candidates: Sequence[Sequence[SparseModel]]) -> tupl
         return SparseModel.empty(len(graph.names)), failed
     measures |= {"registered": float(len(views)), "points": float(len(model.points))}
     measures |= {"parallax_degrees": parallax, "turned": rotation_share}
+    measures |= {"searched_pixels": float(max(map(max, graph.sizes)))}
     reasons = (*doubts, *_left_out(graph, best[0]))
     return model, Verdict("doubtful" if doubts else "good", reasons, measures)
 

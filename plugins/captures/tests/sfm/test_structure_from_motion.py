@@ -16,7 +16,7 @@ FOCAL, SIZE = 200.0, (168, 192)
 
 
 def solve(photographs, **options):
-    return find_cameras(photographs, options=SearchOptions(min_side=256, max_side=256), **options)
+    return find_cameras(photographs, searches=(SearchOptions(min_side=256, max_side=256),), **options)
 
 
 def photographs(poses, *, radial=0.0, seed=0, prefix="view"):
@@ -151,6 +151,32 @@ def test_a_stranger_among_photographs(orbit):
     assert found.model.registered.tolist() == [True] * 4 + [False]
     assert found.verdict.trust == "good"
     assert found.verdict.reasons == ("stranger0 shares nothing with any other photograph and was left out",)
+
+
+def test_photographs_left_out_are_searched_again_at_more_pixels(orbit, caplog):
+    """Not in photographs that have no more pixels, where more features find wrong places."""
+    small, large, enlarged = (SearchOptions(min_side=side, max_side=side) for side in (96, 192, 256))
+    with caplog.at_level("INFO"):
+        found = find_cameras(orbit[1], searches=(small, large, enlarged))
+    assert caplog.text.count("of 6 photographs have a camera at 96 pixels") == 1
+    assert found.verdict.trust == "good" and found.model.registered.all()
+    assert found.verdict.measures["searched_pixels"] == 192
+    stranger = [*orbit[1][:4], *photographs(arc(1, 0), seed=5, prefix="stranger")]
+    alone = find_cameras(stranger, searches=(large, enlarged))
+    assert alone.model.registered.sum() == 4 and alone.verdict.measures["searched_pixels"] == 192
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("capture", "least"), [("banana", 14), ("street", 29)])
+def test_no_photograph_is_left_behind(capture, least):
+    """The first search finds 8 of 16 and 10 of 29."""
+    shots = [
+        Photograph(path.name, np.asarray(Image.open(path).convert("RGB")))
+        for path in sorted(real(f"captures/{capture}").glob("*.jpg"))
+    ]
+    found = find_cameras(shots)
+    assert found.verdict.trust == "good" and found.model.registered.sum() >= least
+    assert found.verdict.measures["searched_pixels"] == max(shots[0].size)
 
 
 def test_names_are_distinct(orbit):
