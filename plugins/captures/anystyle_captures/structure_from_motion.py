@@ -111,9 +111,10 @@ def find_cameras(
 ) -> FoundCameras:
     """Find where photographs of one rigid scene were taken, by SIFT features and COLMAP's two mappers.
 
-    Further searches follow while photographs lack a confirmed camera and have more pixels than were searched; the one
-    that finds most cameras counts. The same photographs, searches and number of threads give the same cameras, bit for
-    bit, in whatever order they are given, unless they are ordered. A failure raises nothing: the verdict states it.
+    Further searches follow while photographs lack a confirmed camera and have more pixels than were searched. One whose
+    verdict is good counts, among these the one that finds most cameras. The same photographs, searches and number of
+    threads give the same cameras, bit for bit, in whatever order they are given, unless they are ordered. A failure
+    raises nothing: the verdict states it.
     """
     names = [photograph.name for photograph in photographs]
     if not names or len(set(names)) < len(names):
@@ -141,7 +142,7 @@ def find_cameras(
                 break
             given = registered, len(names), options.max_side, min(longer, further.max_side)
             logger.info("%d of %d photographs have a camera at %d pixels; searching again at %d", *given)
-        model, verdict = max(found, key=lambda one: one[0].registered.sum())
+        model, verdict = max(found, key=lambda one: (one[1].trust == "good", one[0].registered.sum()))
         arrays = {name: torch.from_numpy(array) for name, array in vars(model).items()}
         return {"model": arrays, "verdict": {**vars(verdict), "measures": dict(verdict.measures)}}
 

@@ -21,6 +21,8 @@ MAX_ROTATION, MAX_POSITION = 2.0, 0.1
 """How far the mappers may differ on a view: in degrees, and relative to the spread of the cameras."""
 MIN_PARALLAX = 1.5
 """Median triangulation angle in degrees below which depth is unreliable."""
+MIN_POINTS = 100
+"""Points of a model below which its lens, and so its shape, is uncertain."""
 MIN_FEATURES = 60
 """Median features of a photograph below which it shows too little texture."""
 MAX_ROTATION_SHARE = 0.7
@@ -48,6 +50,8 @@ def judge(graph: ViewGraph, candidates: Sequence[Sequence[SparseModel]]) -> tupl
             f"the rays to a point differ by {parallax:.1f}° in the median, so depth is uncertain; "
             "move further sideways between photographs"
         )
+    if len(model.points) < MIN_POINTS:
+        doubts.append(f"only {len(model.points)} points hold these cameras; take more photographs, with smaller steps")
     if doubts and rotation_share >= MAX_ROTATION_SHARE:
         return SparseModel.empty(len(graph.names)), failed
     measures |= {"registered": float(len(views)), "points": float(len(model.points))}

@@ -124,6 +124,12 @@ def test_rays_that_hardly_differ_are_doubtful(graph, right, rng):
     assert verdict.trust == "doubtful" and "depth is uncertain" in verdict.reasons[0]
 
 
+def test_few_points_leave_the_lens_open(graph, right, rng):
+    few = model_of(right.world_from_camera, right.points[:80], right.seen[:80])
+    _, verdict = judge(graph, [[few], [moved(few, rng)]])
+    assert verdict.trust == "doubtful" and "points hold these cameras" in verdict.reasons[0]
+
+
 def test_turns_are_told_from_steps(rng):
     """Bearings of points at several depths, with half a pixel of noise."""
     points = np.concatenate([rng.uniform(-1, 1, (300, 2)), rng.uniform(2, 6, (300, 1))], 1)
