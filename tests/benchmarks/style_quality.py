@@ -142,6 +142,7 @@ METHODS: dict[str, dict[str, Callable[[Case], Tensor]]] = {
         "2D teacher, view by view": teacher,
         "fit_colors=0": solved(0),
         "fit_colors=2": solved(2),
+        "fit_colors=4": solved(4),
         "fit_colors=6": solved(6),
     },
 }

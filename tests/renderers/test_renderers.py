@@ -85,6 +85,9 @@ def test_gradients_agree_with_the_specification(degree: int, size: tuple[int, in
         error = (value - exact).norm() / exact.norm()
         assert exact.norm() > 0, name
         assert error < 1e-4, f"{name}: relative error {error:.1e}"
+    harmonics = scene.harmonics.clone().requires_grad_()
+    renders = CpuRenderer(near=0.05)(replace(scene, harmonics=harmonics), views)
+    torch.testing.assert_close(torch.autograd.grad(objective(renders), harmonics)[0], actual[4])
 
 
 def test_gradients_of_the_specification() -> None:

@@ -347,10 +347,14 @@ def project_backward(
     d_covariances: Array,
     d_opacities: Array,
     d_harmonics: Array,
+    shaped: bool,
     posed: bool,
     d_camera: Array,
 ) -> None:
-    """Accumulate gradients of Gaussians and of the camera through the splats ``start .. stop``."""
+    """Accumulate gradients of Gaussians and of the camera through the splats ``start .. stop``.
+
+    Unless ``shaped``, only those that colours have.
+    """
     r, t = camera[:9], camera[9:12]
     fx, fy = camera[15], camera[16]
     low_u, high_u, low_v, high_v = frustum(camera, limits)
@@ -359,6 +363,21 @@ def project_backward(
     ray = np.empty(3)
     for i in range(start, stop):
         g, at = owners[i], ranks[i]
+        # A channel that was clamped at 0 has no gradient; the splat stores the clamped value.
+        red = float(moments[at, 0]) if splats[at, 6] > 0.0 else 0.0
+        green = float(moments[at, 1]) if splats[at, 7] > 0.0 else 0.0
+        blue = float(moments[at, 2]) if splats[at, 8] > 0.0 else 0.0
+        d_harmonics[g, 0, 0] += basis[0] * red
+        d_harmonics[g, 0, 1] += basis[0] * green
+        d_harmonics[g, 0, 2] += basis[0] * blue
+        if count > 1:
+            color = red, green, blue
+            view_backward(
+                means[g], camera, harmonics[g], color, tables, basis, slopes, ray, d_means[g], d_harmonics[g], d_camera
+            )
+        if not shaped:
+            continue
+
         mx, my, mz = float(means[g, 0]), float(means[g, 1]), float(means[g, 2])
         z = r[6] * mx + r[7] * my + r[8] * mz + t[2]
         u = (r[0] * mx + r[1] * my + r[2] * mz + t[0]) / z
@@ -395,16 +414,3 @@ def project_backward(
             d_means[g, j] += r[j] * dx + r[3 + j] * dy + r[6 + j] * dz
         if posed:
             add_point(means[g], (dx, dy, dz), (dfx, dfy, dcx, dcy), d_camera)
-
-        # A channel that was clamped at 0 has no gradient; the splat stores the clamped value.
-        red = float(moments[at, 0]) if splats[at, 6] > 0.0 else 0.0
-        green = float(moments[at, 1]) if splats[at, 7] > 0.0 else 0.0
-        blue = float(moments[at, 2]) if splats[at, 8] > 0.0 else 0.0
-        d_harmonics[g, 0, 0] += basis[0] * red
-        d_harmonics[g, 0, 1] += basis[0] * green
-        d_harmonics[g, 0, 2] += basis[0] * blue
-        if count > 1:
-            color = red, green, blue
-            view_backward(
-                means[g], camera, harmonics[g], color, tables, basis, slopes, ray, d_means[g], d_harmonics[g], d_camera
-            )

@@ -286,11 +286,18 @@ def blend_backward(
     last: Array,
     d_image: Array,
     moments: Array,
+    shaped: bool,
 ) -> None:
-    """Accumulate ``moments [m, MOMENTS]`` of the splats of one row of tiles; other arguments as in :func:`blend`."""
+    """Accumulate ``moments [m, MOMENTS]`` of the splats of one row of tiles; other arguments as in :func:`blend`.
+
+    Unless ``shaped``, only those of colours.
+    """
     for column in range(offsets.shape[0] - 1):
         entries = lists[offsets[column] : offsets[column + 1]]
-        blend_tile_backward(splats, entries, top, column * WIDTH, cap, image, last, d_image, moments)
+        if shaped:
+            blend_tile_backward(splats, entries, top, column * WIDTH, cap, image, last, d_image, moments)
+        else:
+            color_tile_backward(splats, entries, top, column * WIDTH, cap, image, last, d_image, moments)
 
 
 @compiled
@@ -382,3 +389,38 @@ def blend_tile_backward(
         moments[part, 7] += mxx
         moments[part, 8] += mxy
         moments[part, 9] += myy
+
+
+@summed
+def color_tile_backward(
+    splats: Array,
+    entries: Array,
+    top: int,
+    left: int,
+    cap: float,
+    image: Array,
+    last: Array,
+    d_image: Array,
+    moments: Array,
+) -> None:
+    """:func:`blend_tile_backward` for colours alone, which is about half the work."""
+    tile, deepest = tile_backward(top, left, image, last, d_image)
+    near = gather(splats, entries, deepest + 1, top, left)
+    for entry in range(deepest, -1, -1):
+        index, e = np.float32(entry), np.uint64(entry)
+        x, y, xx, xy, yy, opacity = near[e, 0], near[e, 1], near[e, 2], near[e, 3], near[e, 4], near[e, 5]
+        d_red = d_green = d_blue = ZERO
+        for i in range(np.uint64(entries[entry, 2]) * WIDE, np.uint64(entries[entry, 3]) * WIDE):
+            dx, dy = tile[7, i] - x, tile[8, i] - y
+            sigma = (xx * dx + xy * dy) * dx + yy * dy * dy
+            alpha = min(cap, opacity * falloff(sigma))
+            alpha = alpha if (sigma >= ZERO) & (alpha >= MIN_ALPHA) & (index <= tile[6, i]) else ZERO
+            before = tile[4, i] / (ONE - alpha)
+            tile[4, i] = before
+            d_red += alpha * before * tile[0, i]
+            d_green += alpha * before * tile[1, i]
+            d_blue += alpha * before * tile[2, i]
+        part = np.uint64(entries[entry, 1])
+        moments[part, 0] += d_red
+        moments[part, 1] += d_green
+        moments[part, 2] += d_blue

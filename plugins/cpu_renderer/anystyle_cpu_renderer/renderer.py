@@ -83,6 +83,7 @@ class _Splatting(torch.autograd.Function):
         scenes, views = _read(tensors, ctx.settings)
         cap = np.float32(ctx.settings.alpha_cap)
         posed = any(ctx.needs_input_grad[5:8])
+        shaped = posed or any(ctx.needs_input_grad[:4])
         sums = [torch.zeros(tensor.shape, dtype=tensor.dtype) for tensor in tensors]
         with stages.workers() as run:
             for b, scene in enumerate(scenes):
@@ -97,11 +98,12 @@ class _Splatting(torch.autograd.Function):
                     else:
                         splats, tiles = stages.project(scene, view, ctx.settings.height, run), []
                     image, d_image = images[b, v].numpy(), grad_outputs[0][b, v].contiguous().numpy()
-                    moments = stages.blend_backward(splats, tiles, cap, image, ctx.last[b, v], d_image, run)
-                    d_camera = stages.project_backward(scene, view, splats, moments, into, posed, run)
+                    moments = stages.blend_backward(splats, tiles, cap, image, ctx.last[b, v], d_image, shaped, run)
+                    d_camera = stages.project_backward(scene, view, splats, moments, into, shaped, posed, run)
                     _write(torch.from_numpy(d_camera), *(total[b, v] for total in sums[5:]))
-                stages.shape_backward(scene, into, run)
-        return *sums, None
+                if shaped:
+                    stages.shape_backward(scene, into, run)
+        return *(total if needed else None for total, needed in zip(sums, ctx.needs_input_grad)), None
 
 
 def _read(tensors: list[Tensor], settings: _Settings) -> tuple[list[stages.Scene], list[list[stages.View]]]:

@@ -130,16 +130,16 @@ def project(scene: Scene, view: View, height: int, run: Run) -> Splats:
 
 
 def project_backward(
-    scene: Scene, view: View, splats: Splats, moments: np.ndarray, into: Scene, posed: bool, run: Run
+    scene: Scene, view: View, splats: Splats, moments: np.ndarray, into: Scene, shaped: bool, posed: bool, run: Run
 ) -> np.ndarray:
-    """Accumulate gradients of a view into ``into``, except for rotations and scales."""
+    """Accumulate gradients of a view into ``into``, except for rotations and scales; unless ``shaped``, of colours."""
 
     def job(start: int, stop: int) -> np.ndarray:
         d_camera = np.zeros(projection.CAMERA)
         projection.project_backward(
             scene.means, scene.shapes, scene.harmonics, *view, start, stop,
             splats.data, splats.owners, splats.ranks, moments,
-            into.means, into.shapes, into.opacities, into.harmonics, posed, d_camera,
+            into.means, into.shapes, into.opacities, into.harmonics, shaped, posed, d_camera,
         )  # fmt: skip
         return d_camera
 
@@ -166,14 +166,18 @@ def blend_backward(
     image: np.ndarray,
     last: np.ndarray,
     d_image: np.ndarray,
+    shaped: bool,
     run: Run,
 ) -> np.ndarray:
-    """The moments ``[n, MOMENTS]`` of splats, given the gradient of their image; lists tiles again if none are kept."""
+    """The moments ``[n, MOMENTS]`` of splats, given the gradient of their image; lists tiles again if none are kept.
+
+    Unless ``shaped``, only those of colours.
+    """
 
     def job(row: int) -> np.ndarray:
         tiles = kept[row] if kept else splats.tiles(row, last.shape)
         moments = np.zeros((len(splats.members(row)), raster.MOMENTS), np.float32)
-        raster.blend_backward(splats.data, *tiles, row * raster.HEIGHT, cap, image, last, d_image, moments)
+        raster.blend_backward(splats.data, *tiles, row * raster.HEIGHT, cap, image, last, d_image, moments, shaped)
         return moments
 
     moments = np.zeros((len(splats.data), raster.MOMENTS), np.float32)

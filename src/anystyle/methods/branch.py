@@ -22,7 +22,7 @@ class Branch(Method):
         keep_harmonics: Whether such Gaussians keep their harmonics above degree 0; they are dropped otherwise.
     """
 
-    def __init__(self, *, fit_colors: int = 6, keep_harmonics: bool = False) -> None:
+    def __init__(self, *, fit_colors: int = 4, keep_harmonics: bool = False) -> None:
         if fit_colors < 0:
             raise UserError(f"method.fit_colors={fit_colors}; give a number of steps, 0 or more")
         self.fit_colors, self.keep_harmonics = fit_colors, keep_harmonics
