@@ -53,10 +53,10 @@ def search(
         count = len(photographs)
         mapped = iter(range(1, count + 1))
         models = [
-            _map_incrementally(folder, options, threads, lambda: progress("cameras", next(mapped, count), count + 1)),
+            _map_incrementally(folder, options, threads, lambda: progress("mapping", next(mapped, count), count + 1)),
             _map_globally(folder, options, threads),
         ]
-        progress("cameras", count + 1, count + 1)
+        progress("mapping", count + 1, count + 1)
     found = [[_as_arrays(model, photographs) for model in reconstructions.values()] for reconstructions in models]
     for mapper in found:
         mapper.sort(key=lambda model: (model.registered.sum(), len(model.points)), reverse=True)
