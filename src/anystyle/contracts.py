@@ -253,6 +253,9 @@ class Reconstruction(Socket, ABC):
     """Shorter side in pixels that it is best given views at; smaller photographs stay as they are. ``None`` is the
     backbone's resolution."""
 
+    max_views: int = 48
+    """The most photographs of a scene that are read where ``views.take`` sets no number."""
+
     @abstractmethod
     def __call__(
         self,

@@ -6,7 +6,9 @@ import pytest
 import torch
 
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
-from anystyle.methods.colors import NEIGHBORS, fit_colors
+from anystyle.methods.branch import _thinned
+from anystyle.methods.colors import NEIGHBORS, colors_alone, fit_colors
+from anystyle.types import Cameras, Views
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from renderers.scenes import cameras, gaussians
 
@@ -157,3 +159,12 @@ def test_a_second_style_of_a_scene_needs_fewer_renders_and_comes_to_the_same():
     moved = replace(scene, means=scene.means + 0.1)
     other = fit_colors(moved, views, pictures[1], renderer, steps=2)
     assert torch.equal(other.harmonics, fit_colors(moved, views, pictures[1], Counting(), steps=2).harmonics)
+
+
+def test_of_many_views_those_farthest_apart_are_painted():
+    poses = torch.eye(4).repeat(1, 5, 1, 1)
+    poses[0, :, 0, 3] = torch.tensor([0.0, 1, 2, 3, 10])
+    scene = colors_alone(Views(torch.rand(1, 5, 3, 14, 14), Cameras(poses, torch.eye(3).repeat(1, 5, 1, 1), (14, 14))))
+    thinned = _thinned(scene, 3)
+    assert torch.equal(thinned.cameras.world_from_camera, poses[:, [0, 3, 4]])
+    assert torch.equal(thinned.attributes.color, scene.attributes.color[:, [0, 3, 4]])

@@ -54,6 +54,9 @@ UNSUPPORTED, BEHIND = 0.1, 0.05
 """Fraction of the pixels without a supported depth that is lifted nevertheless; Gaussians of the backdrop, relative to
 all others, and as many around the photographs."""
 
+MAX_VIEWS, MANY = 320, 48
+"""Photographs that are read by default, and from which on Gaussians and steps grow in proportion to them."""
+
 MAX_UNEXPLAINED = 0.01
 """Above this median fraction of unexplained pixels something moved: static captures have at most 0.0001, one of which
 4 % move 0.02."""
@@ -65,8 +68,8 @@ class Fit(Reconstruction):
     Args:
         quality: The size of the photographs, and the number of Gaussians and steps: ``draft`` has a shorter side of 256
             pixels, ``good`` 384, ``best`` 768, and ``full`` that of the photographs.
-        num_gaussians: At the start, about, instead of the quality's.
-        num_steps: Instead of the quality's.
+        num_gaussians: At the start, about, instead of the quality's, which is for up to 48 views, and grows with more.
+        num_steps: Likewise.
         degree: Of the spherical harmonics of colours.
         holdout: Every ``holdout``-th view, in the natural order of their names, is held out of the fit to measure it;
             the final steps see all views. Fewer views are not held out; 0 holds out none.
@@ -100,14 +103,24 @@ class Fit(Reconstruction):
                 f"reconstruction: holdout={holdout}, degree={degree}, num_gaussians={num_gaussians} and "
                 f"num_steps={num_steps}; give numbers above 0, or holdout=0 to hold out no view"
             )
-        preset = PRESETS[quality]
-        self.short_side = preset.short_side
-        self.num_gaussians = num_gaussians or preset.num_gaussians
-        self.options = replace(
-            preset.options, num_steps=num_steps or preset.options.num_steps, degree=degree, seed=seed
-        )
+        self.preset = PRESETS[quality]
+        self.short_side, self.max_views = self.preset.short_side, MAX_VIEWS
+        self.num_gaussians, self.num_steps = num_gaussians, num_steps
+        self.degree, self.seed = degree, seed
         self.holdout, self.keep = holdout, keep
         self.state = None if state is None else Path(state).expanduser()
+
+    def amounts(self, num_views: int) -> tuple[int, FitOptions]:
+        """The number of Gaussians at the start, and the options, for so many views."""
+        preset, growth = self.preset.options, max(1.0, num_views / MANY)
+        options = replace(
+            preset,
+            num_steps=self.num_steps or round(preset.num_steps * growth),
+            final_steps=preset.final_steps if self.num_steps else round(preset.final_steps * growth),
+            degree=self.degree,
+            seed=self.seed,
+        )
+        return self.num_gaussians or round(self.preset.num_gaussians * growth), options
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -128,16 +141,17 @@ class Fit(Reconstruction):
                 f"a fit takes one scene with known cameras, and there are {views.images.shape[0]} scenes "
                 f"{'with' if views.cameras else 'without'} them; poses=sfm finds cameras"
             )
-        parameters = self.num_gaussians * (11 + 3 * (self.options.degree + 1) ** 2)
+        num_gaussians, options = self.amounts(views.images.shape[1])
+        parameters = num_gaussians * (11 + 3 * (self.degree + 1) ** 2)
         # Each with its gradient and the optimiser's two moments.
-        require(4 * 4 * parameters, f"{self.num_gaussians:,} Gaussians", "set fewer with reconstruction.num_gaussians")
+        require(4 * 4 * parameters, f"{num_gaussians:,} Gaussians", "set fewer with reconstruction.num_gaussians")
         with torch.enable_grad():
             result = fit_photographs(
                 views.images[0],
                 views.cameras,
                 renderer,
-                num_gaussians=self.num_gaussians,
-                options=self.options,
+                num_gaussians=num_gaussians,
+                options=options,
                 points=points,
                 heldout=held_out(views.images.shape[1], self.holdout, views.names),
                 state=self.state,

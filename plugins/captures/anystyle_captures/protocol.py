@@ -207,12 +207,13 @@ class Captures(Protocol):
         """Gaussians fitted to the other views; no step sees those held out."""
         views = views.to(self.stylizer.device)
         assert views.cameras is not None
+        num_gaussians, options = self.fit.amounts(views.images.shape[1])
         result = fit_photographs(
             views.images[0],
             views.cameras,
             self.stylizer.renderer,
-            num_gaussians=self.fit.num_gaussians,
-            options=replace(self.fit.options, final_steps=0),
+            num_gaussians=num_gaussians,
+            options=replace(options, final_steps=0),
             points=points,
             heldout=chosen,
         )

@@ -103,7 +103,8 @@ class _Splatting(torch.autograd.Function):
                     _write(torch.from_numpy(d_camera), *(total[b, v] for total in sums[5:]))
                 if shaped:
                     stages.shape_backward(scene, into, run)
-        return *(total if needed else None for total, needed in zip(sums, ctx.needs_input_grad)), None
+        needed = ctx.needs_input_grad[: len(sums)]
+        return *(total if wanted else None for total, wanted in zip(sums, needed, strict=True)), None
 
 
 def _read(tensors: list[Tensor], settings: _Settings) -> tuple[list[stages.Scene], list[list[stages.View]]]:

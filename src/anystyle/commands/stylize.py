@@ -12,7 +12,7 @@ from omegaconf import DictConfig, OmegaConf
 from anystyle.commands._compose import checked_seed, job_folder, main, with_sweep
 from anystyle.commands._flags import new_parser
 from anystyle.commands._run import show
-from anystyle.contracts import SceneSource, StyleSource
+from anystyle.contracts import Reconstruction, SceneSource, StyleSource
 from anystyle.errors import UserError
 from anystyle.io.sheet import to_pil
 from anystyle.pipeline.controls import Controls, Mask, combinations
@@ -129,7 +129,8 @@ def scene_views(config: DictConfig, options: ViewOptions) -> Views:
     source = build(SceneSource, config.scenes)
     if not 0 <= config.scene < len(source):
         raise UserError(f"scene={config.scene} does not exist; the source holds {len(source)}")
-    return source.read(config.scene, range(min(source.num_views(config.scene), options.take)))
+    number = min(source.num_views(config.scene), options.take or Reconstruction.max_views)
+    return source.read(config.scene, range(number))
 
 
 def given_styles(arguments: argparse.Namespace, config: DictConfig, amounts: Sequence[float]) -> list[StyleInput]:

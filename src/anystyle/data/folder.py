@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, count
+from math import sqrt
 from pathlib import Path
 from typing import NamedTuple, NoReturn, TypeVar
 
@@ -25,6 +26,9 @@ from anystyle.types import Cameras, Views
 
 MAX_ASPECT = 3.0
 """Longer panoramas lose their ends."""
+
+PIXELS = 160_000_000
+"""Of all originals together: half a gigabyte, held twice while cameras are sought."""
 
 _Read = TypeVar("_Read")
 _log = logging.getLogger(__name__)
@@ -128,8 +132,12 @@ class Original(NamedTuple):
 
 
 def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> list[Original]:
-    """Read photographs as :func:`read_views` does, but whole, reduced to no less than the longer side ``longest``."""
+    """Read photographs as :func:`read_views` does, but whole, reduced to no less than the longer side ``longest``.
+
+    Many are reduced further, to :data:`PIXELS` together.
+    """
     shots, problems = _shots(inputs, max_views)
+    longest = min(longest, round(sqrt(1.5 * PIXELS / len(shots))))
 
     def original(name: str, shot: _Shot) -> Original:
         size = (shot.size[1], shot.size[0])

@@ -1,13 +1,18 @@
 """The single pass."""
 
+from dataclasses import replace
+
 import torch
 
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.methods.base import Method
-from anystyle.methods.colors import fit_colors
+from anystyle.methods.colors import colors_alone, fit_colors
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
+
+MAX_VIEWS = 48
+"""Views that fitted Gaussians are coloured by, where the branch paints each alone; of more, those farthest apart."""
 
 
 class Branch(Method):
@@ -37,13 +42,30 @@ class Branch(Method):
         *,
         on_progress: OnProgress = no_progress,
     ) -> Gaussians:
-        if scene.gaussians is None:
+        gaussians = scene.gaussians
+        if gaussians is None:
             return stylizer.restyle(scene, embedding)
+        if scene.views.images.shape[1] > MAX_VIEWS and stylizer.branch.gaussian_head is None:
+            scene = _thinned(scene, MAX_VIEWS)
         color = stylizer.branch(scene, embedding).color[0]  # V H W 3 K
         targets = rgb_from_constant(color[..., 0]).clamp(0, 1).movedim(-1, 1).float()  # V 3 H W
         with torch.enable_grad():
             colored = fit_colors(
-                scene.gaussians, scene.cameras, targets, stylizer.renderer, steps=self.fit_colors, largest=True,
+                gaussians, scene.cameras, targets, stylizer.renderer, steps=self.fit_colors, largest=True,
                 keep=self.keep_harmonics,
             )  # fmt: skip
         return colored.detach()
+
+
+def _thinned(scene: Scene, count: int) -> Scene:
+    """A scene of colours alone with those of its views whose cameras lie farthest apart, each in turn."""
+    centers = scene.cameras.world_from_camera[0, :, :3, 3]
+    chosen = [0]
+    distances = (centers - centers[0]).norm(dim=-1)
+    while len(chosen) < count:
+        chosen.append(int(distances.argmax()))
+        distances = distances.minimum((centers - centers[chosen[-1]]).norm(dim=-1))
+    chosen.sort()
+    thinned = colors_alone(replace(scene.views.select(chosen), cameras=scene.cameras.select(chosen)))
+    attributes = replace(thinned.attributes, color=scene.attributes.color[:, chosen])
+    return replace(thinned, attributes=attributes, gaussians=scene.gaussians)

@@ -212,10 +212,10 @@ _SYSTEMS: LRUCache[tuple[object, ...], _System] = LRUCache(1)
 
 
 def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _System:
-    tensors = *vars(gaussians).values(), cameras.world_from_camera, cameras.intrinsics
-    # A system holds its tensors, so that no others can lie where they do.
-    identity = [(tensor.data_ptr(), tensor.shape, tensor._version) for tensor in tensors]
-    return _SYSTEMS.get((*identity, cameras.size, id(renderer)), lambda: _System(gaussians, cameras, renderer))
+    # A system holds its Gaussians, so that no others can lie where they do.
+    identity = [(tensor.data_ptr(), tensor.shape, tensor._version) for tensor in vars(gaussians).values()]
+    seen = tuple(tensor.cpu().numpy().tobytes() for tensor in (cameras.world_from_camera, cameras.intrinsics))
+    return _SYSTEMS.get((*identity, seen, cameras.size, id(renderer)), lambda: _System(gaussians, cameras, renderer))
 
 
 def colors_alone(views: Views) -> Scene:

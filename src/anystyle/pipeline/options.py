@@ -34,14 +34,15 @@ class ViewOptions:
         short_side: Shorter side of the views in pixels; ``None`` is the size that the reconstruction is made for.
         resize: Whether photographs are brought to one size; otherwise they are taken pixel by pixel, and their sides
             must be multiples of the backbone's patch size.
-        take: The most photographs that are read; of more, evenly spaced ones.
+        take: The most photographs that are read; of more, evenly spaced ones. ``None`` is the reconstruction's number,
+            and 48 frames of a video.
         max_views: More views than this are encoded in overlapping groups; ``None`` encodes all in one pass.
         overlap: Views that neighbouring groups share; ``None`` is a quarter of a group.
     """
 
     short_side: int | None = None
     resize: bool = True
-    take: int = 48
+    take: int | None = None
     max_views: int | None = None
     overlap: int | None = None
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from anystyle.contracts import Backbone, Reconstruction
 from anystyle.data.folder import SourceImage, covering, read_originals, read_views
 from anystyle.errors import UserError
+from anystyle.io import video
 from anystyle.pipeline.cameras import KnownCameras, from_views
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
@@ -110,7 +111,7 @@ def read(
                 short_side=short_side if options.resize else None,
                 enlarge=enlarge,
                 multiple=backbone.patch_size,
-                max_views=options.take,
+                max_views=_max_views(_paths(inputs), options, chosen),
             )
         sources = tuple(found)
     if poses.use not in ("known", "target"):
@@ -144,7 +145,8 @@ def _estimated(
 ) -> PosedViews | Verdict:
     short_side, enlarge = view_size(backbone, options, reconstruction)
     with stages("read", "the photographs"):
-        originals = read_originals(paths, longest=max(estimator.longest, 2 * short_side), max_views=options.take)
+        most = _max_views(paths, options, reconstruction)
+        originals = read_originals(paths, longest=max(estimator.longest, 2 * short_side), max_views=most)
     if len(originals) < estimator.min_views:
         few = f"{len(originals)} photographs are too few for their cameras to be found"
         return Verdict("failed", (f"{few}, which takes {estimator.min_views} that overlap",), {})
@@ -162,6 +164,12 @@ def _estimated(
         for doubt in posed.verdict.reasons:
             _log.warning("cameras: %s", doubt)
     return posed
+
+
+def _max_views(paths: Sequence[Path], options: ViewOptions, reconstruction: Reconstruction) -> int:
+    """How many photographs are read at most. Of a video, whose neighbouring frames show much the same, fewer are."""
+    videos = any(path.suffix.lower() in video.SUFFIXES for path in paths)
+    return options.take or (Reconstruction.max_views if videos else reconstruction.max_views)
 
 
 def view_size(backbone: Backbone, options: ViewOptions, reconstruction: Reconstruction) -> tuple[int, bool]:
