@@ -45,7 +45,7 @@ MIN_PIXELS, MIN_OPACITY = 1.0, 0.2
 
 
 class Brush(Method):
-    """Brush strokes on the surfaces of fitted or given Gaussians, in the colours that the style branch paints.
+    """Brush strokes on the surfaces of a scene, in the colours that the style branch paints.
 
     The scene takes these colours as it does in the single pass. Strokes lie on it, each a few flat, long Gaussians side
     by side: they follow the flow of the photographs (Litwinowicz 1997), and that of the painting where these have none;
@@ -76,13 +76,14 @@ class Brush(Method):
         *,
         on_progress: OnProgress = no_progress,
     ) -> Gaussians:
-        gaussians, renderer = scene.gaussians, stylizer.renderer
-        if gaussians is None:
-            raise UserError("method=brush paints on fitted or given Gaussians: reconstruction=fit, or a PLY file")
+        gaussians, renderer = scene.gaussians or stylizer.unstyled(scene), stylizer.renderer
         painted = rgb_from_constant(stylizer.branch(scene, embedding).color[0, ..., 0])
         painted = painted.clamp(0, 1).movedim(-1, 1).float()  # V 3 H W
         with torch.enable_grad():
-            base = fit_colors(gaussians, scene.cameras, painted, renderer, steps=2, largest=True).detach()
+            if scene.gaussians is None:
+                base = stylizer.restyle(scene, embedding).detach()
+            else:
+                base = fit_colors(gaussians, scene.cameras, painted, renderer, steps=2, largest=True).detach()
             pixels = pixels_shown(gaussians, scene.cameras, renderer)
         canvas = _Canvas.of(scene, gaussians, pixels)
         photographs = rgb_from_constant(scene.attributes.color[0, ..., 0]).movedim(-1, 1).float()

@@ -97,9 +97,16 @@ def test_size_scales_strokes_and_the_seed_decides(wall):
     assert large.scales[0, number:, 0].min() > 1.5 * small.scales[0, number:, 0].min()
 
 
-def test_what_it_cannot_paint_on(wall):
-    with pytest.raises(UserError, match="reconstruction=fit"):
-        painted(replace(wall, gaussians=None))
+def test_scenes_of_the_single_pass_are_painted_on_too(wall):
+    stylizer = anystyle.load("painter")
+    scene = stylizer.encode(Views(wall.views.images[..., :56, :56]))
+    result = Brush()(stylizer, scene, Style(text=("charcoal",)), stylizer.embed(text="charcoal"))
+    number = stylizer.unstyled(scene).means.shape[1]
+    assert result.means.shape[1] > number + 20
+    assert all(tensor.isfinite().all() for tensor in vars(result).values())
+
+
+def test_options_are_checked():
     with pytest.raises(UserError, match=r"method\.size"):
         Brush(size=0.0)
     assert all(first.width > second.width for first, second in pairwise(LAYERS))
