@@ -48,6 +48,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
 from anystyle.types import Scene, Style, Views
 from anystyle.vision.statistics import centered_cosines, equalized_gray
+from anystyle_brush.brush import Brush
 from real_data import ROOT
 
 CAPTURES = {
@@ -117,6 +118,12 @@ def trained(model: str) -> Callable[[Case], Tensor]:
     return method
 
 
+def brushed(case: Case) -> Tensor:
+    """The fitted scene under brush strokes."""
+    gaussians = Brush()(case.stylizer, case.scene, Style(case.painting), case.stylizer.embed(image=case.painting))
+    return case.stylizer.render(gaussians, case.scene.cameras).color
+
+
 def solved(steps: int) -> Callable[[Case], Tensor]:
     """The fitted scene in colours that are solved back in so many steps."""
 
@@ -144,6 +151,7 @@ METHODS: dict[str, dict[str, Callable[[Case], Tensor]]] = {
         "fit_colors=2": solved(2),
         "fit_colors=4": solved(4),
         "fit_colors=6": solved(6),
+        "brush": brushed,
     },
 }
 

@@ -190,8 +190,8 @@ def analyze_parser() -> argparse.ArgumentParser:
     add("--test", action="append", default=[], metavar="NAME", help="run only these tests")
     add("--title", default="User study", help="title of the report")
     add("--confidence", type=float, default=0.95, help="level of all intervals (default: %(default)s)")
-    alternative = "of all tests and intervals; less claims that ours is preferred (default: %(default)s)"
-    add("--alternative", choices=("two-sided", "less", "greater"), default="two-sided", help=alternative)
+    alternative = "of all tests and intervals; less claims that ours is preferred (default: the design's, or two-sided)"
+    add("--alternative", choices=("two-sided", "less", "greater"), help=alternative)
     add("--seed", type=int, default=0, help="seed of all resampling (default: %(default)s)")
     way = "fraction of the way from neutral to the end of the scale within which a preference counts as none"
     add("--margin", type=float, metavar="FRACTION", help=f"test for equivalence: {way}")
@@ -216,9 +216,10 @@ def analyze_command(arguments: argparse.Namespace) -> None:
         scale=Scale() if arguments.scale is None else Scale(*arguments.scale),
         scales={} if arguments.scale is not None else {question.name: question.scale for question in questions},
         rules=msgspec.structs.replace(rules, **{name: value for name, value in given.items() if value is not None}),
-        titles={question.name: question.text.replace("{method}", "each method") for question in questions},
+        titles={question.name: question.text.replace("{method}", "A or B") for question in questions},
         study=study,
-        **{name: getattr(arguments, name) for name in ("confidence", "alternative", "seed", "margin")},
+        alternative=arguments.alternative or ("two-sided" if study is None else study.plan.alternative),
+        **{name: getattr(arguments, name) for name in ("confidence", "seed", "margin")},
     )
     files = [word for word in arguments.responses if Path(word).exists() or "=" not in word]
     overrides = [word for word in arguments.responses if word not in files]

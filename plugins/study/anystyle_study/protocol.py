@@ -12,7 +12,7 @@ import msgspec
 from anystyle.errors import UserError, unknown
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import fit, read_json
-from anystyle_study.contract import Scale
+from anystyle_study.contract import Alternative, Scale
 
 
 class Question(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -82,6 +82,7 @@ class Plan(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     degraded: int = 0  # attention checks in which one side is degraded, so that the answer is known
     repeats: int = 0  # attention checks that show a set again with the sides exchanged
     rules: Rules = Rules()  # exclusion rules
+    alternative: Alternative = "two-sided"  # of all tests; ``less`` claims that ours is preferred
     # parameters of the page's address that hold a participant's external id, such as ``PROLIFIC_PID``. If given, the
     # server assigns participants to slots; otherwise they enter the design's codes
     id_parameters: tuple[str, ...] = ()

@@ -11,6 +11,7 @@ import pytest
 from scipy import stats
 from study_cases import answer_rows, small_study, write_csv
 
+from anystyle.evaluation import published_figures
 from anystyle_study.analysis import Settings, analyze, as_json
 from anystyle_study.command import Study
 from anystyle_study.reading import read_responses
@@ -68,6 +69,21 @@ def test_the_published_tests_come_from_the_plain_scores(tmp_path):
         assert tests["wilcoxon", unit]["pvalue"] == pytest.approx(w.pvalue, rel=1e-10)
     assert found["questions"]["style"]["mean"] == pytest.approx(scores.mean())
     assert found["questions"]["style"]["distribution"] == {str(k): int((scores == k).sum()) for k in range(1, 6)}
+
+
+def test_the_papers_p_values_take_every_answer_for_a_person(tmp_path):
+    """Counts that give both printed values; by participant the same answers say far less."""
+    printed = json.loads(published_figures.BUNDLED.read_text())["user_study"]
+    scores = np.repeat(np.arange(1, 6), printed["counts"])
+    rows = [(f"P{index // 20}", f"S{index % 20}", "style", score, "A") for index, score in enumerate(scores)]
+    less: dict = {"one_sample_t": OneSampleT(alternative="less"), "wilcoxon": Wilcoxon(alternative="less")}
+    found = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), less, Settings(alternative="less"))
+    tests = {(row["name"], row["unit"]): row for row in as_json(found)["questions"]["style"]["tests"]}
+    for row in printed["tests"]:
+        assert f"{tests[row['test'], row['unit']]['pvalue']:.2e}" == row["pvalue"]
+    t = tests["one_sample_t", "response"]["statistic"]
+    assert (round(t, 2), f"{stats.t.cdf(-13.98, 799):.2e}") == (-13.98, "3.43e-40")
+    assert tests["one_sample_t", "participant"]["pvalue"] == pytest.approx(0.0018, abs=5e-5)
 
 
 def test_holm_is_over_the_questions(analysis):

@@ -1,0 +1,1 @@
+"""Brush strokes made of Gaussians."""

@@ -1,0 +1,166 @@
+"""Beside OpenSplat: PSNR of held-out views over CPU seconds, for the same cameras, photographs and size.
+
+``PYTHONPATH=plugins/captures:plugins/cpu_renderer OMP_NUM_THREADS=1 python tests/benchmarks/opensplat.py BINARY OUT
+photos/ ... --seconds 600`` finds cameras once (counted for neither), writes a COLMAP project of the photographs that
+are not held out, runs OpenSplat on it with its defaults until it has used so many CPU seconds, and fits the same views
+with ``reconstruction=fit``, before its final steps. Both are judged on the same held-out views by the same renderer:
+what OpenSplat saves is read from its PLY files. ``OUT/NAME.json`` has the curves, ``OUT/opensplat.png`` all of them.
+"""
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import torch
+from torch import Tensor
+
+from anystyle.contracts import Renderer
+from anystyle.data.folder import read_originals
+from anystyle.io import colmap
+from anystyle.io.sheet import to_pil
+from anystyle.pipeline.poses import PosedViews
+from anystyle.registry.build import build
+from anystyle.types import Gaussians, Views, no_progress
+from anystyle_captures.fit import Fit, fit_photographs, held_out
+from anystyle_captures.photometric import quality_of
+from anystyle_captures.structure_from_motion import StructureFromMotion
+
+SAVE_EVERY = 50
+BACKGROUND = (0.6130, 0.0101, 0.3984)
+"""That OpenSplat trains over, and which its Gaussians are judged over."""
+Curve = list[tuple[float, float, float]]
+"""CPU seconds, PSNR in dB and SSIM."""
+
+
+def write_project(folder: Path, views: Views, points: Tensor, colors: Tensor, training: list[int]) -> None:
+    """The training views as a COLMAP project."""
+    assert views.cameras is not None
+    (folder / "images").mkdir(parents=True, exist_ok=True)
+    names = [f"{view:03d}.png" for view in training]
+    for name, view in zip(names, training, strict=True):
+        to_pil(views.images[0, view]).save(folder / "images" / name)
+    cameras = views.cameras.select(training)
+    matrices = cameras.intrinsics[0].double().numpy(), cameras.camera_from_world[0].double().numpy()
+    sizes = [views.size] * len(training)
+    model = colmap.pinhole_model(names, sizes, *matrices, points.double().numpy(), colors.numpy())
+    colmap.write(model, folder / "sparse" / "0")
+
+
+def colors_of(posed: PosedViews) -> tuple[Tensor, Tensor]:
+    """The sparse points, each once, and their bytes of colour in a view that shows them."""
+    cameras, found = posed.views.cameras, {}
+    assert cameras is not None
+    for view, points in enumerate(posed.points):
+        local = points @ cameras.camera_from_world[0, view, :3, :3].T + cameras.camera_from_world[0, view, :3, 3]
+        pixels = (local @ cameras.intrinsics[0, view].T)[:, :2] / local[:, 2:]
+        column, row = pixels.long().clamp_min(0).unbind(1)
+        height, width = posed.views.size
+        rgb = posed.views.images[0, view, :, row.clamp_max(height - 1), column.clamp_max(width - 1)].T
+        found |= {tuple(point): color for point, color in zip(points.tolist(), rgb, strict=True)}
+    return torch.tensor(list(found)), (255 * torch.stack(list(found.values()))).byte()
+
+
+def judge(gaussians: Gaussians, views: Views, heldout: list[int], renderer: Renderer) -> tuple[float, float]:
+    """PSNR and SSIM of the views held out."""
+    assert views.cameras is not None
+    with torch.no_grad():
+        renders = torch.cat([renderer(gaussians, views.cameras.select([view])).color[0] for view in heldout])
+    quality = quality_of(renders.clamp(0, 1), views.images[0, heldout])
+    return quality.psnr, quality.ssim
+
+
+def cpu_seconds(process: int) -> float:
+    fields = Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def run_opensplat(binary: Path, project: Path, seconds: int) -> dict[Path, float]:
+    """The files that OpenSplat saves, with the CPU seconds used until then."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds))
+
+    words = [binary, project, "--cpu", "--keep-crs", "-n", "30000", "-s", str(SAVE_EVERY), "-o", project / "out.ply"]
+    saved: dict[Path, float] = {}
+    with (project / "log.txt").open("w") as log:
+        process = subprocess.Popen(words, stdout=log, stderr=log, preexec_fn=limit)
+        while process.poll() is None:
+            for path in set(project.glob("out_*.ply")) - set(saved):
+                saved[path] = cpu_seconds(process.pid)
+            time.sleep(0.2)
+    return saved
+
+
+def fit(views: Views, points: tuple[Tensor, ...], heldout: list[int], renderer: Renderer) -> Curve:
+    """Our curve, ended by SSIM where it is known: at the end."""
+    num_gaussians, options = Fit(quality="good").amounts(views.images.shape[1])
+    options, curve, started = replace(options, final_steps=0, evaluate_every=50), Curve(), time.process_time()
+    assert views.cameras is not None
+    result = fit_photographs(
+        views.images[0], views.cameras, renderer, num_gaussians=num_gaussians, options=options, points=points,
+        heldout=heldout,
+        on_progress=lambda at: curve.append((time.process_time() - started, at.heldout_psnr or 0.0, float("nan"))),
+    )  # fmt: skip
+    return [*curve[:-1], (curve[-1][0], *judge(result.gaussians, views, heldout, renderer))]
+
+
+def compare(path: Path, arguments: argparse.Namespace) -> None:
+    """Both on one capture."""
+    originals = read_originals([path], longest=1600, max_views=48)
+    posed = StructureFromMotion()(originals, short_side=384, multiple=14, enlarge=False, on_progress=no_progress)
+    if not isinstance(posed, PosedViews):
+        raise SystemExit(f"{path}: {posed}")
+    views, renderer, project = posed.views, build(Renderer, "cpu"), arguments.out / path.name
+    heldout = list(held_out(views.images.shape[1], 8, views.names))
+    training = [view for view in range(views.images.shape[1]) if view not in heldout]
+    ours = fit(views, posed.points, heldout, renderer)
+    write_project(project, views, *colors_of(posed), training)
+    saved = run_opensplat(arguments.binary, project, arguments.seconds)
+    over = build(Renderer, "cpu", background=BACKGROUND)
+    theirs = [(at, *judge(Gaussians.load(file), views, heldout, over)) for file, at in saved.items()]
+    height, width = views.size
+    record = {"size": f"{width}x{height}", "views": len(training), "heldout": len(heldout), "ours": ours}
+    record |= {"opensplat": sorted(theirs), "steps": SAVE_EVERY * len(theirs)}
+    (arguments.out / f"{path.name}.json").write_text(json.dumps(record, indent=1))
+
+
+def draw(out: Path) -> None:
+    """Every curve that was measured, a panel a capture."""
+    records = {path.stem: json.loads(path.read_text()) for path in sorted(out.glob("*.json"))}
+    figure, axes = plt.subplots(1, len(records), figsize=(4 * len(records), 3.2), squeeze=False)
+    for axis, (name, record) in zip(axes[0], records.items(), strict=True):
+        for key, label, style in (("ours", "anystyle, quality=good", "k-"), ("opensplat", "OpenSplat", "k--")):
+            curve = np.array(record[key])
+            axis.plot(curve[:, 0], curve[:, 1], style, label=label)
+        axis.set(xscale="log", xlabel="CPU seconds", title=f"{name}, {record['views']} views of {record['size']}")
+        axis.grid(alpha=0.3)
+    axes[0, 0].set_ylabel("PSNR of views held out, dB")
+    axes[0, 0].legend()
+    figure.tight_layout()
+    figure.savefig(out / "opensplat.png", dpi=110)
+
+
+def main() -> None:
+    """Compare on each capture, and draw."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("binary", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("captures", type=Path, nargs="+")
+    parser.add_argument("--seconds", type=int, default=600, help="CPU seconds of OpenSplat a capture")
+    arguments = parser.parse_args()
+    for path in arguments.captures:
+        compare(path, arguments)
+        sys.stdout.write(f"{path.name} done\n")
+    draw(arguments.out)
+
+
+if __name__ == "__main__":
+    main()
