@@ -1,35 +1,44 @@
 """What the paper states and what its released code does, as two switches, and a training without texts."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 from omegaconf import OmegaConf
 
+from anystyle.commands._compose import launch
+from anystyle.commands.train import run
 from anystyle.contracts import neutral_embedding
 from anystyle.losses.content import Content
 from anystyle.losses.style import StyleLoss
 from anystyle.registry.compose import compose
 from anystyle.training.collate import blurred_views
-from anystyle.training.run import make_data, make_training
+from anystyle.training.run import make_data, make_training, objective
 from anystyle.types import Style, Views
 from oracle import hashed
-from training_cases import STYLIZATION, configuration
+from training_cases import BACKBONE, STYLIZATION, configuration
 
 # Option: what the paper states (section 7 of its facts, equations 4 to 11), what the released code has.
 DIFFERENCES = {
     "style_encoder.templates": ("none", "small"),
     "style_encoder.neutral": ("Photo", "a Photo"),
     "style_encoder.text_adapter": (False, True),
+    "injector.special_tokens": (True, False),
+    "placement.direct": (False, True),
+    "branch.sh_degree": (4, 0),
     "styles.crop": ("centre", "random"),
+    "styles.text_only": (0, 15000),
     "training.text_ratio": (0.5, 0.25),
     "training.alternation": ("strict", "coin"),
     "training.injector_rate": (1.0, 0.3),
+    "training.flip": (0.0, 0.5),
     "training.min_scale": (1.0, 0.77),
     "training.decay_steps": (None, 300000),
     "loss.content.weight": (0.05, 0.075),
-    "loss.content.reduction": ("sum", "mean"),
-    "loss.style.reduction": ("sum", "mean"),
+    "reduction": ("sum", "mean"),
+    "loss.content.size": (None, 224),
+    "loss.style.size": (None, 224),
     "loss.clip_directional.reference": ("render", "photograph"),
     "loss.clip_patch.reference": ("render", "photograph"),
     "loss.clip_patch.shared_crop": (False, True),
@@ -50,10 +59,57 @@ STATED = {
     "loss.style.layers": ["relu1_1", "relu2_1", "relu3_1", "relu4_1"],
 }
 """Where both agree."""
+# Of the tiny world, the least that trains.
+TINY = (
+    "experiment=tiny_paper", *BACKBONE[1:], "scenes.num_scenes=2", "scenes.size=28", "scenes.samples=1",
+    "styles.num_styles=2", "styles.size=28", "styles.pictures=0", "training.batch_size=1", "training.pool=2",
+    "training.cache_scenes=2", "training.preview_every=0", "cache=null", "loss.content.network=texture",
+    "loss.style.network=texture", "loss.content.layers=[relu3_1]", "loss.style.layers=[relu1_1,relu2_1]",
+    "loss.clip_patch.crop_size=14", "trainer.max_steps=2",
+)  # fmt: skip
 
 
 def recipe(name, experiment="paper_full"):
     return compose("train", [f"experiment={experiment}", f"recipe={name}", "name=x", "out=x"])
+
+
+@pytest.mark.parametrize("name", ["paper", "published"])
+def test_the_papers_experiments_say_which_recipe_they_are(name):
+    named, plain = recipe(name, "paper_head"), compose("train", ["experiment=paper_head", "name=x", "out=x"])
+    assert (named == plain) is (name == "published")
+    assert named.loss.content.weight == 0.05
+
+
+def test_one_word_takes_means():
+    config = compose("train", ["experiment=paper_head", "recipe=paper", "reduction=mean", "name=x", "out=x"])
+    assert {value_of(config, f"loss.{term}.reduction") for term in ("content", "style")} == {"mean"}
+
+
+@pytest.mark.parametrize("name", ["paper", "published"])
+def test_a_recipe_leaves_out_what_the_components_do_not_have(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    launch("train", run, [*TINY, f"recipe={name}", "name=x", "out=x"])
+    config = OmegaConf.load("x/.hydra/config.yaml")
+    assert (Path("x") / "branch.safetensors").is_file()
+    for option in ("injector.special_tokens", "placement.direct", "training.alternation", "reduction"):
+        assert OmegaConf.select(config, option) == DIFFERENCES[option][name == "published"], option
+    # An experiment has the last word.
+    assert config.loss.content.weight == 0.15 and "templates" not in config.style_encoder
+
+
+@pytest.mark.parametrize("name", ["paper", "published"])
+@pytest.mark.parametrize("words", ["styles=folder", "style_encoder=clip", "model=tiny", "experiment=tiny_perceptual"])
+def test_a_recipe_composes_with_whatever_is_chosen(words, name):
+    experiment = () if "experiment" in words else ("experiment=paper_head",)
+    config = compose("train", [*experiment, words, f"recipe={name}", "name=x", "out=x"])
+    assert objective(config).keys() == (set() if "perceptual" in words else recipe(name).loss.keys())
+    if words == "style_encoder=clip":
+        assert value_of(config, "style_encoder.templates") == ("none", "small")[name == "published"]
+
+
+def value_of(config, option):
+    chosen = OmegaConf.select(config, option)
+    return getattr(chosen, "value", chosen)
 
 
 def leaves(node, prefix=""):
@@ -66,8 +122,7 @@ def leaves(node, prefix=""):
 def test_a_recipe_is_what_its_source_says(row, name):
     config = recipe(name)
     for option, values in DIFFERENCES.items():
-        chosen = OmegaConf.select(config, option)
-        assert getattr(chosen, "value", chosen) == values[row], option
+        assert value_of(config, option) == values[row], option
     for option, value in STATED.items():
         chosen = OmegaConf.select(config, option)
         assert (list(chosen) if isinstance(value, list) else chosen) == value, option

@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Literal
 
@@ -38,7 +39,8 @@ class WikiArtStyles(StyleSource):
             is a file name, wherever it lies. ``anystyle data check ROOT --against FOLDER --write FILE`` makes one.
         files: A file of that kind with the paintings to take; ``None`` takes all.
         split: ``train`` leaves the listed paintings out, ``test`` takes only them, ``all`` does not care.
-        text_only: The most styles of text alone; they follow the paintings.
+        text_only: So many descriptions, from the first, are searched for styles of text alone, as published; these
+            follow the paintings.
         size: Height and width in pixels.
         crop: Which square of a painting is taken: the ``centre``, or a ``random`` one at every reading, as published.
     """
@@ -91,10 +93,10 @@ class WikiArtStyles(StyleSource):
         self.paths = readable([self.root / name for name in chosen])
         if not self.paths:
             raise UserError(f"root={root}: there are no paintings for split={split} in it")
-        absent = [
-            name for name in self.descriptions if name not in present and name not in listed and not _named(name, held)
-        ]
-        self.texts = tuple(absent[:text_only]) if split != "test" else ()
+        first = islice(self.descriptions, text_only if split != "test" else 0)
+        self.texts = tuple(
+            name for name in first if name not in present and name not in listed and not _named(name, held)
+        )
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

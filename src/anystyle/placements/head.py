@@ -10,7 +10,13 @@ class Head(Placement):
     """Style enters the Gaussian head: its token maps and its direct path from the pixels (the paper's "Head").
 
     The aggregator is not copied, so a further style costs the head alone.
+
+    Args:
+        direct: Whether that path is a site, as in the published code; the paper names the tokens alone.
     """
 
+    def __init__(self, *, direct: bool = True) -> None:
+        self.patterns = ["head/*" if direct else "head/tokens/*"]
+
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:
-        return matching_sites(sites, ["head/*"])
+        return matching_sites(sites, self.patterns)

@@ -173,12 +173,16 @@ def make_training(config: DictConfig) -> Training:
 
 
 def objective(config: DictConfig) -> dict[str, Any]:
-    """The terms of the objective, by name: those configured, without those that ``without`` names."""
+    """The terms of the objective, by name: those chosen, without those that ``without`` names.
+
+    Options of terms that are not chosen, such as a recipe's, are left aside.
+    """
     # One name needs no brackets, so that a sweep may leave out one term a job: `without=style,content`.
     without = [config.without] if isinstance(config.without, str) else list(config.without)
     for name in without:
         catalog().find("loss", name)
-    return {name: node for name, node in (config.loss or {}).items() if name not in without}
+    terms = (config.loss or {}).items()
+    return {name: node for name, node in terms if name not in without and "_target_" in node}
 
 
 def _with_weights(config: DictConfig, part: str, module: nn.Module) -> nn.Module:

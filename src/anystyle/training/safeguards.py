@@ -71,8 +71,8 @@ def gradient_norm(module: nn.Module) -> Tensor:
 class SkipOutliers(Callback):
     """Scale the gradients of outlying losses by 1e-10, as the published code does.
 
-    After step ``after``, an outlier is a loss above ``mean + deviations * std`` of the last ``window`` losses. The
-    optimiser's averages and the weight decay still move.
+    After step ``after``, an outlier is a loss above ``mean + deviations * std`` of the last ``window`` losses, its own
+    with them. The optimiser's averages and the weight decay still move.
     """
 
     def __init__(self, *, window: int = 500, deviations: float = 0.85, after: int = 3000) -> None:
@@ -81,13 +81,12 @@ class SkipOutliers(Callback):
         self._skip = False
 
     def on_before_backward(self, trainer: Trainer, pl_module: LightningModule, loss: Tensor) -> None:
-        value, past = float(loss.detach()), np.array(self.history)
+        self.history = [*self.history, float(loss.detach())][-self.window :]
         self._skip = (
-            len(past) == self.window
+            len(self.history) == self.window
             and trainer.global_step > self.after
-            and value > past.mean() + self.deviations * past.std()
+            and self.history[-1] > np.mean(self.history) + self.deviations * np.std(self.history)
         )
-        self.history = [*self.history, value][-self.window :]
 
     @torch.no_grad()
     def on_after_backward(self, trainer: Trainer, pl_module: LightningModule) -> None:
