@@ -8,10 +8,12 @@ import pytest
 from anystyle.commands import report
 from anystyle.commands._run import run
 from anystyle.errors import UserError
-from anystyle.evaluation import record
+from anystyle.evaluation import published_figures, record
 from anystyle.evaluation.pairing import pair
 from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle.evaluation.protocols.tables import Tables
+from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import compose
 from anystyle.testing.protocol import runtime
 from anystyle_datasets.command import Data
 from evaluation_cases import Mean, picture
@@ -125,3 +127,16 @@ def test_renders_in_a_folder_for_each_style_are_paired(root):
         (c.scene, c.style, c.frames, c.content) for c in cells
     ]
     assert len(nested) == 4
+
+
+@pytest.mark.parametrize("name", [name for name in published_figures.tables() if name != "table_1"])
+def test_each_table_of_figures_is_a_word(name):
+    printed = published_figures.tables()[name]
+    config = compose("evaluate", [f"protocol={name.replace('_', '')}", "root=x"])
+    assert (config.protocol.table, config.protocol.variant) == (name, "reference")
+    assert list(config.protocol.scene_names) == list(printed.scenes)
+    judges = [catalog().find("metric", metric).load() for metric in config.metric]
+    assert set(printed.figures) <= {"time_s"}.union(*(judge.better for judge in judges))
+    # No table but the second and the fourth shows photographs, and the third's rows are models.
+    assert (config.protocol.photographs > 0) is (name in ("table_2", "table_4"))
+    assert (config.protocol.methods == []) is (name == "table_3")
