@@ -53,6 +53,7 @@ from real_data import ROOT
 
 CAPTURES = {
     "tune": ("videos/llff_horns.mp4", "videos/dtu_scan_106.mp4", "videos/vrnerf_apartment.mp4"),
+    "captures": tuple(f"captures/{name}" for name in ("street", "bronze_axe", "brighton_beach", "banana")),
     "test": ("videos/llff_fortress.mp4", "videos/horizongs_hillside_summer.mp4", "scenes/train/images"),
 }
 NUM_VIEWS, NUM_CHOICES = 8, 35
@@ -99,7 +100,10 @@ def teacher(case: Case) -> Tensor:
 
     injector = case.stylizer.branch.injectors["color"]
     embedding = case.stylizer.embed(image=case.painting)
-    return stylize_images(injector.network, case.photographs, embedding.vector, working_size=injector.working_size)
+    images = case.photographs
+    for size in injector.sizes(images.shape[-2:]):
+        images = stylize_images(injector.network, images, embedding.vector, working_size=size)
+    return images
 
 
 def single_pass(case: Case) -> Tensor:
@@ -124,12 +128,14 @@ def brushed(case: Case) -> Tensor:
     return case.stylizer.render(gaussians, case.scene.cameras).color
 
 
-def solved(steps: int) -> Callable[[Case], Tensor]:
-    """The fitted scene in colours that are solved back in so many steps."""
+def solved(steps: int, refined: int = 0) -> Callable[[Case], Tensor]:
+    """The fitted scene in colours that are solved back in so many steps, and refined in so many."""
 
     def method(case: Case) -> Tensor:
         embedding = case.stylizer.embed(image=case.painting)
-        gaussians = Branch(fit_colors=steps)(case.stylizer, case.scene, Style(case.painting), embedding)
+        gaussians = Branch(fit_colors=steps, refine_strokes=refined)(
+            case.stylizer, case.scene, Style(case.painting), embedding
+        )
         return case.stylizer.render(gaussians, case.scene.cameras).color
 
     return method
@@ -147,11 +153,9 @@ METHODS: dict[str, dict[str, Callable[[Case], Tensor]]] = {
     "fit": {
         "unstyled": unstyled,
         "2D teacher, view by view": teacher,
-        "fit_colors=0": solved(0),
         "fit_colors=2": solved(2),
+        "fit_colors=3": solved(3),
         "fit_colors=4": solved(4),
-        "fit_colors=6": solved(6),
-        "brush": brushed,
     },
 }
 
@@ -187,7 +191,7 @@ def paintings(split: str, kind: str = "all") -> list[Tensor]:
         return [read_image(file)[None] for file in sorted((ROOT / "styles").glob("style_*.jpg"))]
     files = sorted([*(ROOT / "styles").glob("*.jpg"), *(ROOT / "paintings").glob("*.jpg")])
     order = np.random.default_rng(16).permutation(len(files))
-    start = {"tune": 0, "test": NUM_CHOICES}[split]
+    start = 0 if split == "tune" else NUM_CHOICES
     return [read_image(files[index])[None] for index in order[start : start + NUM_CHOICES]]
 
 

@@ -212,5 +212,8 @@ def test_a_mask_and_preserved_colour_change_what_they_are_for(photographs):
     assert torch.equal(full.harmonics, plain.harmonics)
     assert torch.equal(none.harmonics, results.restyler.unstyled.harmonics)
     assert not torch.equal(preserved.harmonics, plain.harmonics)
+    small = anystyle.load("tiny")
     with pytest.raises(ValueError, match="is a text"):
-        anystyle.stylize(photographs, "dots", model=stylizer, views=VIEWS, controls=Controls(scale=2.0))
+        anystyle.stylize(photographs, "dots", model=small, views=VIEWS, controls=Controls(scale=2.0))
+    (large,) = anystyle.stylize(photographs, "dots", model=stylizer, views=VIEWS, controls=Controls(scale=2.0))
+    assert not torch.equal(large.gaussians.harmonics, plain.harmonics)

@@ -154,7 +154,7 @@ def add_controls(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("how a style is applied; several values make a strip")
     group.add_argument("--strength", action="append", default=[], metavar="0..1", help="0 is the unstyled scene")
     group.add_argument("--preserve-color", action="append", default=[], metavar="0..1", help="keep the scene's hues")
-    group.add_argument("--scale", action="append", default=[], metavar="FACTOR", help="size of strokes of --image")
+    group.add_argument("--scale", action="append", default=[], metavar="FACTOR", help="size of strokes")
     group.add_argument(
         "--mask",
         action="append",

@@ -98,15 +98,19 @@ def embed_styles(
 
 
 def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylizer, scale: float) -> EmbeddedStyle:
+    paints = stylizer.branch.paints_strokes
     match style:
         case Style(image=None, text=(str() as text, *_)):
             return _embed(text, stylizer, scale)
         case str():
             check_text(style)
-            if scale != 1:
-                raise UserError(f"scale={scale:g} is of strokes in a picture; the style {style[:40]!r} is a text")
+            if scale != 1 and not paints:
+                raise UserError(
+                    f"scale={scale:g} is of strokes in a picture; the style {style[:40]!r} is a text, and this model "
+                    "paints no strokes"
+                )
             title = f"“{' '.join(style.split())}”"
-            embedding = stylizer.embed(text=style)
+            embedding = replace(stylizer.embed(text=style), scale=scale)
             given = Style(text=(style,))
             return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer))
         case Path():
@@ -118,8 +122,8 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             title = names[0] if names else "image"
         case _:
             raise UserError("a style has neither an image nor a text")
-    cell, image = to_pil(image[0]), rescaled(image[0], scale)[None]
-    embedding = stylizer.embed(image=image.to(stylizer.device))
+    cell, image = to_pil(image[0]), image if paints else rescaled(image[0], scale)[None]
+    embedding = replace(stylizer.embed(image=image.to(stylizer.device)), scale=scale)
     return EmbeddedStyle(slug(title), title, cell, embedding, Style(image=image, names=(title,)))
 
 
