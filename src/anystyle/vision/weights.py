@@ -244,9 +244,9 @@ def _digest(file: Path, changed: int, size: int) -> str:
 IGNORED = (
     "omegaconf.", "typing.", "collections.", "lightning.", "pytorch_lightning.", "src.", "pathlib.",
     "argparse.Namespace", "datetime.", "functools.partial", "numpy.",
+    *(f"builtins.{name}" for name in ["dict", "list", "tuple", "int", "float", "str"]),
 )  # fmt: skip
 """What the names of objects begin with that :class:`_Ignored` replaces, beside tensors in a training checkpoint."""
-IGNORED_BUILTINS = {f"builtins.{name}" for name in ("dict", "list", "tuple", "int", "float", "str")}
 
 
 class _Ignored:
@@ -291,7 +291,7 @@ def _torch_file(path: Path) -> Any:
             if any(name.split("/")[1:2] == ["constants.pkl"] for name in archive.namelist()):
                 raise UserError(f"{path} is a TorchScript program; get the state dict, as .safetensors or .pt")
         known = torch.serialization.get_unsafe_globals_in_checkpoint(path)
-    ignored: list[Any] = [(_Ignored, name) for name in known if name.startswith(IGNORED) or name in IGNORED_BUILTINS]
+    ignored: list[Any] = [(_Ignored, name) for name in known if name.startswith(IGNORED)]
     if foreign := sorted(set(known) - {name for _, name in ignored}):
         raise UserError(
             f"{path} holds code or objects of other programs ({', '.join(foreign)}); get the state dict alone"
