@@ -94,9 +94,7 @@ class PaperFolder:
                 missing.append(f"methods/{method}: there is no such folder")
                 continue
             if short := [cell for cell, paths in self.renders(method).items() if len(paths) < self.frames]:
-                missing.append(
-                    f"methods/{method}: {len(short)} scenes in a style lack images: {' in '.join(short[0])}, …"
-                )
+                missing.append(f"methods/{method}: {len(short)} scenes lack images: {' in '.join(short[0])}, …")
         return missing
 
     def require(self, *, texts: bool, methods: Sequence[str] | None) -> None:
