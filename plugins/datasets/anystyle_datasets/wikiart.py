@@ -20,6 +20,14 @@ logger = logging.getLogger(__name__)
 DESCRIPTIONS = "wikiarts_descriptions.txt"
 TEST_FILES = "wikiarts_test_files.txt"
 PAINTINGS = frozenset({".jpg", ".jpeg", ".png"})
+MOVEMENTS = frozenset({
+    "Abstract_Expressionism", "Action_painting", "Analytical_Cubism", "Art_Nouveau", "Art_Nouveau_Modern", "Baroque",
+    "Color_Field_Painting", "Contemporary_Realism", "Cubism", "Early_Renaissance", "Expressionism", "Fauvism",
+    "High_Renaissance", "Impressionism", "Mannerism_Late_Renaissance", "Minimalism", "Naive_Art_Primitivism",
+    "New_Realism", "Northern_Renaissance", "Pointillism", "Pop_Art", "Post_Impressionism", "Realism", "Rococo",
+    "Romanticism", "Symbolism", "Synthetic_Cubism", "Ukiyo_e",
+})  # fmt: skip
+"""The folders of WikiArt."""
 
 
 class WikiArtStyles(StyleSource):
@@ -121,7 +129,7 @@ class WikiArtStyles(StyleSource):
 
 def _lines(path: Path, option: str) -> frozenset[str]:
     lines = read_text(path, what=f"list of paintings ({option})").splitlines()
-    return frozenset(line.strip() for line in lines if line.strip())
+    return frozenset(line.strip().replace("\\", "/") for line in lines if line.strip())
 
 
 def _named(painting: str, held: frozenset[str]) -> bool:
