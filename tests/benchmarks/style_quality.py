@@ -90,8 +90,11 @@ def palette_transfer(case: Case) -> Tensor:
     covariance = torch.cov(pixels.T) + 1e-5 * torch.eye(3)
     root, inverse = _power(covariance, 0.5), _power(covariance, -0.5)
     matrix = inverse @ _power(root @ torch.cov(target.T) @ root, 0.5) @ inverse
-    moved = ((pixels - pixels.mean(0)) @ matrix + target.mean(0)).float().clamp(0, 1)
-    return case.render(moved.view(case.photographs.movedim(2, -1).shape).movedim(-1, 2))
+    # Renders are linear in colours: mapped ones of fitted Gaussians are renders of mapped colours.
+    moved = pixels if case.scene.gaussians is None else case.unstyled.movedim(2, -1).reshape(-1, 3).double()
+    moved = ((moved - pixels.mean(0)) @ matrix + target.mean(0)).float().clamp(0, 1)
+    images = moved.view(case.photographs.movedim(2, -1).shape).movedim(-1, 2)
+    return case.render(images) if case.scene.gaussians is None else images
 
 
 def teacher(case: Case) -> Tensor:
@@ -153,9 +156,10 @@ METHODS: dict[str, dict[str, Callable[[Case], Tensor]]] = {
     "fit": {
         "unstyled": unstyled,
         "2D teacher, view by view": teacher,
-        "fit_colors=2": solved(2),
-        "fit_colors=3": solved(3),
-        "fit_colors=4": solved(4),
+        "palette transfer": palette_transfer,
+        "single pass, colours solved": solved(4),
+        "the same, refine_strokes=60": solved(4, 60),
+        "method=brush": brushed,
     },
 }
 

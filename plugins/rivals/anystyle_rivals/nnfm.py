@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from anystyle.losses._features import FeatureLoss, mean_where, style_images
+from anystyle.losses.features import FeatureLoss, mean_where, style_images
 from anystyle.types import Stylization
 
 

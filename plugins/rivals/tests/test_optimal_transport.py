@@ -6,8 +6,8 @@ from scipy.optimize import linear_sum_assignment, linprog
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.losses.nnfm import NNFM
-from anystyle_optimal_transport import OptimalTransport, transport_plan
+from anystyle_rivals.nnfm import NNFM
+from anystyle_rivals.optimal_transport import OptimalTransport, transport_plan
 from oracle import smooth_image
 from style_cases import stylization
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.losses.nnfm import NNFM
+from anystyle_rivals.nnfm import NNFM
 
 
 class OptimalTransport(NNFM):
