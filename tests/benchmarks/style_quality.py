@@ -56,7 +56,7 @@ CAPTURES = {
     "captures": tuple(f"captures/{name}" for name in ("street", "bronze_axe", "brighton_beach", "banana")),
     "test": ("videos/llff_fortress.mp4", "videos/horizongs_hillside_summer.mp4", "scenes/train/images"),
 }
-NUM_VIEWS, NUM_CHOICES = 8, 35
+NUM_VIEWS, NUM_CHOICES, SMALL = 8, 35, 32
 load = cache(anystyle.load)
 
 
@@ -165,8 +165,9 @@ METHODS: dict[str, dict[str, Callable[[Case], Tensor]]] = {
 
 
 def fitted(path: Path, stylizer: Stylizer, short_side: int) -> Scene:
-    """Gaussians fitted to a capture, of at most twice as many views as are encoded elsewhere."""
-    views = ViewOptions(short_side=short_side, take=2 * NUM_VIEWS)
+    """Gaussians fitted to all photographs of a small capture, or to twice as many views as are encoded elsewhere."""
+    small = path.is_dir() and sum(1 for _ in path.iterdir()) <= SMALL
+    views = ViewOptions(short_side=short_side, take=None if small else 2 * NUM_VIEWS)
     poses, splat = PoseOptions("sfm"), SplatOptions()
     fit = build(Reconstruction, {"_target_": catalog().find("reconstruction", "fit").path, "holdout": 0})
     capture = encode_inputs(path, stylizer, views, poses, splat, fit, Stages())
