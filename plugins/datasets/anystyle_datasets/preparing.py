@@ -24,7 +24,7 @@ from anystyle.io import video
 from anystyle.io.atomic import PARTIAL, atomic_path, write_json
 from anystyle.io.documents import kept_json, read_text
 from anystyle_datasets.checking import exported, packed, same_pictures, unindexed
-from anystyle_datasets.wikiart import DESCRIPTIONS, PAINTINGS, TEST_FILES
+from anystyle_datasets.wikiart import DESCRIPTIONS, PAINTINGS, TEST_FILES, listed
 
 Progress = Callable[[str, int, int], None]
 """Told what is made, how much of it is done, and of how much."""
@@ -199,7 +199,8 @@ def wikiart(
     """
     _unpack_tables(root, progress)
     taken = _take(archive, {DESCRIPTIONS: root / DESCRIPTIONS, TEST_FILES: root / TEST_FILES})
-    held: set[str] = set(_lines(root / TEST_FILES))
+    before = set(listed(root / TEST_FILES) if (root / TEST_FILES).is_file() else ())
+    held = set(before)
     for name, folder in (("stylos", stylos), ("styl3r", styl3r)):
         if folder is None:
             continue
@@ -211,8 +212,8 @@ def wikiart(
             if not others:
                 raise UserError(f"--{name} {folder}: there are no pictures in it")
             _write_lines(record, (path.relative_to(root).as_posix() for path in same_pictures(paintings, others)))
-        held.update(_lines(record))
-    if held != set(_lines(root / TEST_FILES)):
+        held.update(listed(record))
+    if held != before:
         _write_lines(root / TEST_FILES, sorted(held))
     missing = [name for name in (DESCRIPTIONS, TEST_FILES) if not (root / name).is_file()]
     return f"taken from the archive: {', '.join(taken) or 'nothing'}; {len(held)} test styles" + (
@@ -229,36 +230,27 @@ def _unpack_tables(root: Path, progress: Progress) -> None:
     except ModuleNotFoundError:
         raise ImportError('tables of paintings need pyarrow; pip install "anystyle[parquet]"') from None
     for number, path in enumerate(tables, start=1):
-        table = parquet.ParquetFile(path)
+        try:
+            table = parquet.ParquetFile(path)
+        except (OSError, ValueError) as error:
+            raise UserError(f"{path} is no parquet file, or a damaged one ({one_line(error)})") from None
         about = json.loads((table.schema_arrow.metadata or {}).get(b"huggingface", "{}"))
         features = about.get("info", {}).get("features", {})
         if not all("names" in features.get(label, {}) for label in ("artist", "style")):
             raise UserError(f"{path} is no table of paintings, which names an artist and a style of each")
         for group in range(table.num_row_groups):
             rows = table.read_row_group(group, columns=["artist", "style", "image.path"]).to_pylist()
-            targets = [
-                root
-                / features["style"]["names"][row["style"]]
-                / _file_name(
-                    row["image"]["path"], f"{features['artist']['names'][row['artist']]}_{path.stem}", group, place
-                )
-                for place, row in enumerate(rows)
-            ]
+            targets: list[Path] = []
+            for place, row in enumerate(rows):
+                artist, style = (features[label]["names"][row[label]] for label in ("artist", "style"))
+                name = row["image"]["path"] or f"{artist}_{path.stem}-{group}-{place}.jpg"
+                targets.append(root / PurePosixPath(style).name / PurePosixPath(name).name)
             if not all(target.is_file() for target in targets):
                 images = table.read_row_group(group, columns=["image.bytes"]).to_pylist()
                 for target, row in zip(targets, images, strict=True):
                     with atomic_path(target) as temporary:
                         temporary.write_bytes(row["image"]["bytes"])
         progress("unpacking tables of paintings", number, len(tables))
-
-
-def _file_name(stored: str | None, otherwise: str, *place: int) -> str:
-    """The file name that a table has for a painting, if any, else one that is its own."""
-    return PurePosixPath(stored).name if stored else "-".join([otherwise, *map(str, place)]) + ".jpg"
-
-
-def _lines(path: Path) -> list[str]:
-    return [line.strip().replace("\\", "/") for line in read_text(path).splitlines()] if path.is_file() else []
 
 
 def _write_lines(path: Path, lines: Iterable[str]) -> None:
