@@ -4,7 +4,7 @@ import os
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -288,14 +288,20 @@ def fingerprint(path: Path) -> int:
     return int.from_bytes(np.packbits(grey[:, 1:] > grey[:, :-1]).tobytes(), "big")
 
 
-def same_pictures(paths: Iterable[Path], others: Iterable[Path]) -> Mapping[Path, Path]:
+def same_pictures(
+    paths: Sequence[Path],
+    others: Iterable[Path],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Mapping[Path, Path]:
     """For each file that shows the same as one of ``others``, the first such one; unreadable files match nothing."""
     known = _fingerprints(others)
     matches: dict[Path, Path] = {}
-    for path, bits in _fingerprints(paths):
-        match = next((other for other, other_bits in known if (bits ^ other_bits).bit_count() <= SAME), None)
-        if match is not None:
-            matches[path] = match
+    for start in range(0, len(paths), 1000):
+        for path, bits in _fingerprints(paths[start : start + 1000]):
+            match = next((other for other, other_bits in known if (bits ^ other_bits).bit_count() <= SAME), None)
+            if match is not None:
+                matches[path] = match
+        progress(min(start + 1000, len(paths)), len(paths))
     return matches
 
 

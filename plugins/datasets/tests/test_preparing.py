@@ -161,6 +161,12 @@ def test_frames_of_realestate_become_chunks_once(re10k, say, monkeypatch):
     assert "2 of 640 x 360" in out and "problems  0" in out
     words = "scenes.short_side=360 scenes.multiple=1"
     assert following == f"train experiment=paper_head scenes=re10k scenes.root={re10k} {words}"
+    # A torn video leaves its clip out, and no chunk is written over.
+    (re10k / "videos" / "ID3.mp4").write_bytes((re10k / "videos" / "ID1.mp4").read_bytes()[:1500])
+    camera_list(re10k / "train" / "dd.txt", "https://www.youtube.com/watch?v=ID3")
+    before = contents(re10k)
+    assert "train: 3 of 4 clips, 1 without frames here" in say("prepare", "re10k", re10k)[0]
+    assert contents(re10k) == before
     (re10k / "train" / "dd.txt").write_text("address\n1 2 3\n")
     with pytest.raises(UserError, match=r"dd\.txt is no camera list of RealEstate10K"):
         Data()(["prepare", "re10k", str(re10k)])
