@@ -24,7 +24,7 @@ from anystyle.io.documents import read_json
 from anystyle.io.images import Picture
 from anystyle.registry.compose import override
 from anystyle_datasets.re10k import Re10kScenes
-from anystyle_datasets.wikiart import DESCRIPTIONS, MOVEMENTS, TEST_FILES, listed
+from anystyle_datasets.wikiart import DESCRIPTIONS, MOVEMENTS, TEST_FILES, read_list
 
 P = TypeVar("P", Path, bytes)
 Layout = Literal["scenes", "re10k", "styles", "wikiart"]
@@ -236,7 +236,7 @@ def _wikiart(root: Path, min_views: int, decode: bool) -> Report:
     present = _described(paths, root, root / DESCRIPTIONS, report, decode)
     tests = root / TEST_FILES
     if tests.is_file():
-        absent = (line for line in listed(tests) if line not in present)
+        absent = (line for line in read_list(tests) if line not in present)
         report.problems += [f"{tests.name} names {line}, which is not there" for line in absent]
     else:
         report.problems.append(f"{tests} is not there: no painting is kept for tests")

@@ -28,7 +28,7 @@ from anystyle.io import video
 from anystyle.io.atomic import PARTIAL, atomic_path, write_json
 from anystyle.io.documents import kept_json, read_text
 from anystyle_datasets.checking import exported, packed, same_pictures, unindexed
-from anystyle_datasets.wikiart import DESCRIPTIONS, PAINTINGS, TEST_FILES, listed
+from anystyle_datasets.wikiart import DESCRIPTIONS, PAINTINGS, TEST_FILES, read_list
 
 log = logging.getLogger(__name__)
 
@@ -211,7 +211,7 @@ def wikiart(
     """
     _unpack_tables(root, progress)
     taken = _take(archive, {DESCRIPTIONS: root / DESCRIPTIONS, TEST_FILES: root / TEST_FILES})
-    before = set(listed(root / TEST_FILES) if (root / TEST_FILES).is_file() else ())
+    before = set(read_list(root / TEST_FILES) if (root / TEST_FILES).is_file() else ())
     held = set(before)
     for name, folder in (("stylos", stylos), ("styl3r", styl3r)):
         if folder is None:
@@ -224,7 +224,7 @@ def wikiart(
                 raise UserError(f"--{name} {folder}: there are no pictures in it")
             found = same_pictures(paintings, others, partial(progress, f"looking for the pictures of {folder}"))
             _write_lines(record, (path.relative_to(root).as_posix() for path in found))
-        held.update(listed(record))
+        held.update(read_list(record))
     if held != before:
         _write_lines(root / TEST_FILES, sorted(held))
     missing = [name for name in (DESCRIPTIONS, TEST_FILES) if not (root / name).is_file()]

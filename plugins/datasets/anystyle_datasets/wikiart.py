@@ -78,17 +78,17 @@ class WikiArtStyles(StyleSource):
         else:
             self.descriptions = {name: text for name, text in read_captions(path).items() if text}
         path = self.root / TEST_FILES if test_files is None else Path(test_files)
-        tests = frozenset(listed(path) if test_files is not None or path.is_file() else ())
-        held = frozenset().union(*(listed(Path(name), "exclude") for name in exclude))
-        if split == "test" and not tests:
+        listed = frozenset(read_list(path) if test_files is not None or path.is_file() else ())
+        held = frozenset().union(*(read_list(Path(name), "exclude") for name in exclude))
+        if split == "test" and not listed:
             raise UserError(f"split=test needs a list of paintings; {self.root / TEST_FILES} is not there or empty")
         walked = (path for path in self.root.rglob("*") if path.suffix.lower() in PAINTINGS and path.is_file())
         names = sorted(path.relative_to(self.root).as_posix() for path in walked)
         present = set(names)
-        chosen = [name for name in names if split == "all" or (name in tests) == (split == "test")]
+        chosen = [name for name in names if split == "all" or (name in listed) == (split == "test")]
         if files is not None:
-            allowed = frozenset(listed(Path(files), "files"))
-            kept = sorted(name for name in allowed if _named(name, held) or (name in tests and split == "train"))
+            allowed = frozenset(read_list(Path(files), "files"))
+            kept = sorted(name for name in allowed if _named(name, held) or (name in listed and split == "train"))
             if kept:
                 raise UserError(
                     f"files={files} and the test lists have {len(kept)} paintings in common: {listing(kept, 5)}; take "
@@ -100,7 +100,7 @@ class WikiArtStyles(StyleSource):
         if not self.paths:
             raise UserError(f"root={root}: there are no paintings for split={split} in it")
         absent = [
-            name for name in self.descriptions if name not in present and name not in tests and not _named(name, held)
+            name for name in self.descriptions if name not in present and name not in listed and not _named(name, held)
         ]
         self.texts = tuple(absent[:text_only]) if split != "test" else ()
 
@@ -127,7 +127,7 @@ class WikiArtStyles(StyleSource):
         return Style(image=read_square(path, self.size, position), text=(text,), names=(path.stem,))
 
 
-def listed(path: Path, option: str = "test_files") -> list[str]:
+def read_list(path: Path, option: str = "test_files") -> list[str]:
     """The lines of a list of paintings, which an option names."""
     lines = read_text(path, what=f"list of paintings ({option})").splitlines()
     return [line.strip().replace("\\", "/") for line in lines if line.strip()]
