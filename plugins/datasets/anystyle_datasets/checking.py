@@ -4,7 +4,7 @@ import os
 import re
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -20,11 +20,11 @@ from anystyle.data.images import SUFFIXES, image_size, listing, open_image
 from anystyle.data.poses import frame_names, read_poses
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.errors import UserError
-from anystyle.io.documents import read_json, read_text
+from anystyle.io.documents import read_json
 from anystyle.io.images import Picture
 from anystyle.registry.compose import override
 from anystyle_datasets.re10k import Re10kScenes
-from anystyle_datasets.wikiart import DESCRIPTIONS, MOVEMENTS, TEST_FILES
+from anystyle_datasets.wikiart import DESCRIPTIONS, MOVEMENTS, TEST_FILES, read_list
 
 P = TypeVar("P", Path, bytes)
 Layout = Literal["scenes", "re10k", "styles", "wikiart"]
@@ -195,8 +195,8 @@ def _re10k(root: Path, min_views: int, decode: bool) -> Report:
         there = (root / split / "index.json").is_file()
         clips = read_json(root / split / "index.json", dict[str, str]).keys() if there else set[str]()
         if lists - clips:
-            report.prepare = shlex.join(["anystyle", "data", "prepare", "re10k", str(root)])
             report.problems.append(f"{split}: {len(lists - clips)} of {len(lists)} camera lists are in no chunk")
+            report.prepare = shlex.join(["anystyle", "data", "prepare", "re10k", str(root)])
         if not there:
             continue
         source = Re10kScenes(root=str(root), split=split)
@@ -210,6 +210,7 @@ def _re10k(root: Path, min_views: int, decode: bool) -> Report:
             good = len(_look(frames, report, decode, [f"{name}: frame {number}" for number in range(len(frames))]))
             report.posed += good
             _count(report, name, good, min_views)
+    report.prepare = "" if report.scenes else report.prepare
     return report
 
 
@@ -235,8 +236,8 @@ def _wikiart(root: Path, min_views: int, decode: bool) -> Report:
     present = _described(paths, root, root / DESCRIPTIONS, report, decode)
     tests = root / TEST_FILES
     if tests.is_file():
-        lines = [line.strip().replace("\\", "/") for line in read_text(tests).splitlines() if line.strip()]
-        report.problems += [f"{tests.name} names {line}, which is not there" for line in lines if line not in present]
+        absent = (line for line in read_list(tests) if line not in present)
+        report.problems += [f"{tests.name} names {line}, which is not there" for line in absent]
     else:
         report.problems.append(f"{tests} is not there: no painting is kept for tests")
     return report
@@ -287,14 +288,20 @@ def fingerprint(path: Path) -> int:
     return int.from_bytes(np.packbits(grey[:, 1:] > grey[:, :-1]).tobytes(), "big")
 
 
-def same_pictures(paths: Iterable[Path], others: Iterable[Path]) -> Mapping[Path, Path]:
+def same_pictures(
+    paths: Sequence[Path],
+    others: Iterable[Path],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Mapping[Path, Path]:
     """For each file that shows the same as one of ``others``, the first such one; unreadable files match nothing."""
     known = _fingerprints(others)
     matches: dict[Path, Path] = {}
-    for path, bits in _fingerprints(paths):
-        match = next((other for other, other_bits in known if (bits ^ other_bits).bit_count() <= SAME), None)
-        if match is not None:
-            matches[path] = match
+    for start in range(0, len(paths), 1000):
+        for path, bits in _fingerprints(paths[start : start + 1000]):
+            match = next((other for other, other_bits in known if (bits ^ other_bits).bit_count() <= SAME), None)
+            if match is not None:
+                matches[path] = match
+        progress(min(start + 1000, len(paths)), len(paths))
     return matches
 
 

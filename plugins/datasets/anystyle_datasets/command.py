@@ -17,7 +17,7 @@ from anystyle.io.atomic import atomic_path
 from anystyle.registry.socket import Command
 from anystyle_datasets import preparing
 from anystyle_datasets.captioning import DEFAULT_MODEL, PROMPT, caption_folder, chat_captioner, transformers_captioner
-from anystyle_datasets.checking import Report, check, guess, same_pictures, words
+from anystyle_datasets.checking import Report, check, guess, locate, same_pictures, words
 from anystyle_datasets.preparing import ARCHIVE
 from anystyle_datasets.wikiart import DESCRIPTIONS
 
@@ -87,8 +87,9 @@ def prepare_command(arguments: argparse.Namespace) -> None:
                 raise UserError(f"--{name} {path}: that is not there")
     if arguments.kind != "tables" and not arguments.path.is_dir():
         raise UserError(f"there is no folder {arguments.path}")
-    print(KINDS[arguments.kind](arguments.path, _progress, **given))
-    print(f"next      {shlex.join(['anystyle', 'data', 'check', str(arguments.path)])}")
+    root = locate(arguments.path) if arguments.path.is_dir() else arguments.path
+    print(KINDS[arguments.kind](root, _progress, **given))
+    print(f"next      {shlex.join(['anystyle', 'data', 'check', str(root)])}")
 
 
 def _progress(stage: str, done: int, total: int) -> None:

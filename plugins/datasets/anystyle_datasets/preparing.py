@@ -2,16 +2,20 @@
 
 import io
 import json
+import logging
 import shutil
 import tempfile
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from fractions import Fraction
+from functools import partial
 from itertools import count
+from math import isfinite
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import torch
+from av.error import FFmpegError
 from PIL import Image
 from torch import Tensor
 
@@ -24,7 +28,9 @@ from anystyle.io import video
 from anystyle.io.atomic import PARTIAL, atomic_path, write_json
 from anystyle.io.documents import kept_json, read_text
 from anystyle_datasets.checking import exported, packed, same_pictures, unindexed
-from anystyle_datasets.wikiart import DESCRIPTIONS, PAINTINGS, TEST_FILES
+from anystyle_datasets.wikiart import DESCRIPTIONS, PAINTINGS, TEST_FILES, read_list
+
+log = logging.getLogger(__name__)
 
 Progress = Callable[[str, int, int], None]
 """Told what is made, how much of it is done, and of how much."""
@@ -111,11 +117,11 @@ def re10k(root: Path, progress: Progress) -> str:
 
 
 def _store(folder: Path, clips: Sequence[dict[str, Any]], index: dict[str, str]) -> None:
-    """Write a chunk, then the index that names it: a chunk that no index names is written again."""
-    name = next(name for number in count() if (name := f"{number:06d}.torch") not in index.values())
-    with atomic_path(folder / name, sync=True) as temporary:
+    """Write a chunk, then the index that names it."""
+    path = next(path for number in count() if not (path := folder / f"{number:06d}.torch").exists())
+    with atomic_path(path, sync=True) as temporary:
         torch.save(list(clips), temporary)
-    index |= {clip["key"]: name for clip in clips}
+    index |= {clip["key"]: path.name for clip in clips}
     write_json(folder / "index.json", index)
 
 
@@ -123,8 +129,8 @@ def _clip(root: Path, split: str, path: Path) -> dict[str, Any] | None:
     address, *lines = read_text(path).splitlines()
     try:
         rows = [(int(line.split()[0]), [float(word) for word in line.split()[1:]]) for line in lines if line.strip()]
-        if not all(len(numbers) == 18 for _, numbers in rows):
-            raise ValueError("not 19 numbers in a line")
+        if not all(len(numbers) == 18 and all(map(isfinite, numbers)) for _, numbers in rows):
+            raise ValueError("a line that is not 19 finite numbers")
     except ValueError as error:
         raise UserError(f"{path} is no camera list of RealEstate10K ({one_line(error)})") from None
     stored = {
@@ -140,7 +146,11 @@ def _clip(root: Path, split: str, path: Path) -> dict[str, Any] | None:
     found: Iterable[tuple[int, bytes]] = ((time, _encoded(stored[time])) for time in times if time in stored)
     if not stored and films:
         found = _film(films[0], times)
-    frames = dict(found)
+    try:
+        frames = dict(found)
+    except (UserError, FFmpegError) as error:
+        log.warning("left out: %s (%s)", path.stem, one_line(error))
+        return None
     if len(frames) < 2:
         return None
     return {
@@ -173,6 +183,8 @@ def _film(path: Path, times: Sequence[int]) -> Iterator[tuple[int, bytes]]:
     """The frames of a video at times in microseconds, each the first that is no more than half a frame earlier."""
     waiting = sorted(times, reverse=True)
     with video.opened(path) as container:
+        if not container.streams.video:
+            raise UserError(f"{path} has no video in it")
         stream = container.streams.video[0]
         half = 500_000 / float(stream.average_rate or Fraction(30))
         container.seek(max(0, waiting[-1] - 1_000_000))
@@ -199,20 +211,21 @@ def wikiart(
     """
     _unpack_tables(root, progress)
     taken = _take(archive, {DESCRIPTIONS: root / DESCRIPTIONS, TEST_FILES: root / TEST_FILES})
-    held: set[str] = set(_lines(root / TEST_FILES))
+    before = set(read_list(root / TEST_FILES) if (root / TEST_FILES).is_file() else ())
+    held = set(before)
     for name, folder in (("stylos", stylos), ("styl3r", styl3r)):
         if folder is None:
             continue
         record = root / f"test_{name}.txt"
         if not record.is_file():
-            progress(f"looking for the pictures of {folder}", 0, 1)
             paintings = sorted(path for path in root.rglob("*") if path.suffix.lower() in PAINTINGS and path.is_file())
             others = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
             if not others:
                 raise UserError(f"--{name} {folder}: there are no pictures in it")
-            _write_lines(record, (path.relative_to(root).as_posix() for path in same_pictures(paintings, others)))
-        held.update(_lines(record))
-    if held != set(_lines(root / TEST_FILES)):
+            found = same_pictures(paintings, others, partial(progress, f"looking for the pictures of {folder}"))
+            _write_lines(record, (path.relative_to(root).as_posix() for path in found))
+        held.update(read_list(record))
+    if held != before:
         _write_lines(root / TEST_FILES, sorted(held))
     missing = [name for name in (DESCRIPTIONS, TEST_FILES) if not (root / name).is_file()]
     return f"taken from the archive: {', '.join(taken) or 'nothing'}; {len(held)} test styles" + (
@@ -229,36 +242,27 @@ def _unpack_tables(root: Path, progress: Progress) -> None:
     except ModuleNotFoundError:
         raise ImportError('tables of paintings need pyarrow; pip install "anystyle[parquet]"') from None
     for number, path in enumerate(tables, start=1):
-        table = parquet.ParquetFile(path)
+        try:
+            table = parquet.ParquetFile(path)
+        except (OSError, ValueError) as error:
+            raise UserError(f"{path} is no parquet file, or a damaged one ({one_line(error)})") from None
         about = json.loads((table.schema_arrow.metadata or {}).get(b"huggingface", "{}"))
         features = about.get("info", {}).get("features", {})
         if not all("names" in features.get(label, {}) for label in ("artist", "style")):
             raise UserError(f"{path} is no table of paintings, which names an artist and a style of each")
         for group in range(table.num_row_groups):
             rows = table.read_row_group(group, columns=["artist", "style", "image.path"]).to_pylist()
-            targets = [
-                root
-                / features["style"]["names"][row["style"]]
-                / _file_name(
-                    row["image"]["path"], f"{features['artist']['names'][row['artist']]}_{path.stem}", group, place
-                )
-                for place, row in enumerate(rows)
-            ]
+            targets: list[Path] = []
+            for place, row in enumerate(rows):
+                artist, style = (features[label]["names"][row[label]] for label in ("artist", "style"))
+                name = row["image"]["path"] or f"{artist}_{path.stem}-{group}-{place}.jpg"
+                targets.append(root / PurePosixPath(style).name / PurePosixPath(name).name)
             if not all(target.is_file() for target in targets):
                 images = table.read_row_group(group, columns=["image.bytes"]).to_pylist()
                 for target, row in zip(targets, images, strict=True):
                     with atomic_path(target) as temporary:
                         temporary.write_bytes(row["image"]["bytes"])
         progress("unpacking tables of paintings", number, len(tables))
-
-
-def _file_name(stored: str | None, otherwise: str, *place: int) -> str:
-    """The file name that a table has for a painting, if any, else one that is its own."""
-    return PurePosixPath(stored).name if stored else "-".join([otherwise, *map(str, place)]) + ".jpg"
-
-
-def _lines(path: Path) -> list[str]:
-    return [line.strip().replace("\\", "/") for line in read_text(path).splitlines()] if path.is_file() else []
 
 
 def _write_lines(path: Path, lines: Iterable[str]) -> None:

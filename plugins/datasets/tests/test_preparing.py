@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import subprocess
 import sys
 import zipfile
 
@@ -151,13 +152,21 @@ def test_frames_of_realestate_become_chunks_once(re10k, say, monkeypatch):
     before = contents(re10k)
     say("prepare", "re10k", re10k)
     assert contents(re10k) == before
+    out, following = say("check", re10k)
+    assert "train: 1 of 3 camera lists are in no chunk" in out and following.startswith("train ")
     picture(re10k / "frames" / "cc" / f"{TIMES[0]}.jpg", size=(1280, 720))
     picture(re10k / "frames" / "cc" / f"{TIMES[5]}.jpg", size=(1280, 720))
     _, following = say("prepare", "re10k", re10k)
     out, following = say(*shlex.split(following)[1:])
-    assert "1 of 640 x 360" not in out and "2 of 640 x 360" in out and "problems  0" in out
+    assert "2 of 640 x 360" in out and "problems  0" in out
     words = "scenes.short_side=360 scenes.multiple=1"
     assert following == f"train experiment=paper_head scenes=re10k scenes.root={re10k} {words}"
+    # A torn video leaves its clip out, and no chunk is written over.
+    (re10k / "videos" / "ID3.mp4").write_bytes((re10k / "videos" / "ID1.mp4").read_bytes()[:1500])
+    camera_list(re10k / "train" / "dd.txt", "https://www.youtube.com/watch?v=ID3")
+    before = contents(re10k)
+    assert "train: 3 of 4 clips, 1 without frames here" in say("prepare", "re10k", re10k)[0]
+    assert contents(re10k) == before
     (re10k / "train" / "dd.txt").write_text("address\n1 2 3\n")
     with pytest.raises(UserError, match=r"dd\.txt is no camera list of RealEstate10K"):
         Data()(["prepare", "re10k", str(re10k)])
@@ -181,7 +190,8 @@ def test_wikiart_is_recognised_before_it_has_captions(wikiart, tmp_path, say):
     assert "layout    wikiart" in out and "images    3\n" in out
     assert following == f"data caption {wikiart} --trust-remote-code"
     archive = evaluation_archive(tmp_path / "evaluation_and_splits.zip")
-    out, following = say("prepare", "wikiart", wikiart, "--archive", archive)
+    # The folder that the archive unpacks to will do, too.
+    out, following = say("prepare", "wikiart", wikiart.parent, "--archive", archive)
     assert f"taken from the archive: {DESCRIPTIONS}, {TEST_FILES}; 1 test styles" in out
     before = contents(wikiart)
     say("prepare", "wikiart", wikiart, "--archive", archive)
@@ -189,7 +199,7 @@ def test_wikiart_is_recognised_before_it_has_captions(wikiart, tmp_path, say):
     out, following = say(*shlex.split(following)[1:])
     assert "texts     1\n" in out and following == f"train experiment=paper_head styles=wikiart styles.root={wikiart}"
     styles = WikiArtStyles(root=str(wikiart), size=8)
-    assert [style.read(0).text for style in [styles]] == [("grey planes",)]
+    assert styles.read(0).text == ("grey planes",)
     assert [path.name for path in styles.paths] == ["painter_a-1911.jpg", "other_c.jpg"]
     assert styles.read(2).text == ("gold; haze",)
 
@@ -206,6 +216,8 @@ def test_tables_of_paintings_become_folders_of_movements(tmp_path, say, monkeypa
     pyarrow = pytest.importorskip("pyarrow")
     from pyarrow import parquet
 
+    with pytest.raises(UserError, match="is no parquet file, or a damaged one"):
+        Data()(["prepare", "wikiart", str(root)])
     picture(tmp_path / "one.jpg")
     image = {"bytes": (tmp_path / "one.jpg").read_bytes(), "path": None}
     names = {"artist": {"names": ["claude-monet"]}, "style": {"names": ["Cubism", "Impressionism"]}}
@@ -254,6 +266,48 @@ def test_a_folder_of_styles_gets_lines_to_fill_in(tmp_path, say):
     ]
     out, following = say("check", root)
     assert "texts     1\n" in out and following == f"train experiment=paper_head styles=folder styles.root={root}"
+
+
+SMALL = (
+    "model=tiny weights.branch=null trainer=cpu loss.content.network=texture loss.style.network=texture "
+    "loss.clip_directional.size=96 loss.clip_patch.size=96 loss.clip_patch.crops=2 training.heights=[112,112] "
+    "training.width=112 training.images=4 training.context_views=[2,2] training.spread=any workers=0"
+)
+
+
+@pytest.mark.slow
+def test_training_goes_on_where_preparing_ends(dl3dv, re10k, wikiart, tmp_path, say):
+    """Two steps by the words that ``data check`` prints for styles and for each kind of scenes."""
+    archive = evaluation_archive(tmp_path / "evaluation_and_splits.zip")
+    say("prepare", "wikiart", wikiart, "--archive", archive)
+    styles = shlex.split(say("check", wikiart)[1])
+    for root in (dl3dv, re10k):
+        say("prepare", "re10k" if root == re10k else "dl3dv", root)
+        scenes = shlex.split(say("check", root)[1])[2:]
+        words = [*styles, *scenes, *SMALL.split(), "trainer.max_steps=2", "name=mini", "resume=never"]
+        command = [sys.executable, "-m", "anystyle", *words]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
+        assert done.returncode == 0 and "2 steps done" in done.stdout, done.stderr[-1500:]
+
+
+@pytest.mark.slow
+def test_two_tables_come_out_of_the_folder(tmp_path, say):
+    for scene in ("Train", "Garden"):
+        for frame in range(9):
+            picture(tmp_path / "captures" / scene / f"{frame:05d}.jpg", seed=frame)
+    for style in range(2):
+        picture(tmp_path / "stylos" / f"{style:02d}.jpg", seed=style)
+    root = tmp_path / "tables"
+    say("prepare", "tables", root, "--captures", tmp_path / "captures", "--stylos", tmp_path / "stylos")
+    (root / "style_descriptions.txt").write_text("00.jpg;blue waves\n01.jpg;red dots\n")
+    few = "model=tiny protocol.num_styles=2 protocol.frames=9 protocol.size=56 protocol.scene_names=[Train,Garden]"
+    for table in ("table2", "table4"):
+        words = ["evaluate", f"protocol={table}", f"root={root}", *few.split(), "--out", table]
+        command = [sys.executable, "-m", "anystyle", *words]
+        done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
+        assert done.returncode == 0, done.stderr[-1500:]
+        rows = sorted(path.name for path in (tmp_path / table / "methods").iterdir())
+        assert rows == ["model_image", "model_text", "photographs"]
 
 
 def test_the_folder_of_the_tables_from_captures_or_from_the_archive(tmp_path, say):
