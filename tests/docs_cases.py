@@ -86,7 +86,7 @@ FEWER = {
 are trained by ``ablation/test_ablations.py``."""
 ENDS = {
     r"anystyle weights download ": "cannot be fetched",
-    r"anystyle data caption ": "captions need transformers",
+    r"anystyle data caption wikiart ": "captions need transformers",
     r"anystyle (stylize|benchmark) .*model=any(splat|style_head|style_full)\b": "the weights '.*' are missing: get",
     r"anystyle stylize .*reconstruction=fit": "no cameras are found: there is too little to see",
     r"anystyle stylize .*weights.backbone=model.safetensors": "there is no weights file model.safetensors",
@@ -103,6 +103,7 @@ TELLS = {
 NOT_RUN = {
     r"anystyle NAME$": "a name to fill in",
     r"anystyle plugins check KIND NAME$": "names to fill in",
+    r"anystyle data prepare KIND ROOT$": "names to fill in",
     r"anystyle export SCENE": "a file of a format that the reader adds",
     r"python -m build$": "builds the reader's package",
     r"pip install ": "needs a network",

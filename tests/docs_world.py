@@ -2,6 +2,7 @@
 
 import json
 import shutil
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -45,11 +46,11 @@ def _splat(path: Path) -> None:
     Gaussians(means, rotations, torch.full((1, 200, 3), 0.1), opacities, harmonics).save(path)
 
 
-def _data_sets(folder: Path) -> None:
+def _data_sets(folder: Path, frames_each: int = 4) -> None:
     scene = folder / "DL3DV-10K" / "1K" / "garden"
     frames = []
-    for number in range(4):
-        _picture(scene / "images_8" / f"frame_{number:05d}.png", seed=30, shift=number)
+    for number in range(frames_each):
+        _picture(scene / "images_8" / f"frame_{number:05d}.png", seed=30, shift=number % 8)
         pose = np.eye(4)
         pose[0, 3] = 0.1 * number
         frames.append({"file_path": f"images/frame_{number:05d}.png", "transform_matrix": pose.tolist()})
@@ -57,8 +58,29 @@ def _data_sets(folder: Path) -> None:
     (folder / "DL3DV-10K" / "train_index.json").write_text(json.dumps(["1K/garden"]))
     for number in range(2):
         _picture(folder / "wikiart" / "Cubism" / f"painter_{number}.jpg", seed=40 + number)
-    (folder / "stylos" / "examples" / "styles").mkdir(parents=True)
-    shutil.copy(folder / "wikiart/Cubism/painter_1.jpg", folder / "stylos/examples/styles/kept.jpg")
+
+
+def of_data(folder: Path) -> None:
+    """Data sets as their publishers hand them out."""
+    _data_sets(folder, frames_each=33)
+    (folder / "DL3DV-10K" / "train_index.json").unlink()
+    times = [40_000 * number for number in range(3)]
+    rows = [f"{time} 0.9 1.2 0.5 0.5 0 0 1 0 0 {time} 0 1 0 0 0 0 1 0" for time in times]
+    for number, time in enumerate(times):
+        _picture(folder / "RealEstate10K" / "frames" / "train" / "clip" / f"{time}.png", seed=50, shift=number)
+    (folder / "RealEstate10K" / "train").mkdir()
+    (folder / "RealEstate10K" / "train" / "clip.txt").write_text("\n".join(["https://youtube.com/watch?v=x", *rows]))
+    (folder / "styl3r" / "test").mkdir(parents=True)
+    shutil.copy(folder / "wikiart/Cubism/painter_0.jpg", folder / "styl3r/test/abstract_0.jpg")
+    for scene in ("tanks_and_temples/Train", "tanks_and_temples/Truck", "tanks_and_temples/M60", "360_v2/garden"):
+        for frame in range(16):
+            _picture(folder / scene / "images" / f"{frame:05d}.jpg", seed=60, shift=frame % 8)
+    for style in range(50):
+        _picture(folder / "stylos" / "examples" / "styles" / f"{style:02d}.jpg", seed=100 + style)
+    with zipfile.ZipFile(folder / "evaluation_and_splits.zip", "w") as archive:
+        archive.writestr("style_descriptions.txt", "".join(f"{style:02d}.jpg;words\n" for style in range(50)))
+        archive.writestr("wikiarts_descriptions.txt", "Cubism/painter_0.jpg;grey planes\n")
+        archive.writestr("wikiarts_test_files.txt", "Cubism/painter_1.jpg\n")
 
 
 def of_study(folder: Path) -> None:

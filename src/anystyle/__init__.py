@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from anystyle.pipeline.controls import Controls
     from anystyle.pipeline.load import load
     from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
-    from anystyle.pipeline.styles import Mixture
+    from anystyle.pipeline.styles import Mixture, Places
     from anystyle.pipeline.stylize import stylize
     from anystyle.registry.build import build
     from anystyle.registry.catalog import catalog, plugin
@@ -28,6 +28,7 @@ _HOMES = {
     "Controls": "anystyle.pipeline.controls",
     "ExportOptions": "anystyle.pipeline.options",
     "Mixture": "anystyle.pipeline.styles",
+    "Places": "anystyle.pipeline.styles",
     "PoseOptions": "anystyle.pipeline.options",
     "SplatOptions": "anystyle.pipeline.options",
     "Stylizer": "anystyle.stylizer",
@@ -63,6 +64,7 @@ __all__ = [
     "Controls",
     "ExportOptions",
     "Mixture",
+    "Places",
     "PoseOptions",
     "SplatOptions",
     "Stylizer",

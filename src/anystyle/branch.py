@@ -76,11 +76,24 @@ class StyleBranch(nn.Module):
         injectors = (injector for injector in self.injectors.values() if isinstance(injector, Injector))
         return tuple(dict.fromkeys(source for injector in injectors for source in injector.sources))
 
+    @property
+    def paints_strokes(self) -> bool:
+        """Whether the scale of an embedding changes what is painted."""
+        return any(isinstance(one, Injector) and one.at_scale(1.0) is not None for one in self.injectors.values())
+
+    def _at_scale(self, scale: float) -> dict[str, nn.Module]:
+        injectors = dict(self.injectors.items())
+        if scale != 1:
+            scaled = {site: one.at_scale(scale) for site, one in injectors.items() if isinstance(one, Injector)}
+            injectors |= {site: one for site, one in scaled.items() if one is not None}
+        return injectors
+
     def forward(self, scene: Scene, embedding: StyleEmbedding) -> Attributes:
         """The attributes of ``scene`` in each style; scenes and styles are paired row by row."""
+        injectors = self._at_scale(embedding.scale)
 
         def inject(site: str, tokens: Tokens) -> Tokens:
-            return self.injectors[site](tokens, embedding.vector) if site in self.injectors else tokens
+            return injectors[site](tokens, embedding.vector) if site in injectors else tokens
 
         attributes = scene.attributes
         if self.gaussian_head is not None:

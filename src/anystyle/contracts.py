@@ -215,6 +215,10 @@ class Injector(Socket, nn.Module, ABC):
     def forward(self, tokens: Tokens, style: Float[Tensor, "B D"]) -> Tokens:
         """Tokens of the same shape, grid and kind."""
 
+    def at_scale(self, scale: float) -> "Injector | None":
+        """This injector, parameters shared, for strokes ``scale`` times as large; ``None`` if it paints none."""
+        return None
+
 
 class Placement(Socket, ABC):
     """Which sites style enters, of a backbone's and :data:`anystyle.branch.COLOR`."""

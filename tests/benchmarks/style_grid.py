@@ -1,60 +1,72 @@
-"""The pictures of ``docs/styles.md``, written into ``docs/pictures``; run it with ``PYTHONPATH=tests``.
+"""The pictures of captures in ``docs/styles.md``, written into ``docs/pictures``.
 
-Three procedural scenes of the held-out split, the first by number; the first twelve paintings by name among those of
-the test data, and the captions that they have there. Nothing is chosen after looking.
+Run it with ``PYTHONPATH=tests:tests/benchmarks:plugins/brush:plugins/captures:plugins/magenta``. Four captures
+fitted at 384 pixels, the middle view of each; the paintings that come with the package and the first by name of the
+test data, and eight texts; above ``method=branch``, below ``method=brush``. Nothing was chosen after looking.
 """
 
-import sys
 from pathlib import Path
 
 import torch
 from PIL import Image
+from style_quality import CAPTURES, fitted
 
 import anystyle
-from anystyle.data.captions import read_captions
 from anystyle.data.images import read_image
+from anystyle.examples import examples, resolved
 from anystyle.io.sheet import to_pil
-from anystyle.types import Scene, StyleEmbedding
+from anystyle.methods.branch import Branch
+from anystyle.types import Style
+from anystyle_brush.brush import Brush
 from real_data import ROOT
 
-NUM_SCENES, NUM_STYLES, SIDE, GAP = 3, 12, 112, 4
+TEXTS = (
+    "an impressionist meadow in green and ochre with short brushstrokes", "navy and gold", "a charcoal drawing",
+    "watercolour of a sunset", "stained glass", "bold swirls in red and orange", "steampunk brass", "a raven's wing",
+)  # fmt: skip
+WIDTH, GAP = 176, 3
 OUT = Path(__file__).parents[2] / "docs" / "pictures"
 
 
 @torch.no_grad()
 def main() -> None:
-    scenes = anystyle.catalog().find("scenes", "procedural").load()(split="heldout", size=SIDE)
     stylizer = anystyle.load("painter")
-    captions = read_captions(ROOT / "styles" / "captions.jsonl")
-    names = sorted(captions)[:NUM_STYLES]
-    embeddings = {
-        "texts": [stylizer.embed(text=captions[name]) for name in names],
-        "paintings": [stylizer.embed(image=read_image(ROOT / "styles" / name)[None]) for name in names],
+    known = [name for name, example in examples().items() if example.file.endswith(".jpg")]
+    files = [*(resolved(Path(f"example:{name}")) for name in known), min((ROOT / "paintings").glob("*.jpg"))]
+    kinds = {
+        "paintings": [Style(read_image(file)[None]) for file in files],
+        "texts": [Style(text=(text,)) for text in TEXTS],
     }
-    rows: dict[str, list[list[Image.Image]]] = {kind: [] for kind in embeddings}
-    for index in range(NUM_SCENES):
-        scene = stylizer.encode(scenes.read(index, range(4)))
-        unstyled = first_view(stylizer, scene, None)
-        for kind, styles in embeddings.items():
-            rows[kind].append([unstyled, *(first_view(stylizer, scene, style) for style in styles)])
+    rows: dict[str, list[list[Image.Image]]] = {kind: [] for kind in kinds}
+    for path in CAPTURES["captures"]:
+        scene = fitted(ROOT / path, stylizer, 384)
+        middle = scene.cameras.select([scene.cameras.intrinsics.shape[1] // 2])
+        for method in (Branch(), Brush()):
+            for kind, styles in kinds.items():
+                row = [stylizer.unstyled(scene)]
+                for style in styles:
+                    given = {"text": style.text} if style.image is None else {"image": style.image}
+                    row.append(method(stylizer, scene, style, stylizer.embed(**given)))
+                rows[kind].append([to_pil(stylizer.render(one, middle).color[0, 0]) for one in row])
     for kind, cells in rows.items():
-        grid(cells).save(OUT / f"styles_{kind}.jpg", quality=88)
-    for name in names:
-        match = stylizer.style_encoder.match_text(captions[name])
-        sys.stdout.write(f"| {captions[name]} | {', '.join(match.unknown_words)} | {match.similarity:.2f} |\n")
+        head = [read_image(file) for file in files[:-1]] if kind == "paintings" else []
+        grid(cells, [to_pil(image) for image in head]).save(OUT / f"styles_{kind}.jpg", quality=85)
 
 
-def first_view(stylizer: anystyle.Stylizer, scene: Scene, style: StyleEmbedding | None) -> Image.Image:
-    gaussians = stylizer.unstyled(scene) if style is None else stylizer.restyle(scene, style)
-    return to_pil(stylizer.render(gaussians, scene.cameras).color[0, 0])
-
-
-def grid(cells: list[list[Image.Image]]) -> Image.Image:
-    step = SIDE + GAP
-    sheet = Image.new("RGB", (step * len(cells[0]) - GAP, step * len(cells) - GAP), "white")
-    for row, images in enumerate(cells):
-        for column, image in enumerate(images):
-            sheet.paste(image, (column * step, row * step))
+def grid(cells: list[list[Image.Image]], head: list[Image.Image]) -> Image.Image:
+    """Rows of pictures of one width, below pictures for the columns after the first."""
+    tops = [WIDTH * 3 // 4] if head else []
+    heights = [*tops, *(round(row[0].height * WIDTH / row[0].width) for row in cells)]
+    columns = len(cells[0])
+    sheet = Image.new("RGB", (columns * (WIDTH + GAP) - GAP, sum(heights) + GAP * (len(heights) - 1)), "white")
+    for column, image in enumerate(head, start=1):
+        image.thumbnail((WIDTH, heights[0]))
+        sheet.paste(image, (column * (WIDTH + GAP) + (WIDTH - image.width) // 2, heights[0] - image.height))
+    top = sum(tops) + GAP * len(tops)
+    for row, height in zip(cells, heights[len(tops) :], strict=True):
+        for column, image in enumerate(row):
+            sheet.paste(image.resize((WIDTH, height), Image.Resampling.LANCZOS), (column * (WIDTH + GAP), top))
+        top += height + GAP
     return sheet
 
 

@@ -53,9 +53,10 @@ from real_data import ROOT
 
 CAPTURES = {
     "tune": ("videos/llff_horns.mp4", "videos/dtu_scan_106.mp4", "videos/vrnerf_apartment.mp4"),
+    "captures": tuple(f"captures/{name}" for name in ("street", "bronze_axe", "brighton_beach", "banana")),
     "test": ("videos/llff_fortress.mp4", "videos/horizongs_hillside_summer.mp4", "scenes/train/images"),
 }
-NUM_VIEWS, NUM_CHOICES = 8, 35
+NUM_VIEWS, NUM_CHOICES, SMALL = 8, 35, 32
 load = cache(anystyle.load)
 
 
@@ -89,8 +90,11 @@ def palette_transfer(case: Case) -> Tensor:
     covariance = torch.cov(pixels.T) + 1e-5 * torch.eye(3)
     root, inverse = _power(covariance, 0.5), _power(covariance, -0.5)
     matrix = inverse @ _power(root @ torch.cov(target.T) @ root, 0.5) @ inverse
-    moved = ((pixels - pixels.mean(0)) @ matrix + target.mean(0)).float().clamp(0, 1)
-    return case.render(moved.view(case.photographs.movedim(2, -1).shape).movedim(-1, 2))
+    # Renders are linear in colours: mapped ones of fitted Gaussians are renders of mapped colours.
+    moved = pixels if case.scene.gaussians is None else case.unstyled.movedim(2, -1).reshape(-1, 3).double()
+    moved = ((moved - pixels.mean(0)) @ matrix + target.mean(0)).float().clamp(0, 1)
+    images = moved.view(case.photographs.movedim(2, -1).shape).movedim(-1, 2)
+    return case.render(images) if case.scene.gaussians is None else images
 
 
 def teacher(case: Case) -> Tensor:
@@ -99,7 +103,10 @@ def teacher(case: Case) -> Tensor:
 
     injector = case.stylizer.branch.injectors["color"]
     embedding = case.stylizer.embed(image=case.painting)
-    return stylize_images(injector.network, case.photographs, embedding.vector, working_size=injector.working_size)
+    images = case.photographs
+    for size in injector.sizes(images.shape[-2:]):
+        images = stylize_images(injector.network, images, embedding.vector, working_size=size)
+    return images
 
 
 def single_pass(case: Case) -> Tensor:
@@ -124,12 +131,14 @@ def brushed(case: Case) -> Tensor:
     return case.stylizer.render(gaussians, case.scene.cameras).color
 
 
-def solved(steps: int) -> Callable[[Case], Tensor]:
-    """The fitted scene in colours that are solved back in so many steps."""
+def solved(steps: int, refined: int = 0) -> Callable[[Case], Tensor]:
+    """The fitted scene in colours that are solved back in so many steps, and refined in so many."""
 
     def method(case: Case) -> Tensor:
         embedding = case.stylizer.embed(image=case.painting)
-        gaussians = Branch(fit_colors=steps)(case.stylizer, case.scene, Style(case.painting), embedding)
+        gaussians = Branch(fit_colors=steps, refine_strokes=refined)(
+            case.stylizer, case.scene, Style(case.painting), embedding
+        )
         return case.stylizer.render(gaussians, case.scene.cameras).color
 
     return method
@@ -147,18 +156,18 @@ METHODS: dict[str, dict[str, Callable[[Case], Tensor]]] = {
     "fit": {
         "unstyled": unstyled,
         "2D teacher, view by view": teacher,
-        "fit_colors=0": solved(0),
-        "fit_colors=2": solved(2),
-        "fit_colors=4": solved(4),
-        "fit_colors=6": solved(6),
-        "brush": brushed,
+        "palette transfer": palette_transfer,
+        "single pass, colours solved": solved(4),
+        "the same, refine_strokes=60": solved(4, 60),
+        "method=brush": brushed,
     },
 }
 
 
 def fitted(path: Path, stylizer: Stylizer, short_side: int) -> Scene:
-    """Gaussians fitted to a capture, of at most twice as many views as are encoded elsewhere."""
-    views = ViewOptions(short_side=short_side, take=2 * NUM_VIEWS)
+    """Gaussians fitted to all photographs of a small capture, or to twice as many views as are encoded elsewhere."""
+    small = path.is_dir() and sum(1 for _ in path.iterdir()) <= SMALL
+    views = ViewOptions(short_side=short_side, take=None if small else 2 * NUM_VIEWS)
     poses, splat = PoseOptions("sfm"), SplatOptions()
     fit = build(Reconstruction, {"_target_": catalog().find("reconstruction", "fit").path, "holdout": 0})
     capture = encode_inputs(path, stylizer, views, poses, splat, fit, Stages())
@@ -187,7 +196,7 @@ def paintings(split: str, kind: str = "all") -> list[Tensor]:
         return [read_image(file)[None] for file in sorted((ROOT / "styles").glob("style_*.jpg"))]
     files = sorted([*(ROOT / "styles").glob("*.jpg"), *(ROOT / "paintings").glob("*.jpg")])
     order = np.random.default_rng(16).permutation(len(files))
-    start = {"tune": 0, "test": NUM_CHOICES}[split]
+    start = 0 if split == "tune" else NUM_CHOICES
     return [read_image(files[index])[None] for index in order[start : start + NUM_CHOICES]]
 
 

@@ -70,7 +70,7 @@ def test_files_that_are_not_the_checkpoint(
     for name, told in (
         ("other.safetensors", "not AnySplat's or AnyStyle's (visual.proj)"),
         ("half.ckpt", "is truncated or no file of weights"),
-        ("code.ckpt", "is damaged or holds more than tensors"),
+        ("code.ckpt", "holds code or objects of other programs ("),
     ):
         assert told in refused(capsys, words, *(f"weights.{part}={tmp_path / name}" for part in ("backbone", "branch")))
 

@@ -1,9 +1,14 @@
 """``anystyle weights``: the table, and judging a file."""
 
+import argparse
+import datetime
+import functools
 import re
+from collections import OrderedDict
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
@@ -57,7 +62,8 @@ def test_the_table_says_all_of_every_file(cli: Cli, tmp_path: Path, monkeypatch:
         for part in (entry.purpose, entry.license, entry.source, (entry.sha256 or "")[:8]):
             assert part in block
     assert f"  file     {tmp_path / 'longclip-B-32.pt'}" in blocks["longclip_b32"]
-    assert blocks["anysplat"].startswith("anysplat: missing, 4.76 GB")
+    assert blocks["anysplat"].startswith("anysplat: missing, 4.76 GB of tensors (computed)\n")
+    assert blocks["raft_things"].startswith("raft_things: missing, 21.1 MB\n")
     assert f"  looked   {tmp_path / 'anysplat.safetensors'}" in blocks["anysplat"]
     assert blocks["tiny_branch"].startswith("tiny_branch: found")
     assert "ANYSTYLE_WEIGHTS" in out
@@ -82,6 +88,21 @@ def test_what_a_file_holds(cli: Cli, tmp_path: Path) -> None:
     assert "as published" in cli("verify", "magenta_transform")[1]
     save_file({"a": torch.tensor([1.0, torch.nan])}, tmp_path / "nan.safetensors")
     refused(cli, "verify", tmp_path / "nan.safetensors", told="is damaged: a holds values")
+
+
+def test_plain_objects_beside_the_tensors_are_passed_over(cli: Cli, tmp_path: Path) -> None:
+    state = small_checkpoint("head")
+    beside = {
+        "callbacks": {"ModelCheckpoint": {"dirpath": tmp_path, "best_model_score": np.float64(0.5), "seen": {1, 2}}},
+        "hyper_parameters": argparse.Namespace(root=Path("data"), started=datetime.datetime(2026, 1, 1), lr=1e-4),
+        "loops": [OrderedDict(step=3), functools.partial(int, base=8)],
+    }
+    torch.save({"state_dict": state} | beside, tmp_path / "lightning.ckpt")
+    status, out, err = cli("verify", tmp_path / "lightning.ckpt")
+    assert status == 0, err
+    assert f"{len(state)} tensors" in out
+    read = weights.read(tmp_path / "lightning.ckpt")
+    assert read.keys() == state.keys() and all(torch.equal(read[key], tensor) for key, tensor in state.items())
 
 
 def evil(path: Path) -> None:
@@ -111,7 +132,7 @@ def no_tensors(path: Path) -> None:
 
 
 BAD = [
-    (evil, "bad.ckpt", "holds more than tensors"),
+    (evil, "bad.ckpt", r"bad\.ckpt holds code or objects of other programs \(builtins\.print\)"),
     (truncated, "bad.pt", "is truncated or no file of weights"),
     (truncated_safetensors, "bad.safetensors", "is truncated or no file of weights"),
     (no_tensors, "bad.pt", "holds no plain state dict"),

@@ -7,6 +7,7 @@ import pytest
 
 from anystyle.commands import report
 from anystyle.commands._run import run
+from anystyle.data.style_folder import FolderStyles
 from anystyle.errors import UserError
 from anystyle.evaluation import published_figures, record
 from anystyle.evaluation.pairing import pair
@@ -80,7 +81,7 @@ def test_the_layout_is_checked_before_anything_is_computed(root, capsys):
     (root / "styles" / "captions.jsonl").write_text('{"image": "00.png", "text": "waves"}\n')
     with pytest.raises(ValueError, match="content/Train: 2 photographs, fewer than 3") as caught:
         tables(root)
-    for said in ("captions.jsonl: no text for 1 styles, such as 01.png", "methods/Stylos: 1 scenes", "Garden in 01"):
+    for said in ("styles: no text for 1 styles, such as 01.png", "methods/Stylos: 1 scenes", "Garden in 01"):
         assert said in str(caught.value)
     with pytest.raises(ValueError, match="methods/ARF: there is no such folder"):
         tables(root, methods=["ARF"])
@@ -88,6 +89,19 @@ def test_the_layout_is_checked_before_anything_is_computed(root, capsys):
         Data()(["check", str(root)])
     shown = capsys.readouterr().out
     assert "methods   Styl3R, Stylos" in shown and "content/M60: 0 photographs, fewer than 16" in shown
+
+
+def test_the_published_descriptions_are_the_texts(root, tmp_path):
+    """As AnyStyle's authors lay the archive out: ``style_images`` beside ``style_descriptions.txt``."""
+    (root / "styles").rename(root / "style_images")
+    (root / "style_images" / "captions.jsonl").unlink()
+    with pytest.raises(ValueError, match="no text for 2 styles"):
+        tables(root)
+    (root / "style_descriptions.txt").write_text("00.png;thick blue; swirling strokes\n01.png; flat ochre\n")
+    found = tables(root, methods=[], photographs=0).run(tmp_path / "out", silent)
+    assert found.provenance["methods"] == ["model_image", "model_text"]
+    styles = FolderStyles(root=str(root / "style_images"), size=16)
+    assert [styles.read(place).text for place in range(2)] == [("thick blue; swirling strokes",), ("flat ochre",)]
 
 
 def test_a_complete_folder_passes(tmp_path, capsys):

@@ -1,6 +1,7 @@
 """How a style is applied: closed forms, scipy, and the ends that must be exact."""
 
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,13 +12,14 @@ from scipy.spatial.transform import Rotation, Slerp
 import anystyle
 from anystyle import Controls, VideoOptions, ViewOptions
 from anystyle.commands._compose import main
-from anystyle.commands.stylize import command, given_controls, parser
+from anystyle.commands.stylize import command, given_controls, given_styles, parser
 from anystyle.data.folder import Original, covering
 from anystyle.data.images import to_tensor
 from anystyle.geometry.harmonics import colors
 from anystyle.pipeline.controls import LUMA, SeenScene, blended, rescaled, with_colors_of
 from anystyle.pipeline.masks import Box, Photographs, Sphere, inside, parsed
 from anystyle.pipeline.poses import PosedViews
+from anystyle.registry.compose import compose
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
 from anystyle_captures.structure_from_motion import StructureFromMotion
@@ -212,5 +214,44 @@ def test_a_mask_and_preserved_colour_change_what_they_are_for(photographs):
     assert torch.equal(full.harmonics, plain.harmonics)
     assert torch.equal(none.harmonics, results.restyler.unstyled.harmonics)
     assert not torch.equal(preserved.harmonics, plain.harmonics)
+    small = anystyle.load("tiny")
     with pytest.raises(ValueError, match="is a text"):
-        anystyle.stylize(photographs, "dots", model=stylizer, views=VIEWS, controls=Controls(scale=2.0))
+        anystyle.stylize(photographs, "dots", model=small, views=VIEWS, controls=Controls(scale=2.0))
+    (large,) = anystyle.stylize(photographs, "dots", model=stylizer, views=VIEWS, controls=Controls(scale=2.0))
+    assert not torch.equal(large.gaussians.harmonics, plain.harmonics)
+
+
+def test_several_styles_share_a_scene_by_place(photographs):
+    stylizer = anystyle.load()
+    middle = Sphere((0.0, 0.0, 1.0), 0.3)
+    styles = anystyle.Places((("dots", None), ("fine hatching", middle)))
+    results = list(anystyle.stylize(photographs, [styles, "dots", "fine hatching"], model=stylizer, views=VIEWS))
+    scene, dots, hatching = (result.gaussians for result in results)
+    inside = (scene.means - torch.tensor(middle.center)).norm(dim=-1) <= middle.radius
+    assert 0 < int(inside.sum()) < inside.numel()
+    assert torch.equal(scene.harmonics[inside], hatching.harmonics[inside])
+    assert torch.equal(scene.harmonics[~inside], dots.harmonics[~inside])
+    assert results[0].style.title == "“dots” and “fine hatching”"
+    none = anystyle.stylize(photographs, styles, model=stylizer, views=VIEWS, controls=Controls(strength=0.0))
+    assert torch.equal(next(iter(none)).gaussians.harmonics, none.restyler.unstyled.harmonics)
+
+
+def test_a_style_on_the_command_line_has_a_place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("masks").mkdir()
+    Path("a@b.jpg").touch()
+    words = ["photos", "--text", "dots@sphere:0,0,1,0.5,soft=0.1", "--text", "me@home", "--image", "a@b.jpg@masks"]
+    config = compose("stylize", [])
+    (places,) = given_styles(parser().parse_args(words), config, [])
+    assert places == anystyle.Places(
+        (
+            ("me@home", None),
+            ("dots", Sphere((0.0, 0.0, 1.0), 0.5, 0.1)),
+            (Path("a@b.jpg"), Photographs(Path("masks"))),
+        )
+    )
+    assert given_styles(parser().parse_args(["photos", "--image", "a@b.jpg"]), config, []) == [Path("a@b.jpg")]
+    with pytest.raises(ValueError, match="ball"):
+        given_styles(parser().parse_args(["photos", "--image", "b.jpg@ball:1"]), config, [])
+    with pytest.raises(ValueError, match="--mix"):
+        given_styles(parser().parse_args(words[:3]), config, [0.5])

@@ -88,7 +88,7 @@ class Brush(Method):
         canvas = _Canvas.of(scene, gaussians, pixels)
         photographs = rgb_from_constant(scene.attributes.color[0, ..., 0]).movedim(-1, 1).float()
         picture = painted if style.image is None else style.image.to(painted)
-        unit = self.size * min(painted.shape[-2:]) / SHORT_SIDE
+        unit = self.size * embedding.scale * min(painted.shape[-2:]) / SHORT_SIDE
         generator = torch.Generator().manual_seed(self.seed)
         own = structure_tensor(picture, 1.5, 5.0)
         own = interpolate(

@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+import torch
 from PIL import Image
 
 from anystyle.data.captions import read_captions
@@ -12,15 +13,14 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
 
 PROMPT = (
-    "Describe the artistic style of this painting in at most 300 characters: brushwork, palette, texture, composition. "
-    "Say nothing of what it depicts."
+    "In 300 chars, give a precise description of image style visual features: exact color and brightness specs, "
+    "contrast, contour line shape/weight, and brushwork or texture patterns."
 )
-DEFAULT_MODEL = "HuggingFaceTB/SmolVLM-Instruct"
-"""Part of the transformers library. The paper's MiniCPM-V 4.5 is not: its page loads code from the hub. Write its
-captions with the script on its page, and read the file here."""
+"""The question of AnyStyle's authors, quoted from ``assets/wikiart_desc_generation.md`` of joaxkal/AnyStyle."""
+DEFAULT_MODEL = "openbmb/MiniCPM-V-4_5"
+"""The model that they asked, which answers by code that its page brings."""
 SIDE = 224
-LONGEST = 300
-"""Characters of a caption; longer ones are cut at a word."""
+"""Height and width of the pictures that it was shown."""
 
 Captioner = Callable[[Sequence[Image.Image], str], Sequence[str]]
 """From images and a prompt to one text for each image."""
@@ -31,7 +31,7 @@ def transformers_captioner(model: str, device: str) -> Captioner:
     try:
         from transformers import pipeline  # pyright: ignore[reportMissingImports]
     except ModuleNotFoundError:
-        raise ImportError('captions need transformers; pip install "anystyle[captions]"') from None
+        raise _needs_transformers() from None
     describe = pipeline("image-text-to-text", model=model, device=device)
 
     def captions(images: Sequence[Image.Image], prompt: str) -> Sequence[str]:
@@ -42,6 +42,26 @@ def transformers_captioner(model: str, device: str) -> Captioner:
         return [output[0]["generated_text"] for output in describe(text=chats, return_full_text=False)]
 
     return captions
+
+
+def chat_captioner(model: str, device: str) -> Captioner:
+    """A model whose page brings the code of a method ``chat``, as MiniCPM-V's do: that code is downloaded and run."""
+    try:
+        from transformers import AutoModel, AutoTokenizer  # pyright: ignore[reportMissingImports]
+    except ModuleNotFoundError:
+        raise _needs_transformers() from None
+    tokenizer = AutoTokenizer.from_pretrained(model, trust_remote_code=True)
+    network = AutoModel.from_pretrained(model, trust_remote_code=True, torch_dtype=torch.bfloat16).eval().to(device)
+
+    def captions(images: Sequence[Image.Image], prompt: str) -> Sequence[str]:
+        chats = ([{"role": "user", "content": [image, prompt]}] for image in images)
+        return [network.chat(msgs=chat, tokenizer=tokenizer, enable_thinking=False) for chat in chats]
+
+    return captions
+
+
+def _needs_transformers() -> ImportError:
+    return ImportError('captions need transformers; pip install "anystyle[captions]"')
 
 
 def caption_folder(
@@ -68,8 +88,7 @@ def caption_folder(
         images: dict[str, Image.Image] = {}
         for name in left[start : start + batch]:
             try:
-                image = open_image(root / name, longest=2 * SIDE)
-                images[name] = image.resize((SIDE, SIDE), Image.Resampling.LANCZOS)
+                images[name] = open_image(root / name).resize((SIDE, SIDE), Image.Resampling.BICUBIC)
             except (UserError, OSError) as error:
                 failed[name] = str(error)
         if images:
@@ -83,9 +102,8 @@ def caption_folder(
 
 
 def tidy(text: str) -> str:
-    """A caption in one line without the file's separator, no longer than :data:`LONGEST`."""
-    words = " ".join(text.replace(";", ",").split())
-    return words if len(words) <= LONGEST else words[: LONGEST + 1].rpartition(" ")[0].rstrip(",.:") + "."
+    """A caption in one line without the file's separator."""
+    return " ".join(text.replace(";", ",").split())
 
 
 def _write(out: Path, texts: Mapping[str, str]) -> None:

@@ -1,7 +1,10 @@
 """What a folder of training data holds, and what in it is missing or damaged."""
 
+import os
+import re
+import shlex
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -11,19 +14,22 @@ from typing import Literal, TypeVar
 import numpy as np
 from PIL import Image
 
-from anystyle.data.captions import read_captions
+from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
 from anystyle.data.images import SUFFIXES, image_size, listing, open_image
 from anystyle.data.poses import frame_names, read_poses
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.errors import UserError
-from anystyle.io.documents import read_json, read_text
+from anystyle.io.documents import read_json
 from anystyle.io.images import Picture
+from anystyle.registry.compose import override
 from anystyle_datasets.re10k import Re10kScenes
-from anystyle_datasets.wikiart import DESCRIPTIONS, TEST_FILES
+from anystyle_datasets.wikiart import DESCRIPTIONS, MOVEMENTS, TEST_FILES, read_list
 
 P = TypeVar("P", Path, bytes)
 Layout = Literal["scenes", "re10k", "styles", "wikiart"]
+REDUCED = ("images_8", "images_4")
+"""Where DL3DV keeps photographs: those of 480P, of 960P."""
 IMAGE_FOLDERS: dict[str, str | None] = {
     "images": None,
     "images_8": None,
@@ -35,10 +41,11 @@ IMAGE_FOLDERS: dict[str, str | None] = {
 
 @dataclass
 class Report:
-    """What a folder holds, and the words (``use``) that train on it."""
+    """What a folder holds, the words (``use``) that train on it, and the command that it needs before, if any."""
 
     layout: Layout
     use: str
+    prepare: str = ""
     scenes: int = 0  # that can be used; 0 for styles
     images: int = 0  # that can be decoded
     sizes: Counter[tuple[int, int]] = field(default_factory=Counter)  # images of each width and height
@@ -56,36 +63,95 @@ def check(root: Path, *, layout: Layout | None = None, min_views: int = 2, decod
     """
     if not root.is_dir():
         raise UserError(f"there is no folder {root}")
+    root = root if layout else locate(root)
     chosen = layout or guess(root)
     readers = {"scenes": _scenes, "re10k": _re10k, "styles": _styles, "wikiart": _wikiart}
     return readers[chosen](root, min_views, decode)
 
 
+def locate(root: Path) -> Path:
+    """Where clips or paintings lie: in the folder, or in the only one that is in it, as archives unpack them."""
+    inner, inside = root, [root]
+    while guess(inner) == "scenes" and len(inside) == 1 and inside[0].is_dir():
+        inner = inside[0]
+        inside = [path for path in inner.iterdir() if not path.name.startswith(".")]
+    return root if guess(inner) == "scenes" else inner
+
+
 def guess(root: Path) -> Layout:
     """How a folder is laid out, by what lies in it."""
-    if any((root / split / "index.json").is_file() for split in ("train", "test")):
+    splits = [root / split for split in ("train", "test")]
+    if any((split / "index.json").is_file() or any(split.glob("*.txt")) for split in splits):
         return "re10k"
-    if any((root / name).is_file() for name in (DESCRIPTIONS, TEST_FILES)):
+    names = {path.name for path in root.iterdir()}
+    if names & {DESCRIPTIONS, TEST_FILES, *MOVEMENTS} or exported(root):
         return "wikiart"
-    return "styles" if (root / "captions.jsonl").is_file() else "scenes"
+    described = {"captions.jsonl", "style_descriptions.txt"} & names
+    return "styles" if described or root.name in ("styles", "style_images") else "scenes"
+
+
+def exported(root: Path) -> list[Path]:
+    """Tables of paintings, as data sets are exported from the Hugging Face hub."""
+    return sorted(path for folder in (root, root / "data") for path in folder.glob("*.parquet"))
+
+
+def unindexed(root: Path) -> list[Path]:
+    """The folders of DL3DV's scenes at any depth, in order: those that hold reduced photographs without originals."""
+    found: list[Path] = []
+    for folder, inside, _ in os.walk(root):
+        path = Path(folder)
+        if (
+            path != root
+            and "images" not in inside
+            and any(name in inside and image_files(path / name) for name in REDUCED)
+        ):
+            found.append(path)
+            inside.clear()
+        inside[:] = [name for name in inside if not name.startswith(".")]
+    return sorted(found)
+
+
+def packed(root: Path) -> list[Path]:
+    """DL3DV's archives that are not unpacked yet, one a scene and named by its hash."""
+    archives = (path for pattern in ("*.zip", "*/*.zip", "*/*/*.zip") for path in root.glob(pattern))
+    hashes = (path for path in archives if re.fullmatch("[0-9a-f]{64}", path.stem))
+    return sorted(path for path in hashes if not path.with_suffix("").is_dir())
+
+
+def words(**options: object) -> str:
+    """``key=value`` for a shell, a double underscore for each dot of a key."""
+    pairs = ((key.replace("__", "."), str(value)) for key, value in options.items())
+    plain = re.compile(r"[\w./~+-]+")
+    return shlex.join(f"{key}={text}" if plain.fullmatch(text) else override(key, text) for key, text in pairs)
 
 
 def _scenes(root: Path, min_views: int, decode: bool) -> Report:
     index = "train_index.json" if (root / "train_index.json").is_file() else None
     names: list[str] = [] if index is None else read_json(root / index, list[str], what="JSON list of folder names")
-    inside = [root, *(path for path in root.iterdir() if path.is_dir()), *(root / name for name in names)]
+    nested = unindexed(root) if index is None else []
+    inside = [root, *(path for path in root.iterdir() if path.is_dir()), *(root / name for name in names), *nested]
     images = next((name for name in IMAGE_FOLDERS if any((path / name).is_dir() for path in inside)), "images")
     cameras = IMAGE_FOLDERS[images]
-    words = [f"scenes=folder scenes.root={root}"]
-    words += [] if images == "images" else [f"scenes.images={images}"]
-    words += [] if index is None else [f"scenes.index={index}"]
+    options: dict[str, object] = {"scenes": "folder", "scenes__root": root}
+    options |= {} if images == "images" else {"scenes__images": images}
+    options |= {} if index is None else {"scenes__index": index}
     if cameras is not None:
-        words = [f"scenes=scannetpp scenes.root={root}"]
-    elif images != "images" and index is not None:
-        words = [f"scenes=dl3dv scenes.root={root}"] + ([] if images == "images_8" else [f"scenes.images={images}"])
-    report = Report("scenes", " ".join(words))
+        options = {"scenes": "scannetpp", "scenes__root": root}
+    elif images in REDUCED and (index or nested):
+        options = {"scenes": "dl3dv", "scenes__root": root}
+        options |= {} if images == "images_8" else {"scenes__images": images}
+    report = Report("scenes", words(**options))
     report.problems += [f"{name}: in {index}, and not there" for name in names if not (root / name).is_dir()]
-    for folder in FolderScenes(root=str(root), index=index, images=images, cameras=cameras).folders:
+    archives = packed(root)
+    if archives or nested:
+        report.prepare = shlex.join(["anystyle", "data", "prepare", "dl3dv", str(root)])
+        report.problems += [f"{len(archives)} scenes are packed, such as {archives[0]}"] if archives else []
+        report.problems += [f"{root / 'train_index.json'} is not there"] if nested else []
+    if nested or (archives and not names):
+        folders = nested
+    else:
+        folders = FolderScenes(root=str(root), index=index, images=images, cameras=cameras).folders
+    for folder in folders:
         _scene(folder, images, cameras, report, min_views, decode)
     return report
 
@@ -122,9 +188,16 @@ def _count(report: Report, scene: str, views: int, min_views: int) -> None:
 
 
 def _re10k(root: Path, min_views: int, decode: bool) -> Report:
-    report = Report("re10k", f"scenes=re10k scenes.root={root}")
+    use = words(scenes="re10k", scenes__root=root, scenes__short_side=360, scenes__multiple=1)
+    report = Report("re10k", use)
     for split in ("train", "test"):
-        if not (root / split / "index.json").is_file():
+        lists = {path.stem for path in (root / split).glob("*.txt")}
+        there = (root / split / "index.json").is_file()
+        clips = read_json(root / split / "index.json", dict[str, str]).keys() if there else set[str]()
+        if lists - clips:
+            report.problems.append(f"{split}: {len(lists - clips)} of {len(lists)} camera lists are in no chunk")
+            report.prepare = shlex.join(["anystyle", "data", "prepare", "re10k", str(root)])
+        if not there:
             continue
         source = Re10kScenes(root=str(root), split=split)
         for scene in range(len(source)):
@@ -137,25 +210,34 @@ def _re10k(root: Path, min_views: int, decode: bool) -> Report:
             good = len(_look(frames, report, decode, [f"{name}: frame {number}" for number in range(len(frames))]))
             report.posed += good
             _count(report, name, good, min_views)
+    report.prepare = "" if report.scenes else report.prepare
     return report
 
 
 def _styles(root: Path, min_views: int, decode: bool) -> Report:
-    report = Report("styles", f"styles=folder styles.root={root}")
-    _described(image_files(root), root, root / "captions.jsonl", report, decode)
+    report = Report("styles", words(styles="folder", styles__root=root))
+    captions = captions_file(root)
+    if captions is None:
+        report.prepare = shlex.join(["anystyle", "data", "prepare", "styles", str(root)])
+        report.problems.append(f"{root / 'captions.jsonl'} is not there: the pictures have no texts")
+    _described(image_files(root), root, captions or root / "captions.jsonl", report, decode)
     return report
 
 
 def _wikiart(root: Path, min_views: int, decode: bool) -> Report:
     paths = sorted(path for path in root.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
-    report = Report("wikiart", f"styles=wikiart styles.root={root}")
+    report = Report("wikiart", words(styles="wikiart", styles__root=root))
     if not (root / DESCRIPTIONS).is_file():
         report.problems.append(f"{root / DESCRIPTIONS} is not there: paintings are described by their folders")
+        report.prepare = shlex.join(["anystyle", "data", "caption", str(root), "--trust-remote-code"])
+    if exported(root) and not paths:
+        report.problems.append(f"{len(exported(root))} tables of paintings are not unpacked")
+        report.prepare = shlex.join(["anystyle", "data", "prepare", "wikiart", str(root)])
     present = _described(paths, root, root / DESCRIPTIONS, report, decode)
     tests = root / TEST_FILES
     if tests.is_file():
-        lines = [line.strip() for line in read_text(tests).splitlines() if line.strip()]
-        report.problems += [f"{tests.name} names {line}, which is not there" for line in lines if line not in present]
+        absent = (line for line in read_list(tests) if line not in present)
+        report.problems += [f"{tests.name} names {line}, which is not there" for line in absent]
     else:
         report.problems.append(f"{tests} is not there: no painting is kept for tests")
     return report
@@ -206,14 +288,20 @@ def fingerprint(path: Path) -> int:
     return int.from_bytes(np.packbits(grey[:, 1:] > grey[:, :-1]).tobytes(), "big")
 
 
-def same_pictures(paths: Iterable[Path], others: Iterable[Path]) -> Mapping[Path, Path]:
+def same_pictures(
+    paths: Sequence[Path],
+    others: Iterable[Path],
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Mapping[Path, Path]:
     """For each file that shows the same as one of ``others``, the first such one; unreadable files match nothing."""
     known = _fingerprints(others)
     matches: dict[Path, Path] = {}
-    for path, bits in _fingerprints(paths):
-        match = next((other for other, other_bits in known if (bits ^ other_bits).bit_count() <= SAME), None)
-        if match is not None:
-            matches[path] = match
+    for start in range(0, len(paths), 1000):
+        for path, bits in _fingerprints(paths[start : start + 1000]):
+            match = next((other for other, other_bits in known if (bits ^ other_bits).bit_count() <= SAME), None)
+            if match is not None:
+                matches[path] = match
+        progress(min(start + 1000, len(paths)), len(paths))
     return matches
 
 

@@ -1,9 +1,12 @@
 """The command ``anystyle data``."""
 
 import argparse
+import shlex
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
+from inspect import signature
 from pathlib import Path
 
 from anystyle.commands._flags import new_parser, parse, subcommand
@@ -12,17 +15,21 @@ from anystyle.errors import UserError
 from anystyle.evaluation.paper_folder import PaperFolder, is_paper_folder
 from anystyle.io.atomic import atomic_path
 from anystyle.registry.socket import Command
-from anystyle_datasets.captioning import DEFAULT_MODEL, PROMPT, caption_folder, transformers_captioner
-from anystyle_datasets.checking import Report, check, same_pictures
+from anystyle_datasets import preparing
+from anystyle_datasets.captioning import DEFAULT_MODEL, PROMPT, caption_folder, chat_captioner, transformers_captioner
+from anystyle_datasets.checking import Report, check, guess, locate, same_pictures, words
+from anystyle_datasets.preparing import ARCHIVE
+from anystyle_datasets.wikiart import DESCRIPTIONS
 
 SUBCOMMANDS = {
+    "prepare": "make what the loaders read out of what publishers hand out; nothing is downloaded",
     "check": "what a folder of scenes or styles holds, and what in it is missing or damaged",
     "caption": "describe the paintings of a folder by an image-to-text model",
 }
 
 
 class Data(Command):
-    """Check training data before it is trained on, and describe paintings."""
+    """Prepare training data, check it before it is trained on, and describe paintings."""
 
     def __call__(self, words: Sequence[str]) -> None:
         name = subcommand("data", self.__doc__, SUBCOMMANDS, words)
@@ -39,14 +46,54 @@ class Data(Command):
             add("--against", type=Path, help="a folder of test styles: name the pictures that are in both")
             add("--write", type=Path, help="write their names to a file, for styles.exclude=[FILE]")
             check_command(parse(flags, words[1:]))
+        elif name == "prepare":
+            add("kind", choices=sorted(KINDS), help="of data")
+            add("path", type=Path, help="a folder; what is missing in it is made, what is there is kept")
+            add("--archive", type=Path, help=f"the authors' {ARCHIVE} (wikiart, tables)")
+            add("--stylos", type=Path, help="Stylos' folder of 50 test styles: kept out (wikiart), or copied (tables)")
+            add("--styl3r", type=Path, help="a folder with Styl3R's test styles: kept out (wikiart)")
+            add("--captures", type=Path, nargs="+", default=[], help="folders with the tables' scenes (tables)")
+            prepare_command(parse(flags, words[1:]))
         else:
             add("path", type=Path, help="a folder, walked to any depth")
-            add("--model", default=DEFAULT_MODEL, help="of the image-text-to-text pipeline (default: %(default)s)")
+            add("--model", default=DEFAULT_MODEL, help="a name on the hub, or a folder (default: %(default)s)")
+            add("--trust-remote-code", action="store_true", help="run code that the model's page brings")
             add("--device", default="cpu", help="where it runs, such as cuda:0 (default: %(default)s)")
-            add("--out", type=Path, help="the file (default: captions.jsonl in the folder)")
+            add("--out", type=Path, help="the file (default: that which the folder's layout has)")
             add("--prompt", default=PROMPT, help="the question to the model")
             add("--batch", type=int, default=8, help="pictures at a time (default: %(default)s)")
             caption_command(parse(flags, words[1:]))
+
+
+KINDS: dict[str, Callable[..., str]] = {
+    "dl3dv": preparing.dl3dv,
+    "re10k": preparing.re10k,
+    "styles": preparing.styles,
+    "tables": preparing.tables,
+    "wikiart": preparing.wikiart,
+}
+"""What prepares each kind of data; its keywords are the flags that are its own."""
+
+
+def prepare_command(arguments: argparse.Namespace) -> None:
+    """Run ``anystyle data prepare``."""
+    given = {name: value for name, value in vars(arguments).items() if value and name not in ("kind", "path")}
+    takers = {name: [kind for kind, make in KINDS.items() if name in signature(make).parameters] for name in given}
+    for name, kinds in takers.items():
+        if arguments.kind not in kinds:
+            raise UserError(f"--{name} is for {' and '.join(kinds)}, not for {arguments.kind}")
+        for path in given[name] if isinstance(given[name], list) else [given[name]]:
+            if not path.exists():
+                raise UserError(f"--{name} {path}: that is not there")
+    if arguments.kind != "tables" and not arguments.path.is_dir():
+        raise UserError(f"there is no folder {arguments.path}")
+    root = locate(arguments.path) if arguments.path.is_dir() else arguments.path
+    print(KINDS[arguments.kind](root, _progress, **given))
+    print(f"next      {shlex.join(['anystyle', 'data', 'check', str(root)])}")
+
+
+def _progress(stage: str, done: int, total: int) -> None:
+    print(f"{stage} {done}/{total} …", file=sys.stderr, flush=True)
 
 
 def check_command(arguments: argparse.Namespace) -> None:
@@ -61,9 +108,10 @@ def check_command(arguments: argparse.Namespace) -> None:
     if arguments.against is not None:
         _overlap(root, arguments.against, write)
         report.use += f" styles.exclude=[{write}]" if write is not None and report.layout == "wikiart" else ""
-    print(f"checked in {time.perf_counter() - start:.1f} s; to train on it: {report.use}")
-    if not report.images or (report.layout in ("scenes", "re10k") and not report.scenes):
+    print(f"checked in {time.perf_counter() - start:.1f} s")
+    if not report.prepare and (not report.images or (report.layout in ("scenes", "re10k") and not report.scenes)):
         raise UserError(f"{root} holds nothing that can be used")
+    print(f"next      {report.prepare or f'anystyle train experiment=paper_head {report.use}'}")
 
 
 def lines(report: Report) -> Iterator[str]:
@@ -96,7 +144,7 @@ def _check_tables(root: Path) -> None:
     print("\n          ".join([f"problems  {len(problems)}", *problems]))
     if problems:
         raise UserError(f"{root} is not complete for the paper's tables: {problems[0]}")
-    print(f"to evaluate it: anystyle evaluate protocol=table2 root={root}")
+    print(f"next      anystyle evaluate {words(protocol='table2', root=root)}")
 
 
 def _overlap(root: Path, tests: Path, write: Path | None) -> None:
@@ -118,14 +166,20 @@ def caption_command(arguments: argparse.Namespace) -> None:
     """Run ``anystyle data caption``."""
     if not arguments.path.is_dir():
         raise UserError(f"there is no folder {arguments.path}")
-    out = arguments.out or arguments.path / "captions.jsonl"
+    if arguments.model == DEFAULT_MODEL and not arguments.trust_remote_code:
+        raise UserError(
+            f"{DEFAULT_MODEL}, which the paper's captions are of, runs code that its page brings: allow that by "
+            f"--trust-remote-code, or name another model, such as --model HuggingFaceTB/SmolVLM-Instruct"
+        )
+    captioner = chat_captioner if arguments.trust_remote_code else transformers_captioner
+    out = arguments.out or arguments.path / (DESCRIPTIONS if guess(arguments.path) == "wikiart" else "captions.jsonl")
     failed = caption_folder(
         arguments.path,
-        transformers_captioner(arguments.model, arguments.device),
+        captioner(arguments.model, arguments.device),
         out=out,
         prompt=arguments.prompt,
         batch=arguments.batch,
-        progress=lambda done, total: print(f"{done}/{total} …", file=sys.stderr, flush=True),
+        progress=partial(_progress, "describing"),
     )
     for name, reason in failed.items():
         print(f"left out: {name}: {reason}", file=sys.stderr)

@@ -21,6 +21,14 @@ logger = logging.getLogger(__name__)
 DESCRIPTIONS = "wikiarts_descriptions.txt"
 TEST_FILES = "wikiarts_test_files.txt"
 PAINTINGS = frozenset({".jpg", ".jpeg", ".png"})
+MOVEMENTS = frozenset({
+    "Abstract_Expressionism", "Action_painting", "Analytical_Cubism", "Art_Nouveau", "Art_Nouveau_Modern", "Baroque",
+    "Color_Field_Painting", "Contemporary_Realism", "Cubism", "Early_Renaissance", "Expressionism", "Fauvism",
+    "High_Renaissance", "Impressionism", "Mannerism_Late_Renaissance", "Minimalism", "Naive_Art_Primitivism",
+    "New_Realism", "Northern_Renaissance", "Pointillism", "Pop_Art", "Post_Impressionism", "Realism", "Rococo",
+    "Romanticism", "Symbolism", "Synthetic_Cubism", "Ukiyo_e",
+})  # fmt: skip
+"""The folders of WikiArt."""
 
 
 class WikiArtStyles(StyleSource):
@@ -72,8 +80,8 @@ class WikiArtStyles(StyleSource):
         else:
             self.descriptions = {name: text for name, text in read_captions(path).items() if text}
         path = self.root / TEST_FILES if test_files is None else Path(test_files)
-        listed = _lines(path, "test_files") if test_files is not None or path.is_file() else frozenset()
-        held = frozenset().union(*(_lines(Path(name), "exclude") for name in exclude))
+        listed = frozenset(read_list(path) if test_files is not None or path.is_file() else ())
+        held = frozenset().union(*(read_list(Path(name), "exclude") for name in exclude))
         if split == "test" and not listed:
             raise UserError(f"split=test needs a list of paintings; {self.root / TEST_FILES} is not there or empty")
         walked = (path for path in self.root.rglob("*") if path.suffix.lower() in PAINTINGS and path.is_file())
@@ -81,7 +89,7 @@ class WikiArtStyles(StyleSource):
         present = set(names)
         chosen = [name for name in names if split == "all" or (name in listed) == (split == "test")]
         if files is not None:
-            allowed = _lines(Path(files), "files")
+            allowed = frozenset(read_list(Path(files), "files"))
             kept = sorted(name for name in allowed if _named(name, held) or (name in listed and split == "train"))
             if kept:
                 raise UserError(
@@ -121,9 +129,10 @@ class WikiArtStyles(StyleSource):
         return Style(image=read_square(path, self.size, position), text=(text,), names=(path.stem,))
 
 
-def _lines(path: Path, option: str) -> frozenset[str]:
+def read_list(path: Path, option: str = "test_files") -> list[str]:
+    """The lines of a list of paintings, which an option names."""
     lines = read_text(path, what=f"list of paintings ({option})").splitlines()
-    return frozenset(line.strip() for line in lines if line.strip())
+    return [line.strip().replace("\\", "/") for line in lines if line.strip()]
 
 
 def _named(painting: str, held: frozenset[str]) -> bool:

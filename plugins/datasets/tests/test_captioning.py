@@ -1,12 +1,16 @@
 """Describing paintings, with a stand-in for the model."""
 
 import json
+import sys
+from types import SimpleNamespace
 
 import pytest
 from PIL import Image
 
 from anystyle.data.style_folder import FolderStyles
-from anystyle_datasets.captioning import caption_folder, transformers_captioner
+from anystyle.errors import UserError
+from anystyle_datasets.captioning import caption_folder, chat_captioner, transformers_captioner
+from anystyle_datasets.command import Data
 from anystyle_datasets.wikiart import DESCRIPTIONS, WikiArtStyles
 
 
@@ -65,7 +69,47 @@ def test_a_model_that_answers_amiss_is_refused(paintings, tmp_path):
         caption_folder(paintings / "none", Shades(), out=tmp_path / "c.jsonl")
 
 
-def test_the_extra_is_named_where_the_library_is_missing(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "transformers", None)
+@pytest.mark.parametrize("captioner", [transformers_captioner, chat_captioner])
+def test_the_extra_is_named_where_the_library_is_missing(monkeypatch, captioner):
+    monkeypatch.setitem(sys.modules, "transformers", None)
     with pytest.raises(ImportError, match=r'pip install "anystyle\[captions\]"'):
-        transformers_captioner("any", "cpu")
+        captioner("any", "cpu")
+
+
+class Loaded:
+    """Stands for a model of the transformers library that answers by its page's own code."""
+
+    asked: list
+
+    @classmethod
+    def from_pretrained(cls, name, **options):
+        assert name == "openbmb/MiniCPM-V-4_5" and options["trust_remote_code"]
+        cls.asked = []
+        return cls()
+
+    def eval(self):
+        return self
+
+    def to(self, device):
+        assert device == "cpu"
+        return self
+
+    def chat(self, *, msgs, tokenizer, enable_thinking):
+        assert isinstance(tokenizer, Loaded) and not enable_thinking
+        self.asked.append(msgs)
+        return " exact colours;\nthin lines "
+
+
+def test_the_papers_question_goes_to_the_papers_model_once_its_code_is_allowed(paintings, monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "transformers", SimpleNamespace(AutoModel=Loaded, AutoTokenizer=Loaded))
+    (paintings / "Op_Art").rename(paintings / "Cubism")
+    with pytest.raises(UserError, match=r"runs code that its page brings: allow that by --trust-remote-code, or name"):
+        Data()(["caption", str(paintings)])
+    Data()(["caption", str(paintings), "--trust-remote-code"])
+    assert "left out: Cubism/torn.png" in capsys.readouterr().err
+    assert len(Loaded.asked) == 5
+    (message,) = Loaded.asked[0]
+    picture, question = message["content"]
+    assert picture.size == (224, 224) and question.startswith("In 300 chars, give a precise description of image style")
+    # The file is the one that styles=wikiart reads.
+    assert (paintings / DESCRIPTIONS).read_text().splitlines()[0] == "Cubism/0.png;exact colours, thin lines"

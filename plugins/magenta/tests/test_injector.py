@@ -44,6 +44,25 @@ def test_an_open_gate_gives_the_stylized_views(style):
     torch.testing.assert_close(_pictures(half), (_pictures(tokens) + expected) / 2, rtol=0, atol=1e-6)
 
 
+def test_large_views_are_painted_coarse_to_fine_and_strokes_have_a_scale(style):
+    injector = MagentaInjector(dim=3, style_dim=100, gate=1.0, working_size=64)
+    assert injector.sizes((64, 80)) == [64] == injector.sizes((40, 60))
+    assert injector.sizes((378, 504)) == [64, 128, 256]
+    assert injector.at_scale(2.0).sizes((64, 80)) == [32, 48]
+    assert injector.at_scale(0.5).sizes((64, 80)) == [128] == injector.at_scale(0.1).sizes((64, 80))
+    assert injector.at_scale(2.0).at_scale(0.5).sizes((64, 80)) == [64]
+    flat = MagentaInjector(dim=3, style_dim=100, gate=1.0, working_size=64, coarse_to_fine=False)
+    assert flat.sizes((378, 504)) == [64]
+    large = injector.at_scale(2.0)
+    assert large.network is injector.network and injector.scale == 1
+    tokens, vector = _tokens(), style[:1]
+    with torch.no_grad():
+        coarse = stylize_images(injector.network, _pictures(tokens), vector, working_size=32, joint=True)
+        for size in large.sizes(GRID)[1:]:
+            coarse = stylize_images(injector.network, coarse, vector, working_size=size, joint=True)
+        torch.testing.assert_close(_pictures(large(tokens, vector)), coarse, rtol=0, atol=1e-5)
+
+
 @torch.no_grad()
 def test_special_tokens_stay(style):
     tokens = _tokens()

@@ -18,7 +18,7 @@ from anystyle.io.sheet import to_pil
 from anystyle.pipeline.controls import Controls, Mask, combinations
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.stages import Stages
-from anystyle.pipeline.styles import Mixture, StyleInput, check_text
+from anystyle.pipeline.styles import Mixture, Places, StyleInput, check_text
 from anystyle.pipeline.stylize import stylize
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
@@ -39,7 +39,13 @@ def parser() -> argparse.ArgumentParser:
         help="a folder, files, a glob or a video; a PLY file or a folder of results; or none with scenes=NAME",
     )
     flags.add_argument("--text", action="append", default=[], help="a style in words; may be given several times")
-    flags.add_argument("--image", action="append", default=[], help="a style as an image file; likewise")
+    flags.add_argument(
+        "--image",
+        action="append",
+        default=[],
+        help="a style as an image file; likewise. STYLE@MASK is a style in one place of the scene, see --mask; "
+        "several make one scene",
+    )
     flags.add_argument(
         "--mix",
         action="append",
@@ -134,8 +140,12 @@ def scene_views(config: DictConfig, options: ViewOptions) -> Views:
 
 
 def given_styles(arguments: argparse.Namespace, config: DictConfig, amounts: Sequence[float]) -> list[StyleInput]:
-    """Every style asked for, in the order texts, image files, styles of the configured source; or their mixtures."""
-    styles: list[StyleInput] = [*arguments.text, *map(Path, arguments.image)]
+    """Every style asked for, in the order texts, image files, styles of the configured source; or their mixtures.
+
+    Styles one of which has a place are one style, :class:`Places`.
+    """
+    given = [*(_by_place(word, str) for word in arguments.text), *(_by_place(word, Path) for word in arguments.image)]
+    styles = [style for style, _ in given]
     if config.style:
         source = build(StyleSource, config.styles)
         for index in config.style:
@@ -143,10 +153,26 @@ def given_styles(arguments: argparse.Namespace, config: DictConfig, amounts: Seq
             if image is None:
                 raise UserError(f"style={index} has no image")
             styles.append(Style(image=image, names=(f"style {index}",)))
+    if any(mask for _, mask in given):
+        if amounts:
+            raise UserError("--mix is of two styles that are everywhere; leave out --mix or what is behind @")
+        given += [(style, None) for style in styles[len(given) :]]
+        return [Places(tuple(sorted(given, key=lambda one: one[1] is not None)))]
     if not amounts:
         return styles
     first, second = styles
     return [Mixture(first, second, amount) for amount in amounts]
+
+
+def _by_place(word: str, kind: Callable[[str], StyleInput]) -> tuple[StyleInput, Mask | None]:
+    """A style and the mask behind its last ``@``, if there is one."""
+    style, at, place = word.rpartition("@")
+    known = place.startswith(("sphere:", "box:")) or Path(place.partition(",")[0]).is_dir()
+    if not at or (kind is str and not known) or (kind is Path and Path(word).exists()):
+        return kind(word), None
+    from anystyle.pipeline.masks import parsed
+
+    return kind(style), parsed(place)
 
 
 def add_controls(parser: argparse.ArgumentParser) -> None:
@@ -154,7 +180,7 @@ def add_controls(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("how a style is applied; several values make a strip")
     group.add_argument("--strength", action="append", default=[], metavar="0..1", help="0 is the unstyled scene")
     group.add_argument("--preserve-color", action="append", default=[], metavar="0..1", help="keep the scene's hues")
-    group.add_argument("--scale", action="append", default=[], metavar="FACTOR", help="size of strokes of --image")
+    group.add_argument("--scale", action="append", default=[], metavar="FACTOR", help="size of strokes")
     group.add_argument(
         "--mask",
         action="append",

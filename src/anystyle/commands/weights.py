@@ -52,7 +52,8 @@ def listing(names: Sequence[str]) -> Iterator[str]:
         entry = known[name]
         searched = list(weights.candidates(name))
         path = next((path for path in searched if path.is_file()), None)
-        size = "" if entry.size is None else f", {_readable(entry.size)}"
+        sizes = ((entry.size, ""), (entry.tensors, " of tensors (computed)"))
+        size = "".join(f", {_readable(count)}{what}" for count, what in sizes if count is not None)
         yield f"{name}: {'found' if path else 'missing'}{size}\n  for      {entry.purpose}"
         yield f"  licence  {entry.license}\n  from     {entry.source}"
         if entry.sha256 is not None:

@@ -8,6 +8,12 @@ from anystyle.errors import UserError
 from anystyle.io.documents import parse_json, read_text
 
 
+def captions_file(folder: Path) -> Path | None:
+    """What describes a folder of images: ``captions.jsonl`` in it, or ``style_descriptions.txt`` in it or beside it."""
+    places = (folder / "captions.jsonl", *(place / "style_descriptions.txt" for place in (folder, folder.parent)))
+    return next((path for path in places if path.is_file()), None)
+
+
 class _Line(msgspec.Struct):
     image: str
     text: str
@@ -27,5 +33,5 @@ def read_captions(path: Path) -> dict[str, str]:
             name, separator, text = line.partition(";")
             if not separator:
                 raise UserError(f"{where} has no semicolon; 'image;text' is expected")
-        captions[name.strip()] = text.strip()
+        captions[name.strip().replace("\\", "/")] = text.strip()
     return captions

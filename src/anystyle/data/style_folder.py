@@ -6,7 +6,7 @@ from pathlib import Path
 from PIL import Image
 
 from anystyle.contracts import StyleSource
-from anystyle.data.captions import read_captions
+from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
 from anystyle.data.images import listing, read_square, readable
 from anystyle.errors import UserError
@@ -24,7 +24,7 @@ class FolderStyles(StyleSource):
     Args:
         root: A folder.
         size: Height and width in pixels.
-        captions: A file in ``root``; ``None`` takes ``captions.jsonl`` where there is one.
+        captions: A file in ``root``; ``None`` takes :func:`~anystyle.data.captions.captions_file`, if there is one.
     """
 
     def __init__(self, *, root: str = "styles", size: int = 256, captions: str | None = None) -> None:
@@ -37,13 +37,10 @@ class FolderStyles(StyleSource):
         if not self.paths:
             raise UserError(f"root={root}: there are no images in it")
         self.size = size
-        if captions is None:
-            captions = "captions.jsonl" if (folder / "captions.jsonl").is_file() else ""
-        self.captions = read_captions(folder / captions) if captions else {}
-        known = {path.name for path in self.paths}
-        lost = [name for name in self.captions if name not in known]
-        if lost:
-            logger.warning("%d captions of %s have no image: %s", len(lost), folder / captions, listing(lost))
+        file = captions_file(folder) if captions is None else folder / captions
+        self.captions = read_captions(file) if file else {}
+        if lost := sorted(self.captions.keys() - {path.name for path in self.paths}):
+            logger.warning("%d captions of %s have no image: %s", len(lost), file, listing(lost))
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from anystyle.data.captions import read_captions
+from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
 from anystyle.errors import UserError
 from anystyle.paths import natural
@@ -18,7 +18,7 @@ NUM_STYLES = 50
 NUM_FRAMES = 16
 
 _DESCRIPTION = (
-    "expected content/SCENE/FRAME.png, styles/STYLE.png with styles/captions.jsonl, "
+    "expected content/SCENE/FRAME.png, styles/STYLE.png with styles/captions.jsonl or style_descriptions.txt, "
     "methods/METHOD/SCENE/STYLE/FRAME.png (or STYLE_FRAME.png)"
 )
 
@@ -27,7 +27,7 @@ _DESCRIPTION = (
 class PaperFolder:
     """A folder with everything that the paper's tables are computed from.
 
-    ``content/SCENE/`` holds photographs, ``styles/`` the style images with ``captions.jsonl``, and
+    ``content/SCENE/`` holds photographs, ``styles/`` or ``style_images/`` the style images with their captions, and
     ``methods/METHOD/SCENE/STYLE/`` what a method rendered; ``methods/METHOD/SCENE/STYLE_FRAME.png`` is read as well.
     Names of scenes are compared without case, styles by their name or by the number at its end, and the n-th image of a
     method belongs to the n-th photograph. The first ``num_styles`` styles and ``frames`` photographs are judged.
@@ -39,10 +39,15 @@ class PaperFolder:
     frames: int = NUM_FRAMES
 
     @cached_property
+    def styles(self) -> Path:
+        """The folder of style images."""
+        published = self.root / "style_images"
+        return published if published.is_dir() else self.root / "styles"
+
+    @cached_property
     def style_files(self) -> list[Path]:
         """The style images that are used, in natural order."""
-        folder = self.root / "styles"
-        return image_files(folder)[: self.num_styles] if folder.is_dir() else []
+        return image_files(self.styles)[: self.num_styles] if self.styles.is_dir() else []
 
     @cached_property
     def methods(self) -> dict[str, Path]:
@@ -79,21 +84,17 @@ class PaperFolder:
         ]
         if len(self.style_files) < self.num_styles:
             missing.append(f"styles: {len(self.style_files)} images, fewer than {self.num_styles}")
-        captions = self.root / "styles" / "captions.jsonl"
-        known = read_captions(captions) if texts and captions.is_file() else {}
+        captions = captions_file(self.styles)
+        known = read_captions(captions) if texts and captions else {}
         without = [path.name for path in self.style_files if texts and not known.get(path.name, "").strip()]
         if without:
-            missing.append(f"styles/captions.jsonl: no text for {len(without)} styles, such as {without[0]}")
+            missing.append(f"styles: no text for {len(without)} styles, such as {without[0]}")
         for method in self.methods if methods is None else methods:
             if method not in self.methods:
                 missing.append(f"methods/{method}: there is no such folder")
                 continue
-            short = [cell for cell, paths in self.renders(method).items() if len(paths) < self.frames]
-            if short:
-                missing.append(
-                    f"methods/{method}: {len(short)} scenes in a style have fewer than {self.frames} images, such as "
-                    f"{' in '.join(short[0])}"
-                )
+            if short := [cell for cell, paths in self.renders(method).items() if len(paths) < self.frames]:
+                missing.append(f"methods/{method}: {len(short)} scenes lack images: {' in '.join(short[0])}, …")
         return missing
 
     def require(self, *, texts: bool, methods: Sequence[str] | None) -> None:
@@ -105,7 +106,7 @@ class PaperFolder:
 
 def is_paper_folder(root: Path) -> bool:
     """Whether a folder has this layout."""
-    return (root / "content").is_dir() and (root / "styles").is_dir()
+    return (root / "content").is_dir() and PaperFolder(root).styles.is_dir()
 
 
 def _folders(folder: Path) -> list[Path]:

@@ -80,6 +80,18 @@ def thumbnails(views: Sequence[Image.Image]) -> list[Image.Image]:
     return [ImageOps.contain(views[place], (CELL, CELL), Image.Resampling.LANCZOS) for place in places]
 
 
+def side_by_side(images: Sequence[Image.Image]) -> Image.Image:
+    """Pictures in a row, as high as the lowest."""
+    height = min(image.height for image in images)
+    resized = [image.resize((max(1, round(image.width * height / image.height)), height)) for image in images]
+    row = Image.new("RGB", (sum(image.width for image in resized), height))
+    left = 0
+    for image in resized:
+        row.paste(image, (left, 0))
+        left += image.width
+    return row
+
+
 def style_sheet(photographs: Sequence[Image.Image], columns: Sequence[tuple[str, Cell, Sequence[Cell]]]) -> Image.Image:
     """Thumbnails of photographs, and for each column its title, style if it has one, and thumbnails below."""
     head: list[list[Cell]] = [[None, *(style for _, style, _ in columns)]]

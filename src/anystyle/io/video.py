@@ -44,8 +44,8 @@ def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
     return [best[part] for part in sorted(best)]
 
 
-def _opened(path: Path) -> InputContainer:
-    """Open a local file: neither its name (``http:x.mp4``) nor a playlist in it makes ffmpeg open anything else."""
+def opened(path: Path) -> InputContainer:
+    """Open a local video: neither its name (``http:x.mp4``) nor a playlist in it makes ffmpeg open anything else."""
     local = {"protocol_whitelist": "file", "format_whitelist": _CONTAINERS}
     return av.open(f"file:{path.absolute()}", container_options=local, options=local)
 
@@ -70,7 +70,7 @@ def _inspect(path: Path, count: int) -> int:
     # The header of an AVI file states its size; decoders do not report what is missing.
     if start[:4] == b"RIFF" and path.stat().st_size < 0.98 * (8 + int.from_bytes(start[4:], "little")):
         raise UserError(f"{path} has {path.stat().st_size:,} bytes and announces more: it is truncated; get it again")
-    with _opened(path) as container:
+    with opened(path) as container:
         if not container.streams.video:
             raise UserError(f"{path} has no video in it")
         stream = container.streams.video[0]
@@ -88,7 +88,7 @@ def _inspect(path: Path, count: int) -> int:
 
 
 def _decode(path: Path, *, key_frames_only: bool) -> Iterator[tuple[int, VideoFrame]]:
-    with _opened(path) as container:
+    with opened(path) as container:
         stream = container.streams.video[0]
         stream.thread_type = "AUTO"
         if key_frames_only:

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss, StyleEncoder
-from anystyle.losses._features import Reference, reference_images, resized
+from anystyle.losses.features import Reference, reference_images, resized
 from anystyle.types import Stylization
 
 

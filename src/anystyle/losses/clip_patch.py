@@ -8,7 +8,7 @@ from torch import Tensor
 
 from anystyle.contracts import Loss, StyleEncoder
 from anystyle.errors import UserError
-from anystyle.losses._features import Reference, reference_images, resized
+from anystyle.losses.features import Reference, reference_images, resized
 from anystyle.types import Stylization
 from anystyle.vision.eager_backward import eager_backward
 

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.losses._features import FeatureLoss
+from anystyle.losses.features import FeatureLoss
 from anystyle.types import Stylization
 from anystyle.vision.eager_backward import eager_backward
 

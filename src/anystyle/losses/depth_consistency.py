@@ -5,7 +5,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss
-from anystyle.losses._features import Reference, unstyled_renders
+from anystyle.losses.features import Reference, unstyled_renders
 from anystyle.types import Stylization
 
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.losses._features import StatisticsLoss
+from anystyle.losses.features import StatisticsLoss
 from anystyle.vision.statistics import gram
 
 

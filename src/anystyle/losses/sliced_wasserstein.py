@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.losses._features import StatisticsLoss
+from anystyle.losses.features import StatisticsLoss
 from anystyle.vision.statistics import sliced_quantiles, unit_directions
 
 

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.losses._features import StatisticsLoss
+from anystyle.losses.features import StatisticsLoss
 from anystyle.types import Stylization
 from anystyle.vision.eager_backward import eager_backward
 from anystyle.vision.statistics import mean_std

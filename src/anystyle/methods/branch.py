@@ -7,7 +7,8 @@ import torch
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.methods.base import Method
-from anystyle.methods.colors import colors_alone, fit_colors
+from anystyle.methods.colors import colors_alone, fit_colors, largest_shown
+from anystyle.methods.refine import refine
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
 
@@ -24,13 +25,15 @@ class Branch(Method):
     Args:
         fit_colors: Steps of least squares for the colours of such Gaussians, in which each surface is coloured by the
             view that shows it largest; 0 takes the mean of the pixels that show a Gaussian there.
+        refine_strokes: Steps of gradient descent that then move, turn and stretch such Gaussians so that they show
+            painted strokes, one view a step; 0 keeps their geometry.
         keep_harmonics: Whether such Gaussians keep their harmonics above degree 0; they are dropped otherwise.
     """
 
-    def __init__(self, *, fit_colors: int = 4, keep_harmonics: bool = False) -> None:
-        if fit_colors < 0:
-            raise UserError(f"method.fit_colors={fit_colors}; give a number of steps, 0 or more")
-        self.fit_colors, self.keep_harmonics = fit_colors, keep_harmonics
+    def __init__(self, *, fit_colors: int = 4, refine_strokes: int = 0, keep_harmonics: bool = False) -> None:
+        if fit_colors < 0 or refine_strokes < 0:
+            raise UserError(f"method: {fit_colors=} {refine_strokes=}; give numbers of steps, 0 or more")
+        self.fit_colors, self.refine_strokes, self.keep_harmonics = fit_colors, refine_strokes, keep_harmonics
 
     @torch.no_grad()
     def __call__(
@@ -53,8 +56,13 @@ class Branch(Method):
             colored = fit_colors(
                 gaussians, scene.cameras, targets, stylizer.renderer, steps=self.fit_colors, largest=True,
                 keep=self.keep_harmonics,
-            )  # fmt: skip
-        return colored.detach()
+            ).detach()  # fmt: skip
+            if self.refine_strokes:
+                confidence = largest_shown(gaussians, scene.cameras, stylizer.renderer)
+                colored = refine(
+                    colored, scene.cameras, targets, confidence, stylizer.renderer, steps=self.refine_strokes
+                )
+        return colored
 
 
 def _thinned(scene: Scene, count: int) -> Scene:

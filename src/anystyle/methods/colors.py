@@ -87,6 +87,13 @@ def fit_colors(
     return replace(gaussians, harmonics=torch.cat([constant[:, None], higher], dim=1)[None])
 
 
+def largest_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> Float[Tensor, "V 1 H W"]:
+    """How much each pixel of each view counts in :func:`fit_colors` with ``largest``."""
+    confidence = _system(gaussians.detach(), cameras.detach(), renderer).confident.confidence
+    assert confidence is not None
+    return torch.stack(confidence)
+
+
 def _conjugate_gradients(
     system: "_System",
     targets: Float[Tensor, "V 3 H W"],

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 
 from anystyle.contracts import Loss
 from anystyle.errors import UserError
-from anystyle.losses._features import FeatureLoss
+from anystyle.losses.features import FeatureLoss
 from anystyle.methods.base import Method
 from anystyle.methods.scene_loop import SceneLoop
 from anystyle.stylizer import Stylizer

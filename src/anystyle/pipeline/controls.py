@@ -53,7 +53,7 @@ class Controls:
     Args:
         strength: In [0, 1]; 0 is the unstyled scene, bit for bit.
         preserve_color: In [0, 1]: how much of the scene's own hues stays under the style's strokes.
-        scale: Size of strokes, for styles given as images: 2 shows the encoder strokes twice as large.
+        scale: Size of strokes. A model that paints none shows its encoder the style image so much larger.
         mask: Where style enters; everywhere without one.
     """
 

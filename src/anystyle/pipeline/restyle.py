@@ -1,5 +1,6 @@
 """The fourth step: an encoded capture in a style, as its controls say."""
 
+from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cached_property
 
@@ -48,12 +49,25 @@ class Restyler:
         if controls.strength == 0:
             return self.unstyled
         embedding = style.embedding
-        _, styled = self._styled.get(id(embedding), lambda: (embedding, self._restyle(style)))
+        if style.parts:
+            styled = self._by_place(style.parts)
+        else:
+            _, styled = self._styled.get(id(embedding), lambda: (embedding, self._restyle(style)))
         if controls == replace(Controls(), scale=controls.scale):
             return styled
         if styled.means.shape != self.unstyled.means.shape:
             raise UserError("controls need a fixed number of Gaussians, and this method adds some; leave them out")
         return applied(controls, self.unstyled, styled, self._mask_weights(controls.mask))
+
+    def _by_place(self, parts: Sequence[EmbeddedStyle]) -> Gaussians:
+        """Each style where its mask is, over those before it."""
+        scene = self.unstyled
+        for part in parts:
+            alone = self(replace(part, controls=Controls()))
+            if alone.means.shape != scene.means.shape:
+                raise UserError("styles by place need a fixed number of Gaussians, and this method adds some")
+            scene = applied(part.controls, scene, alone, self._mask_weights(part.controls.mask))
+        return scene
 
     def _restyle(self, style: EmbeddedStyle) -> Gaussians:
         stylizer = self.encoded.stylizer

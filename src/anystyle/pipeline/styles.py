@@ -8,13 +8,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from jaxtyping import Float
+from PIL import Image
 from torch import Tensor
 
 from anystyle.data.images import read_image
 from anystyle.errors import UserError
 from anystyle.examples import resolved
-from anystyle.io.sheet import Cell, to_pil
-from anystyle.pipeline.controls import Controls, rescaled
+from anystyle.io.sheet import Cell, side_by_side, to_pil
+from anystyle.pipeline.controls import Controls, Mask, rescaled
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style, StyleEmbedding, TextMatch
 
@@ -37,8 +38,18 @@ class Mixture:
             raise UserError(f"a mixture takes an amount between 0 and 1, not {self.amount}")
 
 
-StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture
-"""A description, an image file, a batch of one style, an sRGB image in [0, 1], or a mixture."""
+@dataclass(frozen=True)
+class Places:
+    """Several styles in one scene, each where its mask is; a later one covers earlier ones.
+
+    A style without a mask is everywhere. What none covers stays unstyled.
+    """
+
+    styles: tuple[tuple["StyleInput", Mask | None], ...]
+
+
+StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture | Places
+"""A description, an image file, a batch of one style, an sRGB image in [0, 1], a mixture, or several by place."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +64,8 @@ class EmbeddedStyle:
         style: The image or the text itself; neither for a point between two styles.
         matches: Of each text that it is made of, what the encoder says of it.
         controls: How it is applied.
+        parts: Several styles by place, whose masks are in their controls, in the order in which they cover each other;
+            embedding and style are then the first one's.
     """
 
     name: str
@@ -62,6 +75,7 @@ class EmbeddedStyle:
     style: Style = field(default_factory=Style)
     matches: tuple[TextMatch, ...] = ()
     controls: Controls = field(default_factory=Controls)
+    parts: tuple["EmbeddedStyle", ...] = ()
 
     def under(self, controls: Controls) -> "EmbeddedStyle":
         """This style applied as controls say, named after what they change."""
@@ -90,6 +104,9 @@ def embed_styles(
             if isinstance(style, Mixture):
                 mixed = mix(embed(style.first, scale), embed(style.second, scale), style.amount)
                 embedded[id(style), scale] = mixed
+            elif isinstance(style, Places):
+                parts = [replace(embed(part, scale), controls=Controls(mask=mask)) for part, mask in style.styles]
+                embedded[id(style), scale] = placed(parts)
             else:
                 embedded[id(style), scale] = _embed(style, stylizer, scale)
         return embedded[id(style), scale]
@@ -98,15 +115,19 @@ def embed_styles(
 
 
 def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylizer, scale: float) -> EmbeddedStyle:
+    paints = stylizer.branch.paints_strokes
     match style:
         case Style(image=None, text=(str() as text, *_)):
             return _embed(text, stylizer, scale)
         case str():
             check_text(style)
-            if scale != 1:
-                raise UserError(f"scale={scale:g} is of strokes in a picture; the style {style[:40]!r} is a text")
+            if scale != 1 and not paints:
+                raise UserError(
+                    f"scale={scale:g} is of strokes in a picture; the style {style[:40]!r} is a text, and this model "
+                    "paints no strokes"
+                )
             title = f"“{' '.join(style.split())}”"
-            embedding = stylizer.embed(text=style)
+            embedding = replace(stylizer.embed(text=style), scale=scale)
             given = Style(text=(style,))
             return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer))
         case Path():
@@ -118,8 +139,8 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             title = names[0] if names else "image"
         case _:
             raise UserError("a style has neither an image nor a text")
-    cell, image = to_pil(image[0]), rescaled(image[0], scale)[None]
-    embedding = stylizer.embed(image=image.to(stylizer.device))
+    cell, image = to_pil(image[0]), image if paints else rescaled(image[0], scale)[None]
+    embedding = replace(stylizer.embed(image=image.to(stylizer.device)), scale=scale)
     return EmbeddedStyle(slug(title), title, cell, embedding, Style(image=image, names=(title,)))
 
 
@@ -148,6 +169,20 @@ def mix(first: EmbeddedStyle, second: EmbeddedStyle, amount: float) -> EmbeddedS
         embedding=first.embedding.toward(second.embedding, amount),
         style=first.style if amount == 0 else second.style if amount == 1 else Style(),
         matches=tuple(dict.fromkeys(first.matches + second.matches)),
+    )
+
+
+def placed(parts: Sequence[EmbeddedStyle]) -> EmbeddedStyle:
+    """Several styles, whose controls say where each is, as one."""
+    pictures = [part.cell for part in parts if isinstance(part.cell, Image.Image)]
+    return replace(
+        parts[0],
+        name="_and_".join(slug(part.name, 24) for part in parts),
+        title=" and ".join(part.title for part in parts),
+        cell=side_by_side(pictures) if len(pictures) == len(parts) else None,
+        matches=tuple(dict.fromkeys(match for part in parts for match in part.matches)),
+        controls=Controls(),
+        parts=tuple(parts),
     )
 
 

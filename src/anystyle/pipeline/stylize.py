@@ -19,7 +19,7 @@ from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, 
 from anystyle.pipeline.read import Inputs, read, saved_path
 from anystyle.pipeline.save import Results
 from anystyle.pipeline.stages import Stages
-from anystyle.pipeline.styles import Mixture, StyleInput, embed_styles
+from anystyle.pipeline.styles import Mixture, Places, StyleInput, embed_styles
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style
 
@@ -47,7 +47,7 @@ def stylize(
         inputs: A folder of photographs, files, a pattern or a video; views that were read already; or a saved scene, a
             PLY file or a folder of results, which keeps its geometry.
         styles: Texts as ``str``, image files as ``Path``, images as tensors or :class:`~anystyle.types.Style`, points
-            between two of these as :class:`Mixture`.
+            between two of these as :class:`Mixture`, several in one scene as :class:`Places`.
         model: A preset of the group ``model`` (``None`` for the default) or a composed configuration, loaded onto a GPU
             where there is one; or a stylizer, such as :func:`anystyle.load` returns.
         views: How photographs are read, and how many are encoded together.
@@ -76,7 +76,7 @@ def stylize(
         >>> for result in anystyle.stylize("photos/", ["thick swirling strokes", Path("starry_night.jpg")]):
         ...     result.gaussians.save(f"{result.style.name}.ply")
     """
-    given = [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture)) else styles
+    given = [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture, Places)) else styles
     applied = [controls] if isinstance(controls, Controls) else controls
     if not given or not applied:
         raise UserError("no style is given; give a text or an image, and leave controls out or give at least one")

@@ -98,10 +98,12 @@ class StyleEmbedding(Value):
     Args:
         vector: The embedding, as the style encoder gives it, or a mixture of two.
         direction: The normalised difference from the neutral prompt's embedding; what the CLIP losses compare with.
+        scale: Size of strokes, relative to the model's own.
     """
 
     vector: Float[Tensor, "B D"]
     direction: Float[Tensor, "B D"]
+    scale: float = 1.0
 
     def toward(self, other: "StyleEmbedding", amount: "float | Float[Tensor, ' B']") -> "StyleEmbedding":
         """The point at ``amount`` in [0, 1] of the straight way to ``other``; not normalised again, as published.
@@ -116,6 +118,7 @@ class StyleEmbedding(Value):
         return StyleEmbedding(
             vector=torch.lerp(self.vector, other.vector, weight),
             direction=torch.lerp(self.direction, other.direction, weight),
+            scale=self.scale,
         )
 
 

@@ -40,10 +40,7 @@ class MissingWeights(UserError, FileNotFoundError):
 
 @dataclass(frozen=True)
 class WeightsFile:
-    """One file of weights.
-
-    ``size`` is that of its tensors, or of the whole file where a publisher states it.
-    """
+    """One file of weights."""
 
     file: str
     purpose: str
@@ -51,7 +48,8 @@ class WeightsFile:
     source: str  # the publisher's address, or how it was made
     sha256: str | None = None  # in hexadecimal; as many leading digits as its publisher states
     bundled: bool = False  # comes with the package of this row
-    size: int | None = None  # in bytes
+    size: int | None = None  # of the file in bytes, where its publisher states it
+    tensors: int | None = None  # bytes of the tensors that the network has, computed; the file may hold more
     hub: str | None = None  # its path on the Hugging Face hub: owner/repository/path
     package: str | None = None  # an installed package that contains it: package/path
 
@@ -243,9 +241,12 @@ def _digest(file: Path, changed: int, size: int) -> str:
     return sha256(file)
 
 
-IGNORED = ("omegaconf.", "typing.", "collections.", "lightning.", "pytorch_lightning.", "src.")
-"""Packages whose objects, beside tensors in a training checkpoint, are replaced by :class:`_Ignored`."""
-IGNORED_BUILTINS = {f"builtins.{name}" for name in ("dict", "list", "tuple", "int", "float", "str")}
+IGNORED = (
+    "omegaconf.", "typing.", "collections.", "lightning.", "pytorch_lightning.", "src.", "pathlib.",
+    "argparse.Namespace", "datetime.", "functools.partial", "numpy.",
+    *(f"builtins.{name}" for name in ["dict", "list", "tuple", "int", "float", "str"]),
+)  # fmt: skip
+"""What the names of objects begin with that :class:`_Ignored` replaces, beside tensors in a training checkpoint."""
 
 
 class _Ignored:
@@ -268,7 +269,7 @@ def read(path: str | Path) -> dict[str, Tensor]:
     path = regular(path, most=None, what="file of weights")
     try:
         state = load_file(path) if path.suffix == ".safetensors" else _torch_file(path)
-    except MemoryError:
+    except (MemoryError, UserError):
         raise
     except pickle.UnpicklingError:
         raise UserError(f"{path} is damaged or holds more than tensors; get it again") from None
@@ -288,8 +289,12 @@ def _torch_file(path: Path) -> Any:
     if mapped:
         with zipfile.ZipFile(path) as archive:
             if any(name.split("/")[1:2] == ["constants.pkl"] for name in archive.namelist()):
-                raise UserError("it is a TorchScript program; get the state dict, as .safetensors or .pt")
+                raise UserError(f"{path} is a TorchScript program; get the state dict, as .safetensors or .pt")
         known = torch.serialization.get_unsafe_globals_in_checkpoint(path)
-    ignored: list[Any] = [(_Ignored, name) for name in known if name.startswith(IGNORED) or name in IGNORED_BUILTINS]
+    ignored: list[Any] = [(_Ignored, name) for name in known if name.startswith(IGNORED)]
+    if foreign := sorted(set(known) - {name for _, name in ignored}):
+        raise UserError(
+            f"{path} holds code or objects of other programs ({', '.join(foreign)}); get the state dict alone"
+        )
     with torch.serialization.safe_globals(ignored):
         return torch.load(path, map_location="cpu", weights_only=True, mmap=mapped)

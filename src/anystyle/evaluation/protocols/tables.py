@@ -137,7 +137,7 @@ class Tables(Protocol):
                 short_side=self.size,
                 multiple=self.stylizer.backbone.patch_size,
             ),
-            styles=FolderStyles(root=str(self.folder.root / "styles"), size=STYLE_SIZE),
+            styles=FolderStyles(root=str(self.folder.styles), size=STYLE_SIZE),
             guide=guide,
             variant=self.variant,
             scene_names=[self.folder.scene_folder_name(scene) for scene in self.folder.scene_names],

@@ -5,8 +5,8 @@ import torch
 from PIL import Image
 
 from anystyle.io.sheet import to_pil
-from anystyle.methods.projection import stylized_views
 from anystyle.pipeline.load import load_model
+from anystyle_rivals.projection import stylized_views
 from methods.worlds import method, painting, run, scene, stylizer
 
 

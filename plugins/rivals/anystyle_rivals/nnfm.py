@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from anystyle.losses._features import FeatureLoss, mean_where, style_images
+from anystyle.losses.features import FeatureLoss, mean_where, style_images
 from anystyle.types import Stylization
 
 
@@ -46,11 +46,15 @@ class NNFM(FeatureLoss):
         with torch.no_grad():
             targets = self._unit_features(image)
         distances = [
-            (1 - (view * targets[scene][:, _nearest(view, targets[scene])]).sum(0)).mean()
+            self.distance(view, targets[scene])
             for scene in range(color.shape[0])
             for view in self._unit_features(color[scene])
         ]
         return mean_where(torch.stack(distances), given.repeat_interleave(color.shape[1]))
+
+    def distance(self, features: Float[Tensor, "C S"], target: Float[Tensor, "C T"]) -> Float[Tensor, ""]:
+        """Of a view's unit features from the style image's."""
+        return (1 - (features * target[:, _nearest(features, target)]).sum(0)).mean()
 
     def _unit_features(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M C S"]:
         return F.normalize(torch.cat(self.features(images), dim=1).flatten(2), dim=1, eps=1e-8)

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.losses._features import FeatureLoss, mean_where, style_images
+from anystyle.losses.features import FeatureLoss, mean_where, style_images
 from anystyle.types import Stylization
 from anystyle.vision.eager_backward import eager_backward
 from anystyle.vision.statistics import gram, mean_std

@@ -1,0 +1,1 @@
+"""Losses and baselines of other methods of 3D stylization; see ``docs/rivals.md``."""
