@@ -147,7 +147,7 @@ def test_renders_in_a_folder_for_each_style_are_paired(root):
 def test_each_table_of_figures_is_a_word(name):
     printed = published_figures.tables()[name]
     config = compose("evaluate", [f"protocol={name.replace('_', '')}", "root=x"])
-    assert (config.protocol.table, config.protocol.variant) == (name, "reference")
+    assert (config.protocol.table, config.protocol.variant.value) == (name, "reference")
     assert list(config.protocol.scene_names) == list(printed.scenes)
     judges = [catalog().find("metric", metric).load() for metric in config.metric]
     assert set(printed.figures) <= {"time_s"}.union(*(judge.better for judge in judges))
