@@ -276,15 +276,16 @@ SMALL = (
 
 
 @pytest.mark.slow
-def test_training_goes_on_where_preparing_ends(dl3dv, re10k, wikiart, tmp_path, say):
+@pytest.mark.parametrize("recipe", ["", "recipe=paper", "recipe=published"])
+def test_training_goes_on_where_preparing_ends(dl3dv, re10k, wikiart, tmp_path, say, recipe):
     """Two steps by the words that ``data check`` prints for styles and for each kind of scenes."""
     archive = evaluation_archive(tmp_path / "evaluation_and_splits.zip")
     say("prepare", "wikiart", wikiart, "--archive", archive)
     styles = shlex.split(say("check", wikiart)[1])
-    for root in (dl3dv, re10k):
+    for root in [dl3dv] if recipe else [dl3dv, re10k]:
         say("prepare", "re10k" if root == re10k else "dl3dv", root)
         scenes = shlex.split(say("check", root)[1])[2:]
-        words = [*styles, *scenes, *SMALL.split(), "trainer.max_steps=2", "name=mini", "resume=never"]
+        words = [*styles, *scenes, *SMALL.split(), *recipe.split(), "trainer.max_steps=2", "name=mini", "resume=never"]
         command = [sys.executable, "-m", "anystyle", *words]
         done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
         assert done.returncode == 0 and "2 steps done" in done.stdout, done.stderr[-1500:]

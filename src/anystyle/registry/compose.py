@@ -27,6 +27,9 @@ ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
 _UNKNOWN = re.compile(r"In '[^']*': Could not load '(?P<group>[^']*)/(?P<name>[^'/]*)'")
 """How Hydra says that one of several choices of a group is none; of the only choice it raises what has options."""
 
+_DELETED = re.compile(r"Error resolving interpolation '\$\{recipe\}/\$\{(?P<group>\w+)\}'")
+"""How Hydra says that a group is deleted whose choice names another, as a recipe does."""
+
 _NULL = re.compile(r"(?P<group>\w+)(@\w+)?=null")
 """A word that sets what may be a group to nothing."""
 
@@ -101,6 +104,8 @@ def explain(error: Exception) -> str:
     unknown = _UNKNOWN.match(str(error)) if isinstance(error, MissingConfigException) else None
     if unknown is not None:
         return _no_such(unknown["group"], unknown["name"], choices(unknown["group"]))
+    if deleted := _DELETED.match(str(error)):
+        return f"this configuration needs {deleted['group']}; add {deleted['group']}=NAME"
     if isinstance(error, OverrideParseException):
         reason = error.message.splitlines()[0] if error.message else "no such syntax"
         hint = "quote special characters twice: 'key=\"a, b\"'"
