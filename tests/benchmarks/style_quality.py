@@ -261,12 +261,18 @@ class Tally:
 
 @torch.no_grad()
 def measure(
-    stylizer: Stylizer, captures: Sequence[str], choices: Sequence[Tensor], num_styles: int, short_side: int, kind: str
+    stylizer: Stylizer,
+    captures: Sequence[str],
+    choices: Sequence[Tensor],
+    num_styles: int,
+    short_side: int,
+    kind: str,
+    methods: dict[str, Callable[[Case], Tensor]],
 ) -> dict[str, Tally]:
     """Every method on every capture in the first styles."""
     looks = judges()
     gallery = [torch.stack(vectors) for vectors in zip(*(describe(looks, each) for each in choices), strict=True)]
-    tallies = {name: Tally() for name in METHODS[kind]}
+    tallies = {name: Tally() for name in methods}
     for path in captures:
         if kind == "fit":
             scene = fitted(ROOT / path, stylizer, short_side)
@@ -280,7 +286,7 @@ def measure(
         sys.stdout.flush()
         cases = [Case(stylizer, scene, base.color, painting) for painting in choices[:num_styles]]
         targets = [teacher(case) for case in cases]
-        for name, method in METHODS[kind].items():
+        for name, method in methods.items():
             described: list[list[Tensor]] = []
             for case, target in zip(cases, targets, strict=True):
                 started = time.process_time()
@@ -307,6 +313,7 @@ def main() -> None:
     words.add_argument("--paintings", choices=("all", "unseen"), default="all", help="what is chosen from")
     words.add_argument("--styles", type=int, default=12, help="paintings to stylize in, the first so many")
     words.add_argument("--scene", choices=METHODS, default="single_pass")
+    words.add_argument("--methods", nargs="+", help="some of the rows, by name")
     words.add_argument("--captures", type=int, default=3, help="of the split, the first so many")
     words.add_argument("--short-side", type=int, default=112, help="of the views, in pixels")
     words.add_argument("overrides", nargs="*", help="such as injector.working_size=336")
@@ -315,7 +322,8 @@ def main() -> None:
     captures = CAPTURES[given.split][: given.captures]
     stylizer = anystyle.load("painter", given.overrides)
     choices = paintings(given.split, given.paintings)
-    tallies = measure(stylizer, captures, choices, given.styles, given.short_side, given.scene)
+    rows = {name: METHODS[given.scene][name] for name in given.methods or METHODS[given.scene]}
+    tallies = measure(stylizer, captures, choices, given.styles, given.short_side, given.scene, rows)
     title = f"{given.split}: {len(captures)} captures x {given.styles} paintings of {len(choices)}"
     found = [f"{what} ({judge})" for judge in ("EfficientNet", "Magenta") for what in ("found in colour", "in grey")]
     columns = (*found, "sharpness", "edges", "PSNR", "warp", "above its limit", "CPU s")
