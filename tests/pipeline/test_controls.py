@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import torch.nn.functional as F
 from PIL import Image
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -15,9 +16,9 @@ from anystyle.commands._compose import main
 from anystyle.commands.stylize import command, given_controls, given_styles, parser
 from anystyle.data.folder import Original, covering
 from anystyle.data.images import to_tensor
-from anystyle.geometry.harmonics import colors
+from anystyle.geometry.harmonics import colors, constant_from_rgb
 from anystyle.pipeline.controls import LUMA, SeenScene, blended, rescaled, with_colors_of
-from anystyle.pipeline.masks import Box, Photographs, Sphere, inside, parsed
+from anystyle.pipeline.masks import Alike, Box, Photographs, Sphere, inside, parsed
 from anystyle.pipeline.poses import PosedViews
 from anystyle.registry.compose import compose
 from anystyle.renderers.torch import TorchRenderer
@@ -113,6 +114,24 @@ def test_signed_distances_of_a_sphere_and_a_box():
     assert bool((soft[outside > 0.25] == 0).all()) and bool((soft[box == 1] >= 0.5 - 1e-6).all())
 
 
+def test_what_looks_alike_is_near_and_of_one_color():
+    """A red and a blue half of a line: near a red end, red ones alone, and those within reach."""
+    places = torch.linspace(0, 1, 40)
+    gaussians = gaussians_of(count=40)
+    colors = torch.where(places[:, None] < 0.5, torch.tensor([0.9, 0.1, 0.1]), torch.tensor([0.1, 0.1, 0.9]))
+    colors[3] += torch.tensor([0.05, 0.0, 0.0])  # not quite the same red
+    gaussians = replace(
+        gaussians,
+        means=F.pad(places[None, :, None], (0, 2)),
+        harmonics=constant_from_rgb(colors)[None, :, None],
+    )
+    shown = SeenScene([], Cameras(torch.eye(4)[None, None], torch.eye(3)[None, None], (2, 2)), TorchRenderer())
+    everywhere = Alike((0.0, 0.0, 0.0), radius=10.0, tolerance=0.2).weights(gaussians, shown)[0]
+    assert torch.equal(everywhere, (places < 0.5).float())
+    near = Alike((0.0, 0.0, 0.0), radius=0.3, tolerance=0.2).weights(gaussians, shown)[0]
+    assert torch.equal(near, (places <= 0.3).float())
+
+
 def test_a_soft_edge_runs_smoothly_from_one_to_zero():
     distance = torch.linspace(-1, 1, 101)
     weights = inside(distance, 1.0)
@@ -174,6 +193,7 @@ def test_what_is_no_mask_is_refused(word):
 def test_words_become_masks(tmp_path):
     assert parsed("sphere:1,2,3,0.5,soft=0.1") == Sphere((1.0, 2.0, 3.0), 0.5, 0.1)
     assert parsed("box:0,0,0,1,2,3") == Box((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
+    assert parsed("like:1,2,3,0.5,0.2,soft=0.1") == Alike((1.0, 2.0, 3.0), 0.5, 0.2, 0.1)
     assert parsed(f"{tmp_path},soft=0") == Photographs(tmp_path, 0.0)
 
 

@@ -12,6 +12,7 @@ from anystyle.io.atomic import write_json
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import kept_json
 from anystyle.pipeline.controls import Controls, applied, blended
+from anystyle.pipeline.masks import parsed
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.styles import EmbeddedStyle, Mixture, embed_styles, slug
 from anystyle.types import Gaussians, Progress
@@ -33,6 +34,7 @@ class StyleRequest:
     amount: float = 0.5  # how far towards the second style
     strength: float = 1.0
     preserve_color: float = 0.0
+    place: str = ""  # where, as ``--mask`` has it; empty is everywhere
 
     @property
     def styles(self) -> tuple[str, ...]:
@@ -121,6 +123,7 @@ class Session:
         strength = request.strength if request.style else 0.0
         command += ["--strength", f"{strength:g}"] if strength < 1 else []
         command += ["--preserve-color", f"{request.preserve_color:g}"] if request.preserve_color else []
+        command += ["--mask", request.place] if request.place and request.style else []
         name = "_".join(slug(Path(style).stem if self.image_file(style) else style) for style in styles)
         return join([*command, "--out", f"styled-{name or 'unstyled'}", *words])
 
@@ -133,12 +136,14 @@ class Session:
         """The Gaussians in a style."""
         if not request.style:
             return self.restyler.unstyled
-        controls = Controls(request.strength, request.preserve_color)
+        mask = parsed(request.place) if request.place else None
+        controls = Controls(request.strength, request.preserve_color, mask=mask)
         if request.style in self.saved or request.second in self.saved:
             # The embedding of a saved style is not known: styled scenes are mixed instead.
             first, *others = (self.saved.get(style) or self.scene(StyleRequest(style)) for style in request.styles)
             mixed = blended(first, others[0], request.amount) if others else first
-            return mixed if controls == Controls() else applied(controls, self.restyler.unstyled, mixed)
+            weights = self.restyler.mask_weights(mask)
+            return mixed if controls == Controls() else applied(controls, self.restyler.unstyled, mixed, weights)
         key = (request.style, request.second, request.amount if request.second else 0.0)
         return self.restyler(self._embedded.get(key, lambda: self._embed(request)).under(controls))
 

@@ -15,6 +15,7 @@ from anystyle.pipeline.export import export, export_styles
 from anystyle.registry.catalog import catalog
 from anystyle.types import Gaussians, StyledScene
 from anystyle_viewer.client_view import CameraPath, ClientView, pose_of, splat_arrays
+from anystyle_viewer.picking import Vector, surface_point
 from anystyle_viewer.server import LOOPBACK, MAX_UPLOAD, PageServer, data_url, page, store_upload, style_row, title_of
 from anystyle_viewer.session import Session, StyleRequest
 
@@ -42,6 +43,7 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         self.style = session.current.style
         self._set_first_camera()
         self._add_style_controls()
+        self._add_place_controls()
         self._add_path_controls()
         self._add_save_controls()
         session.on_change, session.on_status = self._style_changed, self._show_status
@@ -110,6 +112,35 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             # Values that the program sets come without a client.
             control.on_update(lambda event: event.client and self.request(self.style))
 
+    def _add_place_controls(self) -> None:
+        gui = self.viser.gui
+        self._point: Vector | None = None
+        with gui.add_folder("Place", expand_by_default=False, order=1.5):
+            gui.add_markdown("Shift-click the scene: the style stays on what looks alike there.")
+            self.reach = gui.add_slider("Reach", 0.05, 2.0, 0.05, 0.3, hint="1 is how far the scene is from the camera")
+            self.tolerance = gui.add_slider("Tolerance", 0.05, 1.0, 0.05, 0.2, hint="Of colours; 1 takes all of them")
+            everywhere = gui.add_button("Everywhere")
+
+        def pick(point: Vector | None) -> None:
+            self._point = point
+            self.request(self.style)
+
+        everywhere.on_click(lambda _: pick(None))
+        for control in (self.reach, self.tolerance):
+            control.on_update(lambda event: event.client and self.request(self.style))
+
+        @self.viser.scene.on_click(modifier="shift")
+        def _(event: viser.SceneClickEvent) -> None:
+            pick(surface_point(self.unstyled, event.ray_origin, event.ray_direction))
+
+    def _place(self) -> str:
+        """Where the style goes, in the words of ``--mask``."""
+        if self._point is None:
+            return ""
+        reach = self.reach.value * self.path.distance
+        numbers = (*self._point, reach, self.tolerance.value)
+        return f"like:{','.join(f'{number:.4g}' for number in numbers)},soft={reach / 4:.4g}"
+
     def _add_path_controls(self) -> None:
         gui = self.viser.gui
         with gui.add_folder("Camera path", expand_by_default=False, order=3):
@@ -156,7 +187,8 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
         second = next((other for other in self.session.styles() if title_of(other) == self.second.value), "")
         mixed = bool(style and second and second != style)
         mixture = (second, self.amount.value) if mixed else ("", 0.5)
-        self.session.request(StyleRequest(style, *mixture, self.strength.value, float(self.preserve.value)))
+        controls = (self.strength.value, float(self.preserve.value), self._place())
+        self.session.request(StyleRequest(style, *mixture, *controls))
 
     def _uploaded(self, file: viser.UploadedFile) -> None:
         try:

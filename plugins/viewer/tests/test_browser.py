@@ -229,6 +229,25 @@ def test_before_and_after_part_at_the_line_and_follow_the_camera(viewer, page, t
     page.wait("document.getElementById('anystyle-line').hidden")
 
 
+def test_a_shift_click_keeps_the_style_to_what_looks_alike_there(viewer, page, tmp_path):
+    paint(page, "blue waves")
+    styled, unstyled = viewer.session.gaussians, viewer.session.restyler.unstyled
+    width, height = page.value("[innerWidth, innerHeight]")
+    x, y = width / 2 + height * FOCAL / SIZE[0] * 0.5 / 3, height / 2 - height * FOCAL / SIZE[0] * 0.4 / 3
+    viewer.reach.value = 2.0
+    for kind in ("mousePressed", "mouseReleased"):
+        page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1, modifiers=8)
+    until(lambda: viewer.session.current.place)
+    red = unstyled.harmonics[0, :, 0, 0] > unstyled.harmonics[0, :, 0, 1]
+    assert torch.equal(viewer.session.gaussians.harmonics[0, red], styled.harmonics[0, red])
+    assert torch.equal(viewer.session.gaussians.harmonics[0, ~red], unstyled.harmonics[0, ~red])
+    until(lambda: viewer._shown == viewer.session.current)
+    compared(page.view, expected(viewer.session.gaussians), tmp_path / "place.png")
+    expand(page, "Place", "Everywhere")
+    press(page, "Everywhere")
+    until(lambda: viewer.session.gaussians is styled)
+
+
 def test_a_path_of_keyframes_is_previewed_and_rendered(viewer, page, tmp_path):
     expand(page, "Camera path", "Add keyframe")
     viewer.seconds.value = 1

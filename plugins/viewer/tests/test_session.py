@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 from PIL import Image
-from viewer_scene import write_scene
+from viewer_scene import FOCAL, SIZE, camera, write_scene
 
 from anystyle.commands import stylize
 from anystyle.commands._compose import main
@@ -16,8 +16,10 @@ from anystyle.methods.branch import Branch
 from anystyle.pipeline.controls import blended, with_colors_of
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import read_gaussians
+from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Progress
 from anystyle_viewer.command import open_session
+from anystyle_viewer.picking import surface_point
 from anystyle_viewer.server import MAX_SIDE, MAX_UPLOAD, store_upload, style_row, title_of
 from anystyle_viewer.session import Session, StyleRequest
 from chromium import until
@@ -64,6 +66,22 @@ def test_a_saved_scene_takes_new_styles_and_going_back_costs_nothing(restyler, s
     assert settled(session, StyleRequest()) is restyler.unstyled
     between = settled(session, StyleRequest("red dots", "thick blue swirls", 0.0))
     torch.testing.assert_close(between.harmonics, first.harmonics)
+
+
+def test_a_style_stays_on_what_looks_alike_where_the_ray_of_a_click_ends(restyler, session):
+    red = settled(session, StyleRequest("blue waves"))
+    unstyled = restyler.unstyled
+    point = surface_point(unstyled, (0.0, 0.0, 0.0), (0.5, -0.4, 3.0))  # to the middle of the red half
+    depth = TorchRenderer()(unstyled, camera()).depth[0, 0]  # in front of the middle by a part of its thickness
+    row, column = (round(FOCAL * ratio + side / 2) for ratio, side in ((-0.4 / 3, SIZE[0]), (0.5 / 3, SIZE[1])))
+    assert point[2] == pytest.approx(float(depth[row, column]), abs=0.2)
+    assert surface_point(unstyled, (0.0, 0.0, 0.0), (0.0, 0.0, -1.0)) is None
+    place = f"like:{','.join(map(str, point))},9,0.2"
+    there = settled(session, StyleRequest("blue waves", place=place))
+    reddish = unstyled.harmonics[0, :, 0, 0] > unstyled.harmonics[0, :, 0, 1]
+    assert torch.equal(there.harmonics[0, reddish], red.harmonics[0, reddish])
+    assert torch.equal(there.harmonics[0, ~reddish], unstyled.harmonics[0, ~reddish])
+    assert f"--mask {place}" in session.command("photos")
 
 
 class Slow(Method):

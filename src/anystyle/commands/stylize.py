@@ -186,7 +186,8 @@ def add_controls(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="WHERE",
-        help="where style enters: a folder of masks, sphere:X,Y,Z,RADIUS or box:X,Y,Z,X,Y,Z; ,soft=WIDTH behind it",
+        help="where style enters: a folder of masks, sphere:X,Y,Z,RADIUS, box:X,Y,Z,X,Y,Z, "
+        "like:X,Y,Z,RADIUS,TOLERANCE; ,soft=WIDTH behind it",
     )
 
 

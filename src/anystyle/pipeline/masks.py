@@ -1,4 +1,4 @@
-"""Where style enters: a mask for each photograph, or a box or a sphere in the scene; edges may be soft."""
+"""Where style enters: masks of photographs, or in the scene a box, a sphere, or what looks alike; edges may be soft."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -69,6 +69,32 @@ class Box(Mask):
 
 
 @dataclass(frozen=True)
+class Alike(Mask):
+    """Style on what has the colour of a point and lies near it.
+
+    Args:
+        point: On a surface, in the units and OpenCV axes of ``scene.safetensors``.
+        radius: How far from it, above 0.
+        tolerance: How far in sRGB from the mean colour of the 16 Gaussians nearest to it, with an edge as wide.
+        soft: Width of the edge at the radius, half of it on either side.
+    """
+
+    point: Vector
+    radius: float
+    tolerance: float
+    soft: float = 0.0
+
+    def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
+        """1 on what is near and alike."""
+        near = Sphere(self.point, self.radius, self.soft).weights(gaussians, seen)
+        colors = rgb_from_constant(gaussians.harmonics[:, :, 0])
+        distance = (gaussians.means - gaussians.means.new_tensor(self.point)).norm(dim=-1)
+        nearest = distance.topk(min(16, distance.shape[1]), largest=False).indices
+        color = colors.take_along_dim(nearest[..., None], dim=1).mean(1, keepdim=True)
+        return near * inside((colors - color).norm(dim=-1) - self.tolerance, self.tolerance)
+
+
+@dataclass(frozen=True)
 class Photographs(Mask):
     """Style where masks of the photographs are white: a Gaussian has the mean of the pixels that show it.
 
@@ -110,26 +136,30 @@ def inside(distance: Float[Tensor, "*batch"], soft: float) -> Float[Tensor, "*ba
     return way * way * (3 - 2 * way)
 
 
+SHAPES = "sphere:X,Y,Z,RADIUS, box:X,Y,Z,X,Y,Z or like:X,Y,Z,RADIUS,TOLERANCE"
+
+
 def parsed(word: str) -> Mask:
-    """A mask in words: a folder, ``sphere:X,Y,Z,RADIUS`` or ``box:X,Y,Z,X,Y,Z``; ``,soft=WIDTH`` at its end."""
+    """A mask in words: a folder or one of :data:`SHAPES`; ``,soft=WIDTH`` at its end."""
     word, _, soft = word.partition(",soft=")
     kind, colon, rest = word.partition(":")
     try:
         options = {"soft": float(soft)} if soft else {}
-        if colon and kind in ("sphere", "box"):
+        if colon and kind in ("sphere", "box", "like"):
             numbers = [float(number) for number in rest.split(",")]
             first: Vector = (numbers[0], numbers[1], numbers[2])
             if kind == "sphere" and len(numbers) == 4:
                 return Sphere(first, numbers[3], **options)
             if kind == "box" and len(numbers) == 6:
                 return Box(first, (numbers[3], numbers[4], numbers[5]), **options)
+            if kind == "like" and len(numbers) == 5:
+                return Alike(first, numbers[3], numbers[4], **options)
             raise IndexError
     except (ValueError, IndexError) as error:
         reason = f" ({error})" if "has no inside" in str(error) or "expected >" in str(error) else ""
         raise UserError(
-            f"the mask {word!r} is none{reason}; give a folder, sphere:X,Y,Z,RADIUS or box:X,Y,Z,X,Y,Z, each with "
-            ",soft=WIDTH if its edge is soft"
+            f"the mask {word!r} is none{reason}; give a folder, {SHAPES}, each with ,soft=WIDTH if its edge is soft"
         ) from None
     if not Path(word).is_dir():
-        raise UserError(f"the mask {word!r} is no folder, and neither sphere:X,Y,Z,RADIUS nor box:X,Y,Z,X,Y,Z")
+        raise UserError(f"the mask {word!r} is no folder, and not {SHAPES}")
     return Photographs(Path(word), **options)

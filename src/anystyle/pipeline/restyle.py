@@ -57,7 +57,7 @@ class Restyler:
             return styled
         if styled.means.shape != self.unstyled.means.shape:
             raise UserError("controls need a fixed number of Gaussians, and this method adds some; leave them out")
-        return applied(controls, self.unstyled, styled, self._mask_weights(controls.mask))
+        return applied(controls, self.unstyled, styled, self.mask_weights(controls.mask))
 
     def _by_place(self, parts: Sequence[EmbeddedStyle]) -> Gaussians:
         """Each style where its mask is, over those before it."""
@@ -66,7 +66,7 @@ class Restyler:
             alone = self(replace(part, controls=Controls()))
             if alone.means.shape != scene.means.shape:
                 raise UserError("styles by place need a fixed number of Gaussians, and this method adds some")
-            scene = applied(part.controls, scene, alone, self._mask_weights(part.controls.mask))
+            scene = applied(part.controls, scene, alone, self.mask_weights(part.controls.mask))
         return scene
 
     def _restyle(self, style: EmbeddedStyle) -> Gaussians:
@@ -78,7 +78,8 @@ class Restyler:
 
         return _finite(self.encoded.capture.gaussians(restyle), f"the scene in the style {style.title}")
 
-    def _mask_weights(self, mask: Mask | None) -> float | Float[Tensor, "B N"]:
+    def mask_weights(self, mask: Mask | None) -> float | Float[Tensor, "B N"]:
+        """How much of a style each Gaussian takes; computed once a mask."""
         if mask is None:
             return 1.0
         if mask not in self._weights:
