@@ -1,0 +1,253 @@
+"""This implementation beside the published code, in one run: seconds, memory and equality of results.
+
+``python tests/benchmarks/published.py CHECKOUT --variant head`` takes a checkout of joaxkal/AnyStyle, fills its network
+with hashed weights in fp32 and writes them as its checkpoint, which both networks load strictly, each in a process of
+its own. They take turns on the CPU and never run at once. It prints a table and writes the figures as JSON.
+
+What its network needs has to be installed: ``pip install einops``, ``pip install --no-build-isolation torch-scatter``.
+What is merely imported is replaced (``published_stand_ins.py``), and so are two things that the network does when it is
+built or called: the weights of VGGT are not downloaded, and its casts to bf16 are casts to fp32. Nothing is rendered.
+Seconds are of CPU time. Memory is the largest resident set of each process over all it does for a scene, the weights,
+which both map from the same file, included.
+"""
+
+import argparse
+import contextlib
+import ctypes
+import importlib
+import json
+import multiprocessing
+import os
+import statistics
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, fields
+from importlib.util import find_spec
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+import yaml
+from safetensors.torch import load_file, save_file
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from anystyle.commands._run import run
+from anystyle.errors import UserError
+from anystyle.pipeline.weights import load_reference
+from anystyle.types import Scene, StyleEmbedding, Views
+
+sys.path.append(str(Path(__file__).parents[1]))
+from benchmarks import published_stand_ins
+from benchmarks.step_cost import forget_peak, peak
+from oracle import fill_named, golden, hashed, smooth_image
+
+EXPERIMENTS = {"head": "dl3dv_head", "full": "dl3dv_aggregator"}
+NETWORK = "src/model/encoder/anysplat.py"
+PREFIX = "model.encoder."
+WARM_UP = (56, 112)
+SAME = 1e-4
+"""Gaussians of both are one another's where their centres are nearer than this; a voxel is 0.002 wide."""
+
+Step = Callable[[Tensor, Tensor], dict[str, Tensor] | None]
+
+
+@dataclass(frozen=True)
+class Case:
+    """What is measured: the published code and its variant, the file of both, and how many threads each has."""
+
+    checkout: Path
+    variant: str
+    file: Path
+    threads: int
+
+
+def fill(state: Mapping[str, Tensor]) -> None:
+    """Hash the names and places of a published checkpoint into its tensors, as the goldens of the tests have them."""
+    rules = golden("golden_e2e")["fill"]["rules"]
+    for key, tensor in state.items():
+        name = key.removeprefix(PREFIX)
+        tensor.copy_(fill_named({name: tensor}, rules)[name])
+
+
+def published(case: Case) -> dict[str, Step]:
+    """The published network, which computes everything for every style."""
+    published_stand_ins.install()
+    sys.path.insert(0, str(case.checkout))
+    torch.bfloat16 = torch.float32
+    network = importlib.import_module("src.model.encoder.anysplat")
+    vggt = network.VGGT
+    vggt.from_pretrained = lambda name: vggt()
+    config = case.checkout / "config"
+    options = yaml.safe_load((config / "model/encoder/anysplat.yaml").read_text())
+    options |= yaml.safe_load((config / f"experiment/{EXPERIMENTS[case.variant]}.yaml").read_text())["model"]["encoder"]
+    options |= {
+        "gaussian_adapter": network.GaussianAdapterCfg(**options["gaussian_adapter"]),
+        "opacity_mapping": network.OpacityMappingCfg(**options["opacity_mapping"]),
+        "backbone": None,
+    }
+    known = {field.name for field in fields(network.EncoderAnySplatCfg)}
+    encoder = network.EncoderAnySplat(
+        network.EncoderAnySplatCfg(**{name: value for name, value in options.items() if name in known})
+    )
+    state = {PREFIX + name: tensor for name, tensor in encoder.state_dict().items()}
+    fill(state)
+    save_file(state, case.file)
+    del state
+    state = {name.removeprefix(PREFIX): tensor for name, tensor in load_file(case.file).items()}
+    encoder.load_state_dict(state, assign=True)
+    encoder.eval()
+    ctypes.CDLL(None).malloc_trim(0)  # what it was built with is not counted
+
+    def single(images: Tensor, vector: Tensor) -> dict[str, Tensor]:
+        gaussians = encoder(images, style_dir=(None, None, None, vector)).gaussians
+        names = ("means", "rotations", "scales", "opacities", "harmonics")
+        return {name: getattr(gaussians, name)[0] for name in names}
+
+    return {"single": single}
+
+
+def ours(case: Case) -> dict[str, Step]:
+    """This network, which encodes a scene once and then styles it."""
+    stylizer = load_reference(case.file)
+    encoded: list[Scene] = []
+
+    def encode(images: Tensor, vector: Tensor) -> None:
+        encoded[:] = [stylizer.encode(Views(images))]
+
+    def style(images: Tensor, vector: Tensor) -> dict[str, Tensor]:
+        gaussians = stylizer.restyle(encoded[0], StyleEmbedding(vector, vector))
+        found = {name: getattr(gaussians, name)[0] for name in ("means", "rotations", "scales", "opacities")}
+        return found | {"rotations": found["rotations"].roll(-1, -1), "harmonics": gaussians.harmonics[0].mT}
+
+    def single(images: Tensor, vector: Tensor) -> None:
+        encoded.clear()
+        stylizer(Views(images), StyleEmbedding(vector, vector))
+
+    return {"single": single, "encode": encode, "style": style}
+
+
+def work(build: Callable[[Case], dict[str, Step]], case: Case, pipe: Connection) -> None:
+    """A process that holds one network: names of steps in, what they took out."""
+    torch.set_num_threads(case.threads)
+    warnings.simplefilter("ignore")
+    with Path(os.devnull).open("w") as nowhere, contextlib.redirect_stdout(nowhere), torch.no_grad():
+        steps = build(case)
+        pipe.send(list(steps))
+        for step, views, size, seed in iter(pipe.recv, None):
+            images = smooth_image(seed, [1, views, 3, *size])
+            vector = F.normalize(hashed(1000 + seed, (1, 512), -1, 1), dim=-1)
+            forget_peak()
+            started = time.process_time()
+            result = steps[step](images, vector)
+            seconds = time.process_time() - started
+            pipe.send((seconds, peak(), result and {name: tensor.numpy() for name, tensor in result.items()}))
+            del result
+
+
+def differences(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> dict[str, Any]:
+    """Of Gaussians with the same centres: the largest absolute difference, and that over the largest value."""
+    distance, row = cKDTree(mine["means"]).query(theirs["means"])
+    same = distance < SAME
+    found: dict[str, Any] = {"Gaussians": [len(mine["means"]), len(same)], "same centres": float(same.mean())}
+    for name, values in theirs.items():
+        worst = float(abs(mine[name][row[same]] - values[same]).max())
+        found[name] = [worst, worst / float(abs(values[same]).max())]
+    return found
+
+
+def measure(case: Case, views: int, size: tuple[int, int], rounds: int) -> dict[str, Any]:
+    """All figures, from rounds in which both take turns, each round with another scene and another style."""
+    context, pipes, steps = multiprocessing.get_context("spawn"), {}, {}
+    for build in (published, ours):  # the first writes the file
+        name = build.__name__
+        pipes[name], end = context.Pipe()
+        context.Process(target=work, args=(build, case, end), daemon=True).start()
+        end.close()
+        steps[name] = pipes[name].recv()
+
+    def take_turns(size: tuple[int, int], seed: int) -> dict[str, Any]:
+        taken = {}
+        for name, pipe in pipes.items():
+            for step in steps[name]:
+                pipe.send((step, views, size, seed))
+                taken[name, step] = pipe.recv()
+        return taken
+
+    take_turns(WARM_UP, 0)  # both have seen all their weights
+    turns = [take_turns(size, seed) for seed in range(1, rounds + 1)]
+    for pipe in pipes.values():
+        pipe.send(None)
+    last = turns[-1]
+    seconds = {" ".join(key): [turn[key][0] for turn in turns] for key in last}
+    memory = {name: max(turn[key][1] for turn in turns for key in last if key[0] == name) for name in pipes}
+
+    def ratio(first: str, second: str) -> float:
+        pairs = zip(seconds[first], seconds[second], strict=True)
+        return statistics.median(one / other for one, other in pairs)
+
+    return {
+        "setting": {
+            "variant": case.variant, "views": views, "size": size, "rounds": rounds, "threads": case.threads,
+            "torch": torch.__version__,
+        },
+        "CPU seconds": seconds,
+        "peak bytes": memory,
+        "one more style, times cheaper": ratio("published single", "ours style"),
+        "single pass, share": ratio("ours single", "published single"),
+        "memory, share": memory["ours"] / memory["published"],
+        "differences": differences(last["ours", "style"][2], last["published", "single"][2]),
+    }  # fmt: skip
+
+
+def table(found: Mapping[str, Any]) -> str:
+    """The figures in Markdown."""
+    seconds = {key: statistics.median(values) for key, values in found["CPU seconds"].items()}
+    memory = {key: value / 2**30 for key, value in found["peak bytes"].items()}
+    whole, differs = seconds["published single"], dict(found["differences"])
+    gaussians, same = differs.pop("Gaussians"), differs.pop("same centres")
+    lines = [
+        f"| {found['setting']['variant']} | encode | one more style | single pass | peak memory |",
+        "|---|---|---|---|---|",
+        f"| published code | | {whole:.1f} s | {whole:.1f} s | {memory['published']:.1f} GiB |",
+        f"| ours | {seconds['ours encode']:.1f} s | {seconds['ours style']:.1f} s | {seconds['ours single']:.1f} s "
+        f"| {memory['ours']:.1f} GiB |",
+        f"| | | {found['one more style, times cheaper']:.1f} times cheaper | {found['single pass, share']:.2f} of it "
+        f"| {found['memory, share']:.2f} of it |",
+        "", "| equality | largest difference | of the largest value |", "|---|---|---|",
+        *(f"| {name} | {worst:.1e} | {share:.1e} |" for name, (worst, share) in differs.items()),
+        f"\n{gaussians[0]} Gaussians of ours and {gaussians[1]} published, {same:.4%} of which have the same centres.",
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    """Read the flags, measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("checkout", type=Path)
+    parser.add_argument("--variant", choices=EXPERIMENTS, default="head")
+    parser.add_argument("--views", type=int, default=2)
+    parser.add_argument("--size", type=int, nargs=2, default=(224, 448), metavar=("HEIGHT", "WIDTH"))
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--out", type=Path, default=Path("published.json"))
+    arguments = parser.parse_args()
+    if not (arguments.checkout / NETWORK).is_file():
+        raise UserError(f"{arguments.checkout} is no checkout of joaxkal/AnyStyle: it has no {NETWORK}")
+    if missing := [name for name in ("einops", "torch_scatter") if find_spec(name) is None]:
+        raise UserError(f"the published network needs {' and '.join(missing)}; see --help")
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "anystyle.safetensors"
+        case = Case(arguments.checkout.resolve(), arguments.variant, file, arguments.threads)
+        found = measure(case, arguments.views, tuple(arguments.size), arguments.rounds)
+    arguments.out.write_text(json.dumps(found, indent=1) + "\n")
+    sys.stdout.write(table(found))
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,46 @@
+"""What of the comparison with the published code needs none of it."""
+
+import subprocess
+import sys
+from importlib.util import module_from_spec
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks import published, published_stand_ins
+from oracle import fill_named
+
+
+def test_a_folder_that_is_no_checkout(tmp_path):
+    done = subprocess.run([sys.executable, published.__file__, tmp_path], capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr == (
+        f"anystyle: error: {tmp_path} is no checkout of joaxkal/AnyStyle: it has no {published.NETWORK}\n"
+    )
+
+
+def test_weights_are_those_of_the_goldens():
+    name, other = "camera_head.pose_branch.fc2.weight", "camera_head.norm.weight"
+    state = {f"model.encoder.{name}": torch.empty(9, 8), f"model.encoder.{other}": torch.empty(8)}
+    published.fill(state)
+    plain = fill_named({name: torch.empty(9, 8), other: torch.empty(8)})
+    torch.testing.assert_close(state[f"model.encoder.{name}"], 0.1 * plain[name])  # by a rule of the goldens
+    assert torch.equal(state[f"model.encoder.{other}"], plain[other])
+
+
+def test_differences_are_of_gaussians_at_the_same_place():
+    mine = {"means": np.float32([[0, 0, 0], [1, 0, 0], [2, 0, 0]]), "scales": np.float32([[1], [2], [3]])}
+    theirs = {"means": np.float32([[1, 0, 0], [0, 0, 5]]), "scales": np.float32([[2.5], [7]])}
+    found = published.differences(mine, theirs)
+    assert found["Gaussians"] == [3, 2] and found["same centres"] == 0.5
+    assert found["means"] == [0, 0] and found["scales"] == [0.5, pytest.approx(0.2)]
+
+
+def test_what_is_imported_is_made_up_and_what_is_used_is_not(monkeypatch):
+    monkeypatch.setattr(sys, "meta_path", [*sys.meta_path])
+    published_stand_ins.install()
+    finder = sys.meta_path[0]
+    specs = {name: finder.find_spec(name, None) for name in ("e3nn.o3", "src.dataset", "src.datasets", "einops")}
+    assert [name for name, spec in specs.items() if spec] == ["e3nn.o3", "src.dataset"]
+    assert module_from_spec(specs["e3nn.o3"]).wigner_D is published_stand_ins.StandIn
