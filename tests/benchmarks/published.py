@@ -79,7 +79,7 @@ def published(case: Case) -> dict[str, Step]:
     """The published network, which computes everything for every style."""
     published_stand_ins.install()
     sys.path.insert(0, str(case.checkout))
-    torch.bfloat16 = torch.float32
+    torch.bfloat16 = torch.float32  # what its code, which is left as it is, casts to
     network = importlib.import_module("src.model.encoder.anysplat")
     vggt = network.VGGT
     vggt.from_pretrained = lambda name: vggt()
