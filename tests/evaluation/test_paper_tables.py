@@ -26,13 +26,17 @@ def transcript():
 
 @pytest.fixture(scope="module")
 def printed(tmp_path_factory):
-    """The rows of each table as the command writes them, by variant."""
+    """The rows of each table as the command writes them, by block and method."""
     out = tmp_path_factory.mktemp("tables")
     assert command.main(["--paper", "all", "--out", str(out)]) == 0
-    return {
-        path.stem: {row["variant"]: row for row in csv.DictReader(path.read_text().splitlines())}
-        for path in out.glob("*.csv")
-    }
+    return {path.stem: rows_of(path) for path in out.glob("*.csv")}
+
+
+def rows_of(path):
+    rows = {(row.get("block", ""), row["Method"]): row for row in csv.DictReader(path.read_text().splitlines())}
+    if path.stem == "table_1":  # Methods with the same properties share a row.
+        return {("", method): row for (_, methods), row in rows.items() for method in methods.split(", ")}
+    return rows
 
 
 def title(table, cell):
@@ -42,19 +46,26 @@ def title(table, cell):
     return f"{cell['method']}{variant}{ablation}"
 
 
-def column(cell):
+def place(table, cell):
+    """The block and the method of a cell's row, and its column."""
     scene = "" if cell["scene"] in (None, "all") else cell["scene"]
     arrow = {"higher": " ↑", "lower": " ↓", None: ""}[cell["better"]]
-    return f"{scene} {cell['metric']}{arrow}".strip()
+    form = published.tables()[table]
+    column = f"{scene} {form.heads[cell['metric']]}{arrow}".strip()
+    method, _, ablation = title(table, cell).partition(": ")
+    block = next((block for block, figures in form.blocks.items() if cell["metric"] in figures), "")
+    return ((method, ablation) if ablation else (block, method)), column
 
 
 def test_every_printed_cell_is_in_the_report(transcript, printed):
     num_cells = 0
     for table in transcript["tables"]:
         for cell in table["rows"]:
-            text = printed[table["id"]][title(table["id"], cell)][column(cell)]
+            row, column = place(table["id"], cell)
+            text = printed[table["id"]][row][column]
             mark = {"best": " (1st)", "second": " (2nd)", None: ""}[cell["marked"]]
-            assert text == cell["printed"] + mark, (table["id"], cell)
+            said = {"yes": "✓", "no": "✗"}.get(cell["printed"], cell["printed"])
+            assert text == said + mark, (table["id"], cell)
             num_cells += 1
     assert num_cells == 60 + transcript["counts"]["total_numeric"]
 
@@ -87,11 +98,22 @@ def test_ours_stand_below_the_papers_rows_and_what_does_not_add_up_is_said(tmp_p
     record.write(found, tmp_path / "mine", {"protocol": "paper"})
     assert command.main([str(tmp_path / "mine"), "--paper", "table_2", "--out", str(tmp_path)]) == 0
     shown = capsys.readouterr().out
-    rows = {row["variant"]: row for row in csv.DictReader((tmp_path / "table_2.csv").read_text().splitlines())}
-    assert list(rows)[-1] == "mine" and rows["mine"]["source"] == "computed here"
-    assert [rows["mine"][name] for name in ("Train art_fid ↓", "Garden art_fid ↓", "time_s ↓", "M60 art_fid ↓")] == [
-        "30.25", "31.5", "2.5", "–"
+    *_, (place, ours) = rows_of(tmp_path / "table_2.csv").items()
+    assert place == ("", "mine (computed here)")
+    assert [ours[name] for name in ("Train FID ↓", "Garden FID ↓", "Time ↓", "M60 FID ↓")] == [
+        "30.25", "31.5", "2.5 s", "–"
     ]  # fmt: skip
     for said in ("Train 27.74, not 34.69", "Three of its marks", "M60 24.16 and 24.34", "wall time of one pass"):
         assert said in shown, said
     assert (tmp_path / "table_2.tex").is_file() and (tmp_path / "table_2.md").is_file()
+
+
+def test_latex_has_the_rules_blocks_and_marks_of_the_page(tmp_path):
+    assert command.main(["--paper", "all", "--out", str(tmp_path)]) == 0
+    table_2, table_4 = ((tmp_path / f"table_{number}.tex").read_text() for number in (2, 4))
+    assert r"\multicolumn{2}{c}{Train} & \multicolumn{2}{c}{Truck}" in table_2
+    assert r"\cmidrule(lr){2-3} \cmidrule(lr){4-5}" in table_2
+    assert r"\underline{9.50}" in table_2 and r"\textbf{22.15}" in table_2
+    assert table_2.index("SGSST") < table_2.index("\\midrule\nStyl3R") < table_2.index("\\midrule\nAnyStyle (image)")
+    near, far = (rf"\multicolumn{{9}}{{c}}{{\textit{{{name}-range consistency}}}}" for name in ("Short", "Long"))
+    assert table_4.count("GT images") == 2 and table_4.index(near) < table_4.index("GT images") < table_4.index(far)

@@ -85,7 +85,7 @@ def test_seeds_of_one_variant_are_one_row_with_an_interval(tmp_path):
     assert report.half_width(values["base"]) == pytest.approx((high - low) / 2)
     made = report.table(lines, [("", "art_fid")], better)
     assert made.rows[0][2] == f"12.17 ± {(high - low) / 2:.4g}"
-    assert "3 seeds" in made.notes[-1]
+    assert "3 seeds" in report.state_notes(lines)[-1]
 
 
 def test_figures_of_stand_ins_are_rows_of_their_own(tmp_path):

@@ -6,9 +6,7 @@ import pytest
 import torch
 
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
-from anystyle.methods.branch import _thinned
-from anystyle.methods.colors import NEIGHBORS, colors_alone, fit_colors
-from anystyle.types import Cameras, Views
+from anystyle.methods.colors import NEIGHBORS, covering_views, fit_colors
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from renderers.scenes import cameras, gaussians
 
@@ -161,10 +159,15 @@ def test_a_second_style_of_a_scene_needs_fewer_renders_and_comes_to_the_same():
     assert torch.equal(other.harmonics, fit_colors(moved, views, pictures[1], Counting(), steps=2).harmonics)
 
 
-def test_of_many_views_those_farthest_apart_are_painted():
-    poses = torch.eye(4).repeat(1, 5, 1, 1)
-    poses[0, :, 0, 3] = torch.tensor([0.0, 1, 2, 3, 10])
-    scene = colors_alone(Views(torch.rand(1, 5, 3, 14, 14), Cameras(poses, torch.eye(3).repeat(1, 5, 1, 1), (14, 14))))
-    thinned = _thinned(scene, 3)
-    assert torch.equal(thinned.cameras.world_from_camera, poses[:, [0, 3, 4]])
-    assert torch.equal(thinned.attributes.color, scene.attributes.color[:, [0, 3, 4]])
+def test_few_views_cover_a_scene():
+    scene, views = small_scene(views=6)
+    pixels = matrix(scene, views)[0].view(6, -1, scene.means.shape[1]).sum(1)
+    largest = pixels.amax(0)
+    for share in (0.5, 0.9, 1.0):
+        chosen = covering_views(scene, views, RENDERER, share=share, most=6)
+        shown = (2 * pixels[chosen].amax(0)).minimum(largest).sum() / largest.sum()
+        assert shown >= share - 1e-5
+        assert chosen == sorted(set(chosen))
+    first = covering_views(scene, views, RENDERER, share=1.0, most=1)
+    assert first == [int((2 * pixels).minimum(largest).sum(1).argmax())]
+    assert covering_views(scene, views.select([*range(6), *range(6)]), RENDERER, share=1.0, most=12) == chosen

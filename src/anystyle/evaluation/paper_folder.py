@@ -69,7 +69,7 @@ class PaperFolder:
         by_cell: dict[tuple[str, str], list[Path]] = {}
         for scene in self.scene_names:
             folder = _scene_folder(self.methods[method], scene)
-            by_style = _by_style(folder) if folder else {}
+            by_style = images_by_style(folder) if folder else {}
             for path in self.style_files:
                 images = next((images for name, images in by_style.items() if _same_style(name, path.stem)), [])
                 by_cell[scene, path.stem] = images[: self.frames]
@@ -122,7 +122,7 @@ def _images(folder: Path) -> list[Path]:
     return image_files(folder / "images" if (folder / "images").is_dir() else folder)
 
 
-def _by_style(folder: Path) -> dict[str, list[Path]]:
+def images_by_style(folder: Path) -> dict[str, list[Path]]:
     """Images of a scene by style, in natural order of their frames: one folder a style, or ``STYLE_FRAME.png``."""
     if inside := [path for path in _folders(folder) if path.name != "images"]:
         return {path.name: image_files(path) for path in inside}

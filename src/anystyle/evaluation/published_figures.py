@@ -34,7 +34,7 @@ class PublishedFigure:
 
 
 class PublishedTable(msgspec.Struct, frozen=True):
-    """The layout of a paper's table."""
+    """The layout of a paper's table: methods below ``rules``, ``blocks`` of figures that stand one below the other."""
 
     title: str
     source: str
@@ -42,6 +42,9 @@ class PublishedTable(msgspec.Struct, frozen=True):
     scenes: tuple[str, ...]
     """Empty where the table compares methods over all scenes."""
     notes: tuple[str, ...]
+    heads: dict[str, str]
+    rules: tuple[str, ...] = ()
+    blocks: dict[str, tuple[str, ...]] = {}
 
 
 class _Row(msgspec.Struct):
@@ -118,8 +121,8 @@ def _cells(stored: _File) -> list[PublishedFigure]:
 
 
 def _value(printed: str) -> float:
-    if printed in ("yes", "no"):
-        return float(printed == "yes")
+    if printed in ("✓", "✗"):
+        return float(printed == "✓")
     value = float(printed.rstrip("sm ")) * (60.0 if printed.endswith("m") else 1.0)
     if not math.isfinite(value):
         raise ValueError(f"{printed} is no figure")

@@ -3,13 +3,14 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import groupby
 from pathlib import Path
 from typing import Literal
 
 from anystyle.data.folder import image_files
 from anystyle.data.images import open_image
 from anystyle.errors import UserError
-from anystyle.evaluation.paper_folder import SCENES
+from anystyle.evaluation.paper_folder import SCENES, images_by_style
 from anystyle.evaluation.published_figures import PublishedFigure, PublishedTable
 from anystyle.evaluation.runs import Run
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
@@ -137,22 +138,30 @@ def _published_line(title: str, source: str, items: Sequence[PublishedFigure]) -
 
 
 def paper_table(
-    name: str,
-    form: PublishedTable,
-    figures: Sequence[PublishedFigure],
-    ours: Sequence[Line],
-    better: Mapping[str, str],
+    name: str, form: PublishedTable, figures: Sequence[PublishedFigure], ours: Sequence[Line], better: Mapping[str, str]
 ) -> Table:
-    """A table of the paper as it is printed, our rows below it, with contradictions in its notes."""
-    rows: dict[str, list[PublishedFigure]] = {}
-    for item in figures:
-        if item.source == form.source and item.table == name:
-            rows.setdefault(item.method, []).append(item)
-    theirs = [_published_line(method, items[0].origin or "published", items) for method, items in rows.items()]
-    lines = [*theirs, *ours]
-    notes = [*form.notes, *state_notes(ours)]
-    columns = columns_of(lines, form.figures, form.scenes)
-    return table(lines, columns, better, caption=f"{form.title} ({form.source}, {name})", notes=notes)
+    """A table of the paper as it is printed, our rows below those of each block, contradictions in its notes."""
+    printed = [item for item in figures if (item.source, item.table) == (form.source, name)]
+    theirs = [_published_line(method, "", list(items)) for method, items in groupby(printed, lambda item: item.method)]
+    columns: list[Column] = []
+    rows: list[tuple[str, ...]] = []
+    for block, names in (form.blocks or {"": form.figures}).items():
+        columns = columns_of([*theirs, *ours], names, form.scenes)
+        cells = {line.title: tuple(map(line.cell, columns)) for line in theirs}
+        rows += [(block,)] if block else []
+        # Methods with the same properties share a row of Table 1.
+        for values, titles in groupby(cells, cells.__getitem__):
+            part, _, title = ", ".join(titles).rpartition(": ")
+            rows += [()] if title in form.rules else [(part,)] if part and (part,) not in rows else []
+            rows.append((title, *values))
+        rows += [("Ours",) if ": " in theirs[-1].title else ()] if ours else []
+        for line in ours:
+            units = (" s" * (figure == "time_s" and bool(line.values((scene, figure)))) for scene, figure in columns)
+            source = f" ({line.source})" * bool(line.source)
+            rows.append((line.title + source, *map(str.__add__, map(line.cell, columns), units)))
+    heads = [f"{scene}\n{titled(figure, better).replace(figure, form.heads[figure])}" for scene, figure in columns]
+    caption = f"{name.replace('_', ' ').title()} of {form.source}: {form.title}"
+    return Table(("Method", *map(str.strip, heads)), tuple(rows), caption, (*form.notes, *state_notes(ours)))
 
 
 def figures_of(lines: Sequence[Line], requested: Sequence[str] = ()) -> list[str]:
@@ -186,7 +195,6 @@ def table(
     columns: Sequence[Column],
     better: Mapping[str, str],
     *,
-    caption: str = "",
     notes: Sequence[str] = (),
 ) -> Table:
     """A row for each line and a column for each figure of a scene, or of all scenes together."""
@@ -196,17 +204,18 @@ def table(
         for line in lines
         if line.origin != "published" or any(column in line.samples for column in columns)
     )
-    num_seeds = max((len(values) for line in lines for values in line.samples.values()), default=1)
-    more = [f"± is half the width of the 95 % t interval of the mean over {num_seeds} seeds."] if num_seeds > 1 else []
-    return Table(("variant", "source", *titles), rows, caption, (*notes, *more))
+    return Table(("variant", "source", *titles), rows, notes=tuple(notes))
 
 
 def state_notes(lines: Sequence[Line]) -> list[str]:
-    """Notes on runs without figures, and on stand-ins."""
+    """Notes on runs without figures, on stand-ins, and on intervals."""
     states = [f"{line.title} ({line.state})" for line in lines if line.state]
     notes = [f"{len(states)} of {len(lines)} rows have no figures: {', '.join(states)}."] if states else []
     if any(line.origin == "stand-in" for line in lines):
         notes.append(f"Rows marked “{STAND_IN}” come from networks that replace the published ones.")
+    num_seeds = max((len(values) for line in lines for values in line.samples.values()), default=1)
+    if num_seeds > 1:
+        notes.append(f"± is half the width of the 95 % t interval of the mean over {num_seeds} seeds.")
     return notes
 
 
@@ -239,7 +248,5 @@ def _stylized(line: Line) -> dict[str, Path]:
     """For each style the middle frame of the first scene, of the first run that has any."""
     folders = (run.evaluation / "images" / "stylized" for run in line.runs if run.evaluation)
     scenes = next((found for folder in folders if (found := list(folder.glob("[!.]*")))), [])
-    by_style: dict[str, list[Path]] = {}
-    for path in image_files(min(scenes, key=lambda path: natural(path.name))) if scenes else ():
-        by_style.setdefault(path.stem.rpartition("_")[0], []).append(path)
+    by_style = images_by_style(min(scenes, key=lambda path: natural(path.name))) if scenes else {}
     return {style: paths[len(paths) // 2] for style, paths in by_style.items()}

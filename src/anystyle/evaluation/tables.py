@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import accumulate, groupby
 from pathlib import Path
 
 STAND_IN = "stand-in, not comparable"
@@ -18,15 +19,18 @@ _LATEX = {
     "\\": r"\textbackslash{}", "&": r"\&", "%": r"\%", "$": r"\$", "#": r"\#", "_": r"\_", "{": r"\{", "}": r"\}",
     "~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "<": "$<$", ">": "$>$", "↑": r"$\uparrow$",
     "↓": r"$\downarrow$", "×": r"$\times$", "±": r"$\pm$", "−": "$-$", "∞": r"$\infty$", "†": r"$\dagger$",
-    "‡": r"$\ddagger$", "–": "--", "—": "---", "“": "``", "”": "''",
+    "‡": r"$\ddagger$", "–": "--", "—": "---", "“": "``", "”": "''", "✓": r"$\checkmark$", "✗": r"$\times$",
 }  # fmt: skip
+_MARKS = {"1st": "textbf", "2nd": "underline"}
 
 
 @dataclass(frozen=True)
 class Table:
-    """Texts in rows and columns, with a caption above and notes below.
+    r"""Texts in rows and columns, with a caption above and notes below.
 
-    Columns of numbers, intervals and dashes are aligned right, others left. Every form escapes the texts.
+    Columns of numbers, intervals and dashes are aligned right, others left. Every form escapes the texts. Neighbours
+    with the same first line (``scene\nfigure``) share it in LaTeX. An empty row is a rule, which LaTeX alone shows; a
+    row of one text is the title of a block of rows, in CSV a column.
 
     Example:
         >>> print(Table(("method", "PSNR"), (("head", "23.7"), ("full", "24.1"))).markdown())
@@ -44,7 +48,9 @@ class Table:
 
     def markdown(self) -> str:
         """As a table of GitHub's Markdown, with aligned columns."""
-        cells = [[escape_markdown(text) for text in row] for row in (self.columns, *self.rows)]
+        cells = [[escape_markdown(text) for text in row] for row in (self.columns, *self.rows) if row]
+        blank = [""] * (len(self.columns) - 1)
+        cells = [[f"**{row[0]}**", *blank] if len(row) == 1 else row for row in cells]
         widths = [max(3, *map(len, column)) for column in zip(*cells, strict=True)]
         lines = [f"| {' | '.join(map(str.ljust, row, widths))} |" for row in cells]
         rules = ["-" * (width + 1) + "-:"[number] for width, number in zip(widths, self._numeric(), strict=True)]
@@ -55,8 +61,13 @@ class Table:
     def csv(self) -> str:
         """As comma-separated values, without caption and notes."""
         text = io.StringIO()
-        rows = (map(escape_csv, row) for row in (self.columns, *self.rows))
-        csv.writer(text, lineterminator="\n").writerows(rows)
+        rows, block = [[escape_csv(column).replace("\n", " ") for column in self.columns]], ()
+        for row in filter(None, self.rows):
+            if len(row) == 1:
+                rows, block = (rows if block else [["block", *rows[0]]]), row
+            else:
+                rows.append([*block, *row])
+        csv.writer(text, lineterminator="\n").writerows(map(escape_csv, row) for row in rows)
         return text.getvalue()
 
     def latex(self) -> str:
@@ -67,10 +78,22 @@ class Table:
         return "\n".join(lines) + "\n"
 
     def tabular(self) -> str:
-        """The LaTeX ``tabular`` alone; needs ``booktabs``."""
-        head, *body = [" & ".join(map(escape_latex, row)) + r" \\" for row in (self.columns, *self.rows)]
-        begin = rf"\begin{{tabular}}{{{''.join('lr'[number] for number in self._numeric())}}}"
-        return "\n".join([begin, r"\toprule", head, r"\midrule", *body, r"\bottomrule", r"\end{tabular}"])
+        """The LaTeX ``tabular`` alone; needs ``booktabs``, and ``amssymb`` for ✓."""
+        lines = [rf"\begin{{tabular}}{{{''.join('lr'[number] for number in self._numeric())}}}", r"\toprule"]
+        spans = [(head, len([*group])) for head, group in groupby(text.rpartition("\n")[0] for text in self.columns)]
+        if len(spans) > 1:
+            ends = list(accumulate(width for _, width in spans))
+            lines.append(" & ".join(rf"\multicolumn{{{n}}}{{c}}{{{escape_latex(head)}}}" for head, n in spans) + r" \\")
+            ruled = [(end - n + 1, end) for (head, n), end in zip(spans, ends, strict=True) if head]
+            lines.append(" ".join(rf"\cmidrule(lr){{{start}-{end}}}" for start, end in ruled))
+        rule = [] if self.rows and len(self.rows[0]) == 1 else [()]
+        for row in ([text.rpartition("\n")[2] for text in self.columns], *rule, *self.rows):
+            text = " & ".join(map(escape_latex, row)) + r" \\"
+            if len(row) == 1:
+                span = rf"\multicolumn{{{len(self.columns)}}}{{c}}{{\textit{{{escape_latex(row[0])}}}}} \\"
+                text = "\n".join([r"\midrule", span, r"\midrule"])
+            lines.append(text if row else r"\midrule")
+        return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"])
 
     def write(self, folder: Path, name: str) -> list[str]:
         """Write ``name.md``, ``name.csv`` and ``name.tex`` into a folder, and return these names."""
@@ -81,8 +104,9 @@ class Table:
 
     def _numeric(self) -> list[bool]:
         """For each column but the first whether all of its texts are numbers or empty."""
+        rows = [row for row in self.rows if len(row) > 1]
         return [
-            index > 0 and all(not row[index] or _NUMERIC.match(row[index]) for row in self.rows)
+            index > 0 and all(not row[index] or _NUMERIC.match(row[index]) for row in rows)
             for index in range(len(self.columns))
         ]
 
@@ -94,8 +118,9 @@ def escape_markdown(text: str) -> str:
 
 
 def escape_latex(text: str) -> str:
-    """A text that LaTeX shows literally, with powers of ten (``2e-05``) and minus signs as mathematics."""
+    """A text that LaTeX shows literally; mathematics are ``2e-05`` and minus signs, ``1.5 (1st)`` is bold."""
     text = "".join(_LATEX.get(letter, letter) for letter in text)
+    text = re.sub(r"^(\S+) \((1st|2nd)\)$", lambda mark: rf"\{_MARKS[mark[2]]}{{{mark[1]}}}", text)
     text = re.sub(r"\b(\d(?:\.\d+)?)e\+?(-?)0*(\d+)\b", r"$\1 \\times 10^{\2\3}$", text)
     return re.sub(r"(?<=[\s\[(])-(?=\d)|^-(?=\d)", "$-$", text)
 

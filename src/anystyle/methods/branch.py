@@ -7,12 +7,12 @@ import torch
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.methods.base import Method
-from anystyle.methods.colors import colors_alone, fit_colors, largest_shown
+from anystyle.methods.colors import colors_alone, covering_views, fit_colors, largest_shown
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
 
 MAX_VIEWS = 48
-"""Views that fitted Gaussians are coloured by, where the branch paints each alone; of more, those farthest apart."""
+"""By which fitted Gaussians are coloured, where the branch paints each alone."""
 
 
 class Branch(Method):
@@ -24,15 +24,22 @@ class Branch(Method):
     Args:
         fit_colors: Steps of least squares for the colours of such Gaussians, in which each surface is coloured by the
             view that shows it largest; 0 takes the mean of the pixels that show a Gaussian there.
+        coverage: How much of what the views show of such Gaussians is painted, in (0, 1]: the fewest views that show so
+            much of each at half its largest size or more. Where the branch sees views together, all of them are.
         refine_strokes: Steps of gradient descent that then move, turn and stretch such Gaussians so that they show
             painted strokes, one view a step; 0 keeps their geometry.
         keep_harmonics: Whether such Gaussians keep their harmonics above degree 0; they are dropped otherwise.
     """
 
-    def __init__(self, *, fit_colors: int = 4, refine_strokes: int = 0, keep_harmonics: bool = False) -> None:
+    def __init__(
+        self, *, fit_colors: int = 4, coverage: float = 0.95, refine_strokes: int = 0, keep_harmonics: bool = False
+    ) -> None:
         if fit_colors < 0 or refine_strokes < 0:
             raise UserError(f"method: {fit_colors=} {refine_strokes=}; give numbers of steps, 0 or more")
-        self.fit_colors, self.refine_strokes, self.keep_harmonics = fit_colors, refine_strokes, keep_harmonics
+        if not 0 < coverage <= 1:
+            raise UserError(f"method.coverage={coverage}: give a share above 0 and up to 1")
+        self.fit_colors, self.coverage = fit_colors, coverage
+        self.refine_strokes, self.keep_harmonics = refine_strokes, keep_harmonics
 
     @torch.no_grad()
     def __call__(
@@ -47,8 +54,10 @@ class Branch(Method):
         gaussians = scene.gaussians
         if gaussians is None:
             return stylizer.restyle(scene, embedding)
-        if scene.views.images.shape[1] > MAX_VIEWS and stylizer.branch.gaussian_head is None:
-            scene = _thinned(scene, MAX_VIEWS)
+        if stylizer.branch.gaussian_head is None:
+            with torch.enable_grad():
+                views = covering_views(gaussians, scene.cameras, stylizer.renderer, share=self.coverage, most=MAX_VIEWS)
+            scene = _of_views(scene, views)
         color = stylizer.branch(scene, embedding).color[0]  # V H W 3 K
         targets = rgb_from_constant(color[..., 0]).clamp(0, 1).movedim(-1, 1).float()  # V 3 H W
         with torch.enable_grad():
@@ -66,15 +75,8 @@ class Branch(Method):
         return colored
 
 
-def _thinned(scene: Scene, count: int) -> Scene:
-    """A scene of colours alone with those of its views whose cameras lie farthest apart, each in turn."""
-    centers = scene.cameras.world_from_camera[0, :, :3, 3]
-    chosen = [0]
-    distances = (centers - centers[0]).norm(dim=-1)
-    while len(chosen) < count:
-        chosen.append(int(distances.argmax()))
-        distances = distances.minimum((centers - centers[chosen[-1]]).norm(dim=-1))
-    chosen.sort()
-    thinned = colors_alone(replace(scene.views.select(chosen), cameras=scene.cameras.select(chosen)))
-    attributes = replace(thinned.attributes, color=scene.attributes.color[:, chosen])
-    return replace(thinned, attributes=attributes, gaussians=scene.gaussians)
+def _of_views(scene: Scene, views: list[int]) -> Scene:
+    """Some views of a scene, as colours alone."""
+    chosen = colors_alone(replace(scene.views.select(views), cameras=scene.cameras.select(views)))
+    attributes = replace(chosen.attributes, color=scene.attributes.color[:, views])
+    return replace(chosen, attributes=attributes, gaussians=scene.gaussians)

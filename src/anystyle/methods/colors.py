@@ -68,7 +68,7 @@ def fit_colors(
         )
     if cameras.size != tuple(targets.shape[-2:]):
         raise UserError(f"targets of {tuple(targets.shape[-2:])} and cameras for {cameras.size}; resize one of the two")
-    system = _system(gaussians.detach(), cameras.detach(), renderer)
+    system = _system(gaussians, cameras, renderer)
     higher = gaussians.harmonics[0, :, 1:] if keep else gaussians.harmonics[0, :, :0]
     if higher.shape[1]:
         targets = torch.stack([targets[view] - system.change_by(view, higher) for view in range(len(targets))])
@@ -87,9 +87,35 @@ def fit_colors(
     return replace(gaussians, harmonics=torch.cat([constant[:, None], higher], dim=1)[None])
 
 
+def covering_views(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, *, share: float, most: int) -> list[int]:
+    """Few views that show what all show, chosen greedily.
+
+    A Gaussian is shown once it covers half as many pixels of a chosen view as of the view in which it is largest.
+
+    Args:
+        gaussians: A batch of one scene.
+        cameras: A batch of one scene.
+        renderer: Differentiable in colours.
+        share: Of the pixels that Gaussians cover where they are largest, in (0, 1]; so much is shown.
+        most: Views at most.
+    """
+    system = _System(gaussians.detach(), cameras.detach(), renderer)
+
+    def choose() -> tuple[_System, list[int]]:
+        pixels = torch.stack([system.covered_in(view) for view in range(cameras.intrinsics.shape[1])])  # V N
+        largest = pixels.amax(0)
+        shown, so_far, chosen = pixels.mul_(2).minimum(largest), torch.zeros_like(largest), list[int]()
+        while len(chosen) < min(most, len(shown)) and so_far.sum() < share * largest.sum():
+            chosen.append(int(shown.maximum(so_far).sum(1).argmax()))
+            so_far = so_far.maximum(shown[chosen[-1]])
+        return system, sorted(chosen)
+
+    return _COVERS.get((*_identity(system), share, most), choose)[1]
+
+
 def largest_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> Float[Tensor, "V 1 H W"]:
     """How much each pixel of each view counts in :func:`fit_colors` with ``largest``."""
-    confidence = _system(gaussians.detach(), cameras.detach(), renderer).confident.confidence
+    confidence = _system(gaussians, cameras, renderer).confident.confidence
     assert confidence is not None
     return torch.stack(confidence)
 
@@ -151,6 +177,10 @@ class _System:
         system = replace(self, confidence=confidence)
         vars(system).update(gray=self.gray, gray_renders=self.gray_renders)
         return system
+
+    def covered_in(self, view: int) -> Float[Tensor, " N"]:
+        """How many pixels of one view each Gaussian covers; no graph is kept."""
+        return torch.autograd.grad(self.render(view, self.gray).sum(), self.gray)[0][:, 0]
 
     def render(self, view: int, colors: Float[Tensor, "N 3"]) -> Float[Tensor, "3 H W"]:
         """A view of colours in [0, 1], over the renderer's background."""
@@ -216,13 +246,20 @@ class _System:
 
 _SYSTEMS: LRUCache[tuple[object, ...], _System] = LRUCache(1)
 """That of the last scene: its grey renders and weights serve every style."""
+_COVERS: LRUCache[tuple[object, ...], tuple[_System, list[int]]] = LRUCache(1)
 
 
 def _system(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> _System:
-    # A system holds its Gaussians, so that no others can lie where they do.
-    identity = [(tensor.data_ptr(), tensor.shape, tensor._version) for tensor in vars(gaussians).values()]
+    system = _System(gaussians.detach(), cameras.detach(), renderer)
+    return _SYSTEMS.get(_identity(system), lambda: system)
+
+
+def _identity(system: _System) -> tuple[object, ...]:
+    # What is cached holds its Gaussians, so that no others can lie where they do.
+    gaussians = [(tensor.data_ptr(), tensor.shape, tensor._version) for tensor in vars(system.gaussians).values()]
+    cameras = system.cameras
     seen = tuple(tensor.cpu().numpy().tobytes() for tensor in (cameras.world_from_camera, cameras.intrinsics))
-    return _SYSTEMS.get((*identity, seen, cameras.size, id(renderer)), lambda: _System(gaussians, cameras, renderer))
+    return (*gaussians, seen, cameras.size, id(system.renderer))
 
 
 def colors_alone(views: Views) -> Scene:

@@ -9,9 +9,9 @@ import anystyle
 from anystyle.errors import UserError
 from anystyle.losses.sliced_wasserstein import SlicedWasserstein
 from anystyle.methods.colors import colors_alone
-from anystyle.methods.refine_embedding import RefineEmbedding
 from anystyle.testing.inputs import images
 from anystyle.types import Style, Stylization, Views
+from anystyle_rivals.refine_embedding import RefineEmbedding
 from renderers.scenes import cameras, gaussians
 
 
