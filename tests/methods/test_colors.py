@@ -171,3 +171,12 @@ def test_few_views_cover_a_scene():
     first = covering_views(scene, views, RENDERER, share=1.0, most=1)
     assert first == [int((2 * pixels).minimum(largest).sum(1).argmax())]
     assert covering_views(scene, views.select([*range(6), *range(6)]), RENDERER, share=1.0, most=12) == chosen
+
+
+def test_some_of_many_gaussians_choose_the_views(monkeypatch):
+    scene, views = small_scene(views=6)
+    monkeypatch.setattr("anystyle.methods.colors.COUNTED", -(-scene.means.shape[1] // 2))
+    pixels = matrix(scene, views)[0].view(6, -1, scene.means.shape[1]).sum(1)[:, ::2]
+    chosen = covering_views(scene, views, RENDERER, share=0.9, most=6)
+    largest = pixels.amax(0)
+    assert (2 * pixels[chosen].amax(0)).minimum(largest).sum() >= (0.9 - 1e-5) * largest.sum()

@@ -14,10 +14,11 @@ WEIGHTS = {
         "nnfm": 5.0, "content": 0.005, "total_variation": 1.0, "depth_consistency": 0.01, "attribute_change": 1.0,
     },
     "sos": {"simultaneous_scales": 1.0, "content": 1.0},
+    "g_style": {"nnfm": 10.0, "clip_patch": 10.0, "content": 0.05, "total_variation": 1e-4},
     "clip": {"clip_directional": 5.0, "clip_patch": 90.0, "content": 0.8},
 }  # fmt: skip
 """As docs/rivals.md cites them."""
-SMALL = {"clip": ["loss.clip_patch.crops=1", "loss.clip_patch.crop_size=32"]}
+SMALL = dict.fromkeys(("clip", "g_style"), ["loss.clip_patch.crops=1", "loss.clip_patch.crop_size=32"])
 
 
 def loop_of(chosen):
@@ -52,10 +53,10 @@ def test_what_does_not_move_keeps_its_bits(preset):
     assert not torch.equal(result.harmonics, given.gaussians.harmonics)
 
 
-@pytest.mark.parametrize("preset", ["nnfm", "sos"])
+@pytest.mark.parametrize("preset", ["nnfm", "sos", "g_style"])
 def test_the_loss_falls(preset):
     losses = []
-    words = (f"method={preset}", "method.num_steps=16", "method.report_every=4")
+    words = (f"method={preset}", "method.num_steps=16", "method.report_every=4", *SMALL.get(preset, []))
     run(
         method(*words), on_progress=lambda progress: losses.append(float(progress.line.split("loss ")[1].split(",")[0]))
     )

@@ -20,6 +20,8 @@ MIN_WEIGHT = 1e-3
 EVIDENCE, NEIGHBORS = 1.0, 8
 """A Gaussian that all views together show less of than so many pixels takes after so many nearest ones of which they
 show more, in place of the pixels that it lacks."""
+COUNTED = 50_000
+"""Gaussians that views are chosen by, evenly spaced; all pairs of them and views are held in memory."""
 MIN_CONFIDENCE = 1e-3
 """Of a pixel all of whose Gaussians are seen larger elsewhere."""
 
@@ -102,7 +104,9 @@ def covering_views(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, *
     system = _System(gaussians.detach(), cameras.detach(), renderer)
 
     def choose() -> tuple[_System, list[int]]:
-        pixels = torch.stack([system.covered_in(view) for view in range(cameras.intrinsics.shape[1])])  # V N
+        every = -(-gaussians.means.shape[1] // COUNTED)
+        views = range(cameras.intrinsics.shape[1])
+        pixels = torch.stack([system.covered_in(view)[::every].clone() for view in views])  # V N; lets go of the rest
         largest = pixels.amax(0)
         shown, so_far, chosen = pixels.mul_(2).minimum(largest), torch.zeros_like(largest), list[int]()
         while len(chosen) < min(most, len(shown)) and so_far.sum() < share * largest.sum():
