@@ -18,7 +18,7 @@ WEIGHTS = {
     "clip": {"clip_directional": 5.0, "clip_patch": 90.0, "content": 0.8},
 }  # fmt: skip
 """As docs/rivals.md cites them."""
-SMALL = dict.fromkeys(("clip", "g_style"), ["loss.clip_patch.crops=1", "loss.clip_patch.crop_size=32"])
+SMALL = {name: ["loss.clip_patch.crops=1", "loss.clip_patch.crop_size=32"] for name in ("clip", "g_style")}
 
 
 def loop_of(chosen):
