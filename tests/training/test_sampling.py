@@ -1,10 +1,15 @@
 """What a step looks at: the published tables, and that it is a function of the step."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 from anystyle.contracts import SceneSource, StyleSource
+from anystyle.data.images import read_image, to_tensor
+from anystyle.examples import resolved
 from anystyle.training.collate import fit_views, mirror_views, stack_styles, stack_views
 from anystyle.training.data import SceneBatches
 from anystyle.training.sampling import bounded_views, gap_bounds, generator
@@ -143,6 +148,14 @@ def test_resized_views_see_points_where_the_resized_picture_shows_them():
     torch.testing.assert_close(after, before / 2 - torch.tensor([5.0, 0.0]))
     assert fitted.depth.shape == (1, 2, 30, 30)
     torch.testing.assert_close(fit_views(views, (60, 60)).images, views.images[..., 10:70])
+
+
+def test_resized_photographs_are_about_as_sharp_as_by_lanczos():
+    photograph = min(resolved(Path("example:street")).glob("*.jpg"))
+    with Image.open(photograph) as picture:
+        lanczos = to_tensor(picture.resize((448, 336), Image.Resampling.LANCZOS))
+    fitted = fit_views(Views(images=read_image(photograph)[None, None]), (336, 448)).images[0, 0]
+    assert 0.85 < fitted.diff(dim=-1).abs().mean() / lanczos.diff(dim=-1).abs().mean() < 1.05
 
 
 def test_the_mirrored_scene_shows_mirrored_points_at_mirrored_pixels():

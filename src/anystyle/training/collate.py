@@ -11,7 +11,7 @@ from anystyle.types import Cameras, Style, Views
 
 
 def fit_views(views: Views, size: tuple[int, int]) -> Views:
-    """Views resized to cover ``size`` and centre-cropped; cameras and depth follow.
+    """Views resized (bicubic) to cover ``size`` and centre-cropped; cameras and depth follow.
 
     Depth is taken from the nearest pixel, because a mean across an edge lies on no surface.
     """
@@ -21,7 +21,7 @@ def fit_views(views: Views, size: tuple[int, int]) -> Views:
     scale = max(height / source_height, width / source_width)
     cover = max(height, round(source_height * scale)), max(width, round(source_width * scale))
     top, left = (cover[0] - height) // 2, (cover[1] - width) // 2
-    flat = F.interpolate(views.images.flatten(0, 1), size=cover, mode="bilinear", antialias=True, align_corners=False)
+    flat = F.interpolate(views.images.flatten(0, 1), size=cover, mode="bicubic", antialias=True, align_corners=False)
     images = flat[..., top : top + height, left : left + width].unflatten(0, views.images.shape[:2])
     depth = views.depth
     if depth is not None:
@@ -39,7 +39,7 @@ def blurred_views(views: Views, scale: float) -> Views:
     """Views whose images are shrunk by ``scale`` and enlarged again; cameras and depth stay as they are."""
     height, width = views.size
     small = max(1, round(scale * height)), max(1, round(scale * width))
-    flat = F.interpolate(views.images.flatten(0, 1), size=small, mode="bilinear", antialias=True, align_corners=False)
+    flat = F.interpolate(views.images.flatten(0, 1), size=small, mode="bicubic", antialias=True, align_corners=False)
     flat = F.interpolate(flat, size=(height, width), mode="bilinear", align_corners=False)
     return replace(views, images=flat.unflatten(0, views.images.shape[:2]).clamp(0, 1))
 
