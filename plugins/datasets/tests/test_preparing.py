@@ -331,3 +331,11 @@ def test_the_folder_of_the_tables_from_captures_or_from_the_archive(tmp_path, sa
     assert folder.problems() == []
     with pytest.raises(UserError, match="give --archive"):
         Data()(["prepare", "tables", str(tmp_path / "none")])
+
+
+def test_small_photographs_are_better_than_none_and_absent_scenes_are_told(tmp_path, say):
+    picture(tmp_path / "360_v2" / "garden" / "images_4" / "small.JPG")
+    root = tmp_path / "tables"
+    out, _ = say("prepare", "tables", root, "--captures", tmp_path / "360_v2")
+    assert out.startswith("1 files laid out; nothing of Train, Truck, M60")
+    assert [path.name for path in (root / "content" / "Garden").iterdir()] == ["small.JPG"]
