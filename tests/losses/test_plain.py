@@ -18,6 +18,8 @@ PHOTOGRAPHS = smooth_image(11, [2, 2, 3, 28, 35])
 def test_total_variation_of_a_ramp_and_of_a_constant() -> None:
     rising = (torch.arange(35.0) / 100 + torch.arange(28.0)[:, None] / 50).expand(2, 2, 3, 28, 35)
     assert TotalVariation()(stylization(rising, rising)).item() == pytest.approx(0.01**2 + 0.02**2, rel=1e-4)
+    summed = 3 * (28 * 34 * 0.01**2 + 27 * 35 * 0.02**2)
+    assert TotalVariation(reduction="sum")(stylization(rising, rising)).item() == pytest.approx(summed, rel=1e-4)
     flat = torch.full_like(rising, 0.4)
     assert TotalVariation()(stylization(flat, flat)) == 0
 
