@@ -6,8 +6,10 @@ import pytest
 import torch
 
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
+from anystyle.io.cache import LRUCache
 from anystyle.methods.colors import NEIGHBORS, covering_views, fit_colors
 from anystyle_cpu_renderer.renderer import CpuRenderer
+from oracle import hashed
 from renderers.scenes import cameras, gaussians
 
 RENDERER = CpuRenderer(background=(0.2, 0.5, 0.8))
@@ -171,6 +173,17 @@ def test_few_views_cover_a_scene():
     first = covering_views(scene, views, RENDERER, share=1.0, most=1)
     assert first == [int((2 * pixels).minimum(largest).sum(1).argmax())]
     assert covering_views(scene, views.select([*range(6), *range(6)]), RENDERER, share=1.0, most=12) == chosen
+
+
+def test_what_does_not_fit_into_memory_is_rendered_again(monkeypatch):
+    scene, views = small_scene(views=3)
+    targets = hashed(5, (3, 3, *views.size))
+    kept, again = [], []
+    for results, limit in ((kept, 10**9), (again, 0)):
+        monkeypatch.setattr("anystyle.methods.colors.KEPT", limit)
+        monkeypatch.setattr("anystyle.methods.colors._SYSTEMS", LRUCache(1))
+        results.append(fit_colors(scene, views, targets, RENDERER, steps=2, largest=True).harmonics)
+    torch.testing.assert_close(kept, again)
 
 
 def test_some_of_many_gaussians_choose_the_views(monkeypatch):

@@ -22,6 +22,9 @@ EVIDENCE, NEIGHBORS = 1.0, 8
 show more, in place of the pixels that it lacks."""
 COUNTED = 50_000
 """Gaussians that views are chosen by, evenly spaced; all pairs of them and views are held in memory."""
+KEPT = 10_000_000
+"""Pairs of Gaussians and views whose graphs of renders are kept, about 100 bytes each; of more, views are rendered
+again for every pass backward."""
 MIN_CONFIDENCE = 1e-3
 """Of a pixel all of whose Gaussians are seen larger elsewhere."""
 
@@ -198,8 +201,13 @@ class _System:
 
     @cached_property
     def gray_renders(self) -> list[Float[Tensor, "3 H W"]]:
-        """Each view of these colours, rendered once: every pass backward goes through them."""
-        return [self.render(view, self.gray) for view in range(self.cameras.intrinsics.shape[1])]
+        """Each view of these colours, with the graph that every pass backward goes through where these are kept."""
+        with torch.set_grad_enabled(self.keeps_graphs):
+            return [self.render(view, self.gray) for view in range(self.cameras.intrinsics.shape[1])]
+
+    @property
+    def keeps_graphs(self) -> bool:
+        return len(self.gray) * self.cameras.intrinsics.shape[1] <= KEPT
 
     def change_by(self, view: int, higher: Float[Tensor, "N K 3"]) -> Float[Tensor, "3 H W"]:
         """What harmonics above degree 0 add to a view of grey."""
@@ -212,7 +220,8 @@ class _System:
         """``Aᵀ`` of one view's pixels."""
         if self.confidence is not None:
             pixels = pixels * self.confidence[view]
-        return torch.autograd.grad(self.gray_renders[view], self.gray, pixels, retain_graph=True)[0]
+        render = self.gray_renders[view] if self.keeps_graphs else self.render(view, self.gray)
+        return torch.autograd.grad(render, self.gray, pixels, retain_graph=self.keeps_graphs)[0]
 
     def backproject(self, pixels: Callable[[int], Float[Tensor, "3 H W"]]) -> Float[Tensor, "N 3"]:
         """``Aᵀ`` of what ``pixels`` gives for each view."""
