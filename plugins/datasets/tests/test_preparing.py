@@ -331,3 +331,43 @@ def test_the_folder_of_the_tables_from_captures_or_from_the_archive(tmp_path, sa
     assert folder.problems() == []
     with pytest.raises(UserError, match="give --archive"):
         Data()(["prepare", "tables", str(tmp_path / "none")])
+
+
+def test_photographs_of_two_publishers_are_not_mixed(tmp_path, say, caplog):
+    archive = evaluation_archive(tmp_path / "evaluation_and_splits.zip")
+    root = tmp_path / "tables"
+    say("prepare", "tables", root, "--archive", archive)
+    before = contents(root)
+    for scene in ("Train", "Truck"):
+        for frame in range(2):
+            picture(tmp_path / "tt" / scene / f"{frame:06d}.jpg", seed=frame)
+    say("prepare", "tables", root, "--captures", tmp_path / "tt")
+    after = contents(root)
+    assert {path.parent.name for path in after.keys() - before.keys()} == {"Truck"}
+    assert before.items() <= after.items()
+    assert f"{root / 'content' / 'Train'} is kept as it is" in caplog.text
+    say("prepare", "tables", tmp_path / "other", "--captures", tmp_path / "tt")
+    say("prepare", "tables", tmp_path / "other", "--archive", archive)
+    assert len(list((tmp_path / "other" / "content" / "Train").iterdir())) == 2
+
+
+def test_what_holds_nothing_of_its_kind_is_refused_in_a_line(tmp_path, dl3dv, re10k):
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    other = tmp_path / "other.zip"
+    with zipfile.ZipFile(other, "w") as archive:
+        archive.writestr("readme.txt", "nothing")
+    for name in ("frames", "videos"):
+        (re10k / name).rename(tmp_path / name)
+    for words, message in {
+        ("wikiart", empty): "no painting lies there",
+        ("wikiart", dl3dv): "no painting lies there",
+        ("re10k", re10k): "no frame of the 3 camera lists",
+        ("tables", tmp_path / "t", "--captures", empty): "holds none of Train, Truck, M60, Garden",
+        ("tables", tmp_path / "t", "--stylos", empty): "there are no pictures in it",
+        ("tables", tmp_path / "t", "--archive", other): "holds none of",
+    }.items():
+        with pytest.raises(UserError, match=message) as caught:
+            Data()(["prepare", *map(str, words)])
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "t").exists() and list(empty.iterdir()) == []
