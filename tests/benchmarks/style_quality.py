@@ -4,9 +4,11 @@ A row is a way to stylize. With ``--scene single_pass`` nothing is fitted; with 
 the captures, whose cameras are found, and their colours are solved back in several ways. Columns:
 
 - found in colour, and in equalised grey: the share of scenes whose painting is the nearest of 35, or with ``--paintings
-  unseen`` of the 20 that ``model=tiny_paper`` was not trained on; by chance 0.03, or 0.05. By
-  statistics of EfficientNet-Lite0 (``anystyle.vision.statistics``), which trained ``model=tiny_paper`` and
-  not the painter, and by the 100 numbers of Magenta, whose networks are the painter's and trained nothing else;
+  unseen`` of the 20 that ``model=tiny_paper`` was not trained on; by chance 0.03, or 0.05. By statistics of
+  EfficientNet-Lite0 (``anystyle.vision.statistics``), which trained ``model=tiny_paper`` and ``tiny_paper_taught`` and
+  not the painter, and by the 100 numbers of Magenta, whose networks are the painter's and taught ``tiny_paper_taught``.
+  With ``--judges tiny`` by ``style_encoder=tiny``, which knows procedural styles alone and trained
+  ``model=tiny_paper``;
 - edges: the correlation of the gradients of renders with those of the unstyled scene's;
 - sharpness: mean absolute difference of neighbouring pixels, as a share of the 2D teacher's;
 - PSNR: of renders against the 2D teacher's pictures, in dB;
@@ -57,6 +59,7 @@ CAPTURES = {
     "test": ("videos/llff_fortress.mp4", "videos/horizongs_hillside_summer.mp4", "scenes/train/images"),
 }
 NUM_VIEWS, NUM_CHOICES, SMALL = 8, 35, 32
+JUDGES = ("EfficientNet", "Magenta")
 load = cache(anystyle.load)
 
 
@@ -152,6 +155,7 @@ METHODS: dict[str, dict[str, Callable[[Case], Tensor]]] = {
         "single pass": single_pass,
         "model=tiny": trained("tiny"),
         "model=tiny_paper": trained("tiny_paper"),
+        "model=tiny_paper_taught": trained("tiny_paper_taught"),
     },
     "fit": {
         "unstyled": unstyled,
@@ -200,11 +204,16 @@ def paintings(split: str, kind: str = "all") -> list[Tensor]:
     return [read_image(files[index])[None] for index in order[start : start + NUM_CHOICES]]
 
 
-def judges() -> list[Callable[[Tensor], Tensor]]:
+def judges(names: Sequence[str] = JUDGES) -> list[Callable[[Tensor], Tensor]]:
     """What pictures are told apart by."""
     from anystyle_magenta.retrieval import MagentaRetrieval
 
-    return [StyleRetrieval().describe, MagentaRetrieval().describe]
+    known = {
+        "EfficientNet": lambda: StyleRetrieval().describe,
+        "Magenta": lambda: MagentaRetrieval().describe,
+        "tiny": lambda: anystyle.load("tiny").style_encoder.embed_images,
+    }
+    return [known[name]() for name in names]
 
 
 def describe(looks: Sequence[Callable[[Tensor], Tensor]], images: Tensor) -> list[Tensor]:
@@ -268,9 +277,9 @@ def measure(
     short_side: int,
     kind: str,
     methods: dict[str, Callable[[Case], Tensor]],
+    looks: Sequence[Callable[[Tensor], Tensor]],
 ) -> dict[str, Tally]:
     """Every method on every capture in the first styles."""
-    looks = judges()
     gallery = [torch.stack(vectors) for vectors in zip(*(describe(looks, each) for each in choices), strict=True)]
     tallies = {name: Tally() for name in methods}
     for path in captures:
@@ -316,6 +325,7 @@ def main() -> None:
     words.add_argument("--methods", nargs="+", help="some of the rows, by name")
     words.add_argument("--captures", type=int, default=3, help="of the split, the first so many")
     words.add_argument("--short-side", type=int, default=112, help="of the views, in pixels")
+    words.add_argument("--judges", nargs="+", choices=(*JUDGES, "tiny"), default=JUDGES)
     words.add_argument("overrides", nargs="*", help="such as injector.working_size=336")
     given = words.parse_args()
     torch.set_num_threads(1)
@@ -323,9 +333,11 @@ def main() -> None:
     stylizer = anystyle.load("painter", given.overrides)
     choices = paintings(given.split, given.paintings)
     rows = {name: METHODS[given.scene][name] for name in given.methods or METHODS[given.scene]}
-    tallies = measure(stylizer, captures, choices, given.styles, given.short_side, given.scene, rows)
+    tallies = measure(
+        stylizer, captures, choices, given.styles, given.short_side, given.scene, rows, judges(given.judges)
+    )
     title = f"{given.split}: {len(captures)} captures x {given.styles} paintings of {len(choices)}"
-    found = [f"{what} ({judge})" for judge in ("EfficientNet", "Magenta") for what in ("found in colour", "in grey")]
+    found = [f"{what} ({judge})" for judge in given.judges for what in ("found in colour", "in grey")]
     columns = (*found, "sharpness", "edges", "PSNR", "warp", "above its limit", "CPU s")
     lines = [f"| {' | '.join((title, *columns))} |", "|---" * (1 + len(columns)) + "|"]
     sys.stdout.write("\n".join([*lines, *(tally.row(name) for name, tally in tallies.items())]) + "\n")

@@ -303,7 +303,8 @@ def tables(
     """Lay out the folder of the paper's tables: from the authors' archive, or from captures and test styles.
 
     Photographs are copied in natural order, all of a scene: of ``images_4``, where a capture has several sizes and that
-    one is large enough, else of ``images`` or the capture's folder itself. A folder that holds other pictures is kept.
+    one is large enough or the only one, else of ``images`` or the capture's folder itself. A folder that holds other
+    pictures is kept.
     """
     if not (archive or captures or stylos):
         raise UserError(f"give --archive {ARCHIVE}, or --captures FOLDER ... and --stylos FOLDER")
@@ -327,15 +328,18 @@ def tables(
     taken = _take(
         archive, {DESCRIBED: root / DESCRIBED}, {"content": root / "content", "style_images": root / "styles"}
     )
-    return f"{len(copies) + len(taken)} files laid out"
+    absent = [scene for scene in SCENES if not (root / "content" / scene).is_dir()]
+    return f"{len(copies) + len(taken)} files laid out" + (f"; nothing of {', '.join(absent)}" if absent else "")
 
 
 def _photographs(capture: Path) -> list[Path]:
+    small: list[Path] = []
     for name in ("images_4", "images", "."):
         paths = image_files(capture / name) if (capture / name).is_dir() else []
         if paths and (name != "images_4" or min(image_size(paths[0])) >= SIDE):
             return paths
-    return []
+        small = small or paths
+    return small
 
 
 def _take(archive: Path | None, files: dict[str, Path], folders: dict[str, Path] | None = None) -> list[str]:
