@@ -228,7 +228,10 @@ def _wikiart(root: Path, min_views: int, decode: bool) -> Report:
     paths = sorted(path for path in root.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
     report = Report("wikiart", words(styles="wikiart", styles__root=root))
     if not (root / DESCRIPTIONS).is_file():
-        report.problems.append(f"{root / DESCRIPTIONS} is not there: paintings are described by their folders")
+        report.problems.append(
+            f"{root / DESCRIPTIONS} is not there: paintings are described by their folders; "
+            "data prepare --archive takes it from the authors' archive"
+        )
         report.prepare = shlex.join(["anystyle", "data", "caption", str(root), "--trust-remote-code"])
     if exported(root) and not paths:
         report.problems.append(f"{len(exported(root))} tables of paintings are not unpacked")

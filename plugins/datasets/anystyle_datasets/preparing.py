@@ -6,13 +6,13 @@ import logging
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from functools import partial
 from itertools import count
 from math import isfinite
 from pathlib import Path, PurePosixPath
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from av.error import FFmpegError
@@ -31,6 +31,7 @@ from anystyle_datasets.checking import exported, packed, same_pictures, unindexe
 from anystyle_datasets.wikiart import DESCRIPTIONS, PAINTINGS, TEST_FILES, read_list
 
 log = logging.getLogger(__name__)
+S = TypeVar("S", Path, str)
 
 Progress = Callable[[str, int, int], None]
 """Told what is made, how much of it is done, and of how much."""
@@ -90,6 +91,7 @@ def re10k(root: Path, progress: Progress) -> str:
     ``videos/ID.mp4`` by the address's ID. Clips with fewer than two frames are left out.
     """
     told: list[str] = []
+    listed = made = 0
     for split in ("train", "test"):
         lists = sorted((root / split).glob("*.txt"))
         index: dict[str, str] = kept_json(root / split / "index.json", dict[str, str]) or {}
@@ -111,8 +113,13 @@ def re10k(root: Path, progress: Progress) -> str:
             _store(root / split, clips, index)
         if lists:
             told.append(f"{split}: {len(index)} of {len(lists)} clips, {absent} without frames here")
+            listed, made = listed + len(lists), made + len(index)
     if not told:
         raise UserError(f"{root}: no camera list lies there; expected train/*.txt and test/*.txt")
+    if not made:
+        raise UserError(
+            f"{root}: no frame of the {listed} camera lists lies there; expected frames/CLIP/TIME.jpg or videos/ID.mp4"
+        )
     return "; ".join(told)
 
 
@@ -210,6 +217,8 @@ def wikiart(
     added to the list; what was found stays in ``test_NAME.txt`` and is not sought again.
     """
     _unpack_tables(root, progress)
+    if not any(path.suffix.lower() in PAINTINGS for path in root.glob("*/*")):
+        raise UserError(f"{root}: no painting lies there; expected MOVEMENT/NAME.jpg, or data/*.parquet")
     taken = _take(archive, {DESCRIPTIONS: root / DESCRIPTIONS, TEST_FILES: root / TEST_FILES})
     before = set(read_list(root / TEST_FILES) if (root / TEST_FILES).is_file() else ())
     held = set(before)
@@ -294,15 +303,22 @@ def tables(
     """Lay out the folder of the paper's tables: from the authors' archive, or from captures and test styles.
 
     Photographs are copied in natural order, all of a scene: of ``images_4``, where a capture has several sizes and that
-    one is large enough or the only one, else of ``images`` or the capture's folder itself.
+    one is large enough or the only one, else of ``images`` or the capture's folder itself. A folder that holds other
+    pictures is kept.
     """
     if not (archive or captures or stylos):
         raise UserError(f"give --archive {ARCHIVE}, or --captures FOLDER ... and --stylos FOLDER")
     copies = {path: root / "styles" / path.name for path in (image_files(stylos)[:NUM_STYLES] if stylos else [])}
+    if stylos and not copies:
+        raise UserError(f"--stylos {stylos}: there are no pictures in it")
+    num_styles = len(copies)
     for scene in SCENES:
         found = (path for folder in captures for path in folder.rglob("*") if path.is_dir())
         capture = next((path for path in found if path.name.casefold() == scene.casefold()), None)
         copies |= {path: root / "content" / scene / path.name for path in (_photographs(capture) if capture else [])}
+    if captures and len(copies) == num_styles:
+        raise UserError(f"--captures {' '.join(map(str, captures))}: holds none of {', '.join(SCENES)}")
+    copies = _unmixed(copies)
     left = {source: target for source, target in copies.items() if not target.is_file()}
     for number, (source, target) in enumerate(left.items(), start=1):
         with atomic_path(target) as temporary:
@@ -330,9 +346,9 @@ def _take(archive: Path | None, files: dict[str, Path], folders: dict[str, Path]
     """Copy files out of the archive by their name, and whole folders by theirs, wherever they lie in it."""
     if archive is None:
         return []
-    taken: list[str] = []
     try:
         with zipfile.ZipFile(archive) as opened:
+            targets: dict[str, Path] = {}
             for member in opened.infolist():
                 parts = PurePosixPath(member.filename).parts
                 target = files.get(parts[-1]) if parts else None
@@ -340,12 +356,27 @@ def _take(archive: Path | None, files: dict[str, Path], folders: dict[str, Path]
                     if name in parts[:-1] and PurePosixPath(parts[-1]).suffix.lower() in SUFFIXES:
                         inside = parts[parts.index(name) + 1 :]
                         target = folder.joinpath(*inside) if ".." not in inside else None
-                if member.is_dir() or target is None or "__MACOSX" in parts:
-                    continue
-                taken.append(parts[-1])
+                if not member.is_dir() and target is not None and "__MACOSX" not in parts:
+                    targets[member.filename] = target
+            if not targets:
+                raise UserError(f"--archive {archive} holds none of {', '.join([*files, *(folders or {})])}")
+            targets = _unmixed(targets)
+            for name, target in targets.items():
                 if not target.is_file():
                     with atomic_path(target) as temporary:
-                        temporary.write_bytes(opened.read(member))
+                        temporary.write_bytes(opened.read(name))
     except (OSError, zipfile.BadZipFile) as error:
         raise UserError(f"--archive {archive} is no archive, or a damaged one ({one_line(error)})") from None
-    return taken
+    return [PurePosixPath(name).name for name in targets]
+
+
+def _unmixed(targets: Mapping[S, Path]) -> dict[S, Path]:
+    """What goes to folders without other pictures: tables judge the first of a folder, whosever they are."""
+    names: dict[Path, set[str]] = {}
+    for target in targets.values():
+        names.setdefault(target.parent, set()).add(target.name)
+    folders = [folder for folder in names if folder.is_dir()]
+    mixed = {folder for folder in folders if any(path.name not in names[folder] for path in image_files(folder))}
+    for folder in sorted(mixed):
+        log.warning("%s is kept as it is: it holds other pictures", folder)
+    return {source: target for source, target in targets.items() if target.parent not in mixed}

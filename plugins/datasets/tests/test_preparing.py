@@ -179,8 +179,9 @@ def evaluation_archive(path, folder="splits"):
         archive.writestr(f"{folder}/{TEST_FILES}", "Cubism\\painter_b-1912.jpg\n")
         archive.writestr("__MACOSX/style_descriptions.txt", "nothing")
         archive.writestr("stylos_evaluation_data/style_descriptions.txt", "00.jpg;thick; blue\n01.jpg;thin lines\n")
-        for name in ("content/Train/0.png", "content/Train/1.png", "style_images/00.jpg", "style_images/01.jpg"):
-            picture(path.parent / "made.png", seed=len(name))
+        names = [*(f"content/Train/{frame}.png" for frame in range(9)), "style_images/00.jpg", "style_images/01.jpg"]
+        for seed, name in enumerate(names):
+            picture(path.parent / "made.png", seed=seed)
             archive.write(path.parent / "made.png", f"stylos_evaluation_data/{name}")
     return path
 
@@ -278,14 +279,18 @@ SMALL = (
 @pytest.mark.slow
 @pytest.mark.parametrize("recipe", ["", "recipe=paper", "recipe=published"])
 def test_training_goes_on_where_preparing_ends(dl3dv, re10k, wikiart, tmp_path, say, recipe):
-    """Two steps by the words that ``data check`` prints for styles and for each kind of scenes."""
+    """Two steps by the words that ``data check`` prints for each kind of scenes and of styles."""
     archive = evaluation_archive(tmp_path / "evaluation_and_splits.zip")
     say("prepare", "wikiart", wikiart, "--archive", archive)
-    styles = shlex.split(say("check", wikiart)[1])
-    for root in [dl3dv] if recipe else [dl3dv, re10k]:
+    folder = tmp_path / "styles"
+    for number in range(2):
+        picture(folder / f"{number}.jpg", seed=number)
+    say("prepare", "styles", folder)
+    for root, paintings in ({dl3dv: wikiart} if recipe else {dl3dv: wikiart, re10k: folder}).items():
         say("prepare", "re10k" if root == re10k else "dl3dv", root)
-        scenes = shlex.split(say("check", root)[1])[2:]
-        words = [*styles, *scenes, *SMALL.split(), *recipe.split(), "trainer.max_steps=2", "name=mini", "resume=never"]
+        styles, scenes = (shlex.split(say("check", path)[1]) for path in (paintings, root))
+        words = [*styles, *scenes[2:], *SMALL.split(), *recipe.split()]
+        words += ["trainer.max_steps=2", "name=mini", "resume=never"]
         command = [sys.executable, "-m", "anystyle", *words]
         done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, timeout=300)
         assert done.returncode == 0 and "2 steps done" in done.stdout, done.stderr[-1500:]
@@ -293,14 +298,11 @@ def test_training_goes_on_where_preparing_ends(dl3dv, re10k, wikiart, tmp_path, 
 
 @pytest.mark.slow
 def test_two_tables_come_out_of_the_folder(tmp_path, say):
-    for scene in ("Train", "Garden"):
-        for frame in range(9):
-            picture(tmp_path / "captures" / scene / f"{frame:05d}.jpg", seed=frame)
-    for style in range(2):
-        picture(tmp_path / "stylos" / f"{style:02d}.jpg", seed=style)
-    root = tmp_path / "tables"
-    say("prepare", "tables", root, "--captures", tmp_path / "captures", "--stylos", tmp_path / "stylos")
-    (root / "style_descriptions.txt").write_text("00.jpg;blue waves\n01.jpg;red dots\n")
+    """A scene, styles and descriptions of the authors' archive, and a scene of a capture."""
+    for frame in range(9):
+        picture(tmp_path / "captures" / "garden" / "images" / f"{frame:05d}.jpg", seed=20 + frame)
+    archive, root = evaluation_archive(tmp_path / "evaluation_and_splits.zip"), tmp_path / "tables"
+    say("prepare", "tables", root, "--archive", archive, "--captures", tmp_path / "captures")
     few = "model=tiny protocol.num_styles=2 protocol.frames=9 protocol.size=56 protocol.scene_names=[Train,Garden]"
     for table in ("table2", "table4"):
         words = ["evaluate", f"protocol={table}", f"root={root}", *few.split(), "--out", table]
@@ -331,6 +333,46 @@ def test_the_folder_of_the_tables_from_captures_or_from_the_archive(tmp_path, sa
     assert folder.problems() == []
     with pytest.raises(UserError, match="give --archive"):
         Data()(["prepare", "tables", str(tmp_path / "none")])
+
+
+def test_photographs_of_two_publishers_are_not_mixed(tmp_path, say, caplog):
+    archive = evaluation_archive(tmp_path / "evaluation_and_splits.zip")
+    root = tmp_path / "tables"
+    say("prepare", "tables", root, "--archive", archive)
+    before = contents(root)
+    for scene in ("Train", "Truck"):
+        for frame in range(2):
+            picture(tmp_path / "tt" / scene / f"{frame:06d}.jpg", seed=frame)
+    say("prepare", "tables", root, "--captures", tmp_path / "tt")
+    after = contents(root)
+    assert {path.parent.name for path in after.keys() - before.keys()} == {"Truck"}
+    assert before.items() <= after.items()
+    assert f"{root / 'content' / 'Train'} is kept as it is" in caplog.text
+    say("prepare", "tables", tmp_path / "other", "--captures", tmp_path / "tt")
+    say("prepare", "tables", tmp_path / "other", "--archive", archive)
+    assert len(list((tmp_path / "other" / "content" / "Train").iterdir())) == 2
+
+
+def test_what_holds_nothing_of_its_kind_is_refused_in_a_line(tmp_path, dl3dv, re10k):
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    other = tmp_path / "other.zip"
+    with zipfile.ZipFile(other, "w") as archive:
+        archive.writestr("readme.txt", "nothing")
+    for name in ("frames", "videos"):
+        (re10k / name).rename(tmp_path / name)
+    for words, message in {
+        ("wikiart", empty): "no painting lies there",
+        ("wikiart", dl3dv): "no painting lies there",
+        ("re10k", re10k): "no frame of the 3 camera lists",
+        ("tables", tmp_path / "t", "--captures", empty): "holds none of Train, Truck, M60, Garden",
+        ("tables", tmp_path / "t", "--stylos", empty): "there are no pictures in it",
+        ("tables", tmp_path / "t", "--archive", other): "holds none of",
+    }.items():
+        with pytest.raises(UserError, match=message) as caught:
+            Data()(["prepare", *map(str, words)])
+        assert "\n" not in str(caught.value)
+    assert not (tmp_path / "t").exists() and list(empty.iterdir()) == []
 
 
 def test_small_photographs_are_better_than_none_and_absent_scenes_are_told(tmp_path, say):
