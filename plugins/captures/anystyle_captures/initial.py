@@ -86,8 +86,8 @@ def backdrop(
 
 def _drawn(mask: Bool[Tensor, "V H W"], count: int, generator: torch.Generator) -> Int[Tensor, "N 3"]:
     """At most ``count`` random pixels where a mask is true; flat indices, since it may have many millions."""
-    candidates = mask.flatten().nonzero().flatten()
-    drawn = candidates[torch.randperm(len(candidates), generator=generator)[:count]]
+    drawn = torch.randperm(int(mask.sum()), generator=generator)[:count].clone()  # lets go of the others
+    drawn = mask.flatten().nonzero().flatten()[drawn]
     return torch.stack(torch.unravel_index(drawn, mask.shape), dim=1)
 
 
