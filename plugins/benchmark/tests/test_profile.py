@@ -1,17 +1,17 @@
-"""What ``anystyle benchmark`` measures."""
+"""What ``anystyle profile`` measures."""
 
 import json
 
 import pytest
 
-from anystyle.commands.benchmark import Measured, benchmark, table
 from anystyle.errors import UserError
+from anystyle_benchmark.command_profile import Measured, profile, table
 
 
 def test_the_command_measures_the_default_model_and_writes_one_table(tmp_path, capsys):
-    out = tmp_path / "benchmark.json"
+    out = tmp_path / "profile.json"
     method = ["method=nnfm", "method.num_steps=1"]
-    benchmark(["--views", "2,4", "--size", "56x56", "--repeat", "1", "--out", str(out), *method])
+    profile(["--views", "2,4", "--size", "56x56", "--repeat", "1", "--out", str(out), *method])
     printed = capsys.readouterr().out
     assert "| restyle |" in printed and "results equal" in printed
     assert "method=nnfm method.num_steps=1" in printed
@@ -28,7 +28,7 @@ def test_wrong_words_end_in_one_line():
         (["--repeat", "0"], "at least once"),
     ):
         with pytest.raises(UserError, match=message):
-            benchmark(words)
+            profile(words)
 
 
 def test_the_table_states_units():

@@ -1,4 +1,4 @@
-"""Measure this machine: encoding, single pass, restyling, renderers and memory, in one table."""
+"""``anystyle profile``: encoding, single pass, restyling, renderers and memory of this machine, in one table."""
 
 import argparse
 import platform
@@ -15,7 +15,6 @@ from torch.utils import _pytree as pytree
 
 import anystyle
 from anystyle.commands._flags import new_parser, split
-from anystyle.commands._run import run, words_of
 from anystyle.contracts import Renderer
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
@@ -24,6 +23,7 @@ from anystyle.pipeline.load import default_device, make_method
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
+from anystyle.registry.socket import Command
 from anystyle.types import Style, StyleEmbedding, Views
 
 METHOD_WORDS = ("method=", "method.", "loss=", "loss.")
@@ -38,17 +38,24 @@ class Measured(NamedTuple):
     note: str = ""
 
 
+class Profile(Command):
+    """Measure this machine: encoding, single pass, restyling, renderers and memory, in one table."""
+
+    def __call__(self, words: Sequence[str]) -> None:
+        profile(words)
+
+
 def parser() -> argparse.ArgumentParser:
-    """The flags of ``anystyle benchmark``; every other word is an override of the model's configuration."""
+    """The flags of ``anystyle profile``; every other word is an override of the model's configuration."""
     flags = new_parser(
-        "benchmark",
+        "profile",
         "Measure this machine. model=NAME chooses a model, weights=... its weights, method=NAME a method "
         "that is measured beside the single pass; all as for stylize.",
     )
     flags.add_argument("--views", default="2,4,8", help="numbers of views (default: %(default)s)")
     flags.add_argument("--size", metavar="HxW", help="of a view (default: the model's, square)")
     flags.add_argument("--repeat", type=int, default=2, help="runs, of which the fastest counts (default: %(default)s)")
-    flags.add_argument("--out", default="benchmark.json", help="the results as JSON (default: %(default)s)")
+    flags.add_argument("--out", default="profile.json", help="the results as JSON (default: %(default)s)")
     return flags
 
 
@@ -150,8 +157,8 @@ class Case:
         return memory.peak(single_pass, weights) + sum(weight.nbytes for weight in weights)
 
 
-def benchmark(words: Sequence[str]) -> None:
-    """Run ``anystyle benchmark``."""
+def profile(words: Sequence[str]) -> None:
+    """Measure and print."""
     arguments, overrides = split(parser(), words)
     matched = re.fullmatch(r"(\d+)x(\d+)", arguments.size or "0x0")
     if matched is None:
@@ -194,7 +201,3 @@ def table(rows: Sequence[Measured], peaks: Mapping[int, int]) -> str:
         slope = np.polyfit(list(peaks), list(peaks.values()), 1)[0] / 2**20
         lines.append(f"\nMemory grows by {slope:.1f} MiB a view.")
     return "\n".join(lines)
-
-
-if __name__ == "__main__":
-    run(lambda: benchmark(words_of(None)))

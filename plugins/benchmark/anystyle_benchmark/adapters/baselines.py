@@ -1,0 +1,43 @@
+"""What metrics are tested by, and palette transfer: ``baselines.py photographs|noise|pasted|palette JOB``."""
+
+import sys
+
+import numpy as np
+from views import Job
+
+
+def palette(pixels: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix and offset of the Monge-Kantorovitch map between colours ``[N, 3]`` (Pitié and Kokaram 2007)."""
+    covariance = np.cov(pixels.T) + 1e-5 * 255**2 * np.eye(3)
+    root, inverse = _power(covariance, 0.5), _power(covariance, -0.5)
+    matrix = inverse @ _power(root @ np.cov(target.T) @ root, 0.5) @ inverse
+    return matrix, target.mean(0) - pixels.mean(0) @ matrix
+
+
+def _power(matrix: np.ndarray, exponent: float) -> np.ndarray:
+    values, axes = np.linalg.eigh(matrix)
+    return axes @ np.diag(values.clip(1e-8) ** exponent) @ axes.T
+
+
+def main() -> None:
+    """Paint every view in every style."""
+    name, job = sys.argv[1], Job()
+    photographs = {view: job.photograph(view) for view in job.views}
+    pixels = np.concatenate([image.reshape(-1, 3) for image in photographs.values()]).astype(float)
+    for number, style in enumerate(job.styles):
+        generator = np.random.default_rng([job.seed, number])
+        if name == "palette":
+            matrix, offset = palette(pixels, job.painting(style["image"]).reshape(-1, 3).astype(float))
+            images = {view: image @ matrix + offset for view, image in photographs.items()}
+        elif name == "pasted":
+            images = dict.fromkeys(job.views, job.fitted(style["image"]))
+        elif name == "noise":
+            images = {view: generator.integers(0, 256, image.shape) for view, image in photographs.items()}
+        else:
+            images = photographs
+        for view, image in images.items():
+            job.write(style["name"], view, image)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,25 @@
+"""``anystyle benchmark``: one of its commands."""
+
+from collections.abc import Sequence
+from importlib import import_module
+
+from anystyle.commands._flags import subcommand
+from anystyle.registry.catalog import catalog
+from anystyle.registry.socket import Command
+
+SUBCOMMANDS = {
+    "run": "render a track's scenes in its styles, each method in a process of its own",
+    "judge": "compute the figures of results; --check looks at a folder without judging",
+    "compare": "which methods differ, by intervals over scenes and styles; --with-people makes a study of two",
+    "site": "a static site of the figures and the pictures behind them",
+}
+
+
+class Benchmark(Command):
+    """Run, judge and show a benchmark of 3D stylization."""
+
+    def __call__(self, words: Sequence[str]) -> None:
+        name = subcommand("benchmark", self.__doc__, SUBCOMMANDS, words)
+        if name is not None:
+            catalog().find("command", "study").load()  # where that package is not installed, this makes it importable
+            import_module(f"anystyle_benchmark.command_{name}").main(words[1:])

@@ -1,0 +1,71 @@
+"""``anystyle benchmark run``: methods on a track, each in a process of its own."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from omegaconf import DictConfig, ListConfig
+
+from anystyle.commands._compose import launch
+from anystyle.commands._flags import new_parser, split
+from anystyle.errors import UserError
+from anystyle.io.atomic import write_json
+from anystyle_benchmark.results import bind
+from anystyle_benchmark.run import run_scene
+from anystyle_benchmark.spec import as_document, names, read_spec
+from anystyle_benchmark.track import Inputs
+
+CONF = Path(__file__).parent / "conf"
+KEYS = """\
+  track=open             a bundled track (open, smoke, tnt, ablation) or a file; root=DIR where its inputs lie
+  methods=[brush,mine.toml] scenes=[street] styles=[wave] seeds=[0]      some of them; all if not given
+  out=benchmark          the folder of results; what it has already is not run again
+  -m methods=brush,nnfm scenes=street,banana hydra/launcher=joblib       spread over processes, or a cluster
+"""
+
+
+def parser() -> argparse.ArgumentParser:
+    """It has no flag but help."""
+    flags = new_parser("benchmark run", "Run methods on the scenes and styles of a track.", KEYS)
+    flags.formatter_class = argparse.RawDescriptionHelpFormatter
+    return flags
+
+
+def main(words: Sequence[str]) -> None:
+    """Run ``anystyle benchmark run``."""
+    _, rest = split(parser(), list(words))
+    launch("benchmark", benchmark, rest, CONF)
+
+
+def benchmark(config: DictConfig) -> None:
+    """Run what a configuration names; methods that fail are records, and stop no other."""
+    inputs = Inputs(str(config.track), None if config.root is None else Path(str(config.root)))
+    scenes = [inputs.scene(name) for name in _chosen(config.scenes)] or inputs.track.scenes
+    styles = [inputs.style(name) for name in _chosen(config.styles)] or inputs.track.styles
+    seeds = [_seed(word) for word in _chosen(config.seeds)]
+    specs = [read_spec(name) for name in _chosen(config.methods) or names()]
+    root = Path(str(config.out))
+    bind(inputs, root)
+    for spec, home in specs:
+        write_json(root / spec.name / "method.json", as_document(spec))
+        if spec.not_run is not None:
+            _say(f"{spec.name} is not run: {spec.not_run}")
+            continue
+        for seed in seeds or range(spec.seeds):
+            for scene in scenes if seed < spec.seeds else ():
+                run_scene(inputs, spec, home, scene, styles, seed, root, _say)
+
+
+def _chosen(value: object) -> list[str]:
+    return [] if value is None else [str(one) for one in value] if isinstance(value, ListConfig) else [str(value)]
+
+
+def _seed(word: str) -> int:
+    if not word.isdecimal():
+        raise UserError(f"seeds={word}; give integers of at least 0")
+    return int(word)
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)

@@ -1,0 +1,50 @@
+"""``anystyle benchmark site``: judged results as a static site."""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+
+from anystyle.commands._flags import new_parser, parse
+from anystyle.commands.evaluate import progress_lines
+from anystyle.errors import UserError
+from anystyle.io.documents import read_json
+from anystyle_benchmark.results import FIGURES, Figures
+from anystyle_benchmark.site import build
+from anystyle_benchmark.track import Inputs
+
+
+def parser() -> argparse.ArgumentParser:
+    """The flags of ``anystyle benchmark site``."""
+    flags = new_parser(
+        "benchmark site",
+        "Make a static site of judged results: tables, cost against quality, every cell's pictures side by side. It "
+        "opens from its folder and from any server, and asks for nothing from elsewhere.",
+    )
+    add = flags.add_argument
+    add("results", type=Path, help="the folder that `anystyle benchmark judge` judged")
+    add("--out", type=Path, required=True, metavar="DIR", help="the site's folder")
+    add("--track", metavar="NAME", help="a track, or a track.toml (default: that of the results)")
+    add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
+    add(
+        "--megabytes", type=float, default=60, metavar="N", help="the site's size at most; pictures follow (default 60)"
+    )
+    return flags
+
+
+def main(words: Sequence[str]) -> None:
+    """Run ``anystyle benchmark site``."""
+    arguments = parse(parser(), words)
+    path: Path = arguments.results / FIGURES
+    if not path.is_file():
+        raise UserError(f"there is no {path}; run `anystyle benchmark judge {arguments.results}` first")
+    figures: Figures = read_json(path, Figures, what="file of figures")
+    inputs = Inputs(arguments.track or figures.track.name, arguments.root)
+    if inputs.digest != figures.track.digest:
+        raise UserError(
+            f"{path} is of other inputs, or another version of track or judge; run `anystyle benchmark judge`"
+        )
+    made = build(inputs, arguments.results, figures, arguments.out, arguments.megabytes, progress_lines())
+    print(
+        f"{arguments.out / 'index.html'}: {made.size / 1e6:.1f} MB, pictures at {made.scale:.0%} of their size in WebP "
+        f"quality {made.quality}"
+    )

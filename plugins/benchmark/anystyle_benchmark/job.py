@@ -1,0 +1,57 @@
+"""What a method is asked: a JSON file that its process reads, and the images it writes."""
+
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from anystyle.io.documents import read_json
+
+SECONDS = "seconds.json"
+
+
+class AskedStyle(Struct, frozen=True):
+    """A style: the path of an image, or a text."""
+
+    name: str
+    image: str | None = None
+    text: str | None = None
+
+
+class Job(Struct, frozen=True):
+    """A scene in some styles.
+
+    Args:
+        track: Name of the track.
+        scene: Name of the scene.
+        photographs: Paths of all its photographs by their stems, in the order of the capture.
+        views: Stems of the photographs at whose cameras images are rendered.
+        size: Height and width of these images in pixels.
+        styles: In which the scene is wanted.
+        seed: For whatever is random.
+        out: Folder for ``STYLE/VIEW.png``, 8-bit RGB, and :class:`Seconds` as ``seconds.json``.
+    """
+
+    track: str
+    scene: str
+    photographs: dict[str, str]
+    views: tuple[str, ...]
+    size: tuple[int, int]
+    styles: tuple[AskedStyle, ...]
+    seed: int
+    out: str
+
+
+class Seconds(Struct, frozen=True):
+    """CPU seconds of what is done once a scene, and of each style; a method may say them.
+
+    Without them the seconds of the whole process are divided evenly by its styles.
+    """
+
+    scene: float = 0.0
+    styles: dict[str, float] = msgspec.field(default_factory=dict)
+
+
+def read_job(path: str | Path) -> Job:
+    """The job of a file."""
+    return read_json(path, Job, what="job of a benchmark")

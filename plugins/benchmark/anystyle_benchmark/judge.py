@@ -1,0 +1,362 @@
+"""The judge: every method's figures, cell by cell, and their means with intervals.
+
+What a scene's images came to in all styles is kept in ``RESULTS/.judged`` by the images' hashes: what did not change is
+not judged again. Figures that a style has alone are its cell's; those that only a scene's styles have together, such as
+a distance of distributions, are the scene's.
+"""
+
+import hashlib
+import logging
+import math
+import sys
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import torch
+import torch.nn.functional as F
+from msgspec import Struct
+from PIL import Image, ImageOps
+from torch import Tensor
+
+from anystyle.commands.evaluate import make_metrics
+from anystyle.contracts import Metric
+from anystyle.data.images import open_image
+from anystyle.errors import UserError, one_line, unknown
+from anystyle.evaluation.base import Progress
+from anystyle.evaluation.comparisons import Reader, read
+from anystyle.evaluation.judge import SceneFigures as Found
+from anystyle.evaluation.judge import judge_scene, mean
+from anystyle.evaluation.pairing import CAMERAS
+from anystyle.evaluation.pairing import Cell as Paired
+from anystyle.io.atomic import atomic_path, write_json
+from anystyle.io.documents import Figure, as_figure, as_number, kept_json, read_json
+from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import compose
+from anystyle.registry.schema import runtime_arguments
+from anystyle.types import Comparison, Style
+from anystyle.vision import weights
+from anystyle_benchmark.results import (
+    Cell,
+    CellFigures,
+    Figures,
+    Lock,
+    MetricInfo,
+    Record,
+    SceneFigures,
+    TableRow,
+    wrong_images,
+)
+from anystyle_benchmark.spec import Spec, as_document
+from anystyle_benchmark.statistics import arranged, interval, rounded
+from anystyle_benchmark.track import PROTOCOL, Inputs, SceneEntry, StyleEntry
+
+log = logging.getLogger(__name__)
+
+GUIDES = ("image", "text")
+ENCODERS, STAND_IN = (("clip", "clip_b32"), ("long_clip", "longclip_b32")), ("tiny", "tiny_style_encoder")
+"""Style encoders that texts are compared in, with their weights: the first that is there, or else what stands in."""
+PHOTOGRAPHS = ".photographs"
+"""The folder of what images are compared with, ``SCENE/VIEW.png``, in the folder of results."""
+
+
+class Judged(Struct, frozen=True):
+    """A metric's figures of each style and of all of a scene; ``key`` is what they rest on."""
+
+    key: str
+    styles: dict[str, dict[str, Figure]]
+    scene: dict[str, Figure]
+
+
+class Kept(Struct, frozen=True):
+    """What is known of a unit: the hashes of whole images by style, and the figures by metric."""
+
+    images: dict[str, str] = msgspec.field(default_factory=dict)
+    metrics: dict[str, Judged] = msgspec.field(default_factory=dict)
+
+
+class Unit(NamedTuple):
+    """What is judged at once: a method's images of a scene in all styles of a guide."""
+
+    method: str
+    seed: int
+    scene: str
+    guide: str
+
+    def kept(self, root: Path) -> Path:
+        """The file of its :class:`Kept`."""
+        return root / ".judged" / self.method / str(self.seed) / self.scene / f"{self.guide}.json"
+
+
+class Judge:
+    """Judges the methods in a folder of results by a track's metrics.
+
+    Args:
+        inputs: The track.
+        root: The folder of results.
+        chosen: Some of the track's metrics; all if none is named.
+    """
+
+    def __init__(self, inputs: Inputs, root: Path, chosen: Sequence[str] = ()) -> None:
+        self.inputs, self.root, track = inputs, root, inputs.track
+        named = list(dict.fromkeys(name for guide in GUIDES for name in track.metrics.get(guide, ())))
+        for name in chosen:
+            if name not in named:
+                raise UserError(unknown(f"metric of track {track.name}", name, named))
+        images = [inputs.path(style.image) for style in track.styles if style.image is not None]
+        self.metrics = make([name for name in named if name in (chosen or named)], [read(path) for path in images])
+        self._reader, self._said = Reader(), set[str]()
+
+    def __call__(self, specs: Sequence[Spec], lock: Lock, progress: Progress) -> Figures:
+        """The figures of these methods; ``progress`` is called for every scene of each."""
+        units = [
+            Unit(spec.name, seed, scene.name, guide)
+            for spec in specs
+            for seed in range(spec.seeds if spec.not_run is None else 0)
+            if seed == 0 or (self.root / spec.name / str(seed)).is_dir()
+            for scene in self.inputs.track.scenes
+            for guide in GUIDES
+            if guide in spec.guides and self._styles(guide)
+        ]
+        done: dict[Unit, tuple[list[CellFigures], list[Judged]]] = {}
+        scenes = [scene.name for scene in self.inputs.track.scenes]
+        for unit in sorted(units, key=lambda unit: scenes.index(unit.scene)):  # features of its photographs are kept
+            progress("judge", len(done), len(units))
+            done[unit] = self._judge(unit)
+        progress("judge", len(units), len(units))
+        together = {name for _, judged in done.values() for one in judged for name in _together(one)}
+        cells: list[CellFigures] = []
+        wholes: list[SceneFigures] = []
+        for unit in units:
+            rows, judged = done[unit]
+            for row in rows:
+                own = {name: value for one in judged for name, value in one.styles.get(row.style, {}).items()}
+                own = {name: value for name, value in own.items() if name not in together}
+                cells.append(msgspec.structs.replace(row, figures=own))
+            whole: dict[str, Figure] = {
+                name: value for one in judged for name, value in one.scene.items() if name in together
+            }
+            wholes += [SceneFigures(*unit, whole)] if whole else []
+        infos = {
+            figure: MetricInfo(
+                figure.replace("_", " "), better, _reference(metric), metric.stand_ins.get(figure, ""), name
+            )
+            for name, metric in self.metrics.items()
+            for figure, better in metric.better.items()
+        }
+        rows = [
+            row
+            for spec in specs
+            for guide in spec.guides
+            if (row := _row(spec.name, guide, infos, cells, wholes)).cells
+        ]
+        return Figures(lock, infos, {spec.name: as_document(spec) for spec in specs}, cells, wholes, rows)
+
+    @property
+    def headline(self) -> list[str]:
+        """The first figure of each metric."""
+        return [next(iter(metric.better)) for metric in self.metrics.values()]
+
+    def _styles(self, guide: str) -> list[StyleEntry]:
+        return [style for style in self.inputs.track.styles if style.guide == guide]
+
+    def _judge(self, unit: Unit) -> tuple[list[CellFigures], list[Judged]]:
+        """What became of each cell of a unit, and its figures; images that cannot be judged are a failure."""
+        scene, kept = self.inputs.scene(unit.scene), kept_json(unit.kept(self.root), Kept) or Kept()
+        size, rows, images = self.inputs.size(scene), [], {}
+        for style in self._styles(unit.guide):
+            cell = Cell(unit.method, unit.seed, unit.scene, style.name)
+            record = kept_json(cell.record(self.root), Record)
+            status, message = ("missing", "") if record is None else (record.status, record.message)
+            if status == "done":
+                found = _hash(cell.images(self.root), scene)
+                whole = found == kept.images.get(style.name)  # and was before
+                if lines := [] if whole else wrong_images(cell.images(self.root), scene.views, size):
+                    status, message = "failed", lines[0]
+                else:
+                    images[style.name] = found
+            taken = (None, 0.0, None) if record is None else (record.seconds, record.scene_seconds, record.memory)
+            rows.append(CellFigures(*cell, unit.guide, status, message, *taken))
+        return rows, self._figures(unit, images, kept) if images else []
+
+    def _figures(self, unit: Unit, images: Mapping[str, str], kept: Kept) -> list[Judged]:
+        """The figures of a unit's whole images, by every metric of its guide: those kept, and those that are new."""
+        metrics = {name: self.metrics[name] for name in self.inputs.track.metrics[unit.guide] if name in self.metrics}
+        keys = {
+            name: _digest([PROTOCOL, name, sorted(metric.weights.items()), sorted(images.items())])
+            for name, metric in metrics.items()
+        }
+        found = {name: kept.metrics[name] for name in metrics if name in kept.metrics}
+        found = {name: judged for name, judged in found.items() if judged.key == keys[name]}
+        missing = {name: metric for name, metric in metrics.items() if name not in found}
+        for name, new in self._new(missing, unit, list(images)).items():
+            styles = {style: _rounded(figures) for style, figures in new.styles.items()}
+            found[name] = Judged(keys[name], styles, _rounded(new.figures))
+        if missing:
+            others = {name: judged for name, judged in kept.metrics.items() if name not in metrics}
+            write_json(unit.kept(self.root), msgspec.to_builtins(Kept(dict(images), others | found)))
+        return [found[name] for name in metrics if name in found]
+
+    def _new(self, metrics: Mapping[str, Metric], unit: Unit, styles: Sequence[str]) -> dict[str, Found]:
+        """The metric loop; where one metric refuses, the others are asked without it."""
+        torch.manual_seed(0)
+        try:
+            return judge_scene(metrics, self._comparisons(unit, styles)) if metrics else {}
+        except (UserError, ValueError) as error:
+            if len(metrics) > 1:
+                return {
+                    name: found
+                    for one in metrics
+                    for name, found in self._new({one: metrics[one]}, unit, styles).items()
+                }
+            text = f"{next(iter(metrics))} says nothing of {unit.scene}: {one_line(error)}"
+            if text not in self._said:
+                log.warning(text)
+            self._said.add(text)
+            return {}
+
+    def _comparisons(self, unit: Unit, styles: Sequence[str]) -> Iterator[Comparison]:
+        scene = self.inputs.scene(unit.scene)
+        content = photographs(self.inputs, scene, self.root)
+        geometry = None if scene.geometry is None else self.inputs.path(scene.geometry)
+        for style in map(self.inputs.style, styles):
+            folder = Cell(unit.method, unit.seed, unit.scene, style.name).images(self.root)
+            comparison = self._reader(
+                Paired(
+                    scene=scene.name,
+                    style=style.name,
+                    frames=scene.views,
+                    content=content,
+                    stylized=tuple(folder / f"{view}.png" for view in scene.views),
+                    # A text has no picture: the reader's is put aside below.
+                    reference=content[0] if style.image is None else self.inputs.path(style.image),
+                    depth=() if geometry is None else tuple(geometry / f"{view}.npy" for view in scene.views),
+                    cameras=None if geometry is None else geometry / CAMERAS,
+                )
+            )
+            if style.text is not None:
+                comparison = replace(comparison, style=Style(text=(style.text,), names=(style.name,)))
+            if comparison.depth is not None:
+                depth = F.interpolate(comparison.depth, comparison.stylized.shape[-2:], mode="nearest-exact")
+                comparison = replace(comparison, depth=depth)
+            yield comparison
+
+
+def make(names: Sequence[str], gallery: Sequence[Tensor]) -> dict[str, Metric]:
+    """Metrics as they were meant, with correspondences from depth; ``gallery``: style images to be told apart."""
+    encoder, file = next(
+        (pair for pair in ENCODERS if any(path.is_file() for path in weights.candidates(pair[1]))), STAND_IN
+    )
+    source = replace(
+        weights.published(file, weights.find(file)), stand_in=encoder if (encoder, file) == STAND_IN else ""
+    )
+    words = ["subject=images", "protocol=folders", "variant=corrected", "correspondence=rendered_depth"]
+    words += [f"metric=[{','.join(names)}]", f"style_encoder={encoder}", f"weights.style_encoder={file}"]
+    with warnings.catch_warnings(action="ignore"):  # of networks that stand in, which the table names
+        metrics = make_metrics(compose("evaluate", words), None, torch.device("cpu"))
+    for name, metric in metrics.items():
+        metric.gallery = gallery
+        if "style_encoder" in runtime_arguments(catalog().find("metric", name)):
+            metric.weights = {**metric.weights, **weights.checksums(source)}
+            metric.stand_ins = {**metric.stand_ins, **weights.stand_ins(metric.better, source)}
+    return metrics
+
+
+def photographs(inputs: Inputs, scene: SceneEntry, root: Path) -> tuple[Path, ...]:
+    """What images of a scene are compared with: its photographs in their size, made once in the folder of results."""
+    files, (height, width) = inputs.photographs(scene), inputs.size(scene)
+    made = {view: root / PHOTOGRAPHS / scene.name / f"{view}.png" for view in scene.views}
+    for view, path in made.items():
+        if not path.is_file():
+            with atomic_path(path) as temporary:
+                ImageOps.fit(open_image(files[view]), (width, height), Image.Resampling.LANCZOS).save(temporary)
+    return tuple(made.values())
+
+
+def inputs_of(root: Path, track: str | None = None, folder: Path | None = None) -> Inputs:
+    """The track of a folder of results: that of a name or file, or the one that the results name."""
+    kept = None if track else read_json(root / "track.json", Lock, what="record of the results' track")
+    return Inputs(track or (kept.name if kept else ""), folder)
+
+
+def read_methods(root: Path) -> list[Spec]:
+    """The specs of the methods in a folder of results, by name."""
+    specs = {path: read_json(path, Spec, what="spec of a method") for path in sorted(root.glob("*/method.json"))}
+    for path, spec in specs.items():
+        if spec.name != path.parent.name:
+            raise UserError(f"{path} is the spec of {spec.name}; a method lies in the folder of its name")
+    if not specs:
+        raise UserError(f"{root} holds no results of a method (METHOD/method.json); anystyle benchmark run makes some")
+    return list(specs.values())
+
+
+def wrong(inputs: Inputs, folder: Path) -> list[str]:
+    """What is wrong with somebody's images ``SCENE/STYLE/VIEW.png`` of a track, a line each.
+
+    A guide of which there is no style at all is one that the method does not follow.
+    """
+    if not folder.is_dir():
+        raise UserError(f"there is no folder {folder}")
+    track, lines = inputs.track, []
+    known = {"scene": {scene.name for scene in track.scenes}, "style": {style.name for style in track.styles}}
+    for what, pattern in (("scene", "[!.]*"), ("style", "[!.]*/[!.]*")):
+        others = [path for path in sorted(folder.glob(pattern)) if path.is_dir() and path.name not in known[what]]
+        lines += [f"{path.relative_to(folder)}: the track has no such {what}" for path in others]
+    cells = [(scene, style, folder / scene.name / style.name) for scene in track.scenes for style in track.styles]
+    guides = {style.guide for _, style, images in cells if images.is_dir()}
+    for scene, style, images in cells:
+        if style.guide in guides and not images.is_dir():
+            lines.append(f"{scene.name}: there is no {style.name}")
+        elif style.guide in guides:
+            lines += [f"{scene.name}: {line}" for line in wrong_images(images, scene.views, inputs.size(scene))]
+    return lines if guides else [*lines, "there are no images of any scene and style of the track"]
+
+
+def _row(
+    method: str,
+    guide: str,
+    infos: Mapping[str, MetricInfo],
+    cells: Sequence[CellFigures],
+    wholes: Sequence[SceneFigures],
+) -> TableRow:
+    rows = [row for row in (*cells, *wholes) if (row.method, row.guide) == (method, guide)]
+    states = [row.status for row in rows if isinstance(row, CellFigures)]
+    values = {figure: arranged(figure, rows)[0] for figure in infos}
+    means = {figure: interval(value) for figure, value in values.items() if value.size}
+    return TableRow(method, guide, len(states), len(states) - states.count("done"), means)
+
+
+def _together(judged: Judged) -> list[str]:
+    """The figures that are not the mean of the single styles' figures."""
+    names = []
+    for name, figure in judged.scene.items():
+        alone, whole = mean([as_number(row.get(name)) for row in judged.styles.values()]), as_number(figure)
+        if (
+            len(judged.styles) > 1
+            and not math.isnan(whole)
+            and not math.isclose(alone, whole, rel_tol=1e-4, abs_tol=1e-6)
+        ):
+            names.append(name)
+    return names
+
+
+def _rounded(figures: Mapping[str, float]) -> dict[str, Figure]:
+    return {name: as_figure(rounded(value)) for name, value in figures.items()}
+
+
+def _reference(metric: Metric) -> str:
+    """The first line of what the metric's module says of itself."""
+    return (sys.modules[type(metric).__module__].__doc__ or "").partition("\n")[0]
+
+
+def _hash(folder: Path, scene: SceneEntry) -> str:
+    """Of the images of a cell that are there."""
+    files = [folder / f"{view}.png" for view in scene.views]
+    return _digest([hashlib.sha256(path.read_bytes()).hexdigest() for path in files if path.is_file()])
+
+
+def _digest(value: object) -> str:
+    return hashlib.sha256(msgspec.json.encode(value)).hexdigest()

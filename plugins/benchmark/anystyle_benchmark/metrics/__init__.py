@@ -1,0 +1,1 @@
+"""Metrics that the benchmark adds to those of anystyle; each is a plugin of kind ``metric``."""

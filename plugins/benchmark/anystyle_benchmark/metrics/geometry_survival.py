@@ -1,0 +1,117 @@
+"""Survival of geometry: whether structure from motion still finds how the camera moved between stylized views."""
+
+import tempfile
+import warnings
+from collections.abc import Mapping
+from itertools import pairwise
+from math import acos, degrees, inf, nan
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+import torch
+from jaxtyping import Float, Float64
+from torch import Tensor
+
+from anystyle.contracts import Metric
+from anystyle.errors import UserError
+from anystyle.registry.catalog import catalog
+from anystyle.types import Cameras, Comparison
+from anystyle.vision.preprocess import checked
+
+FIGURES = ("pose_auc", "registered", "camera_error")
+LIMIT = 20.0
+"""Degrees at which ``pose_auc`` ends."""
+
+
+class GeometrySurvival(Metric):
+    """How well SIFT and COLMAP find the motion from each view to the next in the stylized views alone.
+
+    ``registered`` is the share of pairs for which one motion explains at least 15 matches. The error of such a pair is
+    the larger of two angles: between its rotation and the cameras', and between its translation's direction and
+    theirs. ``camera_error`` is the median in degrees over a row's registered pairs, and ``pose_auc`` the area under the
+    share of all pairs that have less than an error, up to 20 degrees (Sarlin et al., SuperGlue, CVPR 2020, section 5;
+    exact instead of by trapezoids): in [0, 1], 0 for a pair that does not register.
+
+    Cameras' intrinsics are given. Motions of pairs are the first half of structure from motion: the second half, which
+    joins them, needs more views or pixels than a comparison has. Rows without cameras, or with one view, are left out.
+    Needs the plugin ``anystyle-captures``, with pycolmap.
+
+    Args:
+        min_side: Smaller views are enlarged to this longer side in pixels, in which SIFT finds more features.
+    """
+
+    better: ClassVar[Mapping[str, str]] = dict(zip(FIGURES, ("higher", "higher", "lower"), strict=True))
+    full_state_update = False
+    totals: Tensor
+    rows: Tensor
+
+    def __init__(self, *, min_side: int = 512) -> None:
+        super().__init__()
+        if min_side < 16:
+            raise UserError(f"geometry_survival.min_side is {min_side}; at least 16 pixels are needed")
+        self.min_side = min_side
+        self.add_state("totals", torch.zeros(3, dtype=torch.float64), dist_reduce_fx="sum")
+        self.add_state("rows", torch.zeros(3, dtype=torch.long), dist_reduce_fx="sum")
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        return {"min_side": 64}
+
+    @torch.no_grad()
+    def update(self, comparison: Comparison) -> None:
+        if checked(comparison).cameras is None or comparison.stylized.shape[1] < 2:
+            return
+        for row in range(len(comparison.stylized)):
+            one = comparison.row(row)
+            assert one.cameras is not None
+            errors = np.array(pose_errors(one.stylized[0], one.cameras, self.min_side))
+            found = np.isfinite(errors)
+            middle = float(np.median(errors[found])) if found.any() else nan
+            values = torch.tensor([np.clip(1 - errors / LIMIT, 0, 1).mean(), found.mean(), middle]).to(self.totals)
+            self.rows += values.isfinite()
+            self.totals += values.nan_to_num()
+
+    def compute(self) -> dict[str, Tensor]:
+        if int(self.rows[0]) == 0:
+            warnings.warn("geometry_survival: no two views with cameras; the figures are nan", stacklevel=2)
+        return dict(zip(FIGURES, (self.totals / self.rows).float(), strict=True))  # nan where there is no row
+
+
+def pose_errors(views: Float[Tensor, "V 3 H W"], cameras: Cameras, min_side: int = 512) -> list[float]:
+    """The error in degrees of the motion from each view to the next; infinite where none is found."""
+    catalog().find("pose_estimator", "sfm").load()  # where its package is not installed, this makes it importable
+    from anystyle_captures.sfm.colmap import match, motion
+    from anystyle_captures.sfm.model import Photograph, SearchOptions
+
+    pixels = (views.clamp(0, 1) * 255).round().byte().permute(0, 2, 3, 1).cpu().numpy()
+    intrinsics, poses = (each[0].double().cpu().numpy() for each in (cameras.intrinsics, cameras.world_from_camera))
+    photographs = [
+        Photograph(str(index), image, focal)
+        for index, (image, focal) in enumerate(zip(pixels, intrinsics[:, 0, 0].tolist(), strict=True))
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        graph = match(Path(folder), photographs, SearchOptions(min_side), pairs=[*pairwise(range(len(photographs)))])
+    errors = [inf] * (len(photographs) - 1)
+    for pair in graph.pairs:
+        found = motion(graph, pair, [intrinsics[pair.first], intrinsics[pair.second]], cameras.size)
+        if found is not None:
+            errors[pair.first] = pose_error(found, np.linalg.solve(poses[pair.second], poses[pair.first]))
+    return errors
+
+
+def pose_error(found: Float64[np.ndarray, "3 4"], known: Float64[np.ndarray, "4 4"]) -> float:
+    """The larger of the angles in degrees between two motions' rotations and between their translations' directions.
+
+    A right angle stands for the direction of no translation; where the known motion has none, rotations count alone.
+    """
+    angles = [angle((np.trace(found[:, :3].T @ known[:3, :3]) - 1) / 2)]
+    lengths = float(np.linalg.norm(found[:, 3])), float(np.linalg.norm(known[:3, 3]))
+    if lengths[1] > 0:
+        angles.append(angle(float(found[:, 3] @ known[:3, 3]) / max(lengths[0] * lengths[1], 1e-12)))
+    return max(angles)
+
+
+def angle(cosine: float) -> float:
+    """In degrees."""
+    return degrees(acos(min(max(cosine, -1), 1)))

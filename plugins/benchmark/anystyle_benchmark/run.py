@@ -1,0 +1,230 @@
+"""Running methods: each in a process of its own, scene by scene, what is done already left as it is."""
+
+import os
+import platform
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import psutil
+from filelock import FileLock, Timeout
+
+from anystyle.data.images import listing
+from anystyle.errors import UserError, one_line
+from anystyle.io.atomic import write_json
+from anystyle.io.documents import kept_json
+from anystyle_benchmark.environment import interpreter, last_line
+from anystyle_benchmark.job import SECONDS, AskedStyle, Job, Seconds
+from anystyle_benchmark.results import Cell, Record, wrong_images
+from anystyle_benchmark.spec import Spec
+from anystyle_benchmark.track import Inputs, SceneEntry, StyleEntry
+
+PACKAGE = Path(__file__).parent
+SCRATCH, LOG = ".job", "log.txt"
+POLL = 0.05
+"""Seconds between looks at a process."""
+LOG_BYTES = 1 << 16
+
+Say = Callable[[str], None]
+
+
+class Ended(NamedTuple):
+    """How a process ended: with which words if it failed, after how many CPU seconds, with how many MiB at most."""
+
+    failure: str = ""
+    timed_out: bool = False
+    seconds: float = 0.0
+    memory: float = 0.0
+
+
+def run_scene(
+    inputs: Inputs,
+    spec: Spec,
+    home: Path,
+    scene: SceneEntry,
+    styles: Sequence[StyleEntry],
+    seed: int,
+    root: Path,
+    say: Say,
+) -> None:
+    """Have a method render a scene in those styles that are missing, and record each cell.
+
+    Args:
+        inputs: The track.
+        spec: The method.
+        home: The folder of its spec.
+        scene: To render.
+        styles: Those with a guide that the method cannot follow are left out.
+        seed: Of the run.
+        root: The folder of results.
+        say: Takes a line of progress.
+    """
+    cells = {
+        style.name: Cell(spec.name, seed, scene.name, style.name) for style in styles if style.guide in spec.guides
+    }
+    size = inputs.size(scene)
+    folder = root / spec.name / str(seed) / scene.name
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(folder / ".lock", timeout=0):
+            scratch = folder / SCRATCH
+            _collect(scratch / "out", cells, scene.views, size, root, Ended())  # of an interrupted run
+            missing = [style for style in styles if style.name in cells and not _done(cells[style.name], root)]
+            if not missing:
+                return
+            say(f"{spec.name}, {scene.name}, seed {seed}: {len(missing)} styles …")
+            shutil.rmtree(scratch, ignore_errors=True)
+            (scratch / "out").mkdir(parents=True)
+            ended = _ask(inputs, spec, home, scene, missing, seed, size, scratch)
+            wanted = {style.name: cells[style.name] for style in missing}
+            found = _collect(scratch / "out", wanted, scene.views, size, root, ended)
+            for name, cell in wanted.items():
+                if name not in found:
+                    message = ended.failure or _absent(scratch, name, scene.views, size)
+                    status = "timeout" if ended.timed_out else "failed"
+                    write_json(cell.record(root), msgspec.to_builtins(Record(status, message, machine=_machine())))
+            shutil.rmtree(scratch)
+            failed = f", {len(wanted) - len(found)} failed: {ended.failure}" if len(found) < len(wanted) else ""
+            say(f"{spec.name}, {scene.name}, seed {seed}: {len(found)} done in {ended.seconds:.0f} CPU s{failed}")
+    except Timeout:
+        say(f"{spec.name}, {scene.name}, seed {seed}: another process is at it")
+
+
+def _ask(
+    inputs: Inputs,
+    spec: Spec,
+    home: Path,
+    scene: SceneEntry,
+    styles: Sequence[StyleEntry],
+    seed: int,
+    size: tuple[int, int],
+    scratch: Path,
+) -> Ended:
+    out = scratch / "out"
+    if spec.folder is not None:
+        for style in styles:
+            images = home / spec.folder / scene.name / style.name
+            if images.is_dir():
+                shutil.copytree(images, out / style.name)
+        return Ended()
+    photographs = {stem: str(path.resolve()) for stem, path in inputs.photographs(scene).items()}
+    asked = tuple(
+        AskedStyle(style.name, None if style.image is None else str(inputs.path(style.image).resolve()), style.text)
+        for style in styles
+    )
+    job = Job(inputs.track.name, scene.name, photographs, scene.views, size, asked, seed, str(out.resolve()))
+    job_file = scratch.resolve() / "job.json"
+    write_json(job_file, msgspec.to_builtins(job))
+    try:
+        python = interpreter(spec.requirements)
+    except UserError as error:
+        return Ended(one_line(error))
+    if spec.preset is not None:
+        return process([str(python), "-m", "anystyle_benchmark.ours", str(job_file), *spec.preset], scratch, spec.hours)
+    places = {"{python}": str(python), "{here}": str(home.resolve()), "{job}": str(job_file)}
+    words = list(spec.command or ())
+    for place, value in places.items():
+        words = [word.replace(place, value) for word in words]
+    return process(words, scratch, spec.hours, ours=not spec.requirements)
+
+
+def process(words: Sequence[str], folder: Path, hours: float, *, ours: bool = True) -> Ended:
+    """Run a program in a folder until it ends or its time is over, its output in a file.
+
+    Args:
+        words: The program and its arguments.
+        folder: Working directory, with the log.
+        hours: After which it is stopped with all that it started.
+        ours: Whether it may import this package; another environment sees nothing of it.
+    """
+    variables = {name: value for name, value in os.environ.items() if ours or name != "PYTHONPATH"}
+    if ours:
+        variables["PYTHONPATH"] = os.pathsep.join([str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])
+    deadline, peak, timed_out, before = time.monotonic() + 3600 * hours, 0.0, False, _children()
+    with (folder / LOG).open("wb") as log:
+        try:
+            started = subprocess.Popen(
+                words,
+                cwd=folder,
+                env=variables,
+                stdout=log,
+                stderr=log,
+                stdin=subprocess.DEVNULL,
+                start_new_session=True,
+            )
+        except OSError as error:
+            return Ended(f"{words[0]} cannot be started ({error.strerror})")
+        try:
+            while started.poll() is None:
+                peak = max(peak, _memory(started.pid))
+                if timed_out := time.monotonic() > deadline:
+                    break
+                time.sleep(POLL)
+        finally:
+            if started.poll() is None:
+                os.killpg(started.pid, signal.SIGKILL)
+            started.wait()
+    seconds = _children() - before
+    if timed_out:
+        return Ended(f"was stopped after {hours:g} hours", True, seconds, peak)
+    text = (folder / LOG).read_bytes()[-LOG_BYTES:].decode(errors="replace")
+    if started.returncode < 0:
+        return Ended(f"was ended by {signal.Signals(-started.returncode).name}", False, seconds, peak)
+    return Ended(one_line(last_line(text)) if started.returncode else "", False, seconds, peak)
+
+
+def _collect(
+    out: Path, cells: dict[str, Cell], views: Sequence[str], size: tuple[int, int], root: Path, ended: Ended
+) -> set[str]:
+    """Move the styles whose images are whole to their places, each with its record; the names of these."""
+    if not out.is_dir():
+        return set()
+    found = [name for name in cells if not wrong_images(out / name, views, size)]
+    said = kept_json(out / SECONDS, Seconds)
+    for name in found:
+        images, share = cells[name].images(root), ended.seconds / len(found) or None
+        seconds = share if said is None else said.styles.get(name, share)
+        once = 0.0 if said is None else said.scene
+        record = Record("done", "", seconds, once, ended.memory, _machine(), {"python": platform.python_version()})
+        shutil.rmtree(images, ignore_errors=True)
+        (out / name).replace(images)
+        write_json(cells[name].record(root), msgspec.to_builtins(record))
+    return set(found)
+
+
+def _absent(scratch: Path, name: str, views: Sequence[str], size: tuple[int, int]) -> str:
+    """What is wrong with a style that a program left no images of, though it ended well."""
+    wrong = wrong_images(scratch / "out" / name, views, size)
+    ours = {scratch / "job.json", scratch / LOG, scratch / "out" / SECONDS}
+    others = [path for path in scratch.rglob("*") if path.is_file() and path not in ours]
+    elsewhere = [str(path.relative_to(scratch)) for path in others if path.parent != scratch / "out" / name]
+    return wrong[0] + (f"; it wrote {listing(elsewhere, 3)}" if elsewhere else "")
+
+
+def _done(cell: Cell, root: Path) -> bool:
+    record = kept_json(cell.record(root), Record)
+    return record is not None and record.status == "done" and cell.images(root).is_dir()
+
+
+def _memory(pid: int) -> float:
+    """Resident MiB of a process and all that it started."""
+    try:
+        first = psutil.Process(pid)
+        return sum(each.memory_info().rss for each in (first, *first.children(recursive=True))) / 2**20
+    except psutil.Error:  # it has ended
+        return 0.0
+
+
+def _children() -> float:
+    """CPU seconds of all processes that this one started and waited for."""
+    times = os.times()
+    return times.children_user + times.children_system
+
+
+def _machine() -> str:
+    return f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores"

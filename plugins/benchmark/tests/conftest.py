@@ -1,0 +1,24 @@
+"""The helpers beside these tests are imported by their plain names."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))
+
+from benchmark_world import write_results, write_track
+
+from browsing import page, same_window  # noqa: F401
+
+
+@pytest.fixture(scope="session")
+def world(tmp_path_factory):
+    """A track's file and judged results of three methods, of which noise has two seeds; nobody may change them."""
+    from anystyle_benchmark.command_judge import main
+
+    folder = tmp_path_factory.mktemp("world")
+    track = write_track(folder / "track", images=3, texts=1)
+    write_results(track, folder / "results", ("noise", "pasted", "unstyled"), seeds=2)
+    main([str(folder / "results"), "--track", str(track)])
+    return track, folder / "results"

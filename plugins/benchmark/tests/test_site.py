@@ -1,0 +1,496 @@
+"""The site of a benchmark, from judged results to a real browser."""
+
+import json
+import re
+from pathlib import Path
+
+import msgspec
+import pytest
+from benchmark_world import write_results, write_track
+from PIL import Image
+
+from anystyle.errors import UserError
+from anystyle.io.atomic import write_json
+from anystyle_benchmark.command_site import main
+from anystyle_benchmark.results import (
+    FIGURES,
+    CellFigures,
+    Figures,
+    Interval,
+    MetricInfo,
+    Record,
+    SceneFigures,
+    TableRow,
+    bind,
+    cells,
+)
+from anystyle_benchmark.site import QUALITIES
+from anystyle_benchmark.spec import Spec, as_document
+
+LONG = "A method of a very long name that goes on and on, for a paper of " + "unbreakable" * 5
+HOSTILE = '</script><img src=x onerror=alert(1)> & "pasted"'
+BOTH = ("image", "text")
+SPECS = {
+    spec.name: spec
+    for spec in (
+        Spec("unstyled", "The photographs", guides=BOTH, baseline=True, preset=("method=unstyled",)),
+        Spec(
+            *("noise", LONG),
+            guides=BOTH,
+            seeds=2,
+            command=("{python}", "my noise.py"),
+            requirements=("numpy==2.1.0",),
+        ),
+        Spec(
+            *("pasted", HOSTILE, HOSTILE, "javascript:alert(1)", "https://example.org/code, commit 1"),
+            consistent=False,
+            folder="images",
+        ),
+        Spec("palette", "Palette", preset=("method=palette",)),
+        Spec("later", "Later", not_run="needs <CUDA>"),
+    )
+}
+METRICS = {
+    "color_match": MetricInfo("color match", "lower", "A reference", metric="color_match"),
+    "kid": MetricInfo("kid", "lower", "Another", "a small network", metric="kid"),
+    "retrieval": MetricInfo("retrieval", "higher", metric="retrieval"),
+    "retrieval_gray": MetricInfo("retrieval gray", "higher", metric="retrieval"),
+}
+MEANS = {"unstyled": 0.5, "noise": 0.9, "pasted": 0.1, "palette": 0.3}
+"""Of ``color_match``; ``retrieval`` is as much less than 1, and infinite for the photographs."""
+FAILED = ("palette", 0, "scene1", "image1")
+MESSAGE = "RuntimeError: <b>nan</b> after 3 steps"
+
+
+def write_figures(inputs, root: Path, methods=tuple(SPECS)) -> None:
+    """What a judge might have found in the results of these methods."""
+    for name in methods:
+        write_json(root / name / "method.json", as_document(SPECS[name]))
+    rows, wholes = [], []
+    for cell in cells(root):
+        guide = inputs.style(cell.style).guide
+        if cell.method in methods and guide in SPECS[cell.method].guides:
+            failed = tuple(cell) == FAILED
+            record = Record("failed", MESSAGE) if failed else Record("done", "", 2.0, 6.0, 100.0, "A machine")
+            write_json(cell.record(root), msgspec.to_builtins(record))
+            mean = MEANS[cell.method] + 0.01 * cell.seed
+            figures = {"color_match": mean, "retrieval": 1 - mean, "retrieval_gray": None}
+            seconds = None if cell.method == "pasted" else 10 * mean
+            values = (record.status, record.message, seconds, 0.0, 100.0)
+            rows.append(CellFigures(*cell, guide, *values, {} if failed else figures))
+    for method in {row.method for row in rows}:
+        wholes += [SceneFigures(method, 0, scene.name, "image", {"kid": 2.0}) for scene in inputs.track.scenes]
+    table = []
+    for method, guide in dict.fromkeys((row.method, row.guide) for row in rows):
+        states = [row.status for row in rows if (row.method, row.guide) == (method, guide)]
+        mean = MEANS[method]
+        figures = {
+            "color_match": Interval(mean, mean - 0.1, mean + 0.1, len(states)),
+            "retrieval": Interval("inf", None, None, 9) if method == "unstyled" else Interval(1 - mean, None, None, 9),
+        }
+        figures |= {"kid": Interval(2.0, None, None, 2)} if guide == "image" and method != "noise" else {}
+        table.append(TableRow(method, guide, len(states), len(states) - states.count("done"), figures))
+    documents = {name: as_document(SPECS[name]) for name in methods}
+    found = Figures(bind(inputs, root), METRICS, documents, rows, wholes, table)
+    write_json(root / FIGURES, msgspec.to_builtins(found))
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory):
+    """A track's file, and a folder of judged results."""
+    folder = tmp_path_factory.mktemp("world")
+    track = write_track(folder / "track", scenes=2, images=2, texts=1, views=4)
+    inputs = write_results(track, folder / "results", seeds=2)
+    write_figures(inputs, folder / "results")
+    (folder / "results/noise/0/scene0/image0.html").write_text("<h1>a splat</h1>")
+    return track, folder / "results"
+
+
+@pytest.fixture(scope="module")
+def site(judged, tmp_path_factory):
+    """The site of these results."""
+    out = tmp_path_factory.mktemp("site")
+    main([str(judged[1]), "--out", str(out), "--track", str(judged[0])])
+    return out
+
+
+@pytest.fixture
+def index(page, site):
+    """Its first page in a browser; nothing was amiss by the end."""
+    return _opened(page, site / "index.html")
+
+
+@pytest.fixture
+def compare(page, site):
+    """Its page of pictures in a browser."""
+    return _opened(page, site / "compare.html")
+
+
+def _opened(page, path, place=""):
+    page.open(f"{path.as_uri()}{place}")
+    return page
+
+
+def names(page, table="image"):
+    """The methods of a table that are shown, in order."""
+    rows = f"document.querySelectorAll('table[data-guide={table}] tbody tr:not([hidden])')"
+    return page.value(f"[...{rows}].map((row) => row.dataset.method)")
+
+
+def marked(page, rank, column="color_match"):
+    rows = f"document.querySelectorAll('table[data-guide=image] td[data-name={column}][data-rank={rank}]')"
+    return page.value(f"[...{rows}].map((cell) => cell.parentNode.dataset.method)")
+
+
+def press(page, name, table="image"):
+    page.click(f"table[data-guide={table}] th[data-name={name}] button")
+
+
+def test_tables_sort_by_any_column(index):
+    order = "document.querySelector('table[data-guide=image] th[data-name={}]').ariaSort"
+    press(index, "color_match")
+    assert names(index) == ["pasted", "palette", "unstyled", "noise"]  # the best first
+    assert index.value(order.format("color_match")) == "ascending"
+    index.key("Enter", "\r")  # the button has the focus
+    assert names(index) == ["noise", "unstyled", "palette", "pasted"]
+    assert index.value(order.format("color_match")) == "descending"
+    assert "color match" in index.value("document.getElementById('status').textContent")
+    press(index, "retrieval")
+    assert names(index)[:2] == ["unstyled", "pasted"]  # infinity is a number
+    assert index.value(order.format("color_match")) is None
+    for _ in range(2):
+        press(index, "kid")
+        assert names(index)[-1] == "noise"  # what is not known is last, whichever way
+    press(index, "method")
+    assert names(index) == ["pasted", "noise", "palette", "unstyled"]
+    press(index, "cells")
+    assert names(index)[0] == "noise"
+    press(index, "seconds", "text")
+    assert names(index, "text") == ["unstyled", "noise"]
+    assert names(index)[0] == "noise"  # the other table is as it was
+
+
+def test_tables_filter_and_mark_the_best_of_what_is_shown(index):
+    assert (marked(index, "best"), marked(index, "second")) == (["pasted"], ["palette"])
+    assert marked(index, "best", "retrieval") == ["pasted"]  # and not the photographs, which are a baseline
+    index.click("#filters [name=consistent]")
+    assert "pasted" not in names(index)
+    assert (marked(index, "best"), marked(index, "second")) == (["palette"], ["noise"])
+    assert index.value("document.querySelector('[data-method=palette] .mark').textContent") == " best"
+    index.click("#filters [name=baselines]")
+    assert names(index) == ["noise", "palette"]
+    assert names(index, "text") == ["noise"]
+    assert index.value("document.getElementById('status').textContent") == "2 of 4 methods; 1 of 2 methods"
+    index.click("#filters [name=words]")
+    index.type("PALETTE")
+    assert names(index) == ["palette"]
+    hidden = "document.querySelector('table[data-guide=image] th[data-name=retrieval_gray]')"
+    assert index.value(hidden) is None  # no method has it
+    assert index.value("document.querySelectorAll('th[data-name=kid]').length") == 1  # nothing of it by text
+    index.click("#filters summary")
+    index.click("#filters [value=kid]")
+    assert index.value("document.querySelector('th[data-name=kid]').hidden")
+    assert index.value("[...document.querySelectorAll('td[data-name=kid]')].every((cell) => cell.hidden)")
+
+
+def test_a_table_says_what_failed_what_stands_in_and_how_sure_it_is(index):
+    text = index.value("document.querySelector('table[data-guide=image] [data-method=palette]').innerText")
+    assert "3 of 4" in text
+    assert "1 failed" in text
+    assert index.value("document.querySelector('th[data-name=kid]').innerText").endswith("†")
+    assert "kid (a small network)" in index.value("document.body.innerText")
+    bar = "[...document.querySelectorAll('table[data-guide=image] [data-method=palette] td[data-name=color_match] {}')]"
+    path = index.value(bar.format("path") + "[0].getAttribute('d')")
+    # Methods reach from 0 (pasted, less a tenth) to 1 (noise, and a tenth): the photographs are a baseline.
+    assert path == "M20.0 4H40.0"
+    assert index.value(bar.format("circle") + "[0].getAttribute('cx')") == "30.0"
+    name = index.value(bar.format("button") + "[0].textContent.trim()")
+    assert name.startswith("0.3 (95 % interval 0.2 to 0.4)")
+
+
+def test_a_number_opens_the_pictures_behind_it(index, site):
+    index.click("table[data-guide=image] [data-method=palette] td[data-name=color_match] button")
+    index.wait("document.querySelector('dialog').open")
+    assert index.value("document.querySelector('dialog h2').textContent") == "Palette: color match"
+    tiles = index.value("[...document.querySelectorAll('dialog li')].map((tile) => tile.innerText.split(/\\n+/))")
+    assert len(tiles) == 4
+    assert tiles[0] == ["0.3", "scene0, image0"]
+    assert tiles[-1] == [f"failed: {MESSAGE}", "–", "scene1, image1"]  # what there is no figure of is last
+    index.wait("[...document.querySelectorAll('dialog img')].every((image) => image.complete && image.naturalWidth)")
+    index.key("Escape")
+    index.wait("!document.querySelector('dialog').open")
+    assert index.value("document.activeElement.closest('td').dataset.name") == "color_match"
+    index.click(
+        "table[data-guide=image] [data-method=palette] td[data-name=kid] button"
+    )  # of a scene's styles together
+    assert index.value("document.querySelector('dialog li').innerText").split("\n")[0] == "2 (the scene's)"
+    assert index.value("document.querySelector('dialog a').href").endswith("compare.html#scene0/image0/000")
+    index.click("dialog a")
+    index.wait("!!document.querySelector('.cell')")
+    assert index.errors == []
+
+
+def test_cost_against_quality_is_drawn_with_intervals(index):
+    index.wait("!!document.querySelector('#plot svg')")
+    assert index.value("document.querySelectorAll('#plot g').length") == 3
+    assert HOSTILE in index.value("document.getElementById('unplotted').textContent")  # it has no seconds
+    height = "(line) => line.y1.baseVal.value - line.y2.baseVal.value"
+    heights = index.value(f"[...document.querySelectorAll('#plot g line')].map({height})")
+    assert min(heights) > 20
+    assert max(heights) == pytest.approx(min(heights))  # all intervals are two tenths
+    labels = "[...document.querySelectorAll('#plot text:not(.tick)')].map((text) => text.textContent)"
+    assert "The photographs" in index.value(labels)
+    index.value("document.querySelector('#axes [name=metric]').value = 'kid'")
+    index.value("document.querySelector('#axes').dispatchEvent(new Event('input'))")
+    assert "kid, lower is better" in index.value(labels)
+    index.value("document.querySelector('#axes [name=guide]').value = 'text'")
+    index.value("document.querySelector('#axes').dispatchEvent(new Event('input'))")
+    assert "No method has this figure" in index.value("document.getElementById('plot').textContent")
+
+
+def test_methods_have_cards(index):
+    card = "document.getElementById('method-{}').innerText"
+    assert "python} 'my noise.py'" in index.value(card.format("noise"))
+    assert "numpy==2.1.0" in index.value(card.format("noise"))
+    assert "not run: needs <CUDA>" in index.value(card.format("later"))
+    assert "anystyle stylize method=palette" in index.value(card.format("palette"))
+    assert "A machine" in index.value(card.format("palette"))
+    assert "100 MiB" in index.value(card.format("palette"))
+    assert "handed in" in index.value(card.format("pasted"))
+    links = index.value("[...document.querySelectorAll('#method-pasted a')].map((link) => link.href)")
+    assert links == ["https://example.org/code"]  # and no script of somebody's spec
+    assert index.value("document.querySelector('#method-pasted h3').innerText").startswith(HOSTILE)
+    assert index.errors == []
+
+
+def test_all_methods_are_side_by_side_and_one_slider_moves_them(compare, site):
+    shown = "[...document.querySelectorAll('.cell:not([hidden]) h2')].map((node) => node.textContent)"
+    assert compare.value(shown) == ["The photographs", LONG, HOSTILE, "Palette"]
+    compare.wait("[...document.querySelectorAll('.strip img')].every((image) => image.complete && image.naturalWidth)")
+    tops = """[...document.querySelectorAll('.strip')].map((strip) => {
+        const [window, views] = [strip, strip.firstChild].map((node) => node.getBoundingClientRect());
+        return (window.top - views.top) / window.height;
+    })"""
+    assert compare.value(tops) == pytest.approx([0.01] * 5, abs=0.005)
+    compare.value("document.querySelector('[name=view]').focus()")
+    compare.key("ArrowRight")
+    compare.key("ArrowRight")
+    assert compare.value(tops) == pytest.approx([2.05] * 5, abs=0.01)
+    assert compare.value("location.hash") == "#scene0/image0/002"
+    assert compare.value("document.querySelector('[name=view]').ariaValueText") == "3 of 4, 002"
+    assert compare.value("document.querySelector('output').textContent") == "3 of 4: 002"
+    alts = compare.value("[...document.images].map((image) => image.alt)")
+    assert alts[:3] == ["Photograph, view 3 of 4", "image0", "The photographs, view 3 of 4"]
+    assert compare.value("document.querySelector('.cell a').href").endswith("cells/noise/scene0/image0.html")
+    assert (site / "cells/noise/scene0/image0.html").read_text() == "<h1>a splat</h1>"
+    best = (
+        "[...document.querySelectorAll('dd[data-metric=color_match][data-rank=best]')].map((node) => node.textContent)"
+    )
+    assert compare.value(best) == ["0.1"]
+    compare.click("[name=baselines]")
+    assert compare.value(shown) == [LONG, HOSTILE, "Palette"]
+    assert compare.errors == []
+
+
+def test_links_keep_scene_style_and_view(compare, site):
+    _opened(compare, site / "compare.html", "#scene1/image1/001")
+    compare.wait("document.querySelector('[name=scene]').value === 'scene1'")
+    assert compare.value("document.querySelector('.said').textContent") == f"failed: {MESSAGE}"
+    assert compare.value("document.querySelector('output').textContent") == "2 of 4: 001"
+    compare.value("document.querySelector('[name=style]').value = 'text0'")
+    compare.value("document.querySelector('[name=style]').dispatchEvent(new Event('input', {bubbles: true}))")
+    assert compare.value("location.hash") == "#scene1/text0/001"
+    assert compare.value("document.querySelector('blockquote').textContent") == "thick strokes in deep blue"
+    assert compare.value("document.querySelectorAll('.cell').length") == 2
+    assert compare.value("document.getElementById('status').textContent") == "scene1 in text0: 2 methods"
+    for strange in ("#nowhere/%E0%A4%A/9", "#scene0"):
+        compare.value(f"location.hash = '{strange}'")
+        compare.wait("document.querySelector('[name=scene]').value === 'scene0'")
+    assert compare.errors == []
+
+
+def test_views_play_there_and_back_and_can_be_stopped(compare):
+    view = "Number(document.querySelector('[name=view]').value)"
+    compare.click("[name=play]")
+    assert compare.value("document.querySelector('[name=play]').textContent") == "Pause"
+    compare.wait(f"{view} === 3")
+    compare.wait(f"{view} === 1")
+    compare.click("[name=play]")
+    stopped = compare.value(view)
+    assert compare.value(f"new Promise((done) => setTimeout(() => done({view}), 600))") == stopped
+    assert compare.value("location.hash") == f"#scene0/image0/00{stopped}"
+    compare.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": "reduce"}])
+    compare.click("[name=play]")
+    assert compare.value(f"new Promise((done) => setTimeout(() => done({view}), 700))") == stopped  # slowly
+    compare.click("[name=play]")
+
+
+@pytest.mark.parametrize("name", ["index.html", "compare.html"])
+@pytest.mark.parametrize(("width", "height"), [(320, 256), (390, 844), (1440, 900)])  # 320: a desktop at 400 %
+def test_no_page_is_wider_than_its_window(page, site, name, width, height):
+    page.size(width, height, mobile=width == 390)
+    _opened(page, site / name)
+    assert page.value("document.documentElement.scrollWidth") <= width
+    assert page.value("document.documentElement.clientWidth") == page.value("document.documentElement.scrollWidth")
+    if name == "index.html":
+        page.click("table[data-guide=image] tbody tr:last-child td button")
+        assert (
+            page.value(
+                "(() => { const d = document.querySelector('dialog'); return d.scrollWidth - d.clientWidth; })()"
+            )
+            == 0
+        )
+
+
+def test_a_phone_keeps_the_slider_in_sight(compare):
+    compare.size(390, 844, mobile=True)
+    compare.value("scrollTo(0, document.body.scrollHeight)")
+    box = compare.value("JSON.parse(JSON.stringify(document.querySelector('[name=view]').getBoundingClientRect()))")
+    assert 600 < box["top"] < box["bottom"] <= 844
+    assert box["width"] > 150
+    last = compare.value("[...document.querySelectorAll('.cell')].at(-1).getBoundingClientRect().bottom")
+    assert last < box["top"]
+
+
+CONTRAST = """(() => {
+  const parts = (color) => color.match(/[\\d.]+/g).map(Number);
+  const linear = (part) => part <= 0.04045 ? part / 12.92 : ((part + 0.055) / 1.055) ** 2.4;
+  const light = (color) => {
+    const [red, green, blue] = parts(color).map((part) => linear(part / 255));
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue + 0.05;
+  };
+  const ground = (node) => {
+    const color = getComputedStyle(node).backgroundColor;
+    return parts(color)[3] === 0 ? ground(node.parentElement) : color;
+  };
+  const ratio = (node) => {
+    const [words, under] = [light(getComputedStyle(node).color), light(ground(node))];
+    return Math.max(words, under) / Math.min(words, under);
+  };
+  const said = (node) => [...node.childNodes].some((child) => child.nodeType === 3 && child.data.trim());
+  const found = [...document.querySelectorAll('main *')].filter(said);
+  return found.map((node) => [ratio(node), node.outerHTML.slice(0, 80)]).sort((a, b) => a[0] - b[0])[0];
+})()"""
+"""The lowest ratio of contrast between words and what is under them, and where it is."""
+
+
+@pytest.mark.parametrize("name", ["index.html", "compare.html#scene1/image1/001"])
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_words_can_be_read_in_light_and_dark(page, site, name, scheme):
+    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+    _opened(page, site, f"/{name}")
+    ratio, where = page.value(CONTRAST)
+    assert ratio >= 4.5, where
+    ground = page.value("getComputedStyle(document.documentElement).backgroundColor")
+    assert ground == {"light": "rgb(255, 255, 255)", "dark": "rgb(29, 31, 33)"}[scheme]
+
+
+CONTROLS = {
+    *("button", "link", "checkbox", "combobox", "slider", "searchbox"),
+    *("image", "dialog", "region", "navigation", "table"),
+}
+
+
+def test_a_screen_reader_is_told_everything(page, site):
+    _opened(page, site / "index.html")
+    nodes = page.accessible()
+    assert [one for one in nodes if one["role"] in CONTROLS and not one["name"].strip()] == []
+    found = {(one["role"], " ".join(one["name"].split())) for one in nodes}
+    assert {
+        ("columnheader", "color match (lower is better)"),
+        ("rowheader", "Palette"),
+        ("searchbox", "Method"),
+        ("heading", "Track “small”, version 1"),
+        ("region", "Guided by images"),
+        ("combobox", "Figure"),
+    } <= found
+    assert any(role == "button" and name == "0.1 (95 % interval 0 to 0.2) best" for role, name in found)
+    page.value("document.body.focus()")
+    page.key("Tab")
+    assert page.value("document.activeElement.className") == "skip"
+    _opened(page, site / "compare.html")
+    nodes = page.accessible()
+    assert [one for one in nodes if one["role"] in CONTROLS and not one["name"].strip()] == []
+    assert {
+        ("slider", "View"),
+        ("button", "Play"),
+        ("combobox", "Style"),
+        ("article", "Palette"),
+        ("image", "Palette, view 1 of 4"),
+    } <= {(one["role"], one["name"]) for one in nodes}
+
+
+def test_nothing_is_asked_of_the_network(page, site):
+    asked, note = [], page._note
+
+    def listen(event):
+        if event.get("method") == "Network.requestWillBeSent":
+            asked.append(event["params"]["request"]["url"])
+        note(event)
+
+    page._note = listen
+    try:
+        for name in ("index.html", "compare.html"):
+            _opened(page, site / name)
+            page.wait("[...document.images].every((image) => image.complete)")
+    finally:
+        del page._note
+    assert len(asked) > 10
+    assert {url.partition(":")[0] for url in asked} <= {"file", "data"}
+    assert page.errors == []
+
+
+def test_pictures_are_as_good_as_the_size_allows(world, tmp_path, capsys):
+    track, results = world  # as the judge left them
+    words = [str(results), "--track", str(track), "--out", str(tmp_path / "site")]
+    main(words)
+    assert f"quality {QUALITIES[0][1]}" in capsys.readouterr().out
+    size = sum(path.stat().st_size for path in (tmp_path / "site").rglob("*.*"))
+    with Image.open(tmp_path / "site/cells/pasted/scene0/image0.webp") as strip:
+        assert strip.size == (64, 4 * 48)
+    with Image.open(tmp_path / "site/styles/image0.webp") as style:
+        assert style.size == (50, 60)
+    first = (tmp_path / "site/index.html").read_text()
+    chosen = re.findall(r'name="column" value="(\w+)" checked', first)
+    assert {"color_match", "style_retrieval", "kid"} <= set(chosen)
+    assert "style_retrieval_gray" not in chosen  # the second of its metric
+    assert 'value="style_retrieval_gray"' in first
+    bound = 0.9 * size / 1e6
+    main([*words, "--megabytes", str(bound)])  # over the first, which is replaced
+    assert f"quality {QUALITIES[0][1]}" not in capsys.readouterr().out
+    assert sum(path.stat().st_size for path in (tmp_path / "site").rglob("*.*")) <= bound * 1e6
+    before = {path: path.read_bytes() for path in (tmp_path / "site").rglob("*.*") if path.is_file()}
+    with pytest.raises(UserError, match=r"do not fit in 0\.05 MB; raise --megabytes"):
+        main([*words, "--megabytes", "0.05"])
+    assert {path: path.read_bytes() for path in (tmp_path / "site").rglob("*.*") if path.is_file()} == before
+
+
+def test_one_method_without_figures_makes_a_site(page, tmp_path):
+    track = write_track(tmp_path / "track", scenes=1, images=0, texts=1, views=2, metrics={"text": ("kid",)})
+    inputs = write_results(track, tmp_path / "results", ("noise",))
+    write_figures(inputs, tmp_path / "results", ("noise",))
+    found = json.loads((tmp_path / "results" / FIGURES).read_text())
+    found["table"][0]["figures"] = {}
+    for cell in found["cells"]:
+        cell["figures"] = {}
+    write_json(tmp_path / "results" / FIGURES, found)
+    main([str(tmp_path / "results"), "--track", str(track), "--out", str(tmp_path / "site")])
+    _opened(page, tmp_path / "site/index.html")
+    assert names(page, "text") == ["noise"]
+    page.wait("document.getElementById('plot').textContent.includes('No method')")
+    _opened(page, tmp_path / "site/compare.html")
+    assert page.value("document.querySelectorAll('.cell').length") == 1
+    assert page.errors == []
+
+
+def test_slips_are_one_line(judged, tmp_path):
+    track, results = judged
+    with pytest.raises(UserError, match=r"there is no .*figures.json; run `anystyle benchmark judge"):
+        main([str(tmp_path), "--out", str(tmp_path / "site")])
+    text = track.read_text().replace("version = 1", "version = 2")
+    (track.parent / "other.toml").write_text(text)
+    with pytest.raises(UserError, match="another version of track or judge"):
+        main([str(results), "--track", str(track.parent / "other.toml"), "--out", str(tmp_path / "site")])
+    with pytest.raises(UserError, match="--megabytes"):
+        main([str(results), "--track", str(track), "--out", str(tmp_path / "site"), "--megabytes", "nan"])
+    assert not (tmp_path / "site").exists()

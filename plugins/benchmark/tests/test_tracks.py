@@ -1,0 +1,103 @@
+"""The bundled tracks, and how files are named in one."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from benchmark_world import write_track
+from PIL import Image, ImageOps
+
+from anystyle.correspondences.rendered_depth import RenderedDepth
+from anystyle.data.images import image_size, open_image, to_tensor
+from anystyle.errors import UserError
+from anystyle.geometry.warp import sample_at
+from anystyle.io.arrays import read_array
+from anystyle.types import Frames
+from anystyle_benchmark import make_geometry
+from anystyle_benchmark.track import TRACKS, Inputs
+
+SHIPPED = ("open", "smoke", "ablation")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_a_shipped_track_is_whole_and_says_who_may_pass_it_on(name: str) -> None:
+    inputs = Inputs(name)
+    assert inputs.hashes == inputs.track.sha256
+    for entry in (*inputs.track.scenes, *(style for style in inputs.track.styles if style.image)):
+        assert entry.licence and entry.source and entry.title
+    for scene in inputs.track.scenes:
+        assert scene.licence == "Apache-2.0" or (inputs.path(scene.photographs) / "LICENCE.txt").is_file()
+        depths = [read_array(inputs.path(str(scene.geometry)) / f"{view}.npy") for view in scene.views]
+        assert all((depth > 0).mean() > 0.1 and depth.min() >= 0 for depth in depths)
+        with np.load(inputs.path(str(scene.geometry)) / "cameras.npz") as cameras:
+            assert set(scene.views) <= set(cameras["frames"])
+            assert {depth.shape for depth in depths} == {tuple(cameras["size"])}
+
+
+@pytest.mark.parametrize("name", ["open", "ablation"])
+def test_photographs_moved_by_a_tracks_depth_agree(name: str) -> None:
+    inputs = Inputs(name)
+    for scene in inputs.track.scenes:
+        folder, (height, width) = inputs.path(str(scene.geometry)), inputs.size(scene)
+        files = [inputs.photographs(scene)[view] for view in scene.views]
+        pictures = [ImageOps.fit(open_image(file), (width, height), Image.Resampling.LANCZOS) for file in files]
+        images = torch.stack([to_tensor(picture) for picture in pictures])
+        depth = torch.tensor(np.stack([read_array(folder / f"{view}.npy") for view in scene.views])).float()
+        with np.load(folder / "cameras.npz") as stored:
+            poses, lenses = (torch.tensor(stored[key]) for key in ("world_from_camera", "intrinsics"))
+        there = Frames(images, depth, poses, lenses)
+        for frames in (there, there.map(lambda tensor: tensor.flip(0))):
+            source, target = frames.map(lambda tensor: tensor[:-1]), frames.map(lambda tensor: tensor[1:])
+            flow = RenderedDepth()(source, target)
+            assert source.depth is not None and not flow.visible[source.depth == 0].any()
+            warped, still = (
+                (seen - source.images).square().mean(1)[flow.visible].mean().sqrt()
+                for seen in (sample_at(target.images, flow.displacement), target.images)
+            )
+            assert warped < 0.6 * still, scene.name
+
+
+def test_the_open_track_has_paintings_and_texts_of_the_sizes_it_promises() -> None:
+    inputs = Inputs("open")
+    assert [style.guide for style in inputs.track.styles] == ["image"] * 12 + ["text"] * 12
+    assert sum(path.stat().st_size for _, path in inputs.files() if path.is_relative_to(TRACKS)) < 10 << 20
+    assert all(min(image_size(inputs.path(str(style.image)))) > 300 for style in inputs.track.styles if style.image)
+
+
+def test_a_path_is_beside_the_track_or_an_example(tmp_path: Path) -> None:
+    inputs = Inputs("open", tmp_path)
+    assert inputs.path("photographs/street") == tmp_path / "photographs" / "street"
+    assert inputs.path("example:wave").name == "wave.jpg"
+
+
+def test_the_papers_track_says_what_its_root_lacks(tmp_path: Path) -> None:
+    inputs = Inputs("tnt", tmp_path)
+    assert len(inputs.track.scenes) == 4 and len(inputs.track.styles) == 50 and not inputs.track.sha256
+    with pytest.raises(UserError, match="Train lacks the photograph 0"):
+        _ = inputs.hashes
+
+
+def test_inputs_are_locked_by_a_command(tmp_path: Path) -> None:
+    track = write_track(tmp_path)
+    make_geometry.main([str(track), "--scenes", "--lock"])
+    assert Inputs(str(track)).hashes == Inputs(str(track)).track.sha256
+    (tmp_path / "styles" / "image0.png").write_bytes(b"another")
+    with pytest.raises(UserError, match=r"styles/image0\.png is not the file"):
+        _ = Inputs(str(track)).hashes
+    make_geometry.main([str(track), "--scenes", "--lock"])
+    assert len(Inputs(str(track)).hashes) == len(Inputs(str(track)).track.sha256)
+
+
+def test_stereo_finds_the_depth_of_a_capture(tmp_path: Path) -> None:
+    known, track = Inputs("smoke"), tmp_path / "track.toml"
+    text = (TRACKS / "smoke" / "track.toml").read_text().split("[sha256]")[0]
+    text = text.replace("../open/photographs", str(TRACKS / "open" / "photographs")).replace("../open/", "")
+    track.write_text(text)
+    make_geometry.main([str(track), "--scenes", "bronze_axe"])
+    made = Inputs(str(track))
+    view = made.scene("bronze_axe").views[0]
+    depth, reference = (read_array(i.path(str(i.scene("bronze_axe").geometry)) / f"{view}.npy") for i in (made, known))
+    both = (depth > 0) & (reference[1::2, 1::2] > 0)
+    assert depth.shape == made.size(made.scene("bronze_axe")) and both.mean() > 0.1
+    assert np.median(np.abs(depth / reference[1::2, 1::2].clip(1e-3) - 1)[both]) < 0.02
