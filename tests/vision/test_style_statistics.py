@@ -6,6 +6,7 @@ import torch
 from skimage.exposure import equalize_hist
 
 from anystyle.data.images import read_image
+from anystyle.evaluation.judge import judge_scene
 from anystyle.metrics.style_retrieval import StyleRetrieval
 from anystyle.testing.inputs import images
 from anystyle.types import Comparison, Style
@@ -85,6 +86,23 @@ def test_scenes_that_show_their_painting_are_found_and_others_not(network, paint
             "style_retrieval": expected,
             "style_retrieval_gray": expected,
         }
+
+
+def test_each_style_is_found_or_not_among_all_that_are_to_be_told_apart(network, paintings):
+    """Two styles show their own painting, or both show one of the gallery's that neither is."""
+    found = {}
+    for shown in ((0, 1), (2, 3)):
+        crops = [paintings[index][None, None, :, 20:148, 10:138] for index in shown]
+        metric = StyleRetrieval()
+        metric.gallery = list(paintings)
+        rows = (
+            Comparison(content=crop, stylized=crop, style=Style(image=paintings[index][None]), scenes=("one",))
+            for index, crop in enumerate(crops)
+        )
+        found[shown] = judge_scene({"retrieval": metric}, rows)["retrieval"]
+    assert [figures.figures["style_retrieval"] for figures in found.values()] == [1.0, 0.0]
+    assert [row["style_retrieval_gray"] for row in found[0, 1].styles.values()] == [1.0, 1.0]
+    assert [row["style_retrieval"] for row in found[2, 3].styles.values()] == [0.0, 0.0]
 
 
 def _square(image):

@@ -63,6 +63,8 @@ SIDE = 224
 LUMA = (0.299, 0.587, 0.114)
 """ITU-R BT.601."""
 EPSILON = 1e-6
+CHUNK = 1024
+"""Pixels whose kernels are in memory at once: few enough for a processor's cache."""
 
 
 def style_statistics(network: FeatureNetwork, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
@@ -102,18 +104,22 @@ def rgb_uv_histogram(
         images = F.interpolate(images, size=(limit, limit), mode="bilinear", align_corners=False)
     pixels = images.clamp(0, 1).flatten(2)  # M 3 S
     intensity = (pixels.square().sum(1) + EPSILON).sqrt()  # M S
-    logs = (pixels + EPSILON).log()
-    centres = torch.linspace(-3, 3, bins, dtype=images.dtype, device=images.device)
+    logs = (pixels + EPSILON).log() / width
+    centres = torch.linspace(-3, 3, bins, dtype=images.dtype, device=images.device) / width
+    one = images.new_ones(())
 
     def kernel(chroma: Tensor) -> Tensor:
-        return 1 / (1 + ((chroma[..., None] - centres) / width).square())  # M S bins
+        distance = chroma[..., None] - centres
+        return torch.addcmul(one, distance, distance).reciprocal()  # M S bins
 
-    planes = []
-    for base, (first, second) in enumerate(((1, 2), (0, 2), (0, 1))):
-        u = kernel(logs[:, base] - logs[:, first])
-        v = kernel(logs[:, base] - logs[:, second])
-        planes.append((intensity[..., None] * u).mT @ v)
-    histogram = torch.stack(planes, dim=1)
+    def planes(red: Tensor, green: Tensor, blue: Tensor, weight: Tensor) -> Tensor:
+        rg, rb, gb = (kernel(chroma) for chroma in (red - green, red - blue, green - blue))
+        gr, br, bg = (each.flip(-1) for each in (rg, rb, gb))  # the centres are symmetric
+        pairs = ((rg, rb), (gr, gb), (br, bg))
+        return torch.stack([(weight[..., None] * u).mT @ v for u, v in pairs], dim=1)
+
+    parts = zip(logs.split(CHUNK, dim=-1), intensity.split(CHUNK, dim=-1), strict=True)
+    histogram = torch.stack([planes(log[:, 0], log[:, 1], log[:, 2], weight) for log, weight in parts]).sum(0)
     return histogram / (histogram.sum((1, 2, 3), keepdim=True) + EPSILON)
 
 
