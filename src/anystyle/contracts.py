@@ -308,6 +308,9 @@ class Metric(Socket, torchmetrics.Metric, ABC):
     weights: Mapping[str, str] = MappingProxyType({})
     """Set by an instance: the SHA-256 of every file of weights that figures rest on, by the file's name."""
 
+    gallery: Sequence[Float[Tensor, "3 h w"]] = ()
+    """Set by who judges: style images to be told apart, beside those of what is judged."""
+
     is_differentiable = False
 
     def __init_subclass__(cls, **options: Any) -> None:
@@ -321,6 +324,10 @@ class Metric(Socket, torchmetrics.Metric, ABC):
     @abstractmethod
     def compute(self) -> dict[str, Tensor]:
         """The figures over all that was taken in; ``nan`` with a warning where there was too little."""
+
+    def of_each_row(self) -> dict[str, Float[Tensor, " N"]]:
+        """Figures that each row taken in, in order, has only beside the others of its scene."""
+        return {}
 
     def plot(self, val: Any = None, ax: Any = None) -> Any:
         """Draw figures as other metrics of torchmetrics do; needs matplotlib (``pip install "anystyle[report]"``).
@@ -394,7 +401,9 @@ class Format(Socket, ABC):
     """A file format of Gaussian scenes; its name is the suffix of the files."""
 
     up: ClassVar[str] = "opencv"
-    """Axes that readers of the format expect: ``opencv``, ``y`` or ``z`` up."""
+    """Axes of the format's files, unless they say otherwise: ``opencv``, ``y`` or ``z`` up."""
+    reads: ClassVar[bool] = False
+    """Whether files are read, too."""
     has_notes: ClassVar[bool] = False
     """Whether a file has room for :attr:`~anystyle.types.StyledScene.notes`."""
 
@@ -413,6 +422,14 @@ class Format(Socket, ABC):
         Raises:
             UserError: The format cannot hold the scene.
         """
+
+    def read(self, path: Path) -> StyledScene:
+        """Read a scene in the file's own axes, which are its ``up``; without cameras where the file has none.
+
+        Raises:
+            UserError: The file is damaged, or none of this format.
+        """
+        raise UserError(f"{path}: files of this format are written, and not read")
 
 
 @torch.no_grad()

@@ -20,7 +20,7 @@ from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.splats import encode_saved
 from anystyle.pipeline.stages import Stages
-from anystyle.types import Gaussians
+from anystyle.types import Gaussians, StyledScene
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from known_scene import photographed_wall, rig, wall
 from methods.worlds import painting
@@ -55,6 +55,10 @@ def file(tmp_path):
     return path
 
 
+def alone(gaussians):
+    return StyledScene((("scene", gaussians),))
+
+
 def transforms(folder, cameras):
     frames = [
         {"file_path": f"images/{view}.png", "transform_matrix": (pose @ np.diag([1, -1, -1, 1])).tolist()}
@@ -87,17 +91,17 @@ def test_the_command_gives_the_file_back_with_other_colours(file, tmp_path, keep
 
 
 def test_a_file_in_other_axes_is_seen_upright_and_comes_back_in_ours(tmp_path):
-    """Rings of cameras look at y up and at OpenCV's axes alike once they are said."""
+    """Rings of cameras look at z up and at OpenCV's axes alike once they are said, or stated by the file."""
     stylizer = anystyle.load()
     encoded = {}
     for up in ("opencv", "z"):
         export(glossy(), tmp_path / f"{up}.ply", "ply", up=up)
-        options = SplatOptions(cameras=2, up=up)
+        options = SplatOptions(cameras=2, up=None if up == "z" else up)
         encoded[up] = encode_saved(tmp_path / f"{up}.ply", stylizer, ViewOptions(short_side=28), options, Stages())
     torch.testing.assert_close(encoded["z"].views.images, encoded["opencv"].views.images, rtol=0, atol=2e-3)
     torch.testing.assert_close(Restyler(encoded["z"], Branch()).unstyled.means, glossy().means, rtol=0, atol=1e-5)
     assert encoded["opencv"].splat is not None and encoded["z"].splat is None
-    with pytest.raises(ValueError, match="choose one of opencv, y, z"):
+    with pytest.raises(ValueError, match="choose one of None, opencv, y, z"):
         SplatOptions(up="x")
 
 
@@ -106,7 +110,7 @@ def test_cameras_that_are_stored_see_what_they_saw(tmp_path):
     wall().save(tmp_path / "scene.ply")
     transforms(tmp_path, cameras)
     seen, sources, origin = splats.cameras_of(
-        tmp_path / "scene.ply", wall(), ViewOptions(short_side=40), SplatOptions(cameras=5), 8, 224
+        tmp_path / "scene.ply", alone(wall()), ViewOptions(short_side=40), SplatOptions(cameras=5), 8, 224
     )
     assert origin == "stored beside it" and [source.name for source in sources] == list("01234")
     assert seen.size == (40, 48)
@@ -122,7 +126,7 @@ def test_cameras_around_a_scene_see_it_whole(tmp_path):
     scene = replace(scene, **{**parts, "means": far})
     scene.opacities[0, -1] = 0.01
     seen, sources, origin = splats.cameras_of(
-        tmp_path / "scene.ply", scene, ViewOptions(), SplatOptions(cameras=6), 14, 112
+        tmp_path / "scene.ply", alone(scene), ViewOptions(), SplatOptions(cameras=6), 14, 112
     )
     assert origin == "chosen around the scene" and len(sources) == 6 and seen.size == (112, 112)
     with torch.no_grad():

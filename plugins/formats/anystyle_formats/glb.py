@@ -2,70 +2,88 @@
 
 Gaussians are points with linear scales, opacities in [0, 1] and quaternions xyzw; glTF's axes are y up. Viewers that
 do not know the extension show ``COLOR_0``.
+
+Each style is a scene of the file, the last the one that is shown; all share positions, and whatever else they have in
+common. Variants of materials would not do: the extension ignores materials.
 """
 
 import json
 import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from math import isqrt
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
 
 from anystyle.contracts import Format
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.io.atomic import atomic_path
+from anystyle.io.documents import parse_json
 from anystyle.io.ply import MAX_DEGREE, Splats
-from anystyle.types import StyledScene
+from anystyle.types import Gaussians, StyledScene
+from anystyle_formats import spz
+from anystyle_formats.reading import gaussians, joined, moved, reading, room_for
 
-NAME = "KHR_gaussian_splatting"
+NAME, PACKED = "KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"
 _FLOAT, _UNSIGNED_BYTE, _POINTS, _ARRAY_BUFFER = 5126, 5121, 0, 34962
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
+_COMPONENTS = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_JSON, _BIN = b"JSON", b"BIN\0"
 
 
 class Glb(Format):
-    """Binary glTF 2.0 with the extension ``KHR_gaussian_splatting``."""
+    """Binary glTF 2.0 with the extension ``KHR_gaussian_splatting``; each style is a scene of it."""
 
     up = "y"
-    has_notes = True
+    has_notes = many_styles = reads = True
 
     def write(self, scene: StyledScene, path: Path) -> None:
-        attributes = _attributes(scene.splats())
         accessors: list[dict[str, object]] = []
         views: list[dict[str, object]] = []
-        binary = b""
-        for index, (name, values) in enumerate(attributes.items()):
+        parts: list[bytes] = []
+        known: dict[bytes, int] = {}
+
+        def accessor(values: NDArray[Any], name: str) -> int:
+            """The index of an accessor; styles share what they have in common."""
             data = values.tobytes()
-            views.append({"buffer": 0, "byteOffset": len(binary), "byteLength": len(data), "target": _ARRAY_BUFFER})
-            accessor = {"bufferView": index, "count": len(values), "type": _TYPES[values.shape[1]]}
+            if data in known:
+                return known[data]
+            start = sum(map(len, parts))
+            views.append({"buffer": 0, "byteOffset": start, "byteLength": len(data), "target": _ARRAY_BUFFER})
+            entry: dict[str, object] = {"bufferView": len(views) - 1, "count": len(values)}
+            entry |= {"type": _TYPES[values.shape[1]], "componentType": _FLOAT}
             if values.dtype == np.uint8:
-                accessor |= {"componentType": _UNSIGNED_BYTE, "normalized": True}
-            else:
-                accessor |= {"componentType": _FLOAT}
+                entry |= {"componentType": _UNSIGNED_BYTE, "normalized": True}
             if name == "POSITION":
-                accessor |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
-            accessors.append(accessor)
-            binary += data + b"\0" * (-len(data) % 4)
-        splatting = {
-            "kernel": "ellipse",
-            "colorSpace": "srgb_rec709_display",
-            "sortingMethod": "cameraDistance",
-            "projection": "perspective",
-        }
-        primitive = {
-            "attributes": {name: index for index, name in enumerate(attributes)},
-            "mode": _POINTS,
-            "extensions": {NAME: splatting},
-        }
+                entry |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
+            accessors.append(entry)
+            parts.append(data + b"\0" * (-len(data) % 4))
+            return known.setdefault(data, len(accessors) - 1)
+
+        titles, kernel = (
+            [title for title, _ in scene.styles],
+            {"kernel": "ellipse", "colorSpace": "srgb_rec709_display"},
+        )
+        kernel |= {"sortingMethod": "cameraDistance", "projection": "perspective"}
+        meshes: list[dict[str, object]] = []
+        for style, title in enumerate(titles):
+            columns = _attributes(scene.splats(style))
+            attributes = {name: accessor(values, name) for name, values in columns.items()}
+            primitive = {"attributes": attributes, "mode": _POINTS, "extensions": {NAME: kernel}}
+            meshes.append({"name": title, "primitives": [primitive]})
+        binary = b"".join(parts)
         document = {
             "asset": {"version": "2.0", "generator": "anystyle", "copyright": "\n".join(scene.notes)},
             "extensionsUsed": [NAME],
-            "scene": 0,
-            "scenes": [{"nodes": [0]}],
-            "nodes": [{"mesh": 0}],
-            "meshes": [{"primitives": [primitive]}],
+            "scene": len(titles) - 1,
+            "scenes": [{"name": title, "nodes": [style]} for style, title in enumerate(titles)],
+            "nodes": [{"name": title, "mesh": style} for style, title in enumerate(titles)],
+            "meshes": meshes,
             "buffers": [{"byteLength": len(binary)}],
             "bufferViews": views,
             "accessors": accessors,
@@ -75,16 +93,31 @@ class Glb(Format):
         with atomic_path(path) as temporary:
             temporary.write_bytes(
                 struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + len(binary))
-                + struct.pack("<I4s", len(text), b"JSON") + text
-                + struct.pack("<I4s", len(binary), b"BIN\0") + binary
+                + struct.pack("<I4s", len(text), _JSON) + text
+                + struct.pack("<I4s", len(binary), _BIN) + binary
             )  # fmt: skip
+
+    def read(self, path: Path) -> StyledScene:
+        with reading(path, "GLB file"):
+            chunks = dict(_chunks(path.read_bytes()))
+            document = parse_json(chunks[_JSON], _Document, source=str(path), what="GLB file")
+            file = _File(path, document, chunks.get(_BIN, b""))
+            shown = document.scene if document.scene is not None else 0
+            order = [index for index in range(len(document.scenes)) if index != shown]
+            scenes = {index: file.scene(index) for index in [*order, shown]}
+            styles = [(document.scenes[index].name or path.stem, scene) for index, scene in scenes.items() if scene]
+            if not styles or scenes[shown] is None:
+                raise ValueError(f"what it shows has no primitive with the extension {NAME}")
+        alike = tuple(style for style in styles if style[1].means.shape == styles[-1][1].means.shape)
+        return StyledScene(alike, notes=tuple(document.asset.copyright.splitlines()), up=self.up)
 
 
 def _attributes(splats: Splats) -> dict[str, NDArray[Any]]:
     """Vertex attributes by name, in the order of the file: float32 or uint8, ``N`` rows."""
     means, rotations, scales, opacities, harmonics = (tensor.detach().float().cpu() for tensor in splats)
     rgb = rgb_from_constant(harmonics[:, 0]).clamp(0, 1)
-    color = np.concatenate([rgb.numpy(), opacities[:, None].clamp(0, 1).numpy()], 1)
+    linear = torch.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)  # as vertex colours are
+    color = np.concatenate([linear.numpy(), opacities[:, None].clamp(0, 1).numpy()], 1)
     columns: dict[str, NDArray[Any]] = {
         "POSITION": means.numpy(),
         "COLOR_0": (color * 255).round().astype(np.uint8),
@@ -96,3 +129,155 @@ def _attributes(splats: Splats) -> dict[str, NDArray[Any]]:
         for order in range(2 * degree + 1):
             columns[f"{NAME}:SH_DEGREE_{degree}_COEF_{order}"] = harmonics[:, degree * degree + order].numpy()
     return {name: np.ascontiguousarray(values) for name, values in columns.items()}
+
+
+# What is read of a document; names are glTF's.
+
+
+@dataclass(frozen=True)
+class _Accessor:
+    count: int
+    type: str
+    componentType: int
+    bufferView: int | None = None
+    byteOffset: int = 0
+    normalized: bool = False
+    sparse: object = None
+
+
+@dataclass(frozen=True)
+class _View:
+    byteLength: int
+    byteOffset: int = 0
+    byteStride: int = 0
+
+
+@dataclass(frozen=True)
+class _Primitive:
+    attributes: dict[str, int] = field(default_factory=dict)
+    extensions: dict[str, dict[str, Any]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class _Mesh:
+    primitives: list[_Primitive]
+
+
+@dataclass(frozen=True)
+class _Node:
+    mesh: int | None = None
+    children: list[int] = field(default_factory=list)
+    matrix: list[float] | None = None
+    translation: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def local(self) -> NDArray[np.float64]:
+        """The node's own transformation: 4 4."""
+        if self.matrix is not None:
+            return np.array(self.matrix).reshape(4, 4).T
+        x, y, z, w = self.rotation
+        turn = np.array(
+            [
+                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+            ]
+        )
+        whole = np.eye(4)
+        whole[:3, :3], whole[:3, 3] = turn * self.scale, self.translation
+        return whole
+
+
+@dataclass(frozen=True)
+class _Roots:
+    nodes: list[int] = field(default_factory=list)
+    name: str = ""
+
+
+@dataclass(frozen=True)
+class _Asset:
+    version: str
+    copyright: str = ""
+
+
+@dataclass(frozen=True)
+class _Document:
+    asset: _Asset
+    scenes: list[_Roots]
+    nodes: list[_Node]
+    meshes: list[_Mesh]
+    accessors: list[_Accessor] = field(default_factory=list)
+    bufferViews: list[_View] = field(default_factory=list)
+    scene: int | None = None
+
+
+@dataclass(frozen=True)
+class _File:
+    path: Path
+    document: _Document
+    binary: bytes
+
+    def scene(self, index: int) -> Gaussians | None:
+        """All Gaussians of a scene of the file, where it has some."""
+        found = [
+            moved(part, world)
+            for root in self.document.scenes[index].nodes
+            for part, world in self._below(root, np.eye(4), 0)
+        ]
+        return joined(found) if found else None
+
+    def _below(
+        self, index: int, parent: NDArray[np.float64], depth: int
+    ) -> Iterator[tuple[Gaussians, NDArray[np.float64]]]:
+        if depth > len(self.document.nodes):
+            raise ValueError("its nodes are their own children")
+        node = self.document.nodes[index]
+        world = parent @ node.local()
+        for primitive in self.document.meshes[node.mesh].primitives if node.mesh is not None else []:
+            if NAME in primitive.extensions:
+                yield self._splats(primitive, primitive.extensions[NAME]), world
+        for child in node.children:
+            yield from self._below(child, world, depth + 1)
+
+    def _splats(self, primitive: _Primitive, how: Mapping[str, Any]) -> Gaussians:
+        if how.get("kernel") != "ellipse" or how.get("colorSpace") != "srgb_rec709_display":
+            raise ValueError(f"kernel {how.get('kernel')!r} in {how.get('colorSpace')!r}; ellipses in sRGB are read")
+        if PACKED in how.get("extensions", {}):
+            view = self.document.bufferViews[how["extensions"][PACKED]["bufferView"]]
+            return spz.decoded(self.binary[view.byteOffset : view.byteOffset + view.byteLength], self.path)
+        given = primitive.attributes
+        degrees = [degree for degree in range(MAX_DEGREE + 1) if f"{NAME}:SH_DEGREE_{degree}_COEF_0" in given]
+        names = [f"{NAME}:SH_DEGREE_{degree}_COEF_{order}" for degree in degrees for order in range(2 * degree + 1)]
+        return gaussians(
+            self._column(given["POSITION"]),
+            self._column(given[f"{NAME}:ROTATION"])[:, [3, 0, 1, 2]],
+            self._column(given[f"{NAME}:SCALE"]),
+            self._column(given[f"{NAME}:OPACITY"])[:, 0],
+            np.stack([self._column(given[name]) for name in names], 1),
+        )
+
+    def _column(self, index: int) -> NDArray[np.float64]:
+        """The values of an accessor, one row an element."""
+        entry = self.document.accessors[index]
+        if entry.sparse is not None or entry.bufferView is None:
+            raise ValueError("sparse accessors are not read")
+        view, width = self.document.bufferViews[entry.bufferView], {name: n for n, name in _TYPES.items()}[entry.type]
+        kind = np.dtype(_COMPONENTS[entry.componentType])
+        data = self.binary[view.byteOffset : view.byteOffset + view.byteLength]
+        strides = (view.byteStride or width * kind.itemsize, kind.itemsize)
+        shape = (room_for(self.path, entry.count), width)
+        values = np.ndarray(shape, kind, data, entry.byteOffset, strides).astype(np.float64)
+        return values / np.iinfo(kind).max if entry.normalized else values
+
+
+def _chunks(data: bytes) -> Iterator[tuple[bytes, bytes]]:
+    """The chunks of a file by their type."""
+    magic, version, length = struct.unpack_from("<4sII", data)
+    if magic != b"glTF" or version != 2:
+        raise ValueError("its header is not that of version 2")
+    at = 12
+    while at + 8 <= min(length, len(data)):
+        size, kind = struct.unpack_from("<I4s", data, at)
+        yield kind, data[at + 8 : at + 8 + size]
+        at += 8 + size

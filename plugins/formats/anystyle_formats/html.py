@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from anystyle.contracts import Format
 from anystyle.errors import UserError
+from anystyle.geometry.cameras import looking_at
 from anystyle.io.atomic import atomic_path
 from anystyle.io.ply import Splats
 from anystyle.types import Cameras, StyledScene
@@ -45,7 +46,7 @@ class Html(Format):
             "title": scene.title,
             "notes": list(scene.notes),
             "first": len(styles) - 1,
-            "cameras": _cameras(scene.cameras),
+            "cameras": _cameras(scene.cameras if scene.names else looking_at(means, styles[0].opacities)),
         }
         assets = files("anystyle_formats") / "page"
         page = Template((assets / "page.html").read_text(encoding="utf-8")).substitute(

@@ -1,4 +1,4 @@
-"""SOG, version 2: quantised attributes as lossless WebP images and ``meta.json`` in one archive.
+"""SOG, version 2: quantised attributes as lossless WebP images and ``meta.json`` in one archive; version 1 is read.
 
 The format is described in PlayCanvas's user manual (developer.playcanvas.com, "The SOG format"). Its axes are those of
 3DGS PLY files: programs that read both rotate both alike.
@@ -7,6 +7,7 @@ The format is described in PlayCanvas's user manual (developer.playcanvas.com, "
 import io
 import json
 import zipfile
+from dataclasses import dataclass, field
 from math import ceil, isqrt, sqrt
 from pathlib import Path
 
@@ -18,9 +19,13 @@ from scipy.spatial import KDTree
 
 from anystyle.contracts import Format
 from anystyle.io.atomic import atomic_path
-from anystyle.io.ply import MAX_DEGREE
+from anystyle.io.documents import parse_json
+from anystyle.io.images import decodable, opened
+from anystyle.io.limits import require
+from anystyle.io.ply import MAX_DEGREE, from_smallest_three
 from anystyle.types import StyledScene
 from anystyle_formats.packing import morton_order, smallest_three
+from anystyle_formats.reading import gaussians, reading, room_for
 
 PALETTE = 65_536
 """The format's limit on distinct sets of higher harmonics."""
@@ -31,7 +36,7 @@ _SCALE_FLOOR = 1e-12
 class Sog(Format):
     """SOG, as PlayCanvas reads it: attributes as images in one ZIP file."""
 
-    has_notes = True
+    has_notes = reads = True
 
     def write(self, scene: StyledScene, path: Path) -> None:
         splats = scene.splats()
@@ -77,6 +82,77 @@ class Sog(Format):
         with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_STORED) as archive:
             for name, data in {"meta.json": json.dumps(meta).encode(), **images}.items():
                 archive.writestr(zipfile.ZipInfo(name), data)
+
+    def read(self, path: Path) -> StyledScene:
+        with reading(path, "SOG file"), zipfile.ZipFile(path) as archive:
+            meta = parse_json(_member(archive, "meta.json"), _Meta, source=str(path), what="SOG file")
+            count = room_for(path, meta.count or meta.means.shape[0])
+
+            def bytes_of(name: str, rows: int | None = count) -> NDArray[np.uint8]:
+                """Pixels in RGBA, row by row: rows 4."""
+                with opened(_member(archive, name), f"{path}: {name}") as image:
+                    decodable(image, 1 << 16)
+                    pixels = np.asarray(image.convert("RGBA")).reshape(-1, 4)
+                if len(pixels) < (rows or 0):
+                    raise ValueError(f"{name} has {len(pixels):,} pixels for {rows:,} Gaussians")
+                return pixels[:rows]
+
+            low, high = (bytes_of(name)[:, :3].astype(np.int64) for name in meta.means.files)
+            far = meta.means.between((low | high << 8) / 65535)
+            turns = bytes_of(meta.quats.files[0])
+            wxyz = from_smallest_three(turns[:, 3].astype(np.int64) - 252, (turns[:, :3] / 255 - 0.5) * sqrt(2))
+            color = bytes_of(meta.sh0.files[0])
+            alpha = color[:, 3] / 255
+            if not meta.sh0.codebook:
+                alpha = 1 / (1 + np.exp(-meta.sh0.between(color / 255)[:, 3]))
+            harmonics = meta.sh0.decoded(color)[:, None, :3]
+            if meta.shN is not None:
+                label, book = bytes_of(meta.shN.files[1]).astype(np.int64), bytes_of(meta.shN.files[0], None)
+                with opened(_member(archive, meta.shN.files[0]), str(path)) as image:
+                    columns = image.width // 64  # coefficients, side by side, of 64 centroids a row of pixels
+                centroids = meta.shN.decoded(book[:, :3]).reshape(-1, columns, 3)
+                harmonics = np.concatenate([harmonics, centroids[label[:, 0] | label[:, 1] << 8]], 1)
+            scales = np.exp(meta.scales.decoded(bytes_of(meta.scales.files[0])[:, :3]))
+            scene = gaussians(np.sign(far) * np.expm1(np.abs(far)), wxyz, scales, alpha, harmonics)
+        notes = tuple(str(meta.asset.get("copyright", "")).splitlines())
+        return StyledScene(((path.stem, scene),), notes=notes)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """An attribute in ``meta.json``: files, and a codebook of 256 values, or bounds of evenly spaced ones."""
+
+    files: list[str]
+    mins: list[float] | float = 0.0
+    maxs: list[float] | float = 1.0
+    codebook: list[float] = field(default_factory=list)
+    shape: list[int] = field(default_factory=lambda: [0])
+
+    def between(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Fractions of the range of each channel."""
+        low, high = np.array(self.mins), np.array(self.maxs)
+        return low + (high - low) * values
+
+    def decoded(self, index: NDArray[np.uint8]) -> NDArray[np.float64]:
+        return np.array(self.codebook)[index] if self.codebook else self.between(index / 255)
+
+
+@dataclass(frozen=True)
+class _Meta:
+    """``meta.json``; version 1 has the count in the shape of the means, and no codebooks."""
+
+    means: _Part
+    scales: _Part
+    quats: _Part
+    sh0: _Part
+    shN: _Part | None = None
+    count: int = 0
+    asset: dict[str, object] = field(default_factory=dict)
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> bytes:
+    require(archive.getinfo(name).file_size, name, "a smaller file")
+    return archive.read(name)
 
 
 def codebook(values: NDArray[np.float64], rounds: int = 32) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:

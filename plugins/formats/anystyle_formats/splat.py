@@ -8,6 +8,7 @@ import torch.nn.functional as F
 from anystyle.contracts import Format
 from anystyle.io.atomic import atomic_path
 from anystyle.types import StyledScene
+from anystyle_formats.reading import gaussians, reading
 
 ROW = np.dtype([("position", "<f4", 3), ("scale", "<f4", 3), ("color", "u1", 4), ("rotation", "u1", 4)])
 _CONSTANT = 0.28209479177387814  # the constant spherical harmonic
@@ -15,6 +16,8 @@ _CONSTANT = 0.28209479177387814  # the constant spherical harmonic
 
 class Splat(Format):
     """The ``.splat`` format of web viewers: 32 bytes a Gaussian, without view-dependent colour and notes."""
+
+    reads = True
 
     def write(self, scene: StyledScene, path: Path) -> None:
         splats = scene.splats()
@@ -28,3 +31,12 @@ class Splat(Format):
         rows["rotation"] = np.round(unit * 128 + 128).clip(0, 255)
         with atomic_path(path) as temporary:
             temporary.write_bytes(rows[order].tobytes())
+
+    def read(self, path: Path) -> StyledScene:
+        with reading(path, ".splat file"):
+            rows = np.frombuffer(path.read_bytes(), ROW)
+            color = rows["color"] / 255
+            harmonics = (color[:, None, :3] - 0.5) / _CONSTANT
+            turns = (rows["rotation"].astype(np.float64) - 128) / 128
+            scene = gaussians(rows["position"], turns, rows["scale"], color[:, 3], harmonics)
+        return StyledScene(((path.stem, scene),))

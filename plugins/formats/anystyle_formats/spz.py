@@ -1,10 +1,11 @@
-"""SPZ, version 3, as described at github.com/nianticlabs/spz: the newest version without Zstandard.
+"""SPZ, as described at github.com/nianticlabs/spz: version 3, the last without Zstandard, is written, 1 to 4 are read.
 
-Its axes are right, up, back. It has no field for notes.
+Its axes are right, up, back, unless an extension of Adobe's says otherwise. It has no field for notes.
 """
 
 import gzip
 import struct
+import zlib
 from math import floor, isqrt, log2, sqrt
 from pathlib import Path
 
@@ -15,20 +16,26 @@ from numpy.typing import NDArray
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
-from anystyle.io.ply import MAX_DEGREE
-from anystyle.types import StyledScene
+from anystyle.io.ply import MAX_DEGREE, from_smallest_three
+from anystyle.types import Gaussians, StyledScene
 from anystyle_formats.packing import smallest_three
+from anystyle_formats.reading import gaussians, reading, room_for
 
 MAGIC, VERSION = 0x5053474E, 3
 MAX_FRACTION_BITS = 18
 """Fractional bits of a fixed-point coordinate; large scenes get fewer."""
 _COLOR_SCALE = 0.15
+_AXES, _UP = 0xADBE0003, {4: "y", 6: "opencv", 12: "z"}
+"""Of the extension ``SPZ_ADOBE_coordinate_system``: its type, and the numbers of axes that there are here."""
+_HALVES, _FIRST_THREE, _ZSTD = 1, 2, 4
+"""Versions: the only one of half-precision positions, the last of three bytes a rotation, the first of Zstandard."""
 
 
 class Spz(Format):
     """SPZ, as Niantic publishes it: compressed to about a tenth of a PLY file."""
 
     up = "y"
+    reads = True
 
     def write(self, scene: StyledScene, path: Path) -> None:
         means, rotations, scales, opacities, harmonics = (tensor.detach().double().cpu() for tensor in scene.splats())
@@ -49,6 +56,98 @@ class Spz(Format):
         header = struct.pack("<IIIBBBB", MAGIC, VERSION, len(means), degree, bits, 0, 0)
         with atomic_path(path) as temporary:
             temporary.write_bytes(gzip.compress(header + b"".join(column.tobytes() for column in columns), mtime=0))
+
+    def read(self, path: Path) -> StyledScene:
+        with reading(path, "SPZ file"):
+            data = path.read_bytes()
+            scene, up = decoded(data, path), _said(data) or self.up
+        return StyledScene(((path.stem, scene),), up=up)
+
+
+def _said(data: bytes) -> str | None:
+    """The axes that the record of an extension between the header of version 4 and the table names."""
+    at, end = (32, struct.unpack_from("<I", data, 16)[0]) if _is_zstd(data) and data[14] & 2 else (0, 0)
+    while at + 12 <= end:
+        kind, size, value = struct.unpack_from("<III", data, at)
+        if kind == _AXES:
+            if value not in _UP:
+                raise ValueError(f"its axes have the number {value}; right-handed ones with x to the right are read")
+            return _UP[value]
+        at += 8 + size
+    return None
+
+
+def _is_zstd(data: bytes) -> bool:
+    return data[:4] == MAGIC.to_bytes(4, "little")
+
+
+def decoded(data: bytes, path: Path) -> Gaussians:
+    """The Gaussians of a file's content; the path is for messages."""
+    packed = _is_zstd(data)
+    stream = zlib.decompressobj(31)
+    header = data if packed else stream.decompress(data, 16)
+    magic, version, count, degree, bits, _, streams = struct.unpack_from("<IIIBBBB", header)
+    if magic != MAGIC or packed != (version >= _ZSTD) or not 1 <= version <= _ZSTD or degree > 4:
+        raise ValueError(
+            f"version {version} with harmonics of degree {degree}; versions 1 to 4 and degrees 0 to 4 exist"
+        )
+    count, higher = room_for(path, count), (degree + 1) ** 2 - 1
+    widths = [6 if version == _HALVES else 9, 1, 3, 3, 3 if version <= _FIRST_THREE else 4, 3 * higher]
+    parts = (
+        _zstd(data, streams, count * sum(widths))
+        if packed
+        else [stream.decompress(stream.unconsumed_tail, count * sum(widths))]
+    )
+    whole = np.frombuffer(b"".join(parts), np.uint8)
+    if len(whole) != count * sum(widths):
+        raise ValueError(f"{len(whole):,} bytes of {count:,} Gaussians, which take {count * sum(widths):,}")
+    ends = np.cumsum([count * width for width in widths])[:-1]
+    position, alpha, color, scale, turn, rest = (
+        part.reshape(count, width) for part, width in zip(np.split(whole, ends), widths, strict=True)
+    )
+    harmonics = (rest.reshape(count, higher, 3) - 128.0) / 128
+    constant = (color[:, None] / 255 - 0.5) / _COLOR_SCALE
+    return gaussians(
+        position.view("<f2") if version == _HALVES else _fixed(position) / 2**bits,
+        (_first_three(turn) if version <= _FIRST_THREE else _smallest_three(turn.view("<u4")[:, 0]))[:, [3, 0, 1, 2]],
+        np.exp(scale / 16 - 10),
+        alpha[:, 0] / 255,
+        np.concatenate([constant, harmonics], 1),
+    )
+
+
+def _zstd(data: bytes, streams: int, expected: int) -> list[bytes]:
+    """The streams of version 4, one an attribute, behind a table of their sizes."""
+    try:
+        import zstandard
+    except ModuleNotFoundError:
+        raise ImportError('SPZ files of version 4 need zstandard: pip install "anystyle[spz]"') from None
+    (start,) = struct.unpack_from("<I", data, 16)
+    sizes = struct.unpack_from(f"<{2 * streams}Q", data, start)
+    if sum(sizes[1::2]) != expected:
+        raise ValueError(f"{sum(sizes[1::2]):,} bytes of Gaussians that take {expected:,}")
+    at, parts = start + 16 * streams, []
+    for packed, size in zip(sizes[::2], sizes[1::2], strict=True):
+        parts.append(zstandard.ZstdDecompressor().stream_reader(data[at : at + packed]).read(size))
+        at += packed
+    return parts
+
+
+def _fixed(position: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Signed integers of three bytes."""
+    low, middle, high = np.moveaxis(position.reshape(-1, 3, 3).astype(np.int64), -1, 0)
+    return low | middle << 8 | (high ^ 128) - 128 << 16
+
+
+def _first_three(xyz: NDArray[np.uint8]) -> NDArray[np.float64]:
+    imaginary = xyz / 127.5 - 1
+    return np.concatenate([imaginary, np.sqrt((1 - np.square(imaginary).sum(1, keepdims=True)).clip(0))], 1)
+
+
+def _smallest_three(packed: NDArray[np.uint32]) -> NDArray[np.float64]:
+    fields = np.stack([packed >> shift & 1023 for shift in (20, 10, 0)], 1)
+    others = (fields & 511) / 511 / sqrt(2) * np.where(fields >> 9, -1, 1)
+    return from_smallest_three((packed >> 30).astype(np.int64), others)
 
 
 def _bytes(values: NDArray[np.float64]) -> NDArray[np.uint8]:

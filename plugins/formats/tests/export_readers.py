@@ -5,14 +5,15 @@ import json
 import shutil
 import subprocess
 import zipfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import torch
 from PIL import Image
 
-from anystyle.pipeline.export import from_axes
-from anystyle.types import Gaussians
+from anystyle.pipeline.export import in_axes
+from anystyle.types import Gaussians, StyledScene
 
 SPLAT_TRANSFORM = shutil.which("splat-transform")
 """PlayCanvas's converter (npm install -g @playcanvas/splat-transform); reads SPZ with Niantic's own decoder."""
@@ -21,6 +22,11 @@ SPLAT_TRANSFORM = shutil.which("splat-transform")
 def gaussians_of(means, rotations, scales, opacities, harmonics):
     columns = (means, rotations, scales, opacities, harmonics)
     return Gaussians(*(torch.from_numpy(np.array(column, np.float32))[None] for column in columns))
+
+
+def from_axes(up, gaussians: Gaussians) -> Gaussians:
+    """Turned to OpenCV's axes."""
+    return in_axes("opencv", StyledScene((("", gaussians),), up=up)).styles[0][1]
 
 
 def read_glb(path: Path) -> Gaussians:
@@ -124,11 +130,48 @@ def read_sog(path: Path) -> Gaussians:
     return gaussians_of(means, quaternions, scales, color[:, 3] / 255, np.concatenate(harmonics, 1))
 
 
+def read_usd(path: Path) -> Gaussians:
+    """With OpenUSD, in the axes of a stage without transformations."""
+    from pxr import Usd
+
+    stage = Usd.Stage.Open(str(path))
+    field = stage.GetPrimAtPath("/Scene/Gaussians")
+    means, scales, opacities, harmonics = (
+        np.array(field.GetAttribute(name).Get())
+        for name in ("positions", "scales", "opacities", "radiance:sphericalHarmonicsCoefficients")
+    )
+    quaternions = [[each.GetReal(), *each.GetImaginary()] for each in field.GetAttribute("orientations").Get()]
+    return gaussians_of(means, quaternions, scales, opacities, harmonics.reshape(len(means), -1, 3))
+
+
 def read_with_splat_transform(path: Path, folder: Path) -> Gaussians:
     """Converted to PLY, in OpenCV's axes; it turns other formats to those of 3DGS, but not SPZ (as of 3.7.0)."""
     out = folder / f"{path.name}.ply"
-    subprocess.run([str(SPLAT_TRANSFORM), "-q", "-w", str(path), str(out)], check=True, capture_output=True)
+    with_splat_transform(path, out)
+    return from_axes("y" if path.suffix == ".spz" else "opencv", Gaussians.load(out))
+
+
+def with_splat_transform(source: Path, target: Path) -> None:
+    """Convert a file; without a GPU, which compressing to SOG takes otherwise."""
+    words = [str(SPLAT_TRANSFORM), "-q", "-w", "-g", "cpu", str(source), str(target)]
+    subprocess.run(words, check=True, capture_output=True)
+
+
+def with_gaussforge(source: Path, target: Path) -> None:
+    """Convert a file; it turns no axes."""
+    import gaussforge
+
+    kinds = source.suffix[1:], target.suffix[1:]
+    target.write_bytes(gaussforge.GaussForge().convert(source.read_bytes(), *kinds)["data"])
+
+
+def read_with_gaussforge(path: Path, folder: Path) -> Gaussians:
+    """Converted to PLY, in OpenCV's axes."""
+    out = folder / f"{path.name}.gaussforge.ply"
+    with_gaussforge(path, out)
     return from_axes("y" if path.suffix == ".spz" else "opencv", Gaussians.load(out))
 
 
 READERS = {"glb": read_glb, "spz": read_spz_file, "splat": read_splat, "sog": read_sog, "ply": read_ply}
+if find_spec("pxr") is not None:
+    READERS["usdc"] = read_usd

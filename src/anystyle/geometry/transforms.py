@@ -151,11 +151,6 @@ class Similarity(NamedTuple):
         )
 
 
-def y_up_from_opencv(like: Float[Tensor, "..."]) -> Similarity:
-    """Half a turn about x: from OpenCV's axes (y down, z forward) to those most viewers expect (y up, z backward)."""
-    return Similarity(like.new_ones(()), torch.diag(like.new_tensor([1.0, -1.0, -1.0])), like.new_zeros(3))
-
-
 def similarity_of_cameras(source: Float[Tensor, "V 4 4"], target: Float[Tensor, "V 4 4"]) -> Similarity:
     """The similarity that brings cameras closest to others of the same views.
 

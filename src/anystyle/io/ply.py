@@ -74,7 +74,9 @@ def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool
         after[name] = colors[:, names.index(name)] if name in names else before[name]
     elements = [element for element in data.elements if element.name != "vertex"]
     with atomic_path(path) as temporary:
-        PlyData([PlyElement.describe(after, "vertex"), *elements], text=data.text).write(temporary)
+        PlyData([PlyElement.describe(after, "vertex"), *elements], text=data.text, comments=data.comments).write(
+            temporary
+        )
     return True
 
 

@@ -262,12 +262,7 @@ def build_and_load(
     elif "branch" in ours:
         headers["branch"] = load_part(ours["branch"], branch, "branch")
     renderer = build(Renderer, config.renderer)
-    stylizer = Stylizer(
-        backbone=backbone,
-        style_encoder=encoder,
-        branch=branch,
-        renderer=renderer,
-    )
+    stylizer = Stylizer(backbone=backbone, style_encoder=encoder, branch=branch, renderer=renderer)
     return set_precision(stylizer, config.precision), headers
 
 

@@ -109,15 +109,16 @@ class SplatOptions:
     Args:
         cameras: The most views.
         folder: Where cameras are stored (COLMAP or ``transforms.json``), if not beside the file or one folder above.
-        up: Axes of the file: ``opencv``, which 3DGS has, ``y`` or ``z`` up. Results are in OpenCV's.
+        up: Axes of the file: ``opencv``, which 3DGS has, ``y`` or ``z`` up; ``None`` is what the file says, or else its
+            format. Results are in OpenCV's.
     """
 
     cameras: int = 24
     folder: str | None = None
-    up: str = "opencv"
+    up: str | None = None
 
     def __post_init__(self) -> None:
-        _expect("splat.up", self.up, AXES)
+        _expect("splat.up", str(self.up), ("None", *AXES))
         _between("splat.cameras", self.cameras, 1, 1 << 16)
 
 

@@ -15,6 +15,7 @@ from anystyle.io import video
 from anystyle.pipeline.cameras import KnownCameras, from_views
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
+from anystyle.pipeline.saved import is_scene_file
 from anystyle.pipeline.stages import Stages
 from anystyle.reconstructions.feedforward import Feedforward
 from anystyle.registry.build import build
@@ -51,10 +52,10 @@ class ReadViews:
 
 
 def is_saved(path: Path) -> bool:
-    """Whether this is a PLY file or a folder that ``anystyle stylize`` wrote, and no capture."""
+    """Whether this is a file of Gaussians or a folder that ``anystyle stylize`` wrote, and no capture."""
     if path.is_dir():
         return (path / "report.json").is_file() and any(path.glob("*.safetensors"))
-    return path.suffix.lower() == ".ply"
+    return is_scene_file(path)
 
 
 def saved_path(inputs: object) -> Path | None:
@@ -152,11 +153,7 @@ def _estimated(
         return Verdict("failed", (f"{few}, which takes {estimator.min_views} that overlap",), {})
     with stages("cameras", f"of {len(originals)} photographs") as on_progress:
         posed = estimator(
-            originals,
-            short_side=short_side,
-            enlarge=enlarge,
-            multiple=backbone.patch_size,
-            on_progress=on_progress,
+            originals, short_side=short_side, enlarge=enlarge, multiple=backbone.patch_size, on_progress=on_progress
         )
     if isinstance(posed, PosedViews):
         if posed.cached:

@@ -112,9 +112,10 @@ class Result:
             if not self.alike or name not in self.results.common_formats:
                 export_styles(scene, folder / f"scene.{name}", name, up=options.up)
         untouched = options.up in (None, "opencv") and _same_geometry(gaussians, unstyled)
-        if self.encoded.splat is not None and untouched:
+        original, written = self.encoded.splat, folder / "scene.ply"
+        if original is not None and original.suffix.lower() == written.suffix and untouched:
             # A trip through float32 logarithms and back moves the last bits.
-            ply.recolor(self.encoded.splat, gaussians.harmonics[0], folder / "scene.ply")
+            ply.recolor(original, gaussians.harmonics[0], written)
         save_gaussians(gaussians, folder / "scene.safetensors")
         renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
         followed = self.cameras

@@ -1,7 +1,7 @@
-"""Reading saved scenes: a folder that ``anystyle stylize`` wrote, or a PLY file."""
+"""Reading saved scenes: a folder that ``anystyle stylize`` wrote, or a file of Gaussians."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -9,11 +9,13 @@ import torch
 from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 
+from anystyle.contracts import Format
 from anystyle.data.poses import StoredCamera
 from anystyle.errors import UserError
-from anystyle.geometry.cameras import looking_at
 from anystyle.io.documents import Count, read_json, regular
-from anystyle.pipeline.export import from_axes
+from anystyle.pipeline.export import in_axes
+from anystyle.registry.build import build
+from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle.vision import weights
 
@@ -56,19 +58,29 @@ def unstyled_of(scene: StyledScene) -> Gaussians:
     return dict(scene.styles).get(UNSTYLED, scene.styles[-1][1])
 
 
-def read_saved(path: Path, up: str = "opencv") -> StyledScene:
-    """Read a folder of results or a PLY file.
+def is_scene_file(path: Path) -> bool:
+    """Whether a plugin of kind ``format`` has the file's suffix as its name."""
+    return path.suffix[1:].lower() in catalog().names("format")
+
+
+def read_saved(path: Path, up: str | None = None) -> StyledScene:
+    """Read a folder of results, or a file of Gaussians by the plugin of its suffix, and turn it to OpenCV's axes."""
+    return in_axes("opencv", read_unturned(path, up))
+
+
+def read_unturned(path: Path, up: str | None) -> StyledScene:
+    """Read a folder of results, or a file of Gaussians as it is.
 
     Args:
         path: The folder or the file.
-        up: The axes of a file, one of :data:`~anystyle.pipeline.options.AXES`.
+        up: The axes of a file, one of :data:`~anystyle.pipeline.options.AXES`; ``None`` is what it says.
     """
-    if path.is_file():
-        gaussians = from_axes(up, Gaussians.load(path))
-        cameras = looking_at(gaussians.means[0], gaussians.opacities[0])
-        return StyledScene(((path.stem, gaussians),), cameras, ("all",), (path.name,))
+    if path.is_file() and is_scene_file(path):
+        scene = build(Format, path.suffix[1:].lower()).read(path)
+        notes = tuple(dict.fromkeys((path.name, *scene.notes)))
+        return replace(scene, notes=notes, up=up or scene.up)
     if not (path / "report.json").is_file():
-        raise UserError(f"{path} has no scene that anystyle stylize wrote, and is no PLY file")
+        raise UserError(f"{path} has no scene that anystyle stylize wrote, and is no file of a format that is read")
     whole = read_json(path / "report.json", SavedReport, what="report")
     # A folder may hold results of earlier runs beside those that its report is of.
     folders = [path] if isinstance(whole.style, str) else sorted(file.parent for file in path.glob("*/report.json"))
@@ -96,9 +108,8 @@ def read_gaussians(path: Path) -> Gaussians:
         raise UserError(f"{path} holds no Gaussians of anystyle ({error})") from None
 
 
-def results_cameras(folder: Path) -> dict[str, StoredCamera]:
-    """The cameras of a folder of results by the name of their view."""
-    saved = read_saved(folder)
+def saved_cameras(saved: StyledScene) -> dict[str, StoredCamera]:
+    """The cameras of a saved scene by the name of their view."""
     poses, intrinsics = saved.cameras.world_from_camera[0].double(), saved.cameras.intrinsics[0].double()
     stored = zip(saved.names, poses.numpy(), intrinsics.numpy(), strict=True)
     return {name: StoredCamera(pose, matrix, saved.cameras.size) for name, pose, matrix in stored}

@@ -17,12 +17,13 @@ from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.limits import USABLE
 from anystyle.pipeline import memory
 from anystyle.pipeline.encode import EncodedCapture, encoder, scene_report
+from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.groups import Capture
 from anystyle.pipeline.options import SplatOptions, ViewOptions
-from anystyle.pipeline.saved import read_saved, results_cameras, unstyled_of
+from anystyle.pipeline.saved import read_unturned, saved_cameras, unstyled_of
 from anystyle.pipeline.stages import Stages
 from anystyle.stylizer import Stylizer
-from anystyle.types import Cameras, Gaussians, Geometry, Renders, Scene, Views
+from anystyle.types import Cameras, Gaussians, Geometry, Renders, Scene, StyledScene, Views
 
 ELEVATIONS = (10.0, 35.0)
 """Degrees above the scene's middle, of two rings of chosen cameras."""
@@ -40,7 +41,7 @@ def encode_saved(
     """Read a saved scene, render it from cameras that are stored with it or chosen, and encode the renders.
 
     Args:
-        path: A PLY file, or a folder of results, of which the unstyled scene is taken.
+        path: A file of Gaussians, or a folder of results; of several styles the unstyled scene is taken.
         stylizer: In ``eval`` mode, on the device to compute on.
         views: The size of the renders.
         options: Where the scene is seen from.
@@ -48,15 +49,17 @@ def encode_saved(
     """
     start, patch = time.perf_counter(), stylizer.backbone.patch_size
     with stages("read", "the Gaussians"):
-        gaussians = unstyled_of(read_saved(path, options.up)).to(stylizer.device)
-        cameras, sources, origin = cameras_of(path, gaussians, views, options, patch, stylizer.backbone.resolution)
+        given = read_unturned(path, options.up)
+        saved = in_axes("opencv", given)
+        gaussians = unstyled_of(saved).to(stylizer.device)
+        cameras, sources, origin = cameras_of(path, saved, views, options, patch, stylizer.backbone.resolution)
         line = check_memory(gaussians.means.shape[1], len(sources), stylizer.device)
     with stages("encode", f"{line}; cameras {origin}"):
         scene = scene_of_splat(gaussians, cameras.to(stylizer.device), stylizer.render, encoder(stylizer))
     capture = Capture.of(scene)
     report = scene_report("given", capture, time.perf_counter() - start, {}) | {"cameras": origin}
     seen = replace(scene.views, names=tuple(source.name for source in sources)).to("cpu")
-    original = path if path.is_file() and options.up == "opencv" else None
+    original = path if path.is_file() and given.up == "opencv" else None
     return EncodedCapture(stylizer, seen, sources, capture, report, splat=original)
 
 
@@ -75,7 +78,7 @@ def check_memory(num_gaussians: int, num_views: int, device: torch.device) -> st
 
 
 def cameras_of(
-    path: Path, gaussians: Gaussians, views: ViewOptions, options: SplatOptions, multiple: int, resolution: int
+    path: Path, saved: StyledScene, views: ViewOptions, options: SplatOptions, multiple: int, resolution: int
 ) -> tuple[Cameras, tuple[SourceImage, ...], str]:
     """The cameras to see a scene from, evenly spaced of those stored with it or beside its file, or else around it.
 
@@ -85,13 +88,13 @@ def cameras_of(
         Cameras, what their images are called, and where they come from.
     """
     side = max(multiple, round((views.short_side or resolution) / multiple) * multiple)
-    stored = results_cameras(path) if path.is_dir() and not options.folder else {}
+    stored = {} if options.folder else saved_cameras(saved)
     for folder in [Path(options.folder)] if options.folder else [path.parent, path.parent.parent]:
         stored = stored or stored_cameras(folder)
     if not stored:
         names = [f"view_{index:02d}" for index in range(options.cameras)]
         sources = tuple(covering(name, (side, side), (side, side)) for name in names)
-        return around(gaussians, options.cameras, side), sources, "chosen around the scene"
+        return around(unstyled_of(saved), options.cameras, side), sources, "chosen around the scene"
     names = list(stored)
     chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
     first = stored[names[chosen[0]]]

@@ -1,10 +1,11 @@
 """Gaussians, encoded scenes and renders."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NamedTuple
 
+import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
@@ -121,18 +122,20 @@ class StyledScene:
     """One scene in several styles, as files hold it.
 
     Args:
-        styles: Titles, and batches of one scene in OpenCV's axes.
-        cameras: A batch of one scene.
+        styles: Titles, and batches of one scene.
+        cameras: A batch of one scene; there may be none.
         names: Of the cameras.
         notes: Lines on where the scene comes from, such as licences.
         title: For people.
+        up: Axes of Gaussians and cameras' poses: ``opencv``, ``y`` or ``z`` up.
     """
 
     styles: tuple[tuple[str, Gaussians], ...]
-    cameras: Cameras
-    names: tuple[str, ...]
+    cameras: Cameras = field(default_factory=lambda: Cameras(torch.zeros(1, 0, 4, 4), torch.zeros(1, 0, 3, 3), (1, 1)))
+    names: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     title: str = ""
+    up: str = "opencv"
 
     def splats(self, style: int = -1) -> ply.Splats:
         """The tensors of the scene in one of its styles."""

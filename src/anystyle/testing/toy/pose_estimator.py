@@ -20,13 +20,7 @@ class ToyPoseEstimator(PoseEstimator):
         self.step = step
 
     def __call__(
-        self,
-        originals: Sequence[Original],
-        *,
-        short_side: int,
-        multiple: int,
-        enlarge: bool,
-        on_progress: OnProgress,
+        self, originals: Sequence[Original], *, short_side: int, multiple: int, enlarge: bool, on_progress: OnProgress
     ) -> PosedViews | Verdict:
         number = len(originals)
         on_progress(Progress(f"{number} cameras in a row"))

@@ -1,0 +1,266 @@
+"""OpenUSD: Gaussians as ``ParticleField3DGaussianSplat`` of the schema UsdVol, styles as variants, and cameras.
+
+The schema is OpenUSD's since version 26.3 (openusd.org, "ParticleField3DGaussianSplat"): linear scales, opacities in
+[0, 1], quaternions wxyz, and spherical harmonics as 3DGS has them, Gaussian by Gaussian. What styles share is written
+once; what they differ in, as a rule colours alone, is in the variants of the set ``style``. The stage is y or z up.
+"""
+
+import re
+import shutil
+import tempfile
+from collections.abc import Iterable, Iterator
+from importlib import import_module
+from importlib.util import find_spec
+from math import isqrt
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from numpy.typing import NDArray
+
+from anystyle.contracts import Format
+from anystyle.io.atomic import atomic_path
+from anystyle.io.ply import Splats
+from anystyle.types import Cameras, Gaussians, StyledScene
+from anystyle_formats.reading import gaussians, joined, moved, reading, room_for
+
+SET = "style"
+_FOCAL = 24.0
+"""Focal length of cameras; only its ratio to the apertures says something."""
+_CLIPPING = (0.01, 1e6)
+_FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+"""Between OpenCV's axes of a camera and OpenGL's, which are USD's."""
+_HARMONICS = "radiance:sphericalHarmonicsCoefficients"
+
+
+class _Modules:
+    """The modules of OpenUSD, which have no types, imported when they are used."""
+
+    def __getattr__(self, name: str) -> Any:
+        return import_module(f"pxr.{name}")
+
+
+pxr: Any = _Modules()
+
+
+class Usd(Format):
+    """OpenUSD: ``usd`` and ``usdc`` are binary, ``usda`` is text, ``usdz`` a package; each style is a variant."""
+
+    up = "y"
+    has_notes = many_styles = reads = True
+
+    def __init__(self) -> None:
+        if find_spec("pxr") is None or tuple(pxr.Usd.GetVersion()) < (0, 26, 3):
+            raise ImportError('USD files need usd-core 26.3 or newer: pip install "anystyle[usd]"')
+
+    def write(self, scene: StyledScene, path: Path) -> None:
+        kind = path.suffix.lower() if path.suffix.lower() in (".usda", ".usdz") else ".usdc"
+        with atomic_path(path) as temporary, tempfile.TemporaryDirectory() as folder:
+            layer = Path(folder, "scene.usda" if kind == ".usda" else "scene.usdc")
+            stage = _stage(scene)  # a layer lives as long as its stage
+            stage.GetRootLayer().Export(str(layer))
+            if kind == ".usdz":
+                package = Path(folder, "scene.usdz")
+                if not pxr.UsdUtils.CreateNewUsdzPackage(pxr.Sdf.AssetPath(str(layer)), str(package)):
+                    raise OSError(f"{path} cannot be packed")
+                layer = package
+            shutil.copyfile(layer, temporary)
+
+    def read(self, path: Path) -> StyledScene:
+        with reading(path, "USD file"), tempfile.TemporaryDirectory() as folder:
+            # pxr tells the kind of a file by its suffix.
+            stage = pxr.Usd.Stage.Open(str(_known(path, Path(folder))))
+            data = stage.GetRootLayer().customLayerData
+            titles = dict(zip(data.get("variants", ()), data.get("styles", ()), strict=True))
+            styles: list[tuple[str, Gaussians]] = []
+            root = stage.GetDefaultPrim()
+            variants = root.GetVariantSet(SET).GetVariantNames() if root else []
+            if variants:
+                chosen = root.GetVariantSet(SET).GetVariantSelection()
+                stage.SetEditTarget(stage.GetSessionLayer())
+                known = [name for name in titles if name in variants and name != chosen]
+                rest = sorted(set(variants) - {*known, chosen})
+                for name in [*known, *rest, *([chosen] if chosen in variants else [])]:
+                    root.GetVariantSet(SET).SetVariantSelection(name)
+                    styles.append((str(titles.get(name, name)), joined(_found(stage, path))))
+            else:
+                styles.append((path.stem, joined(_found(stage, path))))
+            cameras, names = _read_cameras(stage)
+            up = "z" if pxr.UsdGeom.GetStageUpAxis(stage) == pxr.UsdGeom.Tokens.z else "y"
+        return StyledScene(tuple(styles), cameras, names, notes=tuple(data.get("notes", ())), up=up)
+
+
+def _known(path: Path, folder: Path) -> Path:
+    """The path, or a link to it, of a suffix that says what the file is."""
+    with path.open("rb") as file:
+        start = file.read(8)
+    suffix = ".usdc" if start == b"PXR-USDC" else ".usdz" if start[:4] == b"PK\3\4" else ".usda"
+    if path.suffix.lower() in (suffix, ".usd"):
+        return path
+    (folder / f"scene{suffix}").symlink_to(path.resolve())
+    return folder / f"scene{suffix}"
+
+
+def _stage(scene: StyledScene) -> Any:
+    stage = pxr.Usd.Stage.CreateInMemory("scene.usda")
+    pxr.UsdGeom.SetStageUpAxis(stage, pxr.UsdGeom.Tokens.z if scene.up == "z" else pxr.UsdGeom.Tokens.y)
+    pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    root = pxr.UsdGeom.Xform.Define(stage, "/Scene")
+    stage.SetDefaultPrim(root.GetPrim())
+    root.GetPrim().SetDisplayName(scene.title or "Scene")
+    if scene.up == "opencv":  # no axes of a stage: half a turn about x stands the scene upright
+        root.AddRotateXOp().Set(180.0)
+    field = pxr.UsdVol.ParticleField3DGaussianSplat.Define(stage, "/Scene/Gaussians")
+    styles = [_attributes(scene.splats(index)) for index in range(len(scene.styles))]
+    shared = [name for name in styles[0] if all(np.array_equal(style[name], styles[0][name]) for style in styles)]
+    reaches = [(style["positions"], 3 * style["scales"].max(1, keepdims=True)) for style in styles]
+    low = np.min([(means - reach).min(0) for means, reach in reaches], 0)
+    high = np.max([(means + reach).max(0) for means, reach in reaches], 0)
+    field.CreateExtentAttr(pxr.Vt.Vec3fArray.FromNumpy(np.stack([low, high])))
+    _author(field, {name: styles[0][name] for name in shared})
+    variants = root.GetPrim().GetVariantSets().AddVariantSet(SET)
+    names = _identifiers(title for title, _ in scene.styles)
+    for name, style in zip(names, styles, strict=True):
+        variants.AddVariant(name)
+        variants.SetVariantSelection(name)
+        with variants.GetVariantEditContext():
+            _author(field, {key: values for key, values in style.items() if key not in shared})
+    if scene.names:
+        pxr.UsdGeom.Scope.Define(stage, "/Scene/Cameras")
+    for camera, (name, pose, matrix) in zip(_identifiers(scene.names), _views(scene), strict=True):
+        height, width = scene.cameras.size
+        prim = pxr.UsdGeom.Camera.Define(stage, f"/Scene/Cameras/{camera}")
+        prim.GetPrim().SetDisplayName(name)
+        prim.GetPrim().SetCustomData({"height": height, "width": width})
+        prim.AddTransformOp().Set(pxr.Gf.Matrix4d((pose @ _FLIP).T.tolist()))
+        apertures = _FOCAL * width / matrix[0, 0], _FOCAL * height / matrix[1, 1]
+        prim.CreateFocalLengthAttr(_FOCAL)
+        prim.CreateHorizontalApertureAttr(apertures[0])
+        prim.CreateVerticalApertureAttr(apertures[1])
+        prim.CreateHorizontalApertureOffsetAttr(apertures[0] * (0.5 - matrix[0, 2] / width))
+        prim.CreateVerticalApertureOffsetAttr(apertures[1] * (matrix[1, 2] / height - 0.5))
+        prim.CreateClippingRangeAttr(pxr.Gf.Vec2f(*_CLIPPING))
+    stage.GetRootLayer().customLayerData = {
+        "generator": "anystyle",
+        "notes": pxr.Vt.StringArray(list(scene.notes)),
+        "variants": pxr.Vt.StringArray(names),
+        "styles": pxr.Vt.StringArray([title for title, _ in scene.styles]),
+    }
+    return stage
+
+
+def _views(scene: StyledScene) -> Iterator[tuple[str, NDArray[np.float64], NDArray[np.float64]]]:
+    poses, intrinsics = scene.cameras.world_from_camera[0], scene.cameras.intrinsics[0]
+    for name, pose, matrix in zip(scene.names, poses, intrinsics, strict=True):
+        yield name, pose.double().cpu().numpy(), matrix.double().cpu().numpy()
+
+
+def _attributes(splats: Splats) -> dict[str, NDArray[np.float32]]:
+    """The attributes of the schema that are arrays: float32, rows of Gaussians or of their coefficients."""
+    means, rotations, scales, opacities, harmonics = (tensor.detach().float().cpu() for tensor in splats)
+    columns = {
+        "positions": means,
+        "orientations": F.normalize(rotations, dim=-1)[:, [1, 2, 3, 0]],  # as quaternions lie in memory
+        "scales": scales,
+        "opacities": opacities.clamp(0, 1),
+        _HARMONICS: harmonics.flatten(0, 1),
+    }
+    return {name: np.ascontiguousarray(tensor.numpy()) for name, tensor in columns.items()}
+
+
+def _author(field: Any, columns: dict[str, NDArray[np.float32]]) -> None:
+    """Set attributes where the stage is edited: on the prim, or in a variant of it."""
+    kinds = {"orientations": pxr.Vt.QuatfArray, "opacities": pxr.Vt.FloatArray}
+    for name, values in columns.items():
+        attribute = field.GetPrim().GetAttribute(name)
+        attribute.Set(kinds.get(name, pxr.Vt.Vec3fArray).FromNumpy(values))
+        if name == _HARMONICS:
+            coefficients = len(values) // len(field.GetPositionsAttr().Get())
+            field.CreateRadianceSphericalHarmonicsDegreeAttr(isqrt(coefficients) - 1)
+            primvar = pxr.UsdGeom.Primvar(attribute)
+            primvar.SetElementSize(coefficients)
+            primvar.SetInterpolation(pxr.UsdGeom.Tokens.vertex)
+
+
+def _identifiers(titles: Iterable[str]) -> list[str]:
+    """Different names for prims and variants, near to the titles."""
+    names: list[str] = []
+    for title in titles:
+        name = re.sub(r"\W+", "_", title, flags=re.ASCII).strip("_")[:60] or "unnamed"
+        name = f"_{name}" if name[0].isdigit() else name
+        number = sum(re.fullmatch(rf"{re.escape(name)}(_\d+)?", other) is not None for other in names)
+        names.append(f"{name}_{number + 1}" if number else name)
+    return names
+
+
+def _found(stage: Any, path: Path) -> Iterator[Gaussians]:
+    """All Gaussians that the stage shows, in its own axes."""
+    transforms = pxr.UsdGeom.XformCache()
+    for prim in stage.Traverse():
+        shown = pxr.UsdGeom.Imageable(prim).ComputeVisibility() != pxr.UsdGeom.Tokens.invisible
+        if shown and prim.IsA(pxr.UsdVol.ParticleField3DGaussianSplat):
+            yield moved(_splats(prim, path), np.array(transforms.GetLocalToWorldTransform(prim)).T)
+
+
+def _splats(prim: Any, path: Path) -> Gaussians:
+    positions = _array(prim, "positions")
+    count = room_for(path, 0 if positions is None else len(positions))
+    orientations, scales, opacities, coefficients = (
+        _array(prim, name) for name in ("orientations", "scales", "opacities", _HARMONICS)
+    )
+    degree = int(prim.GetAttribute("radiance:sphericalHarmonicsDegree").Get())
+    rows = (degree + 1) ** 2
+    # What is absent is what the schema says: no rotation, a size of 1, opaque, middle grey.
+    return gaussians(
+        np.asarray(positions),
+        np.tile([1.0, 0, 0, 0], (count, 1)) if orientations is None else orientations[:, [3, 0, 1, 2]],
+        np.ones((count, 3)) if scales is None else scales,
+        np.ones(count) if opacities is None else opacities,
+        np.zeros((count, 1, 3)) if coefficients is None else coefficients[: count * rows].reshape(count, rows, 3),
+    )
+
+
+def _array(prim: Any, name: str) -> NDArray[Any] | None:
+    """The values of an attribute at the earliest time, in float or else in half precision."""
+    for each in (name, f"{name}h"):
+        values = prim.GetAttribute(each).Get(pxr.Usd.TimeCode.EarliestTime())
+        if values is not None and len(values):
+            return np.array(values)
+    return None
+
+
+def _read_cameras(stage: Any) -> tuple[Cameras, tuple[str, ...]]:
+    """The cameras of a stage, of one size of images; USD knows that of ours alone, and else only its aspect."""
+    names: list[str] = []
+    poses: list[NDArray[np.float64]] = []
+    matrices: list[list[list[float]]] = []
+    sizes: list[tuple[int, int]] = []
+    transforms = pxr.UsdGeom.XformCache()
+    for prim in stage.Traverse():
+        camera = pxr.UsdGeom.Camera(prim)
+        if camera:
+            view = camera.GetCamera()
+            across, down, focal = view.horizontalAperture, view.verticalAperture, view.focalLength
+            data = prim.GetCustomData()
+            width = int(data.get("width", 1024))
+            height = int(data.get("height", round(width * down / across)))
+            world = np.array(transforms.GetLocalToWorldTransform(prim)).T
+            world[:3, :3] /= np.linalg.norm(world[:3, :3], axis=0)
+            center = (
+                width * (0.5 - view.horizontalApertureOffset / across),
+                height * (0.5 + view.verticalApertureOffset / down),
+            )
+            lens = [[focal * width / across, 0, center[0]], [0, focal * height / down, center[1]], [0, 0, 1]]
+            names.append(prim.GetDisplayName() or prim.GetName())
+            poses.append(world @ _FLIP)
+            matrices.append(lens)
+            sizes.append((height, width))
+    alike = [index for index, size in enumerate(sizes) if size == sizes[0]]
+    if not alike:
+        return StyledScene(()).cameras, ()
+    columns = [
+        torch.tensor(np.array([rows[index] for index in alike]), dtype=torch.float32) for rows in (poses, matrices)
+    ]
+    return Cameras(columns[0][None], columns[1][None], sizes[0]), tuple(names[index] for index in alike)
