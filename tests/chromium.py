@@ -95,7 +95,7 @@ class Page:
 
     def key(self, key: str, text: str = "") -> None:
         """Press a key, as the keyboard does."""
-        code = {"Enter": 13, "Backspace": 8, "Tab": 9, " ": 32}.get(key, ord(key[0]))
+        code = {"Enter": 13, "Backspace": 8, "Tab": 9, "Escape": 27, " ": 32}.get(key, ord(key[0]))
         typed = {"text": text} if text else {}
         self.call("Input.dispatchKeyEvent", type="keyDown", key=key, windowsVirtualKeyCode=code, **typed)
         self.call("Input.dispatchKeyEvent", type="keyUp", key=key, windowsVirtualKeyCode=code)

@@ -21,8 +21,12 @@ def make(folder: Path) -> None:
     for number in range(3):
         for scene in ("photos", "SCENES/Train", "PHOTOS/Train", "scenes/one", "scenes/two"):
             _picture(folder / scene / f"{number:03d}.jpg", seed=0, shift=number)
-    for seed, name in enumerate(("painting", "a", "b", "styles/s0", "styles/s1", "STYLES/s0", "STYLES/s1"), start=1):
+    for seed, name in enumerate(
+        ("painting", "a", "b", "sea", "sky", "styles/s0", "styles/s1", "STYLES/s0", "STYLES/s1"), start=1
+    ):
         _picture(folder / f"{name}.jpg", seed=seed)
+    for number in range(3):
+        _mask(folder / "sky_masks" / f"{number:03d}.png")
     for style, seed in (("s0", 20), ("s1", 21)):
         for frame in range(3):
             for place in ("results", "RESULTS/Train"):
@@ -105,6 +109,14 @@ def of_programs(folder: Path) -> None:
     """The checkout's programs and notebooks, where commands name them."""
     (folder / "tests").symlink_to(ROOT / "tests")
     shutil.copytree(ROOT / "notebooks", folder / "notebooks", ignore=shutil.ignore_patterns(".*", "__pycache__"))
+
+
+def _mask(path: Path) -> None:
+    """White in the upper third of 64 x 48 pixels."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pixels = np.zeros((48, 64), dtype=np.uint8)
+    pixels[:16] = 255
+    Image.fromarray(pixels).save(path)
 
 
 def _picture(path: Path, *, seed: int, shift: int = 0) -> None:

@@ -20,6 +20,7 @@ from anystyle.evaluation import comparisons
 from anystyle.io import colmap
 from anystyle.io.video import write_video
 from anystyle.paths import SHARED
+from anystyle.pipeline.export import export
 from anystyle.types import Cameras, Gaussians
 from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.wikiart import WikiArtStyles
@@ -137,6 +138,9 @@ def write(root: Path) -> dict[str, Case]:
     Gaussians(*parts).save(new("splat") / "binary.ply")
     PlyData(PlyData.read(root / "splat" / "binary.ply").elements, text=True).write(new("splat_text") / "text.ply")
     cases["splat"] = Case(("binary.ply",), ("export", "binary.ply", "--out", "out.glb"))
+    for name in ("glb", "sog", "spz", "usda", "usdc"):
+        export(Gaussians(*parts), new(name) / f"scene.{name}", name)
+        cases[name] = Case((f"scene.{name}",), ("export", f"scene.{name}", "--out", "out.ply"))
     cases["splat_text"] = Case(("text.ply",), ("export", "text.ply", "--out", "out.glb"))
     return cases
 

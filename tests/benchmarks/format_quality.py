@@ -2,15 +2,17 @@
 
 ``PYTHONPATH=tests python tests/benchmarks/format_quality.py``
 
-A scene of the procedural world is stylized, exported in every format and read back by independent programs: gsply for
-PLY and SPZ, pygltflib for GLB, the formats' own descriptions for ``.splat`` and SOG, Chromium for the page, and
-PlayCanvas's splat-transform, if it is installed, for all but GLB. PSNR is of renders of the input views from what was
-read, against renders of the PLY as this project reads it; the page's is of Chromium's pictures.
+A scene of the procedural world is stylized, exported in every format, and read back: by this project, and by others,
+which are gsply for PLY and SPZ, pygltflib for GLB, OpenUSD for USD, the formats' own descriptions for ``.splat`` and
+SOG, Chromium for the page, and gaussforge and PlayCanvas's splat-transform where they are installed. The other way
+round, this project reads what gaussforge and splat-transform make of the PLY file. PSNR is of renders of the input
+views from what was read, against renders of the PLY as this project reads it; the page's is of Chromium's pictures.
 """
 
 import argparse
 import sys
 import tempfile
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +22,13 @@ from torch import Tensor
 
 import anystyle
 from anystyle.contracts import Format, SceneSource
+from anystyle.geometry.transforms import Similarity
 from anystyle.methods.branch import Branch
 from anystyle.pipeline.encode import EncodedCapture
-from anystyle.pipeline.export import export, export_styles, from_axes
+from anystyle.pipeline.export import export, export_styles
 from anystyle.pipeline.options import PoseOptions, SplatOptions, ViewOptions
 from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.saved import read_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import embed_styles
 from anystyle.pipeline.stylize import encode_inputs
@@ -35,8 +39,23 @@ from anystyle.types import Cameras, Gaussians, StyledScene
 from chromium import SOFTWARE_GL, browser, find_chromium
 
 sys.path.append(str(Path(__file__).parents[2] / "plugins/formats/tests"))
-from export_readers import READERS, SPLAT_TRANSFORM, read_with_splat_transform  # pyright: ignore[reportMissingImports]
+from export_readers import (  # pyright: ignore[reportMissingImports]
+    READERS,
+    SPLAT_TRANSFORM,
+    from_axes,
+    read_with_gaussforge,
+    read_with_splat_transform,
+    with_gaussforge,
+    with_splat_transform,
+)
 
+FORGED = ("spz", "splat", "sog") if find_spec("gaussforge") is not None else ()
+OTHERS = [
+    (FORGED, read_with_gaussforge),
+    (("ply", "spz", "splat", "sog") if SPLAT_TRANSFORM else (), read_with_splat_transform),
+]
+WRITERS = [(FORGED, with_gaussforge), (("spz", "sog", "glb") if SPLAT_TRANSFORM else (), with_splat_transform)]
+HALF_A_TURN = Similarity(torch.tensor(1.0), torch.diag(torch.tensor([-1.0, 1.0, -1.0])), torch.zeros(3))
 TEXTS = ("thick oil paint in orange and navy", "charcoal drawing", "red dots")
 
 
@@ -93,26 +112,44 @@ def main() -> None:
     cameras, gaussians = encoded.cameras, styles[-1][1]
     write = sys.stdout.write
     write(f"{int((gaussians.opacities > 0).sum()):,} Gaussians, {given.views} views of {cameras.size}, {TEXTS[0]!r}\n")
-    write("| Format | Axes | MB | PSNR | of splat-transform |\n|---|---|---|---|---|\n")
+    write("| Format | Axes | MB | read here | by others | gaussforge | splat-transform | their files read here |\n")
+    write("|---|---|---|---|---|---|---|---|\n")
     with tempfile.TemporaryDirectory() as temporary:
         folder = Path(temporary)
-        export(gaussians, folder / "scene.ply", "ply")
-        target = renders(Gaussians.load(folder / "scene.ply"), cameras)
+        ply = folder / "scene.ply"
+        export(gaussians, ply, "ply")
+        target = renders(Gaussians.load(ply), cameras)
+
+        def loss(found: Gaussians) -> str:
+            return psnr(renders(found, cameras), target)
+
         for name, read in READERS.items():
-            path = folder / f"scene.{name}"
+            path, up = folder / f"scene.{name}", build(Format, name).up
             export(gaussians, path, name)
-            up = build(Format, name).up
-            images = renders(from_axes(up, read(path)), cameras)
-            theirs = "—"
-            if SPLAT_TRANSFORM is not None and name != "glb":
-                theirs = psnr(renders(read_with_splat_transform(path, folder), cameras), target)
-            write(f"| `{name}` | {up} | {path.stat().st_size / 1e6:.2f} | {psnr(images, target)} | {theirs} |\n")
+            here, others = loss(read_saved(path).styles[-1][1]), loss(from_axes(up, read(path)))
+            read_by = [reader(path, folder) if name in known else None for known, reader in OTHERS]
+            columns = ["—" if found is None else loss(found) for found in read_by]
+            theirs = []
+            for number, (known, writer) in enumerate(WRITERS):
+                if name in known:
+                    writer(ply, folder / f"theirs{number}.{name}")
+                    # They turn no axes, but for GLB; its half a turn about the vertical is taken back.
+                    found = read_saved(folder / f"theirs{number}.{name}", "opencv" if name != "glb" else None)
+                    theirs.append(
+                        loss(HALF_A_TURN.gaussians(found.styles[-1][1]) if name == "glb" else found.styles[-1][1])
+                    )
+            columns += [", ".join(theirs) or "—"]
+            write(
+                f"| `{name}` | {up} | {path.stat().st_size / 1e6:.2f} | {here} | {others} | {' | '.join(columns)} |\n"
+            )
             sys.stdout.flush()
         path = folder / "scene.html"
         export_styles(StyledScene(tuple(styles), cameras, tuple(encoded.names)), path, "html")
         pictures = page_pictures(path, cameras, folder)
         shown = "—" if pictures is None else psnr(pictures, target)
-        write(f"| `html`, {len(styles)} styles | opencv | {path.stat().st_size / 1e6:.2f} | {shown} | — |\n")
+        write(
+            f"| `html`, {len(styles)} styles | opencv | {path.stat().st_size / 1e6:.2f} | — | {shown} | — | — | — |\n"
+        )
 
 
 if __name__ == "__main__":

@@ -36,17 +36,20 @@ import torch.nn.functional as F
 from torch import Tensor
 
 import anystyle
+from anystyle.commands.evaluate import configured, trained_runs
 from anystyle.contracts import Reconstruction
 from anystyle.data.images import read_image, to_tensor
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.geometry.warp import depth_around, reproject, sample_at
 from anystyle.methods.branch import Branch
 from anystyle.metrics.style_retrieval import StyleRetrieval
+from anystyle.pipeline.load import assemble_frozen
 from anystyle.pipeline.options import PoseOptions, SplatOptions, ViewOptions
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.stylize import encode_inputs
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import compose
 from anystyle.stylizer import Stylizer
 from anystyle.types import Scene, Style, Views
 from anystyle.vision.statistics import centered_cosines, equalized_gray
@@ -124,6 +127,17 @@ def trained(model: str) -> Callable[[Case], Tensor]:
         other = load(model)
         gaussians = other.restyle(case.scene, other.embed(image=case.painting))
         return other.render(gaussians, case.scene.cameras).color
+
+    return method
+
+
+def of_run(folder: Path) -> Callable[[Case], Tensor]:
+    """The style branch that a run trained, on the same scene."""
+    stylizer, _ = assemble_frozen(configured(compose("evaluate", ["model=tiny_paper_taught"]), folder))
+
+    def method(case: Case) -> Tensor:
+        gaussians = stylizer.restyle(case.scene, stylizer.embed(image=case.painting))
+        return stylizer.render(gaussians, case.scene.cameras).color
 
     return method
 
@@ -323,6 +337,7 @@ def main() -> None:
     words.add_argument("--styles", type=int, default=12, help="paintings to stylize in, the first so many")
     words.add_argument("--scene", choices=METHODS, default="single_pass")
     words.add_argument("--methods", nargs="+", help="some of the rows, by name")
+    words.add_argument("--runs", type=Path, help="a folder of trained runs, of model=tiny_paper_taught: a row each")
     words.add_argument("--captures", type=int, default=3, help="of the split, the first so many")
     words.add_argument("--short-side", type=int, default=112, help="of the views, in pixels")
     words.add_argument("--judges", nargs="+", choices=(*JUDGES, "tiny"), default=JUDGES)
@@ -333,6 +348,7 @@ def main() -> None:
     stylizer = anystyle.load("painter", given.overrides)
     choices = paintings(given.split, given.paintings)
     rows = {name: METHODS[given.scene][name] for name in given.methods or METHODS[given.scene]}
+    rows |= {folder.name: of_run(folder) for folder in (trained_runs(given.runs) if given.runs else ())}
     tallies = measure(
         stylizer, captures, choices, given.styles, given.short_side, given.scene, rows, judges(given.judges)
     )

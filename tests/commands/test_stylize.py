@@ -107,7 +107,7 @@ def test_a_result_that_cannot_be_written_leaves_nothing(photographs, tmp_path, c
 
 
 def test_the_last_line_says_what_files_cost(photographs, tmp_path, capsys):
-    words = ["--text", "first", "--text", "second", "--export", "glb,html"]
+    words = ["--text", "first", "--text", "second", "--export", "spz,glb,html"]
     run(photographs, *words, "--out", tmp_path / "out", *SMALL)
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     seconds = report["seconds"]
@@ -115,10 +115,10 @@ def test_the_last_line_says_what_files_cost(photographs, tmp_path, capsys):
     assert report["write_share"] == pytest.approx(seconds["write"] / sum(seconds.values()), abs=1e-3)
     share = f"{sum(seconds.values()):.0f} s, {report['write_share']:.0%} of them for files; look at "
     assert share + str(tmp_path / "out" / "scene.html") in capsys.readouterr().out.splitlines()[-1]
-    # The page holds all styles; a file with room for one lies in the folder of each.
+    # The page and GLB hold all styles; a file with room for one lies in the folder of each.
     names = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("scene.*")}
-    assert {"01-first/scene.glb", "02-second/scene.glb", "scene.html"} <= names
-    assert not {"01-first/scene.html", "scene.glb", "scene.ply"} & names
+    assert {"01-first/scene.spz", "02-second/scene.spz", "scene.html", "scene.glb"} <= names
+    assert not {"01-first/scene.html", "01-first/scene.glb", "scene.spz", "scene.ply"} & names
     assert [title for title, _ in read_saved(tmp_path / "out").styles] == ["unstyled", "“first”", "“second”"]
     page = (tmp_path / "out" / "scene.html").read_text()
     manifest = json.loads(re.search(r'id="manifest">(.*?)</script>', page, re.S)[1])

@@ -137,6 +137,20 @@ class Careless(ToyFormat):
         super().write(scene, path)
 
 
+class Tilted(ToyFormat):
+    up = "y"
+
+    def read(self, path):
+        return replace(super().read(path), up="z")
+
+
+class Enlarged(ToyFormat):
+    def read(self, path):
+        read = super().read(path)
+        (title, gaussians), *_ = read.styles
+        return replace(read, styles=((title, replace(gaussians, scales=2 * gaussians.scales)),))
+
+
 class Reversed(ToyStudyTest):
     def __call__(self, responses):
         return super().__call__(replace(responses, deviations=-responses.deviations))
@@ -223,6 +237,8 @@ MUTANTS = {
     ],
     "format": [
         (Careless, "writes_one_file"),
+        (Tilted, "reads_what_it_writes"),
+        (Enlarged, "reads_what_it_writes"),
     ],
     "command": [(given(ToyCommand, "__call__", lambda words: []), "unknown_words_are_refused")],
     "study_test": [(Reversed, "negative_means_ours")],

@@ -147,8 +147,13 @@ def test_command_is_understood(page, line):
             flags, _ = importlib.import_module("anystyle_study.commands").COMMANDS[rest[0]]
             split(flags(), rest[1:])
         return
-    if command == "view":
-        split(importlib.import_module("anystyle_viewer.command").parser(), rest)
+    if command in ("view", "profile"):
+        module = {"view": "anystyle_viewer.command", "profile": "anystyle_benchmark.command_profile"}[command]
+        split(importlib.import_module(module).parser(), rest)
+        return
+    if command == "benchmark":
+        if rest:
+            split(importlib.import_module(f"anystyle_benchmark.command_{rest[0]}").parser(), rest[1:])
         return
     if command == "data":
         with pytest.MonkeyPatch.context() as patch, pytest.raises(_ParsedError):
@@ -193,8 +198,6 @@ def _plain(command, module, words):
     if importlib.util.find_spec(below) and below != module.__name__:
         split(importlib.import_module(below).parser(), words[1:])
     elif hasattr(module, "parser"):
-        if command == "benchmark":
-            words = [word for word in words if "=" not in word]  # overrides
         given = parse(module.parser(), words[1:] if words[:1] == ["list"] else words)
         assert command != "plugins" or not words or words[0] in kinds(), given
     else:

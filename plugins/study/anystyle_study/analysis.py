@@ -215,7 +215,7 @@ def position_bias(responses: Responses, confidence: float) -> Position | None:
 
 def as_json(analysis: Analysis) -> dict[str, Any]:
     """The content of ``analysis.json``; ``nan`` and infinities are ``None``."""
-    checks, settings = analysis.checks, analysis.settings
+    checks, settings, study = analysis.checks, analysis.settings, analysis.settings.study
     counts = ("participants_read", "answers_read", "attention_answers", "answers_used")
     kinds = ("missing", "duplicated", "out_of_range", "straight_lining", "failed_attention_check", "fast")
     content = {
@@ -225,12 +225,14 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
         "settings": {
             "scale": [settings.scale.low, settings.scale.high],
             **{name: getattr(settings, name) for name in ("confidence", "alternative", "margin", "seed", "rules")},
+            **({} if study is None else {"ours": study.ours, "baselines": study.baselines}),
         },
         "checks": {
             **{name: getattr(checks, name) for name in counts},
             **{kind: checks.of_kind(kind) for kind in kinds},
             "excluded": checks.exclusions,
             "notes": checks.notes,
+            "doubt": checks.doubt,
         },
         "questions": {question.question: _question_json(question) for question in analysis.questions},
     }
@@ -238,7 +240,7 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
 
 
 def _question_json(question: QuestionAnalysis) -> dict[str, Any]:
-    responses = question.responses
+    responses, tests = question.responses, [_test_json(named) for named in question.tests]
     return {
         **{name: getattr(question, name) for name in ("title", "effects", "variation", "equivalence", "position")},
         "n_responses": responses.count,
@@ -247,11 +249,14 @@ def _question_json(question: QuestionAnalysis) -> dict[str, Any]:
         "mean": responses.deviations.mean() + responses.scale.midpoint,
         "sd": responses.deviations.std(ddof=1) if responses.count > 1 else math.nan,
         "distribution": {f"{level:g}": count for level, count in question.distribution.items()},
-        "tests": [
-            {"name": named.name, **asdict(named.result), "pvalue_holm": named.pvalue_holm} for named in question.tests
-        ],
+        "tests": tests,
+        "primary": None if question.primary is None else tests[question.tests.index(question.primary)],
         "agreement": {"name": "krippendorff_alpha_ordinal", "estimate": question.alpha},
         "ratings": responses.ratings and dict(zip(("ours", "theirs"), responses.ratings, strict=True)),
         "participants": question.by_participant,
         "items": question.by_item,
     }
+
+
+def _test_json(named: NamedResult) -> dict[str, Any]:
+    return {"name": named.name, **asdict(named.result), "pvalue_holm": named.pvalue_holm}

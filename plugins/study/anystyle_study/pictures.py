@@ -31,9 +31,8 @@ def _frames(folder: Path, kind: str) -> dict[str, list[Path]]:
     """Images of the files and folders in a folder, by their names without suffix."""
     if not folder.is_dir():
         raise UserError(f"{kind} {folder} is no folder")
-    entries = [entry for entry in sorted(folder.iterdir()) if not entry.name.startswith(".")]
-    frames = {entry.stem if entry.is_file() else entry.name: frames_in(entry) for entry in entries}
-    return {name: found for name, found in frames.items() if found}
+    entries = [(entry, frames_in(entry)) for entry in sorted(folder.iterdir()) if not entry.name.startswith(".")]
+    return {entry.stem if entry.is_file() else entry.name: frames for entry, frames in entries if frames}
 
 
 def find_results(method: str, folder: Path) -> Results:

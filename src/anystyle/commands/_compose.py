@@ -56,8 +56,10 @@ def describe(parser: argparse.ArgumentParser) -> None:
     parser.epilog = "\n".join(filter(None, [parser.epilog, EPILOG, f"Groups:\n{listing}"]))
 
 
-def launch(config_name: str, function: Callable[[DictConfig], Any], words: Sequence[str]) -> None:
-    """Hand words to Hydra, which composes the configuration and calls ``function``, maybe many times."""
+def launch(
+    config_name: str, function: Callable[[DictConfig], Any], words: Sequence[str], folder: Path = paths.CONF
+) -> None:
+    """Hand words to Hydra, which composes the configuration in ``folder`` and calls ``function``, maybe many times."""
     register()
     check_words(words)
     if len({word.partition("=")[0] for word in words} & {*MODES}) > 1:
@@ -75,7 +77,7 @@ def launch(config_name: str, function: Callable[[DictConfig], Any], words: Seque
             return None
 
     with _arguments(words), _raising():
-        hydra.main(version_base=VERSION_BASE, config_path=str(paths.CONF), config_name=config_name)(task)()
+        hydra.main(version_base=VERSION_BASE, config_path=str(folder), config_name=config_name)(task)()
     if failures:
         raise failures[0]
 

@@ -13,11 +13,11 @@ def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle export``."""
     words = new_parser("export", "Write a scene in another format.")
     add, axes = words.add_argument, ("opencv", "y", "z")
-    add("scene", type=Path, help="a PLY file of any degree, compressed or not, or a folder of anystyle stylize")
+    add("scene", type=Path, help="a file of Gaussians, or a folder of anystyle stylize")
     add("--to", help="the format, one of `anystyle plugins format` (default: the suffix of --out)")
     add("--out", type=Path, required=True, help="the file to write")
     add("--up", choices=axes, help="axes of the file (default: what readers of the format expect)")
-    add("--from-up", choices=axes, default="opencv", help="axes of another program's PLY file (default: those of 3DGS)")
+    add("--from-up", choices=axes, help="axes of another program's file (default: what it says, or else its format)")
     return words
 
 
@@ -33,8 +33,8 @@ def export(arguments: argparse.Namespace) -> None:
         raise UserError(f"no format is named; give --to with one of {', '.join(formats)}")
     if arguments.out.exists() and arguments.scene.exists() and arguments.out.samefile(arguments.scene):
         raise UserError(f"{arguments.out} is the scene itself; name another file with --out")
-    if arguments.scene.is_dir() and arguments.from_up != "opencv":
-        raise UserError("a folder of results is in OpenCV's axes; --from-up is for PLY files of others")
+    if arguments.scene.is_dir() and arguments.from_up is not None:
+        raise UserError("a folder of results is in OpenCV's axes; --from-up is for files of others")
     saved = read_saved(arguments.scene, arguments.from_up)
     saved = replace(saved, title=arguments.scene.resolve().stem)
     export_styles(saved, arguments.out, name, up=arguments.up)

@@ -91,15 +91,14 @@ def command(config: DictConfig, arguments: argparse.Namespace) -> None:
             out=target,
             export=export,
             video=options(config, "video"),
-            provenance={
-                "seed": config.seed,
-                "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True),
-            },
+            provenance={"seed": config.seed, "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True)},
             stages=stages,
         )
     scenes = f"{len(results)} stylized scene{'s' if len(results) > 1 else ''}"
-    held = (name for name in export.formats if catalog().find("format", name).load().many_styles)
-    page = next((path for name in held if (path := target / f"scene.{name}").is_file()), target / "sheet.png")
+    # Of the files of all styles, one that nothing reads back is a page to look at.
+    formats = [(name, catalog().find("format", name).load()) for name in export.formats]
+    pages = [target / f"scene.{name}" for name, kind in formats if kind.many_styles and not kind.reads]
+    page = next((path for path in pages if path.is_file()), target / "sheet.png")
     took = f"{sum(stages.seconds.values()):.0f} s, {stages.write_share:.0%} of them for files"
     print(f"{scenes} in {target} in {took}; look at {page}")
     if arguments.open:

@@ -78,7 +78,7 @@ def judge_scene(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]
 
     A metric is updated once with each comparison; the scene's figures are computed from the merged states.
     """
-    styles: dict[str, dict[str, Mapping[str, float]]] = {name: {} for name in metrics}
+    styles: dict[str, dict[str, dict[str, float]]] = {name: {} for name in metrics}
     warned: dict[str, list[str]] = {name: [] for name in metrics}
     states: dict[str, dict[str, Any]] = {}
     for index, comparison in enumerate(map(checked, comparisons)):
@@ -88,9 +88,8 @@ def judge_scene(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]
             metric.reset()
             with _recorded_warnings(warned[name], name):
                 metric.update(comparison.to(metric.device))
-            with warnings.catch_warnings():
+            with warnings.catch_warnings(action="ignore"):
                 # Too few images matter for the scene alone, which warns below.
-                warnings.simplefilter("ignore")
                 styles[name][style] = _compute(metric)
             if name in states:
                 metric._update_count = index + 1  # the weight of states that are means
@@ -103,6 +102,9 @@ def judge_scene(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]
     for name, metric in metrics.items():
         with _recorded_warnings(warned[name], name):
             figures = _compute(metric)
+        for figure, values in metric.of_each_row().items():
+            for row, value in zip(styles[name].values(), values.tolist(), strict=True):
+                row[figure] = value
         metric.reset()
         better, stand_ins = dict(metric.better), dict(metric.stand_ins)
         scene[name] = SceneFigures(figures, styles[name], better, stand_ins, tuple(warned[name]))
@@ -149,8 +151,7 @@ def mean(values: Sequence[float]) -> float:
 @contextmanager
 def _recorded_warnings(texts: list[str], metric: str) -> Iterator[None]:
     """Collect warnings, once each, and log them instead of showing them."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings.catch_warnings(record=True, action="always") as caught:
         yield
     for warning in caught:
         text = " ".join(str(warning.message).split())

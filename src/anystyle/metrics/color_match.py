@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import ClassVar, Literal
 
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -12,9 +11,6 @@ from anystyle.types import Comparison
 from anystyle.vision import preprocess
 from anystyle.vision.feature_cache import CACHE
 from anystyle.vision.statistics import hellinger, rgb_uv_histogram
-
-BATCH = 2
-"""Images whose kernels, 65536 pixels times 64 bins each, are in memory at once."""
 
 
 class ColorMatch(RowMean):
@@ -44,7 +40,6 @@ class ColorMatch(RowMean):
 
     def _histograms(self, images: Tensor) -> Tensor:
         def histograms(batch: Tensor) -> list[Tensor]:
-            batch = preprocess.eight_bit(batch) if self.rounded else batch
-            return [torch.cat([rgb_uv_histogram(part) for part in batch.split(BATCH)])]
+            return [rgb_uv_histogram(preprocess.eight_bit(batch) if self.rounded else batch)]
 
         return CACHE.features(images, ("rgb-uv", self.rounded), histograms)[0]

@@ -4,16 +4,18 @@ import warnings
 import zlib
 from abc import abstractmethod
 from collections.abc import Mapping
+from functools import cached_property
 from typing import ClassVar
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Metric
 from anystyle.metrics._base import stacked, with_style_images
 from anystyle.types import Comparison
 from anystyle.vision import networks
+from anystyle.vision.feature_cache import CACHE
 from anystyle.vision.statistics import centered_cosines, equalized_gray, style_statistics
 from anystyle.vision.weights import checksums, find, published
 
@@ -52,23 +54,34 @@ class Retrieval(Metric):
             self.scenes.append(torch.tensor([zlib.crc32(scene.encode())], device=image.device))
 
     def compute(self) -> dict[str, Tensor]:
-        color, gray = self.better
+        hits = self.of_each_row()
+        if all(values.isnan().all() for values in hits.values()):
+            text = "there is no scene in two styles, or nothing to choose among; the figures are nan"
+            warnings.warn(f"{next(iter(hits))}: {text}", stacklevel=2)
+        return {name: values.nanmean() for name, values in hits.items()}
+
+    def of_each_row(self) -> dict[str, Float[Tensor, " N"]]:
+        """1 for each row that is nearest to its own style, else 0; ``nan`` for the only row of a scene."""
         rows, styles, scenes = stacked(self.rows), stacked(self.styles), stacked(self.scenes)
-        gallery, target = styles.unique(dim=0, return_inverse=True)  # G 2 D, N
-        if len(gallery) < 2:
-            warnings.warn(
-                f"{color}: of {len(gallery)} style images there is nothing to choose, the figures are nan", stacklevel=2
-            )
-            return {name: torch.full((), float("nan"), device=rows.device) for name in (color, gray)}
-        hits = [
-            torch.stack([hit(rows[of, index], gallery[:, index], target[of]) for index in range(2)])
-            for of in (scenes == scene for scene in scenes.unique())
-        ]
-        return dict(zip((color, gray), torch.cat(hits, dim=1).mean(1), strict=True))
+        gallery, target = torch.cat([styles, *self._gallery]).unique(dim=0, return_inverse=True)  # G 2 D, N + ...
+        hits = rows.new_full((2, len(rows)), torch.nan)
+        for of in (scenes == scene for scene in scenes.unique()):
+            if of.sum() > 1 < len(gallery):
+                cosines = [centered_cosines(rows[of, index], gallery[:, index]) for index in range(2)]
+                hits[:, of] = (torch.stack(cosines).argmax(2) == target[: len(rows)][of]).to(hits)
+        return dict(zip(self.better, hits, strict=True))
+
+    @cached_property
+    def _gallery(self) -> list[Float[Tensor, "1 2 D"]]:
+        return [self._in_color_and_gray(image[None].to(self.device)) for image in self.gallery]
 
     def _in_color_and_gray(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "1 2 D"]:
-        seen = (images, equalized_gray(images))
-        return torch.stack([self.describe(each).mean(0) for each in seen])[None]
+        def look(batch: Tensor) -> list[Tensor]:
+            return [torch.stack([self.describe(seen) for seen in (batch, equalized_gray(batch))], dim=1)]
+
+        return CACHE.features(images, ("retrieval", *self.better, *self.weights.values()), look)[0].mean(
+            0, keepdim=True
+        )
 
 
 class StyleRetrieval(Retrieval):
@@ -86,8 +99,3 @@ class StyleRetrieval(Retrieval):
 
     def describe(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         return style_statistics(self.network, images)
-
-
-def hit(rows: Float[Tensor, "N D"], gallery: Float[Tensor, "G D"], target: Int[Tensor, " N"]) -> Float[Tensor, " N"]:
-    """1 for each row that is nearest to its own style, else 0."""
-    return (centered_cosines(rows, gallery).argmax(1) == target).to(rows.dtype)

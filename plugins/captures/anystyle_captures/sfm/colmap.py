@@ -11,6 +11,7 @@ from contextlib import closing
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float, Float64
 from PIL import Image
 
 import pycolmap  # isort: skip
@@ -43,11 +44,9 @@ def search(
     photographs: Sequence[Photograph], options: SearchOptions, *, ordered: bool, threads: int, progress: Progress
 ) -> tuple[ViewGraph, list[list[SparseModel]]]:
     """Match photographs, and map them incrementally and globally."""
-    sizes = [_search_size(photograph.size, options) for photograph in photographs]
-    pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        graph = _matched(folder, photographs, sizes, options, ordered=ordered, threads=threads, progress=progress)
+        graph = match(folder, photographs, options, ordered=ordered, threads=threads, progress=progress)
         if len(photographs) < MIN_VIEWS or not graph.pairs:
             return graph, []
         count = len(photographs)
@@ -69,17 +68,22 @@ def _search_size(size: tuple[int, int], options: SearchOptions) -> tuple[int, in
     return max(1, round(factor * size[0])), max(1, round(factor * size[1]))
 
 
-def _matched(
+def match(
     folder: Path,
     photographs: Sequence[Photograph],
-    sizes: Sequence[tuple[int, int]],
     options: SearchOptions,
     *,
-    ordered: bool,
-    threads: int,
-    progress: Progress,
+    ordered: bool = False,
+    pairs: Sequence[tuple[int, int]] | None = None,
+    threads: int = 1,
+    progress: Progress = lambda stage, done, total: None,
 ) -> ViewGraph:
-    """Features and verified matches, written into COLMAP's database ``folder / "database.db"``."""
+    """Features and verified matches, written into COLMAP's database ``folder / "database.db"``.
+
+    ``pairs`` are matched; those that are worth it if not given, for which it matters whether they are ``ordered``.
+    """
+    pycolmap.logging.minloglevel = int(pycolmap.logging.FATAL)
+    sizes = [_search_size(photograph.size, options) for photograph in photographs]
     path, count = folder / "database.db", len(photographs)
     # COLMAP shares a camera among the images of a folder; images are named by their index.
     lenses = list(dict.fromkeys((photograph.lens, photograph.size) for photograph in photographs))
@@ -114,9 +118,9 @@ def _matched(
     with closing(pycolmap.Database.open(path)) as database:
         keypoints = [database.read_keypoints(ids[name]) for name in names]
         descriptors = [database.read_descriptors(ids[name]).data for name in names]
-    pairs = pairs_to_match(
-        [largest_features(*features) for features in zip(keypoints, descriptors, strict=True)], ordered
-    )
+    if pairs is None:
+        previews = [largest_features(*features) for features in zip(keypoints, descriptors, strict=True)]
+        pairs = pairs_to_match(previews, ordered)
     matching, pairing = pycolmap.FeatureMatchingOptions(), pycolmap.ImportedPairingOptions()
     matching.num_threads, matching.use_gpu = threads, False
     pairing.match_list_path = folder / "pairs.txt"
@@ -139,6 +143,28 @@ def _matched(
                 verified.append(VerifiedPair(first, second, np.stack(pixels).astype(np.float64)))
     verified.sort(key=lambda pair: (pair.first, pair.second))
     return ViewGraph([one.name for one in photographs], [len(one) for one in keypoints], sizes, verified)
+
+
+def motion(
+    graph: ViewGraph, pair: VerifiedPair, intrinsics: Sequence[Float[np.ndarray, "3 3"]], size: tuple[int, int]
+) -> Float64[np.ndarray, "3 4"] | None:
+    """The motion from the first camera of a pair to the second, its translation in no unit; ``None`` if none is found.
+
+    ``intrinsics`` of both are in pixels of photographs of height and width ``size``.
+    """
+    cameras = []
+    for matrix, view in zip(intrinsics, (pair.first, pair.second), strict=True):
+        height, width = graph.sizes[view]
+        across, down = width / size[1], height / size[0]
+        params = [matrix[0, 0] * across, matrix[1, 1] * down, matrix[0, 2] * across, matrix[1, 2] * down]
+        cameras.append(pycolmap.Camera(model="PINHOLE", width=width, height=height, params=params))
+    options = pycolmap.TwoViewGeometryOptions(compute_relative_pose=True)
+    options.ransac.random_seed = 0
+    matches = np.arange(pair.pixels.shape[1], dtype=np.uint32)[:, None].repeat(2, axis=1)
+    found = pycolmap.estimate_calibrated_two_view_geometry(
+        cameras[0], pair.pixels[0], cameras[1], pair.pixels[1], matches, options
+    )
+    return None if found.cam2_from_cam1 is None else found.cam2_from_cam1.matrix()
 
 
 def _map_incrementally(
