@@ -23,6 +23,8 @@ from anystyle_benchmark.results import CellFigures, Interval, SceneFigures
 from anystyle_study.statistics import CrossedMean, Crossing, t_interval, t_pvalue
 
 DRAWS, CONFIDENCE = 2000, 0.95
+EPSILON = 1e-7
+"""Relative precision of a figure, of 32 bits."""
 Values = Float[np.ndarray, "S *T"]
 """A figure by scene, and by style if it has one for each; ``nan`` where there is none."""
 
@@ -87,8 +89,8 @@ def difference(first: Values, second: Values) -> Difference:
     mean, crossed = _crossed(gaps)
     if crossed is None:
         return Difference(mean, math.nan, math.nan, math.nan, _count(gaps))
-    if crossed.error == 0:  # the same difference everywhere; none at all is no test
-        return Difference(mean, mean, mean, 0.0 if mean else math.nan, _count(gaps))
+    if crossed.error <= EPSILON * abs(mean):  # the same difference everywhere: no error is known, and there is no test
+        return Difference(mean, mean, mean, math.nan, _count(gaps))
     low, high = crossed.interval(CONFIDENCE)
     return Difference(
         mean, low, high, t_pvalue(mean / float(crossed.error), float(crossed.df), "two-sided"), _count(gaps)

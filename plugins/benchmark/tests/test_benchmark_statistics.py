@@ -83,7 +83,7 @@ def test_what_cannot_be_told_has_no_bounds():
     assert interval(np.full((3, 2), 0.5)) == Interval(0.5, 0.5, 0.5, 6)
     assert interval(np.full((2, 2), np.nan)) == Interval(None, None, None, 0)
     assert math.isnan(difference(np.ones((1, 3)), np.zeros((1, 3))).pvalue)
-    assert difference(np.ones((2, 3)), np.zeros((2, 3))) == (1.0, 1.0, 1.0, 0.0, 6)
+    assert math.isnan(difference(np.full((2, 3), 0.1), np.zeros((2, 3))).pvalue)  # no error is known
     assert math.isnan(difference(np.ones((2, 3)), np.ones((2, 3))).pvalue)
 
 
