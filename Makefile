@@ -4,7 +4,7 @@ BIN := .venv/bin
 EXTRAS := report,flow,sweeps,tracking,hub,viewer,words,usd,spz
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo docs test test-slow fuzz lint format
+.PHONY: setup demo benchmark-smoke docs test test-slow fuzz lint format
 
 setup: .venv/.ready
 
@@ -22,6 +22,15 @@ demo: setup
 	$(BIN)/anystyle stylize example:street --text "pink and mint watercolor" --text "charcoal drawing" \
 		--image example:starry_night --image example:wave --image example:scream --image example:water_lilies \
 		--export html --open --out out/demo
+
+# Minutes: two scenes, three styles, three methods, judged, compared and shown. It says whether the benchmark runs.
+benchmark-smoke: RESULTS = out/benchmark-smoke
+benchmark-smoke: setup
+	$(BIN)/anystyle benchmark run track=smoke methods=[photographs,branch,brush] seeds=0 out=$(RESULTS)
+	$(BIN)/anystyle benchmark judge $(RESULTS)
+	$(BIN)/anystyle benchmark compare $(RESULTS) branch brush
+	$(BIN)/anystyle benchmark site $(RESULTS) --out $(RESULTS)/site
+	@echo "open $(RESULTS)/site/index.html"
 
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --config-file docs/site/mkdocs.yml

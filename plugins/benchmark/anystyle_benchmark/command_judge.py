@@ -93,7 +93,7 @@ def summary(figures: Figures, headline: Sequence[str]) -> Table:
     better = {name: info.better for name, info in figures.metrics.items()}
     networks = {name: figures.metrics[name].stand_in for name in shown if figures.metrics[name].stand_in}
     return Table(
-        ("method", "cells", *(titled(name, better) for name in shown), "CPU s"),
+        ("method", "cells", *(titled(name, better) for name in shown), "CPU s a style"),
         tuple(rows),
         notes=(INTERVALS, *(f"{name}: {network} ({STAND_IN})." for name, network in networks.items())),
     )
@@ -124,7 +124,16 @@ def spread(interval: Interval | None) -> str:
 
 
 def cost(cells: Sequence[CellFigures]) -> float | None:
-    """Mean CPU seconds of a cell, with its share of what is done once a scene."""
+    """Mean CPU seconds of a further style."""
+    return _mean([cell.seconds for cell in cells if cell.seconds is not None])
+
+
+def scene_cost(cells: Sequence[CellFigures]) -> float | None:
+    """Mean CPU seconds of what is done once a scene; ``None`` where that is not known of any."""
     timed = [cell for cell in cells if cell.seconds is not None]
-    once = {(cell.seed, cell.scene): cell.scene_seconds for cell in timed}
-    return (sum(cell.seconds or 0 for cell in timed) + sum(once.values())) / len(timed) if timed else None
+    scenes = {(cell.seed, cell.scene): cell.scene_seconds for cell in timed if cell.scene_seconds is not None}
+    return _mean(list(scenes.values()))
+
+
+def _mean(seconds: Sequence[float]) -> float | None:
+    return sum(seconds) / len(seconds) if seconds else None

@@ -147,7 +147,7 @@ def table(found: Sequence[Compared], figures: Figures, answered: Sequence[Answer
     notes = [
         "Differences are of the first and the second method in the cells (or scenes) that both have. Intervals and p "
         "are Student's over crossed random scenes and styles; p is adjusted over all rows by Holm's method, intervals "
-        "are not. A method is better where p is at most 0.05; a difference that is the same in every cell has no test (–)."
+        "are not. A method is better where p is at most 0.05. A difference that is the same in every cell has no test."
     ]
     if answered:
         notes.append(

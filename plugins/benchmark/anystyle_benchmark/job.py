@@ -45,10 +45,11 @@ class Job(Struct, frozen=True):
 class Seconds(Struct, frozen=True):
     """CPU seconds of what is done once a scene, and of each style; a method may say them.
 
-    Without them the seconds of the whole process are divided evenly by its styles.
+    Without them the seconds of the whole process are divided evenly by its styles. ``scene`` is ``None`` where what is
+    done once was there already, such as a fit that another method made: nobody knows then what it took.
     """
 
-    scene: float = 0.0
+    scene: float | None = 0.0
     styles: dict[str, float] = msgspec.field(default_factory=dict)
 
 

@@ -40,7 +40,7 @@ def main(job_file: str, words: Sequence[str]) -> None:
     cameras = judged_cameras(results.encoded.cameras, results.encoded.sources, job.views, job.size)
     spent = time.process_time()
     # A fit that an earlier method left in the cache took no time now: that method's record has its seconds.
-    once = 0.0 if results.encoded.reconstruction.get("kept") else spent - start
+    once = None if results.encoded.reconstruction.get("kept") else spent - start
     seconds: dict[str, float] = {}
     for style, result in zip(job.styles, results, strict=True):
         folder = Path(job.out) / style.name

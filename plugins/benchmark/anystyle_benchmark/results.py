@@ -42,7 +42,8 @@ class Record(Struct, frozen=True):
         status: Of a method that ran, failed, or took too long.
         message: One line, where it did not run.
         seconds: CPU seconds of this style, the method's share of what it does once a scene apart; NaN as ``None``.
-        scene_seconds: CPU seconds of what it does once a scene, such as fitting it; 0 where it does not say.
+        scene_seconds: CPU seconds of what it does once a scene, such as fitting it; 0 where it does not say, ``None``
+            where it found that done.
         memory: Peak resident memory of its processes, in MiB.
         machine: Processor and number of cores.
         versions: Of what ran.
@@ -51,7 +52,7 @@ class Record(Struct, frozen=True):
     status: Literal["done", "failed", "timeout"]
     message: str = ""
     seconds: float | None = None
-    scene_seconds: float = 0
+    scene_seconds: float | None = 0
     memory: float | None = None
     machine: str = ""
     versions: dict[str, str] = msgspec.field(default_factory=dict)
@@ -98,7 +99,7 @@ class CellFigures(Struct, frozen=True):
     status: str
     message: str = ""
     seconds: float | None = None
-    scene_seconds: float = 0
+    scene_seconds: float | None = 0
     memory: float | None = None
     figures: dict[str, Figure] = msgspec.field(default_factory=dict)
 

@@ -19,7 +19,7 @@ from anystyle.evaluation.base import Progress
 from anystyle.evaluation.tables import number
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.documents import Figure, as_number, fit, kept_json
-from anystyle_benchmark.command_judge import cost
+from anystyle_benchmark.command_judge import cost, scene_cost
 from anystyle_benchmark.judge import photographs
 from anystyle_benchmark.results import Cell, CellFigures, Figures, Interval, Record, TableRow
 from anystyle_benchmark.spec import Spec
@@ -181,12 +181,13 @@ def _drawn(one: Interval | None, span: tuple[float, float]) -> Drawn | None:
 
 
 def _taken(root: Path, figures: Figures, method: str) -> dict[str, Any]:
-    """What a method took: seconds by guide, memory, and where it ran."""
+    """What a method took: seconds by guide and once a scene, memory, and where it ran."""
     cells = [cell for cell in figures.cells if cell.method == method]
     records = [record for cell in cells if (record := kept_json(_place(cell).record(root), Record)) is not None]
     guides = dict.fromkeys(cell.guide for cell in cells)
     return {
         "seconds": {guide: cost([cell for cell in cells if cell.guide == guide]) for guide in guides},
+        "once": scene_cost(cells),
         "memory": max((cell.memory for cell in cells if cell.memory is not None), default=None),
         "machines": sorted({record.machine for record in records if record.machine}),
         "versions": {name: version for record in records for name, version in record.versions.items()},

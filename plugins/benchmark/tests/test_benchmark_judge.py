@@ -14,8 +14,8 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.types import Comparison, Style
 from anystyle_benchmark import judge as judging
-from anystyle_benchmark.command_judge import main
-from anystyle_benchmark.results import Cell, Figures, Record
+from anystyle_benchmark.command_judge import cost, main, scene_cost
+from anystyle_benchmark.results import Cell, CellFigures, Figures, Record
 from anystyle_benchmark.track import Inputs
 
 
@@ -192,3 +192,15 @@ def test_results_say_their_own_track(world, capsys):
     assert json.loads((world[1] / "track.json").read_text())["name"] == "small"
     with pytest.raises(UserError, match="no track is named 'small'"):
         main([str(world[1])])
+
+
+def test_seconds_of_a_style_and_of_a_scene_are_apart():
+    def cell(scene: str, style: str, seconds: float | None, once: float | None) -> CellFigures:
+        return CellFigures("m", 0, scene, style, "image", "done", "", seconds, once)
+
+    first = [cell("one", "a", 1.0, 60.0), cell("one", "b", 3.0, 60.0), cell("two", "a", 2.0, 20.0)]
+    assert (cost(first), scene_cost(first)) == (2.0, 40.0)
+    shared = [cell("one", "a", 1.0, None), cell("two", "a", 5.0, None)]  # fits of another method
+    assert (cost(shared), scene_cost(shared)) == (3.0, None)
+    failed = [cell("one", "a", None, 0.0)]
+    assert (cost(failed), scene_cost(failed)) == (None, None)
