@@ -57,9 +57,9 @@ def describe(parser: argparse.ArgumentParser) -> None:
 
 
 def launch(
-    config_name: str, function: Callable[[DictConfig], Any], words: Sequence[str], folder: Path = paths.CONF
+    config_name: str, function: Callable[[DictConfig], Any], words: Sequence[str], folder: Path | None = None
 ) -> None:
-    """Hand words to Hydra, which composes the configuration in ``folder`` and calls ``function``, maybe many times."""
+    """Hand words to Hydra, which composes what is in ``folder`` (``conf/``) and calls ``function``, maybe often."""
     register()
     check_words(words)
     if len({word.partition("=")[0] for word in words} & {*MODES}) > 1:
@@ -77,7 +77,7 @@ def launch(
             return None
 
     with _arguments(words), _raising():
-        hydra.main(version_base=VERSION_BASE, config_path=str(folder), config_name=config_name)(task)()
+        hydra.main(version_base=VERSION_BASE, config_path=str(folder or paths.CONF), config_name=config_name)(task)()
     if failures:
         raise failures[0]
 
