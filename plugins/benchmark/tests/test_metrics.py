@@ -221,10 +221,11 @@ def test_geometry_of_a_known_scene_survives_and_that_of_noise_does_not():
     scene = replace(wall(), scales=torch.full_like(wall().scales, 0.03))
     with torch.no_grad():
         images = CpuRenderer(background=(0.0, 0.0, 0.0))(scene, cameras).color[0]
-    found, pasted, noise = (
-        figures(GeometrySurvival(), images, row, cameras=cameras)
-        for row in (images, images[:1].expand_as(images), noise_like(images))
+    metric, pasted_views = GeometrySurvival(), images[:1].expand_as(images)
+    found, again, pasted, noise = (
+        figures(metric, images, row, cameras=cameras) for row in (images, images, pasted_views, noise_like(images))
     )
     assert found["registered"] == 1 and found["camera_error"] < 6 and found["pose_auc"] > 0.7
     assert pasted["pose_auc"] < 0.1 and noise["pose_auc"] == noise["registered"] == 0
     assert np.isnan(noise["camera_error"])
+    assert again == found  # views that are the same are not matched twice, and others are
