@@ -12,10 +12,12 @@ from torch import nn
 
 from anystyle.correspondences.rendered_depth import RenderedDepth
 from anystyle.data.images import read_square
+from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.types import Cameras, Comparison, Frames, Style
 from anystyle_benchmark.metrics import dino
 from anystyle_benchmark.metrics.color_histogram import ColorHistogram, rgb_histogram
+from anystyle_benchmark.metrics.csd import CSD
 from anystyle_benchmark.metrics.geometry_survival import GeometrySurvival, pose_error
 from anystyle_benchmark.metrics.met3r import Met3rDepth
 from anystyle_benchmark.metrics.sharpness import Sharpness
@@ -229,3 +231,53 @@ def test_geometry_of_a_known_scene_survives_and_that_of_noise_does_not():
     assert pasted["pose_auc"] < 0.1 and noise["pose_auc"] == noise["registered"] == 0
     assert np.isnan(noise["camera_error"])
     assert again == found  # views that are the same are not matched twice, and others are
+
+
+def test_csd_is_the_cosine_of_the_style_heads_outputs(tmp_path):
+    torch.manual_seed(0)
+    options = CSD.example(tmp_path)
+    saved = torch.load(options["file"])["model_state_dict"]
+    state = {key.removeprefix("module.").removeprefix("backbone."): tensor for key, tensor in saved.items()}
+    layer = nn.TransformerEncoderLayer(
+        64, 1, 256, activation=lambda x: x * torch.sigmoid(1.702 * x), batch_first=True, norm_first=True
+    ).eval()
+    names = {"attn": "self_attn", "mlp.c_fc": "linear1", "mlp.c_proj": "linear2", "ln_1": "norm1", "ln_2": "norm2"}
+    block = {key.removeprefix("transformer.resblocks.0."): tensor for key, tensor in state.items() if "resbl" in key}
+    layer.load_state_dict(
+        {
+            name + key.removeprefix(own): block[key]
+            for own, name in names.items()
+            for key in block
+            if key.startswith(own)
+        }
+    )
+
+    def described(images):
+        mean, std = (
+            torch.tensor(each).view(3, 1, 1)
+            for each in ((0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711))
+        )
+        patches = nn.functional.conv2d((images - mean) / std, state["conv1.weight"], stride=56).flatten(2).mT
+        tokens = (
+            torch.cat([state["class_embedding"].expand(len(images), 1, -1), patches], 1) + state["positional_embedding"]
+        )
+        normed = nn.functional.layer_norm(tokens, (64,), state["ln_pre.weight"], state["ln_pre.bias"])
+        last = nn.functional.layer_norm(layer(normed)[:, 0], (64,), state["ln_post.weight"], state["ln_post.bias"])
+        return nn.functional.normalize(last @ state["last_layer_style"], dim=-1)
+
+    views, style = torch.rand(2, 3, 224, 224), torch.rand(3, 224, 224)
+    with torch.no_grad():
+        expected = (described(views) @ described(style[None])[0]).mean()
+    metric = CSD(**options)
+    assert figures(metric, views, views, style)["csd"] == pytest.approx(float(expected), abs=1e-5)
+    assert figures(metric, views, style.expand_as(views), style)["csd"] == pytest.approx(1)
+    assert set(metric.weights) == {"csd.pth"}
+
+
+def test_csd_needs_its_own_weights(tmp_path):
+    views = torch.rand(1, 3, 32, 32)
+    with pytest.raises(UserError, match=r"csd_vit_l.*CSD-ViT-L"):
+        figures(CSD(), views, views, views[0])
+    torch.save({"model_state_dict": {"module.last_layer_style": torch.zeros(1, 1)}}, tmp_path / "other.pth")
+    with pytest.raises(UserError, match="does not fit"):
+        figures(CSD(file=str(tmp_path / "other.pth")), views, views, views[0])

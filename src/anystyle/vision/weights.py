@@ -276,8 +276,9 @@ def read(path: str | Path) -> dict[str, Tensor]:
     except Exception as error:  # damaged archives and pickles raise nearly anything
         reason = (str(error).strip() or type(error).__name__).splitlines()[0]
         raise UserError(f"{path} is truncated or no file of weights ({reason}); get it again") from None
-    if isinstance(state, Mapping) and isinstance(state.get("state_dict"), Mapping):
-        state = state["state_dict"]
+    for name in ("state_dict", "model_state_dict"):
+        if isinstance(state, Mapping) and isinstance(state.get(name), Mapping):
+            state = state[name]
     if not isinstance(state, Mapping) or not all(isinstance(value, Tensor) for value in state.values()):
         raise UserError(f"{path} holds no plain state dict; save `module.state_dict()` alone")
     return dict(state)
