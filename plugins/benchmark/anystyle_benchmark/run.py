@@ -83,13 +83,14 @@ def run_scene(
             ended = _ask(inputs, spec, home, scene, missing, seed, size, scratch)
             wanted = {style.name: cells[style.name] for style in missing}
             found = _collect(scratch / "out", wanted, scene.views, size, root, ended)
-            for name, cell in wanted.items():
-                if name not in found:
-                    message = ended.failure or _absent(scratch, name, scene.views, size)
-                    status = "timeout" if ended.timed_out else "failed"
-                    write_json(cell.record(root), msgspec.to_builtins(Record(status, message, machine=_machine())))
+            failures = {
+                name: ended.failure or _absent(scratch, name, scene.views, size) for name in wanted if name not in found
+            }
+            for name, message in failures.items():
+                record = Record("timeout" if ended.timed_out else "failed", message, machine=_machine())
+                write_json(wanted[name].record(root), msgspec.to_builtins(record))
             shutil.rmtree(scratch)
-            failed = f", {len(wanted) - len(found)} failed: {ended.failure}" if len(found) < len(wanted) else ""
+            failed = f", {len(failures)} failed: {next(iter(failures.values()))}" if failures else ""
             say(f"{spec.name}, {scene.name}, seed {seed}: {len(found)} done in {ended.seconds:.0f} CPU s{failed}")
     except Timeout:
         say(f"{spec.name}, {scene.name}, seed {seed}: another process is at it")

@@ -116,9 +116,10 @@ def test_styles_that_an_interrupted_run_left_whole_are_kept(world):
         ),
     ],
 )
-def test_a_program_that_fails_leaves_a_line_in_its_cells(world, program, lines, status, message):
+def test_a_program_that_fails_leaves_a_line_in_its_cells(world, capsys, program, lines, status, message):
     records = ran(world, method(world, program, *lines), "scenes=one")
     assert any(record.status == status and message in record.message for record in records.values()), records
+    assert f"failed: {message}" in capsys.readouterr().err
 
 
 def test_a_child_of_a_stopped_program_does_not_live_on(world):
