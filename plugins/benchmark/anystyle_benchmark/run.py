@@ -26,7 +26,7 @@ from anystyle_benchmark.track import Inputs, SceneEntry, StyleEntry
 
 PACKAGE = Path(__file__).parent
 SCRATCH, LOG = ".job", "log.txt"
-POLL = 0.05
+POLL = 0.2
 """Seconds between looks at a process."""
 LOG_BYTES = 1 << 16
 
