@@ -54,7 +54,7 @@ def test_cameras_beside_photographs(tmp_path, binary):
     for name in ("a.png", "b.png", "c.png"):
         Image.new("RGB", (64, 48)).save(tmp_path / "images" / name)
     colmap.write(model(), tmp_path / "sparse" / "0", binary=binary)
-    known = read_poses(tmp_path, ["a.png", "b.png", "c.png"])
+    known = read_poses(tmp_path, [tmp_path / "images" / name for name in ("a.png", "b.png", "c.png")])
     assert sorted(known) == ["a.png", "b.png"]
     camera, stored = known["b.png"], model().photographs[7]
     w, x, y, z = stored.rotation
@@ -90,11 +90,11 @@ def test_damaged_files_are_refused(tmp_path):
         colmap.read(tmp_path)
 
 
-def test_fisheye_cameras_and_other_peoples_poses_are_refused(tmp_path):
-    lens = colmap.Camera("OPENCV_FISHEYE", (48, 64), (50.0, 51.0, 32.0, 24.0, 0.0, 0.0, 0.0, 0.0))
+def test_lenses_without_an_undistortion_and_other_peoples_poses_are_refused(tmp_path):
+    lens = colmap.Camera("FOV", (48, 64), (50.0, 51.0, 32.0, 24.0, 0.9))
     colmap.write(colmap.Model({1: lens}, model().photographs), tmp_path / "sparse")
     with pytest.raises(ValueError, match="undistort"):
-        read_poses(tmp_path, ["a.png"])
+        read_poses(tmp_path, [tmp_path / "a.png"])
     colmap.write(model(), tmp_path / "sparse")
     with pytest.raises(ValueError, match="names none of the photographs"):
-        read_poses(tmp_path, ["elsewhere.png"])
+        read_poses(tmp_path, [tmp_path / "elsewhere.png"])

@@ -30,11 +30,11 @@ def capture(tmp_path):
 
 def sources(capture, count):
     names = [capture / "images" / f"{number}.png" for number in range(count)]
-    return read_views(names, short_side=24, multiple=8, max_views=8)[1]
+    return read_views(names, short_side=24, multiple=8, max_views=8)
 
 
 def test_cameras_above_the_photographs_are_matched_and_scaled(capture):
-    known = from_files(sources(capture, 2))
+    known = from_files(*sources(capture, 2))[2]
     assert known.indices == (0, 1) and known.names == ("0", "1", "2")
     assert known.targets.intrinsics.shape[1] == 3
     scale = known.views.size[0] / 480
@@ -42,7 +42,7 @@ def test_cameras_above_the_photographs_are_matched_and_scaled(capture):
 
 
 def test_targets_are_placed_among_predicted_cameras(capture):
-    known = from_files(sources(capture, 3))
+    known = from_files(*sources(capture, 3))[2]
     angle = 0.4
     turn = torch.eye(4)
     turn[:2, :2] = torch.tensor([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
@@ -56,13 +56,13 @@ def test_targets_are_placed_among_predicted_cameras(capture):
 
 def test_poses_that_do_not_match_are_refused(capture, tmp_path):
     with pytest.raises(ValueError, match="1 of 4 photographs have no stored camera"):
-        from_files(sources(capture, 4)).of_all(["0", "1", "2", "3"])
+        from_files(*sources(capture, 4))[2].of_all(["0", "1", "2", "3"])
     content = json.loads((capture / "transforms.json").read_text())
     (capture / "transforms.json").write_text(json.dumps(content | {"w": 480, "h": 480}))
     with pytest.raises(ValueError, match="for an image of 480x480"):
-        from_files(sources(capture, 2))
+        from_files(*sources(capture, 2))
     (capture / "transforms.json").unlink()
     with pytest.raises(ValueError, match="no cameras are stored beside"):
-        from_files(sources(capture, 2))
+        from_files(*sources(capture, 2))
     with pytest.raises(ValueError, match="knows no cameras"):
         from_views(None, ["a"])

@@ -136,23 +136,23 @@ def test_cameras_of_a_real_capture_see_the_same_points():
 def test_damaged_transforms_are_refused_in_one_line(tmp_path, content, words):
     (tmp_path / "transforms.json").write_text(content)
     with pytest.raises(ValueError, match=words) as caught:
-        read_poses(tmp_path, ["a.png"])
+        read_poses(tmp_path, [tmp_path / "a.png"])
     assert "\n" not in str(caught.value)
 
 
 def test_damaged_poses_bounds_are_refused(tmp_path):
     (tmp_path / "poses_bounds.npy").write_bytes(b"nonsense")
     with pytest.raises(ValueError, match="no array of poses"):
-        read_poses(tmp_path, ["a.png"])
+        read_poses(tmp_path, [tmp_path / "a.png"])
     np.save(tmp_path / "poses_bounds.npy", np.zeros((1, 5)))
     with pytest.raises(ValueError, match="N x 17"):
-        read_poses(tmp_path, ["a.png"])
+        read_poses(tmp_path, [tmp_path / "a.png"])
     np.save(tmp_path / "poses_bounds.npy", np.zeros((1, 17)))
     with pytest.raises(ValueError, match="focal length 0"):
-        read_poses(tmp_path, ["a.png"])
+        read_poses(tmp_path, [tmp_path / "a.png"])
     np.save(tmp_path / "poses_bounds.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
     with pytest.raises(ValueError, match="no array of poses"):
-        read_poses(tmp_path, ["a.png"])
+        read_poses(tmp_path, [tmp_path / "a.png"])
 
 
 def test_bad_scene_folders(tmp_path, capture):

@@ -176,7 +176,8 @@ class Captures(Protocol):
             views, sources = read_views(
                 [path], short_side=short_side, multiple=multiple, max_views=self.take, enlarge=enlarge
             )
-            cameras = from_files(sources).of_all([source.name for source in sources])
+            views, sources, known = from_files(views, sources)
+            cameras = known.of_all([source.name for source in sources])
             return replace(views, cameras=cameras), None, {"trust": "known"}
         estimator = StructureFromMotion(keep=False)
         originals = read_originals([path], longest=estimator.longest, max_views=self.take)

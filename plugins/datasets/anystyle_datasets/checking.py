@@ -17,7 +17,7 @@ from PIL import Image
 from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
 from anystyle.data.images import SUFFIXES, image_size, listing, open_image
-from anystyle.data.poses import frame_names, read_poses
+from anystyle.data.poses import read_poses, stored_cameras
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.errors import UserError
 from anystyle.io.documents import read_json
@@ -161,7 +161,7 @@ def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_v
     paths = image_files(inside)
     good = _look(paths, report, decode)
     try:
-        stored = read_poses(folder, [path.name for path in paths], cameras) if paths else {}
+        stored = read_poses(folder, paths, cameras) if paths else {}
     except ValueError as error:
         report.problems.append(str(error))
         return
@@ -169,7 +169,7 @@ def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_v
     if len(known) < len(good):
         report.problems.append(f"{folder}: {len(good) - len(known)} photographs have no camera")
     file = folder / (cameras or "transforms.json")
-    listed = frame_names(file) if file.is_file() else []
+    listed = list(stored_cameras(file)) if file.is_file() else []
     names = {path.name for path in paths} | {path.stem for path in paths}
     absent = [name for name in listed if name not in names]
     if absent:

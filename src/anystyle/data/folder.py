@@ -16,6 +16,7 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.data import images
+from anystyle.data.camera_reader import readers
 from anystyle.errors import UserError
 from anystyle.examples import resolved
 from anystyle.io import video
@@ -149,16 +150,21 @@ def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> l
     return _each(shots, problems, original)
 
 
-def read_picture(source: Picture, name: str, size: tuple[int, int]) -> tuple[Image.Image, SourceImage]:
-    """An image file, or the bytes of one, scaled to cover a view of ``size``, height and width, and cut evenly."""
+def read_picture(
+    source: Picture, name: str, size: tuple[int, int], straighten: Callable[[Image.Image], Image.Image] | None = None
+) -> tuple[Image.Image, SourceImage]:
+    """An image file, or the bytes of one, scaled to cover a view of ``size``, height and width, and cut evenly.
+
+    ``straighten`` removes the distortion of its lens.
+    """
     path = source if isinstance(source, Path) else None
     described = name if path is None else str(path)
     whole = images.image_size(source, described)
     scale = min(whole[0] / size[1], whole[1] / size[0])
     # Decoded at twice the size that is needed where the format can, which leaves the resampling its room.
     picture = images.open_image(source, described, longest=max(1, round(2 * max(whole) / max(scale, 1.0))))
-    covered, shown = cover(name, picture, whole, size)
-    return covered, replace(shown, path=path)
+    covered, shown = cover(name, picture if straighten is None else straighten(picture), whole, size)
+    return covered, replace(shown, path=path, straightened=straighten)
 
 
 def covering(name: str, source: tuple[int, int], size: tuple[int, int]) -> SourceImage:
@@ -228,8 +234,11 @@ def _own_size(sizes: Sequence[tuple[int, int]], multiple: int) -> tuple[int, int
 
 def _find(item: Path) -> list[Path]:
     if item.is_dir():
-        # Captures with cameras keep their photographs in a folder of that name.
-        inside = image_files(item) or (image_files(item / "images") if (item / "images").is_dir() else [])
+        # Captures with cameras keep their photographs in a folder of that name, or where their program puts them.
+        found = ((reader, reader.find(item)) for reader in readers())
+        places = [reader.photographs(path) for reader, path in found if path is not None]
+        folders = [*places, item, item / "images"]
+        inside = next(filter(None, (image_files(folder) for folder in folders if folder and folder.is_dir())), [])
         if not inside:
             raise UserError(f"there are no images in the folder {item}")
         return inside

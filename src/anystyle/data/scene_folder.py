@@ -10,9 +10,10 @@ import numpy as np
 from PIL import Image
 
 from anystyle.contracts import SceneSource
+from anystyle.data.camera_reader import StoredCamera
 from anystyle.data.folder import as_views, common_size, image_files, read_picture, room_for_views
 from anystyle.data.images import image_size, readable
-from anystyle.data.poses import StoredCamera, read_poses, view_camera
+from anystyle.data.poses import read_poses, view_camera
 from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import read_json
@@ -34,9 +35,10 @@ class FolderScenes(SceneSource):
     """Folders of photographs: one scene a folder, or ``root`` itself; also DL3DV-10K, ScanNet++ and LLFF captures.
 
     A scene's photographs lie in its folder or in its sub-folder ``images``, and are taken in natural order. Cameras
-    come from ``transforms.json``, ``poses_bounds.npy`` or COLMAP's model where there is one; photographs without a
-    camera are then left out, and so are files that are no images; a damaged one is found out when it is decoded, and
-    raises then. Every scene keeps its own aspect.
+    come from what a plugin of kind ``cameras`` reads, such as ``transforms.json`` or COLMAP's model, where there is
+    one; photographs without a camera are then left out, and so are files that are no images; a damaged one is found out
+    when it is decoded, and raises then. Every scene keeps its own aspect. The distortion of lenses is not undone, as in
+    the published training.
 
     Args:
         root: A folder.
@@ -139,7 +141,7 @@ class FolderScenes(SceneSource):
         paths = self._photographs(folder)
         if not paths:
             raise UserError(f"there are no photographs in the scene {folder}")
-        stored = read_poses(folder, [path.name for path in paths], self.cameras)
+        stored = read_poses(folder, paths, self.cameras)
         if stored:
             known = [path for path in paths if path.name in stored]
             if len(known) < len(paths):

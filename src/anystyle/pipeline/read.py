@@ -123,7 +123,7 @@ def read(
     else:
         from anystyle.pipeline.camera_files import from_files
 
-        known = from_files(sources, None if poses.folder is None else Path(poses.folder))
+        views, sources, known = from_files(views, sources, None if poses.folder is None else Path(poses.folder))
     if poses.use == "target":
         return ReadViews(views, sources, chosen, targets=known)
     return ReadViews(views, sources, chosen, known.of_all(names))

@@ -10,7 +10,7 @@ from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 
 from anystyle.contracts import Format
-from anystyle.data.poses import StoredCamera
+from anystyle.data.camera_reader import StoredCamera
 from anystyle.errors import UserError
 from anystyle.io.documents import Count, read_json, regular
 from anystyle.pipeline.export import in_axes

@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.data.camera_reader import StoredCamera
 from anystyle.data.folder import SourceImage, covering
-from anystyle.data.poses import StoredCamera, stored_cameras, view_camera
+from anystyle.data.poses import stored_cameras, view_camera
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb

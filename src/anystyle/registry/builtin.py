@@ -25,6 +25,7 @@ KINDS: dict[str, Kind] = {
     "placement": Kind("anystyle.contracts:Placement"),
     "injector": Kind("anystyle.contracts:Injector", runtime=("dim", "style_dim")),
     "renderer": Kind("anystyle.contracts:Renderer"),
+    "cameras": Kind("anystyle.data.camera_reader:CameraReader"),
     "pose_estimator": Kind("anystyle.pipeline.poses:PoseEstimator"),
     "reconstruction": Kind("anystyle.contracts:Reconstruction"),
     "method": Kind("anystyle.methods.base:Method", runtime=("losses",)),

@@ -1,0 +1,1 @@
+"""Cameras that other programs stored beside photographs."""

@@ -1,0 +1,49 @@
+"""COLMAP's models, which Metashape and RealityScan export, too."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.errors import UserError
+from anystyle.io import colmap
+from anystyle_camera_files.lens import Lens
+from anystyle_camera_files.poses import camera, finished
+
+
+class ColmapModel(CameraReader):
+    """A COLMAP model, text or binary, in the folder or where COLMAP and its users put it below."""
+
+    expects = "a COLMAP model"
+    rank = 30
+
+    def find(self, path: Path) -> Path | None:
+        return colmap.find(path)
+
+    def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
+        model = colmap.read(path)
+        lenses = {number: _lens(stored, path) for number, stored in model.cameras.items()}
+        cameras = {}
+        for photograph in model.photographs.values():
+            w, x, y, z = photograph.rotation
+            pose = np.eye(4)
+            pose[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix().T
+            pose[:3, 3] = -pose[:3, :3] @ np.array(photograph.translation)
+            cameras[PurePosixPath(photograph.name).name] = camera(pose, lenses[photograph.camera])
+        return finished(cameras, images)
+
+
+def _lens(stored: colmap.Camera, path: Path) -> Lens:
+    values = stored.distortion
+    if stored.model in ("FOV", "THIN_PRISM_FISHEYE") or (stored.model == "FULL_OPENCV" and any(values[5:])):
+        raise UserError(f"{path} has {stored.model} cameras; undistort the images (colmap image_undistorter) first")
+    fisheye = "FISHEYE" in stored.model
+    tangential = (0.0, 0.0)
+    if stored.model in ("OPENCV", "FULL_OPENCV"):
+        tangential, values = (values[2], values[3]), (*values[:2], *values[4:5])
+    k1, k2, k3, k4 = (*values, 0.0, 0.0, 0.0, 0.0)[:4]
+    matrix = stored.intrinsics
+    focal, center = (matrix[0, 0], matrix[1, 1]), (matrix[0, 2], matrix[1, 2])
+    return Lens(stored.size, focal, center, (k1, k2, k3, k4), tangential, fisheye=fisheye)
