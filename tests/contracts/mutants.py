@@ -5,11 +5,14 @@ find it, too.
 """
 
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
 import torch
 from torch import nn
 
 from anystyle.testing.toy.backbone import ToyAdapter, ToyAggregator, ToyBackbone, ToyGaussianHead, ToyGeometryHead
+from anystyle.testing.toy.cameras import ToyCameras
 from anystyle.testing.toy.command import ToyCommand
 from anystyle.testing.toy.correspondence import ToyCorrespondence
 from anystyle.testing.toy.format import ToyFormat
@@ -53,6 +56,11 @@ def given(toy, method, change):
 def scale(name, factor):
     """Multiply one field of a value."""
     return lambda value: replace(value, **{name: getattr(value, name) * factor})
+
+
+def mirrored(camera):
+    """A stored camera in a world seen in a mirror."""
+    return replace(camera, world_from_camera=np.diag([-1.0, 1.0, 1.0, 1.0]) @ camera.world_from_camera)
 
 
 def backbone(part, make):
@@ -198,6 +206,13 @@ MUTANTS = {
             "everything_carries_gradients",
         ),
         (given(ToyRenderer, "__call__", lambda g: replace(g, means=g.means + 0.1)), "points_appear_where_they_project"),
+    ],
+    "cameras": [
+        (
+            changed(ToyCameras, "read", lambda cameras: {name: flipped(one) for name, one in cameras.items()}),
+            "reads_its_example",
+        ),
+        (changed(ToyCameras, "find", lambda path: path or Path("toy_cameras.txt")), "finds_its_own_and_nothing_else"),
     ],
     "pose_estimator": [
         (changed(ToyPoseEstimator, "__call__", lambda posed: posed.verdict), "gives_cameras_or_a_verdict"),

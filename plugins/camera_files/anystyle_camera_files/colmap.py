@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from anystyle.data.camera_reader import CameraReader, StoredCamera
 from anystyle.errors import UserError
 from anystyle.io import colmap
+from anystyle_camera_files import samples
 from anystyle_camera_files.lens import Lens
 from anystyle_camera_files.poses import camera, finished
 
@@ -18,6 +19,12 @@ class ColmapModel(CameraReader):
 
     expects = "a COLMAP model"
     rank = 30
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        images = samples.write_photographs(folder / "images")
+        samples.write_colmap(folder / "sparse" / "0", images, samples.poses(), samples.pinhole())
+        return {}
 
     def find(self, path: Path) -> Path | None:
         return colmap.find(path)

@@ -10,6 +10,7 @@ import numpy as np
 
 from anystyle.data.camera_reader import CameraReader, StoredCamera
 from anystyle.errors import UserError
+from anystyle_camera_files import samples
 from anystyle_camera_files.lens import Lens
 from anystyle_camera_files.poses import camera, finished, rigid
 from anystyle_camera_files.xml import number, numbers, read_xml, starts_with
@@ -29,6 +30,12 @@ class Metashape(CameraReader):
 
     expects = "cameras.xml of Metashape"
     rank = 40
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        images = samples.write_photographs(folder / "images")
+        samples.write_metashape(folder / "cameras.xml", images, samples.poses(), samples.pinhole())
+        return {}
 
     def find(self, path: Path) -> Path | None:
         files = sorted(path.glob("*.xml")) if path.is_dir() else [path]

@@ -10,6 +10,7 @@ import numpy as np
 from anystyle.data.camera_reader import CameraReader, StoredCamera
 from anystyle.errors import UserError
 from anystyle.io.documents import Positive, read_json
+from anystyle_camera_files import samples
 from anystyle_camera_files.lens import MAX_SIDE, Lens
 from anystyle_camera_files.poses import OPENCV_FROM_OPENGL, camera, finished, rigid
 from anystyle_camera_files.xml import starts_with
@@ -48,6 +49,12 @@ class Polycam(CameraReader):
 
     expects = "the keyframes of Polycam's raw data"
     rank = 60
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        images = samples.write_photographs(folder / "keyframes" / "images")
+        samples.write_polycam(folder / "keyframes" / "cameras", images, samples.poses(), samples.pinhole())
+        return {}
 
     def find(self, path: Path) -> Path | None:
         # The capture's folder, its keyframes, the photographs in these, or a folder of cameras.

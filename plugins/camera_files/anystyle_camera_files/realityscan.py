@@ -11,6 +11,7 @@ from anystyle.data.camera_reader import CameraReader, StoredCamera
 from anystyle.data.images import image_size
 from anystyle.errors import UserError
 from anystyle.io.documents import read_text
+from anystyle_camera_files import samples
 from anystyle_camera_files.lens import Lens
 from anystyle_camera_files.poses import OPENCV_FROM_OPENGL, camera, finished, rigid
 from anystyle_camera_files.xml import numbers, read_xml, starts_with
@@ -33,6 +34,12 @@ class RealityScan(CameraReader):
 
     expects = "camera parameters (.csv or .xmp) of RealityScan"
     rank = 50
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        images = samples.write_photographs(folder / "images")
+        samples.write_realityscan_table(folder / "cameras.csv", images, samples.poses(), samples.pinhole())
+        return {}
 
     def find(self, path: Path) -> Path | None:
         files = sorted(path.glob("*.csv")) if path.is_dir() else [path]

@@ -12,6 +12,7 @@ from anystyle.data.camera_reader import CameraReader, StoredCamera
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_array
 from anystyle.io.documents import Positive, read_json
+from anystyle_camera_files import samples
 from anystyle_camera_files.lens import MAX_SIDE, Lens
 from anystyle_camera_files.poses import OPENCV_FROM_OPENGL, camera, finished, rigid
 
@@ -78,6 +79,12 @@ class Transforms(CameraReader):
     expects = "transforms.json"
     rank = 10
 
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        images = samples.write_photographs(folder / "images")
+        samples.write_transforms(folder / "transforms.json", images, samples.poses(), samples.pinhole())
+        return {}
+
     def find(self, path: Path) -> Path | None:
         file = path / "transforms.json" if path.is_dir() else path
         return file if file.suffix == ".json" and file.is_file() else None
@@ -99,6 +106,12 @@ class Llff(CameraReader):
 
     expects = "poses_bounds.npy"
     rank = 20
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        samples.write_photographs(folder / "images")
+        samples.write_llff(folder / "poses_bounds.npy", samples.poses(), samples.pinhole())
+        return {}
 
     def find(self, path: Path) -> Path | None:
         file = path / "poses_bounds.npy" if path.is_dir() else path

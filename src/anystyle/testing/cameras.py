@@ -1,0 +1,66 @@
+"""What a reader of stored cameras promises: see :class:`anystyle.data.camera_reader.CameraReader`."""
+
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.data.folder import image_files
+from anystyle.errors import UserError
+from anystyle.testing.subject import Subject
+
+Plugin = Subject[CameraReader]
+
+
+def test_reads_its_example(plugin: Plugin) -> None:
+    """Of the folder that ``example`` writes it reads a camera for each photograph: rigid, finite, of its aspect."""
+    with _example(plugin) as (path, images):
+        cameras = plugin.instance.read(path, images)
+        again = plugin.instance.read(path, images)
+        assert images, "`example` writes no photographs where `photographs` says, into the folder or `images`"
+        for image in images:
+            camera = cameras.get(image.name, cameras.get(image.stem))
+            assert camera is not None, f"{image.name} has no camera among {sorted(cameras)}"
+            rotation, height = camera.world_from_camera[:3, :3], camera.size[0]
+            assert np.allclose(rotation @ rotation.T, np.eye(3)) and np.linalg.det(rotation) > 0, f"{rotation}"
+            assert (camera.intrinsics[[0, 1], [0, 1]] > 0).all() and (camera.intrinsics[2] == [0, 0, 1]).all()
+            with Image.open(image) as picture:
+                assert abs(picture.width / picture.height - camera.size[1] / height) < 0.02, f"size {camera.size}"
+                if camera.undistortion is not None:
+                    assert camera.undistortion.apply(picture).size == picture.size, "undistortion changes the size"
+        same = [np.array_equal(cameras[name].world_from_camera, again[name].world_from_camera) for name in cameras]
+        assert all(same) and len(cameras) == len(again), "other cameras the second time"
+
+
+def test_finds_its_own_and_nothing_else(plugin: Plugin) -> None:
+    """It finds nothing in an empty folder, and a damaged file raises a UserError."""
+    with tempfile.TemporaryDirectory() as folder:
+        assert plugin.instance.find(Path(folder)) is None, "cameras in an empty folder"
+    with _example(plugin) as (path, images):
+        for file in [path] if path.is_file() else [each for each in path.iterdir() if each not in images]:
+            file.write_bytes(file.read_bytes()[: max(1, file.stat().st_size // 2)])
+        try:
+            _read_or_miss(plugin, path, images)
+        except UserError as error:
+            assert len(str(error).splitlines()) == 1, f"an error of more than a line: {error}"
+
+
+def _read_or_miss(plugin: Plugin, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
+    found = plugin.instance.find(path)
+    return {} if found is None else plugin.instance.read(found, images)
+
+
+@contextmanager
+def _example(plugin: Plugin) -> Iterator[tuple[Path, list[Path]]]:
+    """What the reader finds in its example, and the photographs."""
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        plugin.cls.example(folder)
+        path = plugin.instance.find(folder)
+        assert path is not None, "the folder that `example` writes holds no cameras"
+        places = [plugin.instance.photographs(path), folder, folder / "images"]
+        yield path, next(filter(None, (image_files(place) for place in places if place and place.is_dir())), [])
