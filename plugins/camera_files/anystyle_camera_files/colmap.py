@@ -8,8 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from anystyle.data.camera_reader import CameraReader, StoredCamera
 from anystyle.errors import UserError
-from anystyle.io import colmap
-from anystyle_camera_files import samples
+from anystyle.io.colmap import Camera
+from anystyle_camera_files import colmap_files, samples
 from anystyle_camera_files.lens import Lens
 from anystyle_camera_files.poses import camera, finished
 
@@ -27,10 +27,10 @@ class ColmapModel(CameraReader):
         return {}
 
     def find(self, path: Path) -> Path | None:
-        return colmap.find(path)
+        return colmap_files.find(path)
 
     def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
-        model = colmap.read(path)
+        model = colmap_files.read(path)
         lenses = {number: _lens(stored, path) for number, stored in model.cameras.items()}
         cameras = {}
         for photograph in model.photographs.values():
@@ -42,15 +42,12 @@ class ColmapModel(CameraReader):
         return finished(cameras, images)
 
 
-def _lens(stored: colmap.Camera, path: Path) -> Lens:
-    values = stored.distortion
-    if stored.model in ("FOV", "THIN_PRISM_FISHEYE") or (stored.model == "FULL_OPENCV" and any(values[5:])):
+def _lens(stored: Camera, path: Path) -> Lens:
+    (fx, fy, cx, cy), terms = colmap_files.split(stored)
+    if stored.model in ("FOV", "THIN_PRISM_FISHEYE") or (stored.model == "FULL_OPENCV" and any(terms[5:])):
         raise UserError(f"{path} has {stored.model} cameras; undistort the images (colmap image_undistorter) first")
-    fisheye = "FISHEYE" in stored.model
     tangential = (0.0, 0.0)
     if stored.model in ("OPENCV", "FULL_OPENCV"):
-        tangential, values = (values[2], values[3]), (*values[:2], *values[4:5])
-    k1, k2, k3, k4 = (*values, 0.0, 0.0, 0.0, 0.0)[:4]
-    matrix = stored.intrinsics
-    focal, center = (matrix[0, 0], matrix[1, 1]), (matrix[0, 2], matrix[1, 2])
-    return Lens(stored.size, focal, center, (k1, k2, k3, k4), tangential, fisheye=fisheye)
+        tangential, terms = (terms[2], terms[3]), (*terms[:2], *terms[4:5])
+    k1, k2, k3, k4 = (*terms, 0.0, 0.0, 0.0, 0.0)[:4]
+    return Lens(stored.size, (fx, fy), (cx, cy), (k1, k2, k3, k4), tangential, fisheye="FISHEYE" in stored.model)

@@ -54,7 +54,7 @@ WRITTEN = [
 ]
 
 
-@pytest.mark.parametrize(("write", "lens"), [*WRITTEN, (model, BY_ALL)])
+@pytest.mark.parametrize(("write", "lens"), [*WRITTEN, (metashape, WIDE), (transforms, WIDE), (model, BY_ALL)])
 def test_what_is_written_is_read(tmp_path, write, lens):
     images = samples.write_photographs(tmp_path / "images", SIZE)
     write(tmp_path, images, lens)
