@@ -1,5 +1,6 @@
 """Reading image files of any kind, without trusting them."""
 
+import io
 import logging
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -8,14 +9,17 @@ from pathlib import Path
 import numpy as np
 import torch
 from jaxtyping import Float
-from PIL import ExifTags, Image, ImageOps
+from PIL import ExifTags, Image, ImageCms, ImageOps
 from torch import Tensor
 
-from anystyle.io.images import Picture, decodable, opened
+from anystyle.errors import one_line
+from anystyle.io.images import Picture, decodable, opened, rounded_to_8_bits
 
 logger = logging.getLogger(__name__)
 
-SUFFIXES = frozenset({".avif", ".bmp", ".gif", ".jfif", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp"})
+SUFFIXES = frozenset(
+    {".avif", ".bmp", ".gif", ".heic", ".heif", ".jfif", ".jpeg", ".jpg", ".png", ".ppm", ".tif", ".tiff", ".webp"}
+)
 """File names that are taken for images in a folder."""
 
 
@@ -36,8 +40,8 @@ def read_exif(path: Path) -> Image.Exif:
 def open_image(source: Picture, name: str = "", *, longest: int = 4096) -> Image.Image:
     """Read an image as upright 8-bit sRGB: grey, 16-bit, CMYK, palette and transparent ones too.
 
-    What is transparent shows white. The size is checked before any pixel is decoded, and a larger image is reduced
-    while it is read, so that memory stays bounded.
+    What is transparent shows white; colours of another profile that the file holds are converted. The size is checked
+    before any pixel is decoded, and a larger image is reduced while it is read, so that memory stays bounded.
 
     Args:
         source: A file that Pillow opens, or the bytes of one, which messages call by ``name``.
@@ -47,8 +51,9 @@ def open_image(source: Picture, name: str = "", *, longest: int = 4096) -> Image
     with opened(source, name) as image:
         decodable(image, longest)
         factor = max(1, max(image.size) // longest)
-        small = image if factor == 1 else _averaging(image).reduce(factor)
-        return _to_rgb(ImageOps.exif_transpose(small))
+        whole = rounded_to_8_bits(image, source)
+        small = whole if factor == 1 else _averaging(whole).reduce(factor)
+        return _to_rgb(_to_srgb(ImageOps.exif_transpose(small)))
 
 
 def read_image(path: Path, *, longest: int = 1024) -> Float[Tensor, "3 H W"]:
@@ -70,6 +75,23 @@ def _averaging(image: Image.Image) -> Image.Image:
     if image.mode.startswith("I"):
         return image.convert("I")
     return image.convert("RGBA" if "transparency" in image.info or image.mode == "PA" else "RGB")
+
+
+def _to_srgb(image: Image.Image) -> Image.Image:
+    """Colours of the profile in an image's file as sRGB."""
+    profile = image.info.get("icc_profile")
+    if not profile or image.mode not in ("RGB", "RGBA", "CMYK"):
+        return image
+    try:
+        source = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        if "sRGB" in ImageCms.getProfileDescription(source):
+            return image
+        mode = "RGB" if image.mode == "CMYK" else image.mode
+        converted = ImageCms.profileToProfile(image, source, ImageCms.createProfile("sRGB"), outputMode=mode)
+    except (ImageCms.PyCMSError, OSError) as error:
+        logger.warning("a colour profile cannot be read, and its colours are taken for sRGB (%s)", one_line(error))
+        return image
+    return image if converted is None else converted
 
 
 def _to_rgb(image: Image.Image) -> Image.Image:

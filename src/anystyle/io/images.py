@@ -3,11 +3,13 @@
 import io
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
-from PIL import Image, UnidentifiedImageError
+import av
+import numpy as np
+from PIL import ExifTags, Image, UnidentifiedImageError
 
 from anystyle.errors import UserError, one_line
 from anystyle.io.limits import require
@@ -25,7 +27,11 @@ Picture = Path | bytes
 def formats() -> tuple[str, ...]:
     """The formats that are decoded: of all that Pillow has, the decoder of EPS would start Ghostscript on a file."""
     Image.init()
-    known = ("AVIF", "BMP", "GIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")
+    with suppress(ImportError):
+        from pillow_heif import register_heif_opener
+
+        register_heif_opener()
+    known = ("AVIF", "BMP", "GIF", "HEIF", "JPEG", "PNG", "PPM", "TIFF", "WEBP")
     return tuple(name for name in known if name in Image.OPEN)  # AVIF is not in every build
 
 
@@ -47,7 +53,12 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
     except Image.DecompressionBombError:
         raise UserError(f"{what} has too many pixels; at most {MAX_DECODED:,} are decoded") from None
     except UnidentifiedImageError:
-        raise UserError(f"{what} is no image that can be read, whatever its name says") from None
+        suffix, hint = Path(what).suffix.lower(), ""
+        if suffix in (".heic", ".heif") and "HEIF" not in formats():
+            hint = '; HEIC photographs need: pip install "anystyle[heic]"'
+        elif suffix in (".tif", ".tiff"):
+            hint = "; TIFF files of floating-point colours are not read, so save it with 8 or 16 bits"
+        raise UserError(f"{what} is no image that can be read, whatever its name says{hint}") from None
     except Exception as error:  # decoders of damaged files raise nearly anything
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.filename is not None):
             raise
@@ -62,6 +73,27 @@ def decodable(image: Image.Image, longest: int) -> None:
     if pixels > MAX_DECODED:
         raise UserError(too_large)
     require(8 * pixels, f"{image.width} x {image.height} pixels", "make the image smaller")
+
+
+def rounded_to_8_bits(image: Image.Image, source: Picture) -> Image.Image:
+    """Colours of 16 bits rounded to 8, which Pillow would cut off, or mix up where planes are stored one by one.
+
+    Other images are returned as they are; ``source`` is what the image was opened from.
+    """
+    tags = getattr(image, "tag_v2", {})
+    bits = max(tags.get(ExifTags.Base.BitsPerSample, (8,))) if tags else 16 * (";16" in str(image.tile))
+    if bits == 32 and image.mode == "I":
+        raise UserError("levels of 32 bits are not read; save it with 8 or 16 bits")
+    if bits != 16 or image.mode not in ("RGB", "RGBA"):
+        return image
+    data = source if isinstance(source, bytes) else source.read_bytes()
+    with av.open(io.BytesIO(data), format="tiff_pipe" if tags else "png_pipe") as container:
+        frame = next(container.decode(video=0))
+    levels = frame.to_ndarray(format="rgba64le" if image.mode == "RGBA" else "rgb48le")
+    rounded = Image.fromarray(((levels.astype(np.uint32) + 128) // 257).astype(np.uint8))
+    rounded.info["icc_profile"] = image.info.get("icc_profile")
+    rounded.getexif()[ExifTags.Base.Orientation] = image.getexif().get(ExifTags.Base.Orientation, 1)
+    return rounded
 
 
 def _too_large(image: Image.Image) -> str:
