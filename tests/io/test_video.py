@@ -1,8 +1,13 @@
+from fractions import Fraction
+
 import av
+import numpy as np
 import pytest
 import torch
 
-from anystyle.io.video import write_video
+from anystyle.data.folder import read_originals
+from anystyle.io.video import read_frames, write_video
+from anystyle_captures.sfm.model import Photograph
 
 
 def test_a_video_has_every_frame_in_its_colours(tmp_path):
@@ -21,3 +26,69 @@ def test_no_frames_leave_no_file(tmp_path):
     with pytest.raises(ValueError, match="no frames"):
         write_video(iter(()), tmp_path / "video.mp4")
     assert list(tmp_path.iterdir()) == []
+
+
+def phone(path, steps, *, rotation=0, trc=None):
+    """A film as a phone writes it: HEVC of varying rate, turned by its container, with its lens in the metadata.
+
+    Its frames brighten by a level each, and have a red corner at the top left as they are stored; the n-th lasts
+    ``steps[n]`` of 600 to a second.
+    """
+    with av.open(str(path), "w", format="mov", options={"movflags": "use_metadata_tags"}) as container:
+        for name, text in {
+            "make": "Apple",
+            "model": "iPhone 15 Pro",
+            "camera.lens_model": "iPhone 15 Pro back camera 6.86mm f/1.78",
+            "camera.focal_length.35mm_equivalent": "26",
+        }.items():
+            container.metadata[f"com.apple.quicktime.{name}"] = text
+        params = "log-level=none" + (f":transfer={trc}" if trc else "")
+        stream = container.add_stream("libx265", rate=30, options={"x265-params": params, "crf": "10"})
+        stream.width, stream.height, stream.pix_fmt = 96, 64, "yuv420p"
+        stream.codec_context.codec_tag = "hvc1"
+        stream.time_base = stream.codec_context.time_base = Fraction(1, 600)
+        stream.set_display_rotation(rotation)
+        time = 0
+        for number, step in enumerate(steps):
+            pixels = np.full((64, 96, 3), 20 + 2 * number, np.uint8)
+            pixels[:32, :32] = [255, 0, 0]
+            frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
+            frame.pts, frame.time_base = time, Fraction(1, 600)
+            time += step
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+
+
+def test_frames_of_a_varying_rate_are_taken_by_time(tmp_path):
+    """Forty frames in a second and a third, then ten in as many seconds: of four parts three show the last ten."""
+    phone(tmp_path / "a.mov", [20] * 40 + [80] * 30)
+    frames = read_frames(tmp_path / "a.mov", 4)
+    seconds = [(20 * min(number, 40) + 80 * max(number - 40, 0)) / 600 for number, _ in frames]
+    assert [int(4 * second / (3200 / 600)) for second in seconds] == [0, 1, 2, 3]
+    assert sum(number >= 40 for number, _ in frames) == 3
+
+
+@pytest.mark.parametrize("rotation", [0, -90, 90, 180])
+def test_a_phones_film_is_upright_and_has_its_lens(tmp_path, rotation):
+    phone(tmp_path / "a.mov", [20] * 6, rotation=rotation)
+    [(_, image)] = read_frames(tmp_path / "a.mov", 1)
+    assert image.size == ((64, 96) if rotation in (90, -90) else (96, 64))
+    # QuickTime's matrix brings a stored pixel (x, y) to (a x + c y, b x + d y), up to a shift.
+    data = (tmp_path / "a.mov").read_bytes()
+    assert b"hvc1" in data
+    matrix = np.frombuffer(data, ">i4", 9, data.index(b"tkhd") + 44).reshape(3, 3)[:2, :2] / 65536
+    corners = np.array([[0, 0], [96, 0], [0, 64], [96, 64]]) @ matrix
+    wanted = (np.array([16, 16]) @ matrix - corners.min(0)) / np.ptp(corners, axis=0)
+    pixels = np.asarray(image).astype(int)
+    rows, columns = np.nonzero((pixels[..., 0] > 200) & (pixels[..., 1] < 90))
+    seen = columns.mean() / image.width, rows.mean() / image.height
+    np.testing.assert_allclose(seen, wanted, atol=0.05)
+    [original] = read_originals([tmp_path / "a.mov"], longest=96, max_views=1)
+    photograph = Photograph.from_exif("a", np.asarray(original.picture), original.exif)
+    assert photograph.lens.startswith("Apple iPhone 15 Pro") and photograph.focal_length > 0
+
+
+def test_a_film_of_high_dynamic_range_says_so(tmp_path, caplog):
+    phone(tmp_path / "a.mov", [20] * 3, trc="arib-std-b67")
+    assert read_frames(tmp_path / "a.mov", 1)
+    assert "high dynamic range (HLG)" in caplog.text

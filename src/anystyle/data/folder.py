@@ -122,7 +122,7 @@ def as_views(pictures: Sequence[tuple[Image.Image, SourceImage]], cameras: Camer
 class Original(NamedTuple):
     """A photograph as it was taken, upright and maybe reduced, under a distinct name.
 
-    The size is the source's height and width in pixels; frames of videos have neither a path nor EXIF data.
+    The size is the source's height and width in pixels; frames of videos have no path, and of EXIF data their lens's.
     """
 
     name: str
@@ -139,11 +139,12 @@ def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> l
     """
     shots, problems = _shots(inputs, max_views)
     longest = min(longest, round(sqrt(1.5 * PIXELS / len(shots))))
+    films = {path: video.read_exif(path) for path in {shot.path for shot in shots if shot.frame is not None}}
 
     def original(name: str, shot: _Shot) -> Original:
         size = (shot.size[1], shot.size[0])
         if shot.frame is not None:
-            return Original(name, None, size, shot.frame, Image.Exif())
+            return Original(name, None, size, shot.frame, films[shot.path])
         picture = images.open_image(shot.path, longest=longest)
         return Original(name, shot.path, size, picture, images.read_exif(shot.path))
 

@@ -81,13 +81,13 @@ def rounded_to_8_bits(image: Image.Image, source: Picture) -> Image.Image:
     Other images are returned as they are; ``source`` is what the image was opened from.
     """
     tags = getattr(image, "tag_v2", {})
-    bits = max(tags.get(ExifTags.Base.BitsPerSample, (8,))) if tags else 16 * (";16" in str(image.tile))
+    bits = max(tags.get(ExifTags.Base.BitsPerSample, (8,))) if tags else 16 * (";16" in str(getattr(image, "tile", "")))
     if bits == 32 and image.mode == "I":
         raise UserError("levels of 32 bits are not read; save it with 8 or 16 bits")
     if bits != 16 or image.mode not in ("RGB", "RGBA"):
         return image
     data = source if isinstance(source, bytes) else source.read_bytes()
-    with av.open(io.BytesIO(data), format="tiff_pipe" if tags else "png_pipe") as container:
+    with av.open(io.BytesIO(data), "r", format="tiff_pipe" if tags else "png_pipe") as container:
         frame = next(container.decode(video=0))
     levels = frame.to_ndarray(format="rgba64le" if image.mode == "RGBA" else "rgb48le")
     rounded = Image.fromarray(((levels.astype(np.uint32) + 128) // 257).astype(np.uint8))

@@ -1,7 +1,9 @@
 """Videos: frames in, frames out."""
 
+import logging
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import av
 import numpy as np
@@ -9,7 +11,7 @@ from av.container import InputContainer
 from av.error import FFmpegError
 from av.video.frame import VideoFrame
 from jaxtyping import Float
-from PIL import Image
+from PIL import ExifTags, Image
 from torch import Tensor
 
 from anystyle.errors import UserError
@@ -17,6 +19,8 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import regular
 from anystyle.io.limits import require
 from anystyle.io.sheet import to_pil
+
+_log = logging.getLogger(__name__)
 
 SUFFIXES = frozenset({".avi", ".m4v", ".mkv", ".mov", ".mp4", ".mpeg", ".mpg", ".ogv", ".webm"})
 """Suffixes of files that are read as videos."""
@@ -27,21 +31,59 @@ _CONTAINERS = "avi,matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,mpeg,mpegvideo,mpegts,o
 MANY_FRAMES = 3000
 """Frames; only the key frames of longer videos are decoded."""
 
+_HDR = {16: "PQ", 18: "HLG"}
+"""Transfer functions of high dynamic range, by their number in ITU-T H.273."""
+
+
+class _Timeline(NamedTuple):
+    """The number of a video's frames, and when it starts and ends in the time base of its stream."""
+
+    frames: int
+    start: int
+    end: int
+
+    def part(self, number: int, time: int | None, count: int) -> int:
+        """Which of ``count`` parts of equal length a frame lies in; by its number where the video has no times."""
+        if time is None or self.end <= self.start:
+            return min(number * count // max(self.frames, 1), count - 1)
+        return min(max(0, (time - self.start) * count // (self.end - self.start)), count - 1)
+
 
 def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
-    """Numbers and upright 8-bit RGB images of frames: of ``count`` equal parts of the video the sharpest of each."""
+    """Numbers and upright 8-bit RGB images of frames: of ``count`` parts of equal seconds the sharpest of each.
+
+    Phones vary the rate of frames.
+    """
     regular(path, most=None, what="video")
     try:
-        total = _inspect(path, count)
-        best = _sharpest(path, count, total, key_frames_only=total > MANY_FRAMES)
-        if total > MANY_FRAMES and len(best) < count:
+        timeline = _inspect(path, count)
+        many = timeline.frames > MANY_FRAMES
+        best = _sharpest(path, count, timeline, key_frames_only=many)
+        if many and len(best) < count:
             # Some encoders write hardly any key frames.
-            best = _sharpest(path, count, total, key_frames_only=False)
+            best = _sharpest(path, count, timeline, key_frames_only=False)
     except FFmpegError as error:
         raise UserError(f"{path} is no video, or a damaged one ({error.strerror})") from None
     if not best:
         raise UserError(f"{path} is a video without frames")
     return [best[part] for part in sorted(best)]
+
+
+def read_exif(path: Path) -> Image.Exif:
+    """What a phone wrote into a video about its lens, as EXIF data of the frames; empty where it wrote nothing."""
+    with opened(path) as container:
+        found = {**container.metadata, **container.streams.video[0].metadata}
+    tags, exif = ExifTags.Base, Image.Exif()
+    details = exif.get_ifd(ExifTags.IFD.Exif)
+    for place, tag, key in (
+        (exif, tags.Make, "make"),
+        (exif, tags.Model, "model"),
+        (details, tags.LensModel, "camera.lens_model"),
+        (details, tags.FocalLengthIn35mmFilm, "camera.focal_length.35mm_equivalent"),
+    ):
+        if text := found.get(f"com.apple.quicktime.{key}"):
+            place[tag] = text[:200]
+    return exif
 
 
 def opened(path: Path) -> InputContainer:
@@ -50,12 +92,14 @@ def opened(path: Path) -> InputContainer:
     return av.open(f"file:{path.absolute()}", container_options=local, options=local)
 
 
-def _sharpest(path: Path, count: int, total: int, *, key_frames_only: bool) -> dict[int, tuple[int, Image.Image]]:
-    """Number and image of the sharpest frame in each of ``count`` equal parts, by part; empty parts are left out."""
+def _sharpest(
+    path: Path, count: int, timeline: _Timeline, *, key_frames_only: bool
+) -> dict[int, tuple[int, Image.Image]]:
+    """Number and image of the sharpest frame in each of ``count`` parts, by part; empty parts are left out."""
     sharpness: dict[int, float] = {}
     best: dict[int, tuple[int, Image.Image]] = {}
     for number, frame in _decode(path, key_frames_only=key_frames_only):
-        part = min(number * count // max(total, 1), count - 1)
+        part = timeline.part(number, frame.pts, count)
         sharp = _sharpness(frame)
         if sharp > sharpness.get(part, -1.0):
             sharpness[part] = sharp
@@ -63,8 +107,8 @@ def _sharpest(path: Path, count: int, total: int, *, key_frames_only: bool) -> d
     return best
 
 
-def _inspect(path: Path, count: int) -> int:
-    """The number of frames, counted by packets; a truncated file is refused, and frames that memory does not hold."""
+def _inspect(path: Path, count: int) -> _Timeline:
+    """The frames, counted by packets; a truncated file is refused, and frames that memory does not hold."""
     with path.open("rb") as file:
         start = file.read(8)
     # The header of an AVI file states its size; decoders do not report what is missing.
@@ -76,7 +120,7 @@ def _inspect(path: Path, count: int) -> int:
         stream = container.streams.video[0]
         base = float(stream.time_base or 0)
         announced = float(stream.duration or 0) * base or (container.duration or 0) / av.time_base
-        packets = ((packet.pts, packet.duration) for packet in container.demux(stream) if packet.size)
+        packets = [(packet.pts, packet.duration) for packet in container.demux(stream) if packet.size]
         ends = [0 if start is None else start + (duration or 0) for start, duration in packets]
         there = max(ends, default=0)
         if base and there and announced - there * base > max(0.5, 0.02 * announced):
@@ -84,7 +128,9 @@ def _inspect(path: Path, count: int) -> int:
         if (size := stream.codec_context) is not None:  # without a decoder, reading raises
             what = f"{min(count, len(ends))} frames of {size.width}x{size.height} of {path}"
             require(3 * min(count, len(ends)) * size.width * size.height, what, "take fewer (views.take)")
-        return len(ends)
+            if (curve := _HDR.get(size.color_trc)) is not None:
+                _log.warning("%s is a film of high dynamic range (%s), whose colours come out pale", path, curve)
+        return _Timeline(len(ends), min((start for start, _ in packets if start is not None), default=0), there)
 
 
 def _decode(path: Path, *, key_frames_only: bool) -> Iterator[tuple[int, VideoFrame]]:
