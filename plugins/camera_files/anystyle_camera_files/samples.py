@@ -105,7 +105,7 @@ def write_metashape(
             kind="fisheye" if lens.fisheye else "frame",
             width=width,
             height=height,
-            numbers="\n".join(f"          <{name}>{value!r}</{name}>" for name, value in values.items() if value),
+            numbers="\n".join(f"          <{name}>{float(value)!r}</{name}>" for name, value in values.items() if value),
             rotation=_words(world[:3, :3].ravel() / scale),
             translation=_words(world[:3, 3]),
             scale=scale,
@@ -119,7 +119,7 @@ def _on_film(lens: Lens) -> tuple[float, float, float, list[float]]:
     """Focal length in millimetres of a film 36 mm wide, principal point, and the terms in RealityScan's order."""
     (height, width), longer = lens.size, max(lens.size)
     u, v = (lens.center[0] - width / 2) / longer, (lens.center[1] - height / 2) / longer
-    return 36 * lens.focal[0] / longer, u, v, [*lens.radial, lens.tangential[1], lens.tangential[0]]
+    return float(36 * lens.focal[0] / longer), float(u), float(v), [*lens.radial, lens.tangential[1], lens.tangential[0]]
 
 
 def write_realityscan_table(path: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:

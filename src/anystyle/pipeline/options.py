@@ -60,11 +60,11 @@ class PoseOptions:
     """Where the cameras of photographs come from.
 
     Args:
-        use: ``predicted``: from the backbone. ``known``: stored beside the photographs (COLMAP, ``transforms.json``,
-            ``poses_bounds.npy``). ``target``: predicted, and the scene is rendered from the stored ones. ``auto``:
+        use: ``predicted``: from the backbone. ``known``: stored beside the photographs by a program that a plugin
+            of kind ``cameras`` reads. ``target``: predicted, and the scene is rendered from the stored ones. ``auto``:
             estimated by a plugin of kind ``pose_estimator`` where that succeeds, else predicted; or such a plugin.
             ``None`` is ``auto`` for a backbone with bundled weights, which predicts cameras badly, else ``predicted``.
-        folder: Where stored cameras lie, if not in the photographs' folder or the one above.
+        folder: Holds stored cameras, or is their file, if not in the photographs' folder or the one above.
     """
 
     use: str | None = None
@@ -108,7 +108,7 @@ class SplatOptions:
 
     Args:
         cameras: The most views.
-        folder: Where cameras are stored (COLMAP or ``transforms.json``), if not beside the file or one folder above.
+        folder: Where cameras are stored, if not beside the file or one folder above.
         up: Axes of the file: ``opencv``, which 3DGS has, ``y`` or ``z`` up; ``None`` is what the file says, or else its
             format. Results are in OpenCV's.
     """
