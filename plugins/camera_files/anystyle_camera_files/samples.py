@@ -92,6 +92,7 @@ def write_metashape(
     (fx, f), (x, y), (p2, p1), (height, width) = lens.focal, lens.center, lens.tangential, lens.size
     values = {"f": f, "cx": x - width / 2, "cy": y - height / 2, "b1": fx - f, "b2": lens.skew}
     values |= dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), (*lens.radial, p1, p2), strict=True))
+    values = {name: float(value) for name, value in values.items()}
     world = np.eye(4) if world_from_chunk is None else world_from_chunk
     scale = float(np.cbrt(np.linalg.det(world[:3, :3])))
     lines = []
@@ -105,7 +106,7 @@ def write_metashape(
             kind="fisheye" if lens.fisheye else "frame",
             width=width,
             height=height,
-            numbers="\n".join(f"          <{name}>{float(value)!r}</{name}>" for name, value in values.items() if value),
+            numbers="\n".join(f"          <{name}>{value!r}</{name}>" for name, value in values.items() if value),
             rotation=_words(world[:3, :3].ravel() / scale),
             translation=_words(world[:3, 3]),
             scale=scale,
@@ -119,7 +120,8 @@ def _on_film(lens: Lens) -> tuple[float, float, float, list[float]]:
     """Focal length in millimetres of a film 36 mm wide, principal point, and the terms in RealityScan's order."""
     (height, width), longer = lens.size, max(lens.size)
     u, v = (lens.center[0] - width / 2) / longer, (lens.center[1] - height / 2) / longer
-    return float(36 * lens.focal[0] / longer), float(u), float(v), [*lens.radial, lens.tangential[1], lens.tangential[0]]
+    terms = [*lens.radial, lens.tangential[1], lens.tangential[0]]
+    return float(36 * lens.focal[0] / longer), float(u), float(v), terms
 
 
 def write_realityscan_table(path: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:

@@ -86,6 +86,7 @@ def rounded_to_8_bits(image: Image.Image, source: Picture) -> Image.Image:
         raise UserError("levels of 32 bits are not read; save it with 8 or 16 bits")
     if bits != 16 or image.mode not in ("RGB", "RGBA"):
         return image
+    require(40 * image.width * image.height, f"{image.width} x {image.height} pixels of 16 bits", "make it smaller")
     data = source if isinstance(source, bytes) else source.read_bytes()
     with av.open(io.BytesIO(data), "r", format="tiff_pipe" if tags else "png_pipe") as container:
         frame = next(container.decode(video=0))
