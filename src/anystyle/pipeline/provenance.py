@@ -45,7 +45,7 @@ def photographs(inputs: Iterable[Path], sources: Sequence[SourceImage]) -> tuple
 def without_folders(config: DictConfig) -> object:
     """A resolved configuration for a report: of absolute paths the names."""
     text = json.dumps(OmegaConf.to_container(config, resolve=True, enum_to_str=True))
-    return json.loads(re.sub(r'": "/(?:[^"\\]*/)?([^"\\/]*)"', r'": "\1"', text))
+    return json.loads(re.sub(r'"/(?:[^"\\]*/)?([^"\\/]*)"', r'"\1"', text))
 
 
 def tables(notes: Iterable[str]) -> list[dict[str, Any]]:
