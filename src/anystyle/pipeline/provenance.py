@@ -56,7 +56,8 @@ def tables(notes: Iterable[str]) -> list[dict[str, Any]]:
 
 def anonymous(scene: StyledScene) -> StyledScene:
     """A scene without names, texts and notes but those on licences that bind results."""
-    titles = [title if title == "unstyled" else f"style {number}" for number, (title, _) in enumerate(scene.styles, 1)]
+    first = int(scene.styles[0][0] != "unstyled")
+    titles = [title if title == "unstyled" else f"style {n}" for n, (title, _) in enumerate(scene.styles, first)]
     styles = zip(titles, (gaussians for _, gaussians in scene.styles), strict=True)
     names = tuple(f"view_{index:02d}" for index in range(len(scene.names)))
     return replace(scene, styles=tuple(styles), names=names, notes=binding(scene.notes), title="")
