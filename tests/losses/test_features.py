@@ -7,11 +7,11 @@ from torch import Tensor
 
 from anystyle.contracts import Loss
 from anystyle.losses.content import Content
-from anystyle.losses.gram import Gram
-from anystyle.losses.sliced_wasserstein import SlicedWasserstein
 from anystyle.losses.style import StyleLoss
 from anystyle.vision import networks
+from anystyle_rivals.gram import Gram
 from anystyle_rivals.nnfm import NNFM
+from anystyle_rivals.sliced_wasserstein import SlicedWasserstein
 from oracle import assert_matches, golden, smooth_image
 from style_cases import filled_vgg_file, stylization
 

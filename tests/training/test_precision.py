@@ -5,9 +5,9 @@ import torch
 from safetensors.torch import load_file
 
 from anystyle.branch import StyleBranch
-from anystyle.losses.total_variation import TotalVariation
 from anystyle.stylizer import Stylizer
 from anystyle.training.run import train
+from anystyle_rivals.total_variation import TotalVariation
 from training_cases import STYLIZATION, configuration
 
 WORDS = (

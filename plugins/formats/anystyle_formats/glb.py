@@ -25,8 +25,10 @@ from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import parse_json
 from anystyle.io.ply import MAX_DEGREE, Splats
+from anystyle.pipeline.provenance import tables
 from anystyle.types import Gaussians, StyledScene
 from anystyle_formats import spz
+from anystyle_formats.provenance import XMP, joined_notes, lines_of, xmp_packet
 from anystyle_formats.reading import gaussians, joined, moved, reading, room_for
 
 NAME, PACKED = "KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"
@@ -77,9 +79,15 @@ class Glb(Format):
             primitive = {"attributes": attributes, "mode": _POINTS, "extensions": {NAME: kernel}}
             meshes.append({"name": title, "primitives": [primitive]})
         binary = b"".join(parts)
+        asset: dict[str, Any] = {"version": "2.0", "generator": "anystyle"}
+        asset["copyright"] = "\n".join(lines_of(scene.notes))
+        packet = xmp_packet(scene, "model/gltf-binary")
+        if packet is not None:
+            asset |= {"extensions": {XMP: {"packet": 0}}, "extras": {"provenance": tables(scene.notes)}}
         document = {
-            "asset": {"version": "2.0", "generator": "anystyle", "copyright": "\n".join(scene.notes)},
-            "extensionsUsed": [NAME],
+            "asset": asset,
+            "extensionsUsed": [NAME, *([XMP] if packet else [])],
+            **({"extensions": {XMP: {"packets": [packet]}}} if packet else {}),
             "scene": len(titles) - 1,
             "scenes": [{"name": title, "nodes": [style]} for style, title in enumerate(titles)],
             "nodes": [{"name": title, "mesh": style} for style, title in enumerate(titles)],
@@ -109,7 +117,9 @@ class Glb(Format):
             if not styles or scenes[shown] is None:
                 raise ValueError(f"what it shows has no primitive with the extension {NAME}")
         alike = tuple(style for style in styles if style[1].means.shape == styles[-1][1].means.shape)
-        return StyledScene(alike, notes=tuple(document.asset.copyright.splitlines()), up=self.up)
+        extras = document.asset.extras if isinstance(document.asset.extras, dict) else {}
+        notes = joined_notes(document.asset.copyright.splitlines(), extras.get("provenance"))
+        return StyledScene(alike, notes=notes, up=self.up)
 
 
 def _attributes(splats: Splats) -> dict[str, NDArray[Any]]:
@@ -199,6 +209,7 @@ class _Roots:
 class _Asset:
     version: str
     copyright: str = ""
+    extras: Any = None
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.ply import Splats
 from anystyle.types import Cameras, StyledScene
 from anystyle_formats.packing import morton_order, smallest_three
+from anystyle_formats.provenance import json_ld, readable
 
 _CONSTANT = 0.28209479177387814  # the constant spherical harmonic
 _SCALE_RANGE = 14.0
@@ -44,21 +45,27 @@ class Html(Format):
         blob, packing = _packed(titles, styles)
         manifest = packing | {
             "title": scene.title,
-            "notes": list(scene.notes),
+            "notes": readable(scene.notes),
             "first": len(styles) - 1,
             "cameras": _cameras(scene.cameras if scene.names else looking_at(means, styles[0].opacities)),
         }
         assets = files("anystyle_formats") / "page"
+        linked = json_ld(scene)
         page = Template((assets / "page.html").read_text(encoding="utf-8")).substitute(
             title=html.escape(scene.title or "A scene by anystyle"),
             style=(assets / "page.css").read_text(encoding="utf-8"),
-            # No text of the user's can end the script element that it is in.
-            manifest=json.dumps(manifest).replace("<", "\\u003c"),
+            manifest=_script(manifest),
+            linked=f'<script type="application/ld+json">{_script(linked)}</script>' if linked else "",
             data=base64.b64encode(gzip.compress(blob, mtime=0)).decode(),
             script=(assets / "page.js").read_text(encoding="utf-8"),
         )
         with atomic_path(path) as temporary:
             temporary.write_text(page, encoding="utf-8")
+
+
+def _script(value: object) -> str:
+    """JSON within a script element, which no text ends."""
+    return json.dumps(value).replace("<", "\\u003c")
 
 
 def _cameras(cameras: Cameras) -> list[dict[str, object]]:

@@ -23,8 +23,10 @@ from anystyle.io.documents import parse_json
 from anystyle.io.images import decodable, opened
 from anystyle.io.limits import require
 from anystyle.io.ply import MAX_DEGREE, from_smallest_three
+from anystyle.pipeline.provenance import tables
 from anystyle.types import StyledScene
 from anystyle_formats.packing import morton_order, smallest_three
+from anystyle_formats.provenance import joined_notes, lines_of
 from anystyle_formats.reading import gaussians, reading, room_for
 
 PALETTE = 65_536
@@ -59,7 +61,11 @@ class Sog(Format):
         }
         meta = {
             "version": 2,
-            "asset": {"generator": "anystyle", "copyright": "\n".join(scene.notes)},
+            "asset": {
+                "generator": "anystyle",
+                "copyright": "\n".join(lines_of(scene.notes)),
+                **({"provenance": made_of} if (made_of := tables(scene.notes)) else {}),
+            },
             "count": len(means),
             "antialias": False,
             "means": {"mins": low.tolist(), "maxs": high.tolist(), "files": ["means_l.webp", "means_u.webp"]},
@@ -114,7 +120,7 @@ class Sog(Format):
                 harmonics = np.concatenate([harmonics, centroids[label[:, 0] | label[:, 1] << 8]], 1)
             scales = np.exp(meta.scales.decoded(bytes_of(meta.scales.files[0])[:, :3]))
             scene = gaussians(np.sign(far) * np.expm1(np.abs(far)), wxyz, scales, alpha, harmonics)
-        notes = tuple(str(meta.asset.get("copyright", "")).splitlines())
+        notes = joined_notes(str(meta.asset.get("copyright", "")).splitlines(), meta.asset.get("provenance"))
         return StyledScene(((path.stem, scene),), notes=notes)
 
 

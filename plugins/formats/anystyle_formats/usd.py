@@ -5,6 +5,7 @@ The schema is OpenUSD's since version 26.3 (openusd.org, "ParticleField3DGaussia
 once; what they differ in, as a rule colours alone, is in the variants of the set ``style``. The stage is y or z up.
 """
 
+import json
 import re
 import shutil
 import tempfile
@@ -23,7 +24,9 @@ from numpy.typing import NDArray
 from anystyle.contracts import Format
 from anystyle.io.atomic import atomic_path
 from anystyle.io.ply import Splats
+from anystyle.pipeline.provenance import tables
 from anystyle.types import Cameras, Gaussians, StyledScene
+from anystyle_formats.provenance import joined_notes, lines_of, readable
 from anystyle_formats.reading import gaussians, joined, moved, reading, room_for
 
 SET = "style"
@@ -89,7 +92,8 @@ class Usd(Format):
                 styles.append((path.stem, joined(_found(stage, path))))
             cameras, names = _read_cameras(stage)
             up = "z" if pxr.UsdGeom.GetStageUpAxis(stage) == pxr.UsdGeom.Tokens.z else "y"
-        return StyledScene(tuple(styles), cameras, names, notes=tuple(data.get("notes", ())), up=up)
+            notes = joined_notes(list(data.get("notes", ())), json.loads(data.get("provenance", "[]")))
+        return StyledScene(tuple(styles), cameras, names, notes, up=up)
 
 
 def _known(path: Path, folder: Path) -> Path:
@@ -142,9 +146,11 @@ def _stage(scene: StyledScene) -> Any:
         prim.CreateHorizontalApertureOffsetAttr(apertures[0] * (0.5 - matrix[0, 2] / width))
         prim.CreateVerticalApertureOffsetAttr(apertures[1] * (matrix[1, 2] / height - 0.5))
         prim.CreateClippingRangeAttr(pxr.Gf.Vec2f(*_CLIPPING))
+    stage.GetRootLayer().documentation = "\n".join(readable(scene.notes))
     stage.GetRootLayer().customLayerData = {
         "generator": "anystyle",
-        "notes": pxr.Vt.StringArray(list(scene.notes)),
+        "notes": pxr.Vt.StringArray(lines_of(scene.notes)),
+        **({"provenance": json.dumps(made_of)} if (made_of := tables(scene.notes)) else {}),
         "variants": pxr.Vt.StringArray(names),
         "styles": pxr.Vt.StringArray([title for title, _ in scene.styles]),
     }

@@ -34,7 +34,7 @@ def read_glb(path: Path) -> Gaussians:
     from pygltflib import GLTF2
 
     document = GLTF2().load(str(path))
-    assert document is not None and document.extensionsUsed == ["KHR_gaussian_splatting"]
+    assert document is not None and "KHR_gaussian_splatting" in (document.extensionsUsed or [])
     (primitive,) = document.meshes[0].primitives
     assert primitive.mode == 0 and primitive.extensions["KHR_gaussian_splatting"]["kernel"] == "ellipse"
     blob = document.binary_blob()

@@ -7,11 +7,11 @@ import torch
 
 import anystyle
 from anystyle.errors import UserError
-from anystyle.losses.sliced_wasserstein import SlicedWasserstein
 from anystyle.methods.colors import colors_alone
 from anystyle.testing.inputs import images
 from anystyle.types import Style, Stylization, Views
 from anystyle_rivals.refine_embedding import RefineEmbedding
+from anystyle_rivals.sliced_wasserstein import SlicedWasserstein
 from renderers.scenes import cameras, gaussians
 
 

@@ -9,9 +9,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from anystyle.commands._flags import new_parser, split
+from anystyle.errors import UserError
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model
 from anystyle.pipeline.options import PoseOptions
+from anystyle.pipeline.provenance import anonymous
 from anystyle.pipeline.read import is_saved
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import UNSTYLED, read_saved
@@ -29,6 +31,9 @@ def parser() -> argparse.ArgumentParser:
     flags = new_parser("view", about)
     flags.add_argument("input", type=Path, help="a folder of photographs or of results, a video, or a .ply file")
     flags.add_argument("--html", type=Path, metavar="FILE", help="write one page with all saved styles, and end")
+    flags.add_argument(
+        "--no-provenance", action="store_true", help="the page of --html names nothing that it is made of"
+    )
     flags.add_argument("--port", type=int, default=8080, help="0 takes a free one (default: %(default)s)")
     flags.add_argument(
         "--keep", type=Path, default=Path("out/view"), help="stores styles and uploaded images (default: %(default)s)"
@@ -51,7 +56,7 @@ def open_session(path: Path, words: Sequence[str], folder: Path | None = None) -
         model.reconstruction,
         stages,
     )
-    styles, notes = {}, list(license_lines(licenses(model.weights)))
+    styles, notes = {}, [*license_lines(licenses(model.weights)), *encoded.notes]
     if is_saved(path) and path.is_dir():
         saved = read_saved(path)
         styles = {title: scene for title, scene in saved.styles if title != UNSTYLED}
@@ -66,10 +71,13 @@ class View(Command):
         arguments, overrides = split(parser(), words)
         if arguments.html is not None:
             saved = read_saved(arguments.input)
-            export_styles(replace(saved, title=arguments.input.resolve().stem), arguments.html, "html")
+            saved = replace(saved, title=arguments.input.resolve().stem)
+            export_styles(anonymous(saved) if arguments.no_provenance else saved, arguments.html, "html")
             size = arguments.html.stat().st_size / 1e6
             print(f"{arguments.html}: {len(saved.styles)} styles, {size:.2f} MB; open it in any browser")
             return
+        if arguments.no_provenance:
+            raise UserError("--no-provenance is of the page that --html writes; add --html FILE")
         if find_spec("viser") is None:
             raise ImportError('anystyle view needs viser; pip install "anystyle[viewer]"')
         from anystyle_viewer.viewer import Viewer

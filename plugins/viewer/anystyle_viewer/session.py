@@ -13,6 +13,7 @@ from anystyle.io.cache import LRUCache
 from anystyle.io.documents import kept_json
 from anystyle.pipeline.controls import Controls, applied, blended
 from anystyle.pipeline.masks import parsed
+from anystyle.pipeline.provenance import note
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.styles import EmbeddedStyle, Mixture, embed_styles, slug
 from anystyle.types import Gaussians, Progress
@@ -110,6 +111,12 @@ class Session:
             for style, request in requests
             if style in self.saved or request in self._scenes
         }
+
+    def notes_on(self, styles: Sequence[str]) -> tuple[str, ...]:
+        """Where the scene in some styles comes from, for its files."""
+        given = ((style, self.image_file(style)) for style in styles if style and style not in self.saved)
+        made_of = (note("text", text=style) if file is None else note("image", [file]) for style, file in given)
+        return tuple(dict.fromkeys((*self.notes, *made_of)))
 
     def command(self, inputs: str, words: Sequence[str] = ()) -> str:
         """The command line that reproduces the current style of ``inputs``, opened with the overrides ``words``."""

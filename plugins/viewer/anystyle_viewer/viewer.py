@@ -259,6 +259,8 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             styles[title] = styles.pop(title)  # the last one is shown at first
             cameras, names = self.encoded.cameras, tuple(self.encoded.names)
             page_title = Path(self._command_words[0]).stem
-            export_styles(StyledScene(tuple(styles.items()), cameras, names, session.notes, page_title), path, "html")
+            notes = session.notes_on(session.styles())
+            export_styles(StyledScene(tuple(styles.items()), cameras, names, notes, page_title), path, "html")
         else:
-            export(session.gaussians, path, name, notes="\n".join((title, *session.notes)))
+            notes = session.notes_on(session.current.styles)
+            export(session.gaussians, path, name, notes="\n".join((title, *notes)))

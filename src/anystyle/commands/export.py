@@ -18,12 +18,14 @@ def parser() -> argparse.ArgumentParser:
     add("--out", type=Path, required=True, help="the file to write")
     add("--up", choices=axes, help="axes of the file (default: what readers of the format expect)")
     add("--from-up", choices=axes, help="axes of another program's file (default: what it says, or else its format)")
+    add("--no-provenance", action="store_true", help="leave out what the scene was made of, names and texts")
     return words
 
 
 def export(arguments: argparse.Namespace) -> None:
     """Run the command."""
     from anystyle.pipeline.export import export_styles
+    from anystyle.pipeline.provenance import anonymous
     from anystyle.pipeline.saved import read_saved
     from anystyle.registry.catalog import catalog
 
@@ -37,6 +39,7 @@ def export(arguments: argparse.Namespace) -> None:
         raise UserError("a folder of results is in OpenCV's axes; --from-up is for files of others")
     saved = read_saved(arguments.scene, arguments.from_up)
     saved = replace(saved, title=arguments.scene.resolve().stem)
+    saved = anonymous(saved) if arguments.no_provenance else saved
     export_styles(saved, arguments.out, name, up=arguments.up)
     print(f"{arguments.out}: {arguments.out.stat().st_size / 1e6:.2f} MB, {saved.styles[-1][0]}")
 

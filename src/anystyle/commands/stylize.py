@@ -7,7 +7,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import torch
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from anystyle.commands._compose import checked_seed, job_folder, main, with_sweep
 from anystyle.commands._flags import new_parser
@@ -17,6 +17,7 @@ from anystyle.errors import UserError
 from anystyle.io.sheet import to_pil
 from anystyle.pipeline.controls import Controls, Mask, combinations
 from anystyle.pipeline.options import PoseOptions, ViewOptions
+from anystyle.pipeline.provenance import without_folders
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import Mixture, Places, StyleInput, check_text
 from anystyle.pipeline.stylize import stylize
@@ -60,6 +61,9 @@ def parser() -> argparse.ArgumentParser:
         metavar="FORMATS",
         help="further files of the scene, by the names of `anystyle plugins format`; several with commas",
     )
+    flags.add_argument(
+        "--no-provenance", action="store_true", help="files say nothing of photographs, styles and networks"
+    )
     flags.add_argument("--out", default="out", help="where the results go (default: %(default)s)")
     flags.add_argument("--open", action="store_true", help="look at them in the browser, where there is a display")
     return flags
@@ -74,6 +78,7 @@ def command(config: DictConfig, arguments: argparse.Namespace) -> None:
         raise UserError("no photographs are given; name a folder, files or a video")
     if arguments.export:
         config.export.formats = [*config.export.formats, *arguments.export.split(",")]
+    config.export.provenance &= not arguments.no_provenance
     views, export = options(config, "views"), options(config, "export")
     poses = PoseOptions(config.poses, config.poses_from)
     target = job_folder(arguments.out)
@@ -91,7 +96,7 @@ def command(config: DictConfig, arguments: argparse.Namespace) -> None:
             out=target,
             export=export,
             video=options(config, "video"),
-            provenance={"seed": config.seed, "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True)},
+            provenance={"seed": config.seed, "config": without_folders(config)},
             stages=stages,
         )
     scenes = f"{len(results)} stylized scene{'s' if len(results) > 1 else ''}"

@@ -233,7 +233,9 @@ def _own_size(sizes: Sequence[tuple[int, int]], multiple: int) -> tuple[int, int
     return height, width
 
 
-def _find(item: Path) -> list[Path]:
+def files_of(item: Path) -> list[Path]:
+    """The files that a folder, a pattern or the name of an example stands for, or the file itself."""
+    item = resolved(item)
     if item.is_dir():
         # Captures with cameras keep their photographs in a folder of that name, or where their program puts them.
         found = ((reader, reader.find(item)) for reader in readers())
@@ -263,7 +265,7 @@ class _Shot(NamedTuple):
 
 def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[str]]:
     """The headers of photographs and the frames of videos, and what is wrong with the others."""
-    found = [path for item in inputs for path in _find(resolved(item))]
+    found = [path for item in inputs for path in files_of(item)]
     paths = evenly(found, max_views)
     if len(paths) < len(found):
         _log.warning("%d of %d photographs are taken, evenly spaced; views.take sets how many", max_views, len(found))

@@ -7,6 +7,7 @@ from anystyle.errors import UserError, unknown
 from anystyle.io.documents import read_json
 
 PREFIX = "example:"
+FOLDER = Path(__file__).parent
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class Example:
 
 def examples() -> dict[str, Example]:
     """All examples by their names."""
-    return read_json(Path(__file__).with_name("index.json"), dict[str, Example])
+    return read_json(FOLDER / "index.json", dict[str, Example])
 
 
 def resolved(path: Path) -> Path:
@@ -42,4 +43,4 @@ def resolved(path: Path) -> Path:
     name, known = str(path).removeprefix(PREFIX), examples()
     if name not in known:
         raise UserError(unknown("example", name, known))
-    return Path(__file__).parent / known[name].file
+    return FOLDER / known[name].file

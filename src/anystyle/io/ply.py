@@ -61,7 +61,10 @@ def write(splats: Splats, path: Path, notes: str = "") -> None:
 
 
 def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool:
-    """Copy a file with other colours, and without properties of higher degrees; False for a compressed file."""
+    """Copy a file with other colours, without properties of higher degrees; False for a compressed file.
+
+    Comments are those of the file that is replaced, where there is one.
+    """
     data = PlyData.read(source)
     if "chunk" in data:
         return False
@@ -73,10 +76,9 @@ def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool
     for name in kept:
         after[name] = colors[:, names.index(name)] if name in names else before[name]
     elements = [element for element in data.elements if element.name != "vertex"]
+    comments = (PlyData.read(path) if path.exists() else data).comments
     with atomic_path(path) as temporary:
-        PlyData([PlyElement.describe(after, "vertex"), *elements], text=data.text, comments=data.comments).write(
-            temporary
-        )
+        PlyData([PlyElement.describe(after, "vertex"), *elements], text=data.text, comments=comments).write(temporary)
     return True
 
 

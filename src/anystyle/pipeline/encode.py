@@ -44,6 +44,7 @@ class EncodedCapture:
         targets: Names and cameras of further views to render, in the capture's frame.
         scene_from_known: From the frame of stored or estimated cameras to the capture's, where they differ.
         splat: The file of the scene, where Gaussians were given.
+        notes: On what the scene was made of, but for styles and networks.
     """
 
     stylizer: Stylizer
@@ -54,6 +55,7 @@ class EncodedCapture:
     targets: tuple[tuple[str, ...], Cameras] | None = None
     scene_from_known: Similarity | None = None
     splat: Path | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def cameras(self) -> Cameras:

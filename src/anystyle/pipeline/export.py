@@ -44,8 +44,11 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
         raise UserError("the scene has no Gaussians that are visible; there is nothing to export")
     styles = tuple((title, gaussians.map(lambda tensor: tensor[:, visible])) for title, gaussians in scene.styles)
     writer.write(in_axes(up or writer.up, replace(scene, styles=styles)), path)
-    if scene.notes and not writer.has_notes:
-        path.with_suffix(path.suffix + ".txt").write_text("\n".join(scene.notes) + "\n", encoding="utf-8")
+    if not writer.has_notes:
+        beside = path.with_suffix(path.suffix + ".txt")
+        beside.unlink(missing_ok=True)  # an earlier scene's
+        if scene.notes:
+            beside.write_text("\n".join(scene.notes) + "\n", encoding="utf-8")
 
 
 def in_axes(up: str, scene: StyledScene) -> StyledScene:

@@ -88,7 +88,7 @@ def read(
     estimator = None if isinstance(inputs, Views) else pose_estimator(poses.use)
     if estimator is not None and not isinstance(inputs, Views):
         chosen = reconstruction or build(Reconstruction, estimator.reconstruction)
-        posed = _estimated(_paths(inputs), backbone, options, chosen, estimator, stages)
+        posed = _estimated(paths_of(inputs), backbone, options, chosen, estimator, stages)
         if isinstance(posed, PosedViews):
             cameras = posed.views.cameras
             return ReadViews(posed.views, posed.sources, chosen, cameras, posed.points, report=posed.verdict.report())
@@ -108,11 +108,11 @@ def read(
         short_side, enlarge = view_size(backbone, options, chosen)
         with stages("read", "the views"):
             views, found = read_views(
-                _paths(inputs),
+                paths_of(inputs),
                 short_side=short_side if options.resize else None,
                 enlarge=enlarge,
                 multiple=backbone.patch_size,
-                max_views=_max_views(_paths(inputs), options, chosen),
+                max_views=_max_views(paths_of(inputs), options, chosen),
             )
         sources = tuple(found)
     if poses.use not in ("known", "target"):
@@ -179,7 +179,8 @@ def view_size(backbone: Backbone, options: ViewOptions, reconstruction: Reconstr
     return options.short_side or backbone.resolution, True
 
 
-def _paths(inputs: str | Path | Sequence[str | Path]) -> list[Path]:
+def paths_of(inputs: str | Path | Sequence[str | Path]) -> list[Path]:
+    """Inputs other than views."""
     return [Path(path) for path in ([inputs] if isinstance(inputs, (str, Path)) else inputs)]
 
 

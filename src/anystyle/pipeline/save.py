@@ -2,11 +2,12 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from importlib.metadata import version
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -24,17 +25,19 @@ from anystyle.methods.base import Method
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.options import ExportOptions, VideoOptions
+from anystyle.pipeline.provenance import MADE_OF, note, tables
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, OnProgress, StyledScene, no_progress
-from anystyle.vision.weights import license_lines, licenses
+from anystyle.vision.weights import BINDING, binding, license_lines, licenses
 
 CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
 MAX_POINTS = 100_000
 """Points of a COLMAP export: what an optimisation of Gaussians starts from."""
 
+VERSIONS = {name: version(name) for name in ("anystyle", "torch", "numpy")}
 WRITTEN = "scene, renders and video"
 """What is said while a result is written."""
 
@@ -68,8 +71,8 @@ class Result:
     @property
     def report(self) -> dict[str, object]:
         """What was run on what, for ``report.json``."""
-        encoded, stages = self.encoded, self.results.stages
-        return {
+        encoded, results = self.encoded, self.results
+        report = {
             "style": self.style.title,
             **({"controls": self.style.controls.label} if self.style.controls.label else {}),
             **({"texts": [asdict(match) for match in self.style.matches]} if self.style.matches else {}),
@@ -77,14 +80,17 @@ class Result:
             "views": len(encoded.sources),
             "groups": len(encoded.capture.groups),
             "reconstruction": {**encoded.reconstruction, "num_gaussians": int((self.gaussians.opacities > 0).sum())},
-            "method": _method_report(self.results.method),
+            "method": _method_report(results.method),
             "inputs": [source.name for source in encoded.sources],
             "size": list(encoded.views.size),
-            **stages.report(),
-            **self.results.provenance,
-            "licenses": licenses(self.results.provenance.get("weights")),
-            "versions": {name: version(name) for name in ("anystyle", "torch", "numpy")},
+            **results.stages.report(),
+            **results.provenance,
+            "licenses": licenses(results.networks),
+            "notes": [line for line in encoded.notes if not line.startswith(MADE_OF)],
+            "provenance": tables(results.notes([self.style])),
+            "versions": VERSIONS,
         }
+        return report if results.export.provenance else _technical(report)
 
     def render(self, cameras: Cameras | None = None) -> Iterator[Float[Tensor, "3 H W"]]:
         """Render views one by one, on the CPU; the input views unless cameras are given."""
@@ -107,7 +113,7 @@ class Result:
         folder.mkdir(parents=True, exist_ok=True)
         unstyled, title = self.results.restyler.unstyled, self.style.title
         styles = [*([("unstyled", unstyled)] if self.alike else []), (title, gaussians)]
-        scene = self.results.scene(styles, title)
+        scene = self.results.scene(styles, [self.style], title)
         for name in dict.fromkeys(["ply", *options.formats]):
             if not self.alike or name not in self.results.common_formats:
                 export_styles(scene, folder / f"scene.{name}", name, up=options.up)
@@ -167,8 +173,14 @@ class Results:
         provenance: Mapping[str, object],
         stages: Stages,
     ) -> None:
-        self.encoded, self.styles, self.method = encoded, tuple(styles), method
         self.restyler = Restyler(encoded, method, lambda progress: self._on_progress(progress))
+        if not export.provenance:
+            encoded, styles = _anonymous(encoded, styles)
+        self.encoded, self.styles, self.method = encoded, tuple(styles), method
+        loaded, own = provenance.get("weights"), {source.network: asdict(source) for source in method.sources}
+        self.networks = (loaded if isinstance(loaded, dict) else {}) | {
+            name: entry for name, entry in own.items() if entry["file"]
+        }
         self._on_progress: OnProgress = no_progress
         self.export, self.video = export, video
         self.provenance, self.stages = provenance, stages
@@ -222,10 +234,10 @@ class Results:
             if len(self) > 1:
                 self.write_sheet(folder, columns[1:])
             for name in self.common_formats if len(alike) > 1 else []:
-                export_styles(self.scene(alike), folder / f"scene.{name}", name, up=self.export.up)
+                export_styles(self.scene(alike, self.styles), folder / f"scene.{name}", name, up=self.export.up)
         if len(self) > 1:
-            titles = {"style": [style.title for style in self.styles]}
-            write_json(folder / "report.json", report | self.stages.report() | titles)
+            common = {"style": [style.title for style in self.styles], "provenance": tables(self.notes(self.styles))}
+            write_json(folder / "report.json", report | self.stages.report() | common)
 
     def _wait(self, written: Sequence[Future[Column]]) -> list[Column]:
         with self.stages("write", WRITTEN):
@@ -237,11 +249,24 @@ class Results:
         formats = self.export.formats if len(self) > 1 else []
         return [name for name in formats if catalog().find("format", name).load().many_styles]
 
-    def scene(self, styles: Sequence[tuple[str, Gaussians]], title: str = "") -> StyledScene:
+    def notes(self, styles: Sequence[EmbeddedStyle]) -> tuple[str, ...]:
+        """On what the scene in these styles was made of; else of licences that bind it alone."""
+        terms = licenses(self.networks)
+        if not self.export.provenance:
+            return (*self.encoded.notes, *binding(license_lines(terms)))
+        networks = [
+            note("network", part=part, names=[entry["file"]], sha256=entry["sha256"], license=terms[part]["license"])
+            for part, entry in self.networks.items()
+        ]
+        given = [*self.encoded.notes, *(line for style in styles for line in style.notes)]
+        return tuple(dict.fromkeys((*license_lines(terms), *given, *networks, note("software", **VERSIONS))))
+
+    def scene(
+        self, styles: Sequence[tuple[str, Gaussians]], embedded: Sequence[EmbeddedStyle], title: str = ""
+    ) -> StyledScene:
         """The scene in styles, as files hold it."""
-        notes = (title, *license_lines(licenses(self.provenance.get("weights"))))
-        names = tuple(self.encoded.names)
-        return StyledScene(tuple(styles), self.encoded.cameras, names, notes if title else notes[1:], title)
+        notes, names = self.notes(embedded), tuple(self.encoded.names)
+        return StyledScene(tuple(styles), self.encoded.cameras, names, (title, *notes) if title else notes, title)
 
     def write_sheet(self, folder: Path, columns: Sequence[Column]) -> None:
         """Write ``sheet.png``: photographs, the unstyled scene and the columns of some styles."""
@@ -257,6 +282,29 @@ class Results:
         with self.stages("render", "the unstyled scene"):
             renders = [to_pil(image) for image in self.encoded.render(self.restyler.unstyled)]
             return "unstyled", None, thumbnails(renders)
+
+
+def _anonymous(
+    encoded: EncodedCapture, styles: Sequence[EmbeddedStyle]
+) -> tuple[EncodedCapture, Sequence[EmbeddedStyle]]:
+    """Views and styles without names, texts and pictures of styles."""
+    sources = (replace(source, name=f"view_{i:02d}", path=None) for i, source in enumerate(encoded.sources))
+    names, cameras = encoded.targets or ((), encoded.cameras)
+    targets = (tuple(f"target_{i:02d}" for i in range(len(names))), cameras) if names else None
+    renamed = [replace(style, name=f"style-{n}", title=f"style {n}") for n, style in enumerate(styles, 1)]
+    return (
+        replace(encoded, sources=tuple(sources), targets=targets, notes=binding(encoded.notes)),
+        [replace(style, cell=None, matches=(), notes=()) for style in renamed],
+    )
+
+
+def _technical(report: dict[str, Any]) -> dict[str, object]:
+    """A report without names, hashes, texts and paths."""
+    left_out = ("inputs", "weights", "config", "provenance")
+    reasons = {name: value for name, value in report["reconstruction"].items() if name != "reasons"}
+    bound = {part: terms for part, terms in report["licenses"].items() if terms["means"] == BINDING}
+    kept = {name: value for name, value in report.items() if name not in left_out}
+    return kept | {"reconstruction": reasons, "licenses": bound, "method": {"kind": report["method"]["kind"]}}
 
 
 def _same_geometry(first: Gaussians, second: Gaussians) -> bool:

@@ -1,5 +1,6 @@
 """Reading saved scenes: a folder that ``anystyle stylize`` wrote, or a file of Gaussians."""
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -12,8 +13,9 @@ from safetensors import SafetensorError, safe_open
 from anystyle.contracts import Format
 from anystyle.data.camera_reader import StoredCamera
 from anystyle.errors import UserError
-from anystyle.io.documents import Count, read_json, regular
+from anystyle.io.documents import Count, read_json, read_text, regular
 from anystyle.pipeline.export import in_axes
+from anystyle.pipeline.provenance import MADE_OF, note
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, StyledScene
@@ -51,6 +53,8 @@ class SavedReport:
     gaussians: Count = 0
     views: Count = 0
     licenses: dict[str, dict[str, str]] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+    provenance: list[dict[str, object]] = field(default_factory=list)
 
 
 def unstyled_of(scene: StyledScene) -> Gaussians:
@@ -77,7 +81,10 @@ def read_unturned(path: Path, up: str | None) -> StyledScene:
     """
     if path.is_file() and is_scene_file(path):
         scene = build(Format, path.suffix[1:].lower()).read(path)
-        notes = tuple(dict.fromkeys((path.name, *scene.notes)))
+        notes, beside = scene.notes, path.with_suffix(path.suffix + ".txt")
+        notes = notes or (tuple(read_text(beside).splitlines()) if beside.is_file() else ())
+        if not any(line.startswith(MADE_OF) for line in notes):
+            notes = (*notes, note("scene", [path]))
         return replace(scene, notes=notes, up=up or scene.up)
     if not (path / "report.json").is_file():
         raise UserError(f"{path} has no scene that anystyle stylize wrote, and is no file of a format that is read")
@@ -96,7 +103,7 @@ def read_unturned(path: Path, up: str | None) -> StyledScene:
     if unstyled.is_file():
         styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))
     cameras, names = _cameras(folders[0] / "cameras.json")
-    return StyledScene(tuple(styles), cameras, names, tuple(_notes(reports[0])))
+    return StyledScene(tuple(styles), cameras, names, tuple(_notes(reports[0], whole)))
 
 
 def read_gaussians(path: Path) -> Gaussians:
@@ -125,6 +132,7 @@ def _cameras(path: Path) -> tuple[Cameras, tuple[str, ...]]:
     return Cameras(poses[None], intrinsics[None], (first.height, first.width)), tuple(view.name for view in alike)
 
 
-def _notes(report: "SavedReport") -> Iterator[str]:
+def _notes(report: SavedReport, whole: SavedReport) -> Iterator[str]:
     yield f"{report.gaussians} Gaussians of {report.views} photographs, by anystyle."
-    yield from weights.license_lines(report.licenses)
+    yield from (*weights.license_lines(report.licenses), *report.notes)
+    yield from (MADE_OF + json.dumps(table) for table in whole.provenance)

@@ -61,7 +61,7 @@ def encode_saved(
     report = scene_report("given", capture, time.perf_counter() - start, {}) | {"cameras": origin}
     seen = replace(scene.views, names=tuple(source.name for source in sources)).to("cpu")
     original = path if path.is_file() and given.up == "opencv" else None
-    return EncodedCapture(stylizer, seen, sources, capture, report, splat=original)
+    return EncodedCapture(stylizer, seen, sources, capture, report, splat=original, notes=given.notes)
 
 
 def memory_needed(num_gaussians: int, num_views: int) -> int:

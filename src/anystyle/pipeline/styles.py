@@ -16,6 +16,7 @@ from anystyle.errors import UserError
 from anystyle.examples import resolved
 from anystyle.io.sheet import Cell, side_by_side, to_pil
 from anystyle.pipeline.controls import Controls, Mask, rescaled
+from anystyle.pipeline.provenance import note
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style, StyleEmbedding, TextMatch
 
@@ -63,6 +64,7 @@ class EmbeddedStyle:
         embedding: A batch of one.
         style: The image or the text itself; neither for a point between two styles.
         matches: Of each text that it is made of, what the encoder says of it.
+        notes: On the texts and images that it is made of.
         controls: How it is applied.
         parts: Several styles by place, whose masks are in their controls, in the order in which they cover each other;
             embedding and style are then the first one's.
@@ -74,6 +76,7 @@ class EmbeddedStyle:
     embedding: StyleEmbedding
     style: Style = field(default_factory=Style)
     matches: tuple[TextMatch, ...] = ()
+    notes: tuple[str, ...] = ()
     controls: Controls = field(default_factory=Controls)
     parts: tuple["EmbeddedStyle", ...] = ()
 
@@ -128,20 +131,20 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
                 )
             title = f"“{' '.join(style.split())}”"
             embedding = replace(stylizer.embed(text=style), scale=scale)
-            given = Style(text=(style,))
-            return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer))
+            given, notes = Style(text=(style,)), (note("text", text=style),)
+            return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer), notes)
         case Path():
             file = resolved(style)
-            title, image = file.stem, read_image(file)[None]
+            title, image, notes = file.stem, read_image(file)[None], (note("image", [file]),)
         case Tensor():
-            title, image = "image", style[None]
+            title, image, notes = "image", style[None], (note("image"),)
         case Style(image=Tensor() as image, names=names):
-            title = names[0] if names else "image"
+            title, notes = names[0] if names else "image", (note("image", names=names),)
         case _:
             raise UserError("a style has neither an image nor a text")
     cell, image = to_pil(image[0]), image if paints else rescaled(image[0], scale)[None]
     embedding = replace(stylizer.embed(image=image.to(stylizer.device)), scale=scale)
-    return EmbeddedStyle(slug(title), title, cell, embedding, Style(image=image, names=(title,)))
+    return EmbeddedStyle(slug(title), title, cell, embedding, Style(image=image, names=(title,)), notes=notes)
 
 
 def _matches(text: str, stylizer: Stylizer) -> tuple[TextMatch, ...]:
@@ -169,6 +172,7 @@ def mix(first: EmbeddedStyle, second: EmbeddedStyle, amount: float) -> EmbeddedS
         embedding=first.embedding.toward(second.embedding, amount),
         style=first.style if amount == 0 else second.style if amount == 1 else Style(),
         matches=tuple(dict.fromkeys(first.matches + second.matches)),
+        notes=first.notes + second.notes,
     )
 
 
@@ -181,6 +185,7 @@ def placed(parts: Sequence[EmbeddedStyle]) -> EmbeddedStyle:
         title=" and ".join(part.title for part in parts),
         cell=side_by_side(pictures) if len(pictures) == len(parts) else None,
         matches=tuple(dict.fromkeys(match for part in parts for match in part.matches)),
+        notes=tuple(note for part in parts for note in part.notes),
         controls=Controls(),
         parts=tuple(parts),
     )

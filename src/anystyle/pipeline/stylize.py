@@ -2,6 +2,7 @@
 
 import contextlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -16,12 +17,13 @@ from anystyle.pipeline.controls import Controls
 from anystyle.pipeline.encode import EncodedCapture, encode
 from anystyle.pipeline.load import load_model
 from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
-from anystyle.pipeline.read import Inputs, read, saved_path
+from anystyle.pipeline.provenance import photographs
+from anystyle.pipeline.read import Inputs, paths_of, read, saved_path
 from anystyle.pipeline.save import Results
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import Mixture, Places, StyleInput, embed_styles
 from anystyle.stylizer import Stylizer
-from anystyle.types import Style
+from anystyle.types import Style, Views
 
 
 def stylize(
@@ -124,4 +126,5 @@ def encode_inputs(
         from anystyle.pipeline.splats import encode_saved
 
         return encode_saved(saved, stylizer, views, splat, stages)
-    return encode(read(inputs, stylizer.backbone, views, poses, reconstruction, stages), stylizer, views, stages)
+    encoded = encode(read(inputs, stylizer.backbone, views, poses, reconstruction, stages), stylizer, views, stages)
+    return replace(encoded, notes=photographs([] if isinstance(inputs, Views) else paths_of(inputs), encoded.sources))

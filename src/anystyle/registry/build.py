@@ -41,9 +41,9 @@ def build(base: type[T], config: "DictConfig | Mapping[str, Any] | str", /, **ru
 
     Example:
         >>> from anystyle.contracts import Loss
-        >>> build(Loss, "total_variation").weight
+        >>> build(Loss, "depth_consistency").weight
         1.0
-        >>> build(Loss, {"_target_": "anystyle.losses.total_variation.TotalVariation", "weight": 0.5}).weight
+        >>> build(Loss, {"_target_": "anystyle.losses.depth_consistency.DepthConsistency", "weight": 0.5}).weight
         0.5
     """
     kind = kind_of(base)

@@ -164,10 +164,13 @@ def licenses(loaded: object) -> dict[str, dict[str, str]]:
     }
 
 
+BINDING = "results may not be used commercially"
+
+
 def license_meaning(license: str | None) -> str:
     """What a licence of weights means for a scene made with them, in a sentence; no legal advice."""
     if license is not None and any(word in license for word in ("NC", "non-commercial", "noncommercial", "research")):
-        return "results may not be used commercially"
+        return BINDING
     if license is not None and license.startswith(("Apache", "MIT", "BSD", "CC0", "CC-BY-4.0")):
         return "results may be used freely; redistributed weights keep their notice"
     return "the terms are not known; ask the publisher of the weights before you share results"
@@ -177,6 +180,11 @@ def license_lines(terms: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
     """A line for each part of :func:`licenses`, for a file's header or a caption."""
     for part, entry in terms.items():
         yield f"{part}: {entry['file']}, {entry['license']}: {entry['means']}"
+
+
+def binding(lines: Iterable[str]) -> tuple[str, ...]:
+    """Those of :func:`license_lines` whose licence binds results; others ask something of the weights alone."""
+    return tuple(line for line in lines if line.endswith(BINDING))
 
 
 Weights = Literal["auto", "published", "stand_in"]
