@@ -1,0 +1,129 @@
+"""Depth fused into a surface: a truncated signed distance function (Curless and Levoy 1996), and marching cubes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from torch import Tensor
+
+from anystyle.errors import UserError
+from anystyle_mesh.depth import DepthViews, points_of, projected, sampled
+
+RESOLUTION = 256
+"""Voxels along the longest side of a scene."""
+TRUNCATION = 4.0
+"""Voxels before and behind a surface within which distances count."""
+TAILS = 0.01
+"""Of the points, on each side of each axis, that do not count for where the scene ends."""
+SMALLEST = 0.01
+"""Pieces with fewer faces, relative to the largest, are dropped."""
+FEWEST = 4
+"""Faces; less is no surface."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles, counter-clockwise as seen from outside.
+
+    Args:
+        vertices: In the axes of the cameras.
+        faces: Three vertices each.
+        colors: Of the vertices, sRGB in [0, 1].
+    """
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int64]
+    colors: NDArray[np.float32]
+
+
+def fused(views: DepthViews, resolution: int = RESOLUTION) -> Mesh:
+    """The surface that most views agree on.
+
+    Raises:
+        UserError: They agree on none.
+    """
+    low, voxel, shape = _grid(views, resolution)
+    distance, weight = _integrated(views, low, voxel, shape)
+    vertices, faces = _surface(distance, weight)
+    vertices = vertices * voxel + low.numpy() + 0.5 * voxel
+    return Mesh(vertices.astype(np.float32), faces, _colors(views, torch.from_numpy(vertices).float(), voxel))
+
+
+def _grid(views: DepthViews, resolution: int) -> tuple[Float[Tensor, "3"], float, tuple[int, int, int]]:
+    """Corner, size of a voxel, and voxels along each axis."""
+    count = len(views.depth)
+    points = torch.cat([points_of(views.cameras, view, views.depth[view])[views.agreed[view]] for view in range(count)])
+    if not len(points):
+        raise UserError("the views agree on no surface; there is nothing to mesh")
+    points = points[:: max(1, len(points) // 1_000_000)]
+    low, high = points.quantile(TAILS, dim=0), points.quantile(1 - TAILS, dim=0)
+    margin = 0.05 * float((high - low).max())
+    if not margin:
+        raise UserError("all that the views agree on is a single point; there is nothing to mesh")
+    low, high = low - margin, high + margin
+    voxel = float((high - low).max()) / resolution
+    x, y, z = (max(2, int(side)) for side in ((high - low) / voxel).ceil())
+    return low, voxel, (x, y, z)
+
+
+def _integrated(
+    views: DepthViews, low: Float[Tensor, "3"], voxel: float, shape: tuple[int, int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
+    """Mean signed distance to the surface in truncations, at most 1 before it, and how many views count."""
+    distance, weight = np.ones(shape, np.float32), np.zeros(shape, np.int16)
+    y, z = torch.meshgrid(*((torch.arange(side) + 0.5) * voxel for side in shape[1:]), indexing="ij")
+    depth = torch.where(views.agreed, views.depth, 0)
+    for row in range(shape[0]):
+        centers = torch.stack([torch.full_like(y, (row + 0.5) * voxel), y, z], -1).flatten(0, 1) + low
+        total, count = torch.zeros(len(centers)), torch.zeros(len(centers), dtype=torch.int16)
+        for view in range(len(depth)):
+            where, ahead = projected(views.cameras, view, centers)
+            found = sampled(depth[view][None], where)[0]
+            signed = (found - ahead) / (TRUNCATION * voxel)
+            counts = (found > 0) & (signed > -1)
+            total += torch.where(counts, signed.clamp(max=1), 0)
+            count += counts
+        known = count > 0
+        mean = torch.where(known, total / count.clamp_min(1), 1)
+        distance[row], weight[row] = mean.view(shape[1:]).numpy(), count.view(shape[1:]).numpy()
+    return distance, weight
+
+
+def _surface(distance: NDArray[np.float32], weight: NDArray[np.int16]) -> tuple[NDArray, NDArray]:
+    """Vertices in voxels and faces, without small pieces."""
+    from skimage.measure import marching_cubes
+
+    known = weight >= min(2, int(weight.max()))
+    if not (known & (distance < 0)).any() or not (known & (distance > 0)).any():
+        raise UserError("the views agree on no surface; there is nothing to mesh")
+    vertices, faces, _, _ = marching_cubes(distance, 0.0, mask=known, gradient_direction="ascent")
+    edges = coo_matrix(
+        (np.ones(2 * len(faces)), (np.repeat(faces[:, 0], 2), faces[:, 1:].ravel())), 2 * (len(vertices),)
+    )
+    _, piece = connected_components(edges, directed=False)
+    sizes = np.bincount(piece[faces[:, 0]], minlength=piece.max() + 1)
+    faces = faces[(sizes >= max(FEWEST, SMALLEST * sizes.max()))[piece[faces[:, 0]]]]
+    if not len(faces):
+        raise UserError("the views agree on crumbs of a surface alone; there is nothing to mesh")
+    used, faces = np.unique(faces, return_inverse=True)
+    return vertices[used].astype(np.float64), faces.reshape(-1, 3)
+
+
+def _colors(views: DepthViews, vertices: Float[Tensor, "N 3"], voxel: float) -> NDArray[np.float32]:
+    """The mean colour of the views that see a vertex, nearer ones counting more; of its neighbour where none does."""
+    total, weight = torch.zeros(3, len(vertices)), torch.zeros(len(vertices))
+    for view in range(len(views.depth)):
+        where, ahead = projected(views.cameras, view, vertices)
+        found = sampled(views.depth[view][None], where)[0]
+        counts = torch.where((found > 0) & ((found - ahead).abs() < TRUNCATION * voxel), ahead.clamp_min(1e-6) ** -2, 0)
+        total += counts * sampled(views.color[view], where, "bilinear")
+        weight += counts
+    colors, seen = (total / weight.clamp_min(1e-12)).clamp(0, 1).T.numpy(), (weight > 0).numpy()
+    if seen.any() and not seen.all():
+        colors[~seen] = colors[seen][cKDTree(vertices[seen].numpy()).query(vertices[~seen].numpy())[1]]
+    return colors
