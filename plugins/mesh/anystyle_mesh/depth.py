@@ -12,7 +12,7 @@ from anystyle.types import Cameras, Gaussians
 
 OPAQUE = 0.9
 """Where less light is absorbed there is no surface."""
-TOLERANCE = 0.02
+TOLERANCE = 0.03
 """Depths of one point from two cameras that differ by a smaller part of them agree."""
 NEIGHBORS, WITNESSES = 8, 2
 """Other cameras that are asked for each pixel, and how many of them have to agree; one where there are two cameras."""

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
@@ -14,14 +15,18 @@ from torch import Tensor
 from anystyle.errors import UserError
 from anystyle_mesh.depth import DepthViews, points_of, projected, sampled
 
-RESOLUTION = 256
+RESOLUTION = 192
 """Voxels along the longest side of a scene."""
-TRUNCATION = 4.0
-"""Voxels before and behind a surface within which distances count."""
+BLUR = 1.0
+"""Of the distances, in voxels: depth from Gaussians is rough."""
+TRUNCATION, NOISE = 4.0, 0.02
+"""Distances count so far before and behind a surface: in voxels, and at least as a part of the median depth."""
 TAILS = 0.01
 """Of the points, on each side of each axis, that do not count for where the scene ends."""
 SMALLEST = 0.01
 """Pieces with fewer faces, relative to the largest, are dropped."""
+FEWEST_VIEWS = 0.5
+"""In a neighbourhood of the blur; where fewer see a voxel, nothing is known of it."""
 FEWEST = 4
 """Faces; less is no surface."""
 
@@ -48,10 +53,11 @@ def fused(views: DepthViews, resolution: int = RESOLUTION) -> Mesh:
         UserError: They agree on none.
     """
     low, voxel, shape = _grid(views, resolution)
-    distance, weight = _integrated(views, low, voxel, shape)
+    reach = max(TRUNCATION * voxel, NOISE * float(views.depth[views.agreed].median()))
+    distance, weight = _integrated(views, low, voxel, shape, reach)
     vertices, faces = _surface(distance, weight)
     vertices = vertices * voxel + low.numpy() + 0.5 * voxel
-    return Mesh(vertices.astype(np.float32), faces, _colors(views, torch.from_numpy(vertices).float(), voxel))
+    return Mesh(vertices.astype(np.float32), faces, _colors(views, torch.from_numpy(vertices).float(), reach))
 
 
 def _grid(views: DepthViews, resolution: int) -> tuple[Float[Tensor, "3"], float, tuple[int, int, int]]:
@@ -72,9 +78,9 @@ def _grid(views: DepthViews, resolution: int) -> tuple[Float[Tensor, "3"], float
 
 
 def _integrated(
-    views: DepthViews, low: Float[Tensor, "3"], voxel: float, shape: tuple[int, int, int]
+    views: DepthViews, low: Float[Tensor, "3"], voxel: float, shape: tuple[int, int, int], reach: float
 ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
-    """Mean signed distance to the surface in truncations, at most 1 before it, and how many views count."""
+    """Mean signed distance to the surface as parts of ``reach``, at most 1, and how many views count."""
     distance, weight = np.ones(shape, np.float32), np.zeros(shape, np.int16)
     y, z = torch.meshgrid(*((torch.arange(side) + 0.5) * voxel for side in shape[1:]), indexing="ij")
     depth = torch.where(views.agreed, views.depth, 0)
@@ -84,7 +90,7 @@ def _integrated(
         for view in range(len(depth)):
             where, ahead = projected(views.cameras, view, centers)
             found = sampled(depth[view][None], where)[0]
-            signed = (found - ahead) / (TRUNCATION * voxel)
+            signed = (found - ahead) / reach
             counts = (found > 0) & (signed > -1)
             total += torch.where(counts, signed.clamp(max=1), 0)
             count += counts
@@ -98,13 +104,19 @@ def _surface(distance: NDArray[np.float32], weight: NDArray[np.int16]) -> tuple[
     """Vertices in voxels and faces, without small pieces."""
     from skimage.measure import marching_cubes
 
-    known = weight >= min(2, int(weight.max()))
-    if not (known & (distance < 0)).any() or not (known & (distance > 0)).any():
+    near = gaussian_filter(weight.astype(np.float32), BLUR)
+    distance = np.divide(gaussian_filter(distance * weight, BLUR), near, out=np.ones_like(near), where=near > 1e-6)
+    known = near > FEWEST_VIEWS
+    if not known.any() or not distance.min() < 0 < distance.max():
         raise UserError("the views agree on no surface; there is nothing to mesh")
-    vertices, faces, _, _ = marching_cubes(distance, 0.0, mask=known, gradient_direction="ascent")
-    edges = coo_matrix(
-        (np.ones(2 * len(faces)), (np.repeat(faces[:, 0], 2), faces[:, 1:].ravel())), 2 * (len(vertices),)
-    )
+    vertices, faces, _, _ = marching_cubes(distance, 0.0)
+    # A vertex lies on the line between two voxels; where nobody saw one of them there is no surface.
+    seen = np.logical_and(*(known[tuple(end(vertices).astype(int).T)] for end in (np.floor, np.ceil)))
+    faces = faces[seen[faces].all(1)]
+    if not len(faces):
+        raise UserError("the views agree on no surface; there is nothing to mesh")
+    ends = np.repeat(faces[:, 0], 2), faces[:, 1:].ravel()
+    edges = coo_matrix((np.ones(len(ends[0])), ends), 2 * (len(vertices),))
     _, piece = connected_components(edges, directed=False)
     sizes = np.bincount(piece[faces[:, 0]], minlength=piece.max() + 1)
     faces = faces[(sizes >= max(FEWEST, SMALLEST * sizes.max()))[piece[faces[:, 0]]]]
@@ -114,13 +126,14 @@ def _surface(distance: NDArray[np.float32], weight: NDArray[np.int16]) -> tuple[
     return vertices[used].astype(np.float64), faces.reshape(-1, 3)
 
 
-def _colors(views: DepthViews, vertices: Float[Tensor, "N 3"], voxel: float) -> NDArray[np.float32]:
-    """The mean colour of the views that see a vertex, nearer ones counting more; of its neighbour where none does."""
+def _colors(views: DepthViews, vertices: Float[Tensor, "N 3"], reach: float) -> NDArray[np.float32]:
+    """The mean colour of the views that see a vertex, near and at its depth; of its neighbour where none does."""
     total, weight = torch.zeros(3, len(vertices)), torch.zeros(len(vertices))
     for view in range(len(views.depth)):
         where, ahead = projected(views.cameras, view, vertices)
         found = sampled(views.depth[view][None], where)[0]
-        counts = torch.where((found > 0) & ((found - ahead).abs() < TRUNCATION * voxel), ahead.clamp_min(1e-6) ** -2, 0)
+        near = (1 - (found - ahead).abs() / reach).clamp(0, 1) ** 2
+        counts = torch.where(found > 0, near / ahead.clamp_min(1e-6) ** 2, 0)
         total += counts * sampled(views.color[view], where, "bilinear")
         weight += counts
     colors, seen = (total / weight.clamp_min(1e-12)).clamp(0, 1).T.numpy(), (weight > 0).numpy()

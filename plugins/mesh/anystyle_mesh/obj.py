@@ -16,7 +16,7 @@ from anystyle_mesh.fusion import fused
 
 MAX_VIEWS, LONG_SIDE = 64, 640
 """Cameras, evenly spaced of more, and the longer side in pixels, that depth is rendered for."""
-AGREEMENT = 0.3
+AGREEMENT = 0.2
 """Of the surfaces, the smallest part that other cameras have to see at the same depth."""
 
 
