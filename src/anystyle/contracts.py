@@ -435,7 +435,7 @@ class Format(Socket, ABC):
 
 
 RenderFrames = Callable[[Cameras], Iterator[Float[Tensor, "3 H W"]]]
-"""Renders one scene from cameras, image by image: sRGB in [0, 1] on the CPU."""
+"""Renders one scene from cameras: sRGB in [0, 1] on the CPU; ends early where images are not needed any more."""
 
 
 class Video(Socket, ABC):
@@ -446,9 +446,9 @@ class Video(Socket, ABC):
         """Write ``video.mp4`` into a folder, and what else belongs to it.
 
         Args:
-            gaussians: What is filmed, a batch of one scene.
-            cameras: Of the views that the scene was made from, at least one.
-            render: Renders them; ends early where the film is not needed any more.
+            gaussians: A batch of one scene.
+            cameras: Of the views that it was made from, at least one.
+            render: Renders it.
             folder: Has none of the files yet.
         """
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from torch import Tensor
 
 from anystyle.errors import UserError
@@ -138,5 +138,5 @@ def _colors(views: DepthViews, vertices: Float[Tensor, "N 3"], reach: float) -> 
         weight += counts
     colors, seen = (total / weight.clamp_min(1e-12)).clamp(0, 1).T.numpy(), (weight > 0).numpy()
     if seen.any() and not seen.all():
-        colors[~seen] = colors[seen][cKDTree(vertices[seen].numpy()).query(vertices[~seen].numpy())[1]]
+        colors[~seen] = colors[seen][KDTree(vertices[seen].numpy()).query(vertices[~seen].numpy())[1]]
     return colors

@@ -107,7 +107,7 @@ def test_the_command_finds_cameras_beside_a_file(tmp_path, capsys):
     cameras = around(14, (60, 60))
     build(Format, "ply").write(StyledScene((("ball", sphere(2000)),)), tmp_path / "scene.ply")
     words = [str(tmp_path / "scene.ply"), "--to", "obj", "--out", str(tmp_path / "ball.obj")]
-    with pytest.raises(UserError, match="put cameras.json, transforms.json or a COLMAP model beside the file"):
+    with pytest.raises(UserError, match=r"put cameras\.json, transforms\.json or a COLMAP model beside the file"):
         export(parser().parse_args(words))
     views = [
         {"name": str(index), "height": 60, "width": 60, "intrinsics": matrix, "world_from_camera": pose}
