@@ -1,12 +1,13 @@
 """Depth fused into a surface: a truncated signed distance function (Curless and Levoy 1996), and marching cubes."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 from jaxtyping import Float
 from numpy.typing import NDArray
-from scipy.ndimage import gaussian_filter
+from scipy.ndimage import gaussian_filter, maximum_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
@@ -27,6 +28,8 @@ SMALLEST = 0.01
 """Pieces with fewer faces, relative to the largest, are dropped."""
 FEWEST_VIEWS = 0.5
 """In a neighbourhood of the blur; where fewer see a voxel, nothing is known of it."""
+MAX_POINTS, CHUNK = 1_000_000, 1 << 18
+"""Points that say where a surface is, and voxels that are integrated at once."""
 FEWEST = 4
 """Faces; less is no surface."""
 
@@ -52,21 +55,30 @@ def fused(views: DepthViews, resolution: int = RESOLUTION) -> Mesh:
     Raises:
         UserError: They agree on none.
     """
-    low, voxel, shape = _grid(views, resolution)
+    points = _points(views)
+    low, voxel, shape = _grid(points, resolution)
     reach = max(TRUNCATION * voxel, NOISE * float(views.depth[views.agreed].median()))
-    distance, weight = _integrated(views, low, voxel, shape, reach)
+    inside = ((points - low) / voxel).floor().long().clamp_min(0).minimum(torch.tensor(shape) - 1)
+    near = np.zeros(shape, bool)
+    near[tuple(inside.T.numpy())] = True
+    near = maximum_filter(near, 2 * math.ceil(reach / voxel) + 1)
+    distance, weight = _integrated(views, low, voxel, near, reach)
     vertices, faces = _surface(distance, weight)
     vertices = vertices * voxel + low.numpy() + 0.5 * voxel
     return Mesh(vertices.astype(np.float32), faces, _colors(views, torch.from_numpy(vertices).float(), reach))
 
 
-def _grid(views: DepthViews, resolution: int) -> tuple[Float[Tensor, "3"], float, tuple[int, int, int]]:
-    """Corner, size of a voxel, and voxels along each axis."""
-    count = len(views.depth)
-    points = torch.cat([points_of(views.cameras, view, views.depth[view])[views.agreed[view]] for view in range(count)])
+def _points(views: DepthViews) -> Float[Tensor, "N 3"]:
+    """What the views agree on, at most a million points."""
+    parts = [points_of(views.cameras, view, depth)[views.agreed[view]] for view, depth in enumerate(views.depth)]
+    points = torch.cat(parts)
     if not len(points):
         raise UserError("the views agree on no surface; there is nothing to mesh")
-    points = points[:: max(1, len(points) // 1_000_000)]
+    return points[:: math.ceil(len(points) / MAX_POINTS)]
+
+
+def _grid(points: Float[Tensor, "N 3"], resolution: int) -> tuple[Float[Tensor, "3"], float, tuple[int, int, int]]:
+    """Corner, size of a voxel, and voxels along each axis."""
     low, high = points.quantile(TAILS, dim=0), points.quantile(1 - TAILS, dim=0)
     margin = 0.05 * float((high - low).max())
     if not margin:
@@ -78,14 +90,13 @@ def _grid(views: DepthViews, resolution: int) -> tuple[Float[Tensor, "3"], float
 
 
 def _integrated(
-    views: DepthViews, low: Float[Tensor, "3"], voxel: float, shape: tuple[int, int, int], reach: float
+    views: DepthViews, low: Float[Tensor, "3"], voxel: float, near: NDArray[np.bool_], reach: float
 ) -> tuple[NDArray[np.float32], NDArray[np.int16]]:
-    """Mean signed distance to the surface as parts of ``reach``, at most 1, and how many views count."""
-    distance, weight = np.ones(shape, np.float32), np.zeros(shape, np.int16)
-    y, z = torch.meshgrid(*((torch.arange(side) + 0.5) * voxel for side in shape[1:]), indexing="ij")
+    """Mean signed distance to the surface where ``near``, as parts of ``reach``, and how many views count."""
+    distance, weight = np.ones(near.shape, np.float32), np.zeros(near.shape, np.int16)
     depth = torch.where(views.agreed, views.depth, 0)
-    for row in range(shape[0]):
-        centers = torch.stack([torch.full_like(y, (row + 0.5) * voxel), y, z], -1).flatten(0, 1) + low
+    for voxels in np.array_split(np.argwhere(near), math.ceil(near.sum() / CHUNK)):
+        centers = (torch.from_numpy(voxels) + 0.5) * voxel + low
         total, count = torch.zeros(len(centers)), torch.zeros(len(centers), dtype=torch.int16)
         for view in range(len(depth)):
             where, ahead = projected(views.cameras, view, centers)
@@ -94,9 +105,8 @@ def _integrated(
             counts = (found > 0) & (signed > -1)
             total += torch.where(counts, signed.clamp(max=1), 0)
             count += counts
-        known = count > 0
-        mean = torch.where(known, total / count.clamp_min(1), 1)
-        distance[row], weight[row] = mean.view(shape[1:]).numpy(), count.view(shape[1:]).numpy()
+        index = tuple(voxels.T)
+        distance[index], weight[index] = torch.where(count > 0, total / count.clamp_min(1), 1), count
     return distance, weight
 
 
