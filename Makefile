@@ -1,7 +1,7 @@
 # Each target sets up what it needs: `make demo` and `make test` work on a fresh clone.
 PYTHON ?= python3
 BIN := .venv/bin
-EXTRAS := report,flow,heic,sweeps,tracking,hub,viewer,words,usd,spz
+EXTRAS := report,flow,heic,sweeps,tracking,hub,viewer,words,usd,spz,mesh
 export OMP_NUM_THREADS ?= 1
 
 .PHONY: setup demo benchmark-smoke docs test test-slow fuzz lint format

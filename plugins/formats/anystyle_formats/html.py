@@ -10,12 +10,15 @@ from pathlib import Path
 from string import Template
 
 import numpy as np
+import torch
 import torch.nn.functional as F
+from jaxtyping import Float
 from numpy.typing import NDArray
+from torch import Tensor
 
 from anystyle.contracts import Format
 from anystyle.errors import UserError
-from anystyle.geometry.cameras import looking_at
+from anystyle.geometry.cameras import look_at
 from anystyle.io.atomic import atomic_path
 from anystyle.io.ply import Splats
 from anystyle.types import Cameras, StyledScene
@@ -47,7 +50,7 @@ class Html(Format):
             "title": scene.title,
             "notes": readable(scene.notes),
             "first": len(styles) - 1,
-            "cameras": _cameras(scene.cameras if scene.names else looking_at(means, styles[0].opacities)),
+            "cameras": _cameras(scene.cameras if scene.names else _looking_at(means, styles[0].opacities)),
         }
         assets = files("anystyle_formats") / "page"
         linked = json_ld(scene)
@@ -120,3 +123,18 @@ def _rotations(splats: Splats, order: NDArray[np.int64]) -> NDArray[np.uint32]:
     largest, others = smallest_three(wxyz)
     parts = np.round((others / sqrt(2) + 0.5) * 1023).clip(0, 1023).astype(np.uint32)
     return (largest.astype(np.uint32) << 30 | parts[:, 0] << 20 | parts[:, 1] << 10 | parts[:, 2]).astype("<u4")
+
+
+def _looking_at(
+    means: Float[Tensor, "N 3"], opacities: Float[Tensor, " N"], size: tuple[int, int] = (600, 800)
+) -> Cameras:
+    """A camera that shows the middle of a scene, from where 3DGS's axes look: along z, y down."""
+    visible = means[opacities > 0.1]
+    points = visible if len(visible) else means
+    center = points.median(0).values
+    radius = (points - center).norm(dim=-1).quantile(0.8) if len(points) < 2**23 else points.std()
+    eye = center - torch.tensor([0.0, 0.0, 2.0]) * radius.clamp_min(1e-3)
+    height, width = size
+    focal = float(width)
+    intrinsics = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
+    return Cameras(look_at(eye[None], center[None])[None], intrinsics[None, None], size)

@@ -26,7 +26,7 @@ def export(arguments: argparse.Namespace) -> None:
     """Run the command."""
     from anystyle.pipeline.export import export_styles
     from anystyle.pipeline.provenance import anonymous
-    from anystyle.pipeline.saved import read_saved
+    from anystyle.pipeline.saved import read_saved, with_stored_cameras
     from anystyle.registry.catalog import catalog
 
     name = arguments.to or arguments.out.suffix.lstrip(".").lower()
@@ -38,6 +38,8 @@ def export(arguments: argparse.Namespace) -> None:
     if arguments.scene.is_dir() and arguments.from_up is not None:
         raise UserError("a folder of results is in OpenCV's axes; --from-up is for files of others")
     saved = read_saved(arguments.scene, arguments.from_up)
+    if catalog().find("format", name).load().needs_cameras:
+        saved = with_stored_cameras(saved, arguments.scene)
     saved = replace(saved, title=arguments.scene.resolve().stem)
     saved = anonymous(saved) if arguments.no_provenance else saved
     export_styles(saved, arguments.out, name, up=arguments.up)

@@ -64,18 +64,3 @@ def _sway(pose: np.ndarray, frames: int, radius: float = 0.06) -> np.ndarray:
     angles = np.stack([np.arctan(offset[:, 1]), -np.arctan(offset[:, 0])], 1)
     local[:, :3, :3] = Rotation.from_euler("xy", angles).as_matrix()
     return pose @ local
-
-
-def looking_at(
-    means: Float[Tensor, "N 3"], opacities: Float[Tensor, " N"], size: tuple[int, int] = (600, 800)
-) -> Cameras:
-    """A camera that shows the middle of a scene, from where 3DGS's axes look: along z, y down."""
-    visible = means[opacities > 0.1]
-    points = visible if len(visible) else means
-    center = points.median(0).values
-    radius = (points - center).norm(dim=-1).quantile(0.8) if len(points) < 2**23 else points.std()
-    eye = center - torch.tensor([0.0, 0.0, 2.0]) * radius.clamp_min(1e-3)
-    height, width = size
-    focal = float(width)
-    intrinsics = torch.tensor([[focal, 0.0, width / 2], [0.0, focal, height / 2], [0.0, 0.0, 1.0]])
-    return Cameras(look_at(eye[None], center[None])[None], intrinsics[None, None], size)

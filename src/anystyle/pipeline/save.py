@@ -14,17 +14,16 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.geometry.cameras import smooth_path
+from anystyle.contracts import Video
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.checkpoint import save_tensors
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
-from anystyle.io.video import write_video
 from anystyle.methods.base import Method
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.export import export_styles
-from anystyle.pipeline.options import ExportOptions, VideoOptions
+from anystyle.pipeline.options import ExportOptions
 from anystyle.pipeline.provenance import MADE_OF, note, tables
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.stages import Stages
@@ -128,7 +127,7 @@ class Result:
         if encoded.targets is not None:
             names, followed = encoded.targets
             self._write_renders(folder / "targets", names, followed)
-        self._write_video(folder / "video.mp4", followed)
+        self.results.video.write(gaussians, followed, self._render_until_given_up, folder)
         write_cameras(folder / "cameras.json", encoded)
         if options.colmap != "none":
             write_colmap(folder / "sparse" / "0", gaussians, encoded, binary=options.colmap == "binary")
@@ -142,11 +141,8 @@ class Result:
             save_png(renders[-1], folder / f"{name}.png")
         return renders
 
-    def _write_video(self, path: Path, cameras: Cameras) -> None:
-        options = self.results.video
-        height, width = (max(2, round(side * options.scale / 2) * 2) for side in cameras.size)
-        route = smooth_path(cameras, options.frames).resized((height, width))
-        write_video(takewhile(lambda _: not self.results.given_up, self.render(route)), path, fps=options.fps)
+    def _render_until_given_up(self, cameras: Cameras) -> Iterator[Float[Tensor, "3 H W"]]:
+        return takewhile(lambda _: not self.results.given_up, self.render(cameras))
 
 
 class Results:
@@ -157,7 +153,7 @@ class Results:
         styles: The styles, at least one.
         method: How it takes a style.
         export: Which files a result has.
-        video: The flight through the cameras.
+        video: What is filmed.
         provenance: What reports say of the model: weights, configuration, seed.
         stages: Times the work.
     """
@@ -169,7 +165,7 @@ class Results:
         *,
         method: Method,
         export: ExportOptions,
-        video: VideoOptions,
+        video: Video,
         provenance: Mapping[str, object],
         stages: Stages,
     ) -> None:

@@ -6,12 +6,14 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import torch
 from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 
 from anystyle.contracts import Format
 from anystyle.data.camera_reader import StoredCamera
+from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError
 from anystyle.io.documents import Count, read_json, read_text, regular
 from anystyle.pipeline.export import in_axes
@@ -70,6 +72,21 @@ def is_scene_file(path: Path) -> bool:
 def read_saved(path: Path, up: str | None = None) -> StyledScene:
     """Read a folder of results, or a file of Gaussians by the plugin of its suffix, and turn it to OpenCV's axes."""
     return in_axes("opencv", read_unturned(path, up))
+
+
+def with_stored_cameras(scene: StyledScene, path: Path) -> StyledScene:
+    """A scene with the cameras beside its file or one folder above, those of one size, where it has none of its own."""
+    for folder in () if scene.names else (path.parent, path.parent.parent):
+        if (file := folder / "cameras.json").is_file():
+            cameras, names = _cameras(file)
+            return replace(scene, cameras=cameras, names=names)
+        if stored := stored_cameras(folder):
+            size = next(iter(stored.values())).size
+            alike = {name: camera for name, camera in stored.items() if camera.size == size}
+            matrices = ([getattr(c, part) for c in alike.values()] for part in ("world_from_camera", "intrinsics"))
+            poses, intrinsics = (torch.from_numpy(np.stack(each)).float()[None] for each in matrices)
+            return replace(scene, cameras=Cameras(poses, intrinsics, size), names=tuple(alike))
+    return scene
 
 
 def read_unturned(path: Path, up: str | None) -> StyledScene:

@@ -9,7 +9,7 @@ from types import MappingProxyType
 from omegaconf import DictConfig
 from torch import Tensor
 
-from anystyle.contracts import Reconstruction
+from anystyle.contracts import Reconstruction, Video
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.methods.base import Method
@@ -39,7 +39,7 @@ def stylize(
     controls: Controls | Sequence[Controls] = Controls(),
     out: str | Path | None = None,
     export: ExportOptions = ExportOptions(),
-    video: VideoOptions = VideoOptions(),
+    video: Video = VideoOptions(),
     provenance: Mapping[str, object] = MappingProxyType({}),
     stages: Stages | None = None,
 ) -> Results:
@@ -63,7 +63,7 @@ def stylize(
         controls: How each style is applied; of several, each gives a result.
         out: A folder to write all results to; without one each is written when it is saved.
         export: Which files a result has.
-        video: The flight through the cameras that is written with a result.
+        video: What is filmed of a result; :func:`anystyle.build` makes plugins of that kind.
         provenance: Entries for reports, such as the seed.
         stages: Times and reports the work.
 

@@ -42,6 +42,7 @@ KINDS: dict[str, Kind] = {
         "anystyle.evaluation.base:Protocol", runtime=("stylizer", "method", "metrics", "scenes", "styles")
     ),
     "format": Kind("anystyle.contracts:Format"),
+    "video": Kind("anystyle.contracts:Video"),
     "command": Kind("anystyle.registry.socket:Command"),
 }
 
@@ -49,7 +50,6 @@ OPTIONS = {
     "branch": "anystyle.pipeline.options:BranchOptions",
     "export": "anystyle.pipeline.options:ExportOptions",
     "splat": "anystyle.pipeline.options:SplatOptions",
-    "video": "anystyle.pipeline.options:VideoOptions",
     "views": "anystyle.pipeline.options:ViewOptions",
 }
 """Dataclasses of options that belong to no plugin, by their key in a configuration: ``options/KEY`` in a defaults list

@@ -1,0 +1,1 @@
+"""The smallest plugin of each kind that this package declares."""

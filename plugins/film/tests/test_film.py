@@ -1,0 +1,274 @@
+"""Paths, projections and what files say of them."""
+
+import json
+import math
+import shutil
+import subprocess
+
+import av
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+from PIL import Image
+
+from anystyle.contracts import Renderer, Video
+from anystyle.errors import UserError
+from anystyle.geometry.cameras import look_at
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.io.video import opened, write_video
+from anystyle.registry.build import build
+from anystyle.testing.inputs import images
+from anystyle.types import Cameras, Gaussians
+from anystyle_film.command import rendering
+from anystyle_film.contract import Layout
+from anystyle_film.equirectangular import Equirectangular, Vr180
+from anystyle_film.film import Film
+from anystyle_film.keyframes import Keyframes
+from anystyle_film.metadata import mark_video
+from anystyle_film.paths import Orbit
+from anystyle_film.pinhole import Stereo
+from anystyle_film.scene import FilmedScene
+
+
+def cameras(poses, size=(48, 64), focal=60.0):
+    intrinsics = torch.tensor([[focal, 0, size[1] / 2], [0, focal, size[0] / 2], [0, 0, 1]])
+    return Cameras(poses.float()[None], intrinsics.repeat(1, len(poses), 1, 1), size)
+
+
+def sphere(number, color):
+    """Gaussians that cover a sphere of radius 1 around the origin, with a colour for each direction."""
+    height = 1 - 2 * (torch.arange(number) + 0.5) / number
+    turn = torch.arange(number) * math.pi * (3 - math.sqrt(5))
+    flat = (1 - height.square()).sqrt()
+    means = torch.stack([flat * turn.cos(), height, flat * turn.sin()], dim=1)
+    size = 0.6 * math.sqrt(4 * math.pi / number)
+    return Gaussians(
+        means[None],
+        torch.tensor([[1.0, 0, 0, 0]]).expand(1, number, 4),
+        torch.full((1, number, 3), size),
+        torch.full((1, number), 0.95),
+        constant_from_rgb(color(means))[None, :, None],
+    )
+
+
+def directions(height, width, degrees):
+    """Of the pixels of an equirectangular frame, in OpenCV's axes of its camera."""
+    across = ((torch.arange(width) + 0.5) / width - 0.5) * math.radians(degrees)
+    down = ((torch.arange(height) + 0.5) / height - 0.5)[:, None] * math.pi
+    return torch.stack([down.cos() * across.sin(), down.sin().expand(-1, width), down.cos() * across.cos()])
+
+
+def filmed(projection, scene, camera, height):
+    """One frame."""
+    size = projection.size(camera, 1.0, height)
+    views = projection.views(FilmedScene(scene, camera), camera, size)
+    render = rendering(build(Renderer, "auto"), scene)
+    return projection.frame(torch.stack(list(render(views))), size)
+
+
+def psnr(first, second):
+    return float(-10 * (first - second).square().mean().log10())
+
+
+def test_a_panorama_shows_each_direction_where_the_closed_form_has_it():
+    scene = sphere(20_000, lambda direction: 0.5 + 0.4 * direction)
+    frame = filmed(Equirectangular(), scene, cameras(torch.eye(4)[None]), 96)
+    assert frame.shape == (3, 96, 192)
+    error = (frame - (0.5 + 0.4 * directions(96, 192, 360))).abs()
+    assert error.mean() < 0.006 and error.max() < 0.02  # Gaussians are wide
+    # Of a camera that is turned, pitched and rolled the horizon stays level, and the heading is in the middle.
+    turned = look_at(torch.zeros(3), torch.tensor([1.0, 0.3, 0.0]), F.normalize(torch.tensor([0.0, -1.0, 0.2]), dim=0))
+    level = cameras(torch.stack([torch.eye(4), turned]))
+    size = (96, 192)
+    views = Equirectangular().views(FilmedScene(scene, cameras(torch.eye(4)[None])), level.select([1]), size)
+    other = Equirectangular().frame(torch.stack(list(rendering(build(Renderer, "auto"), scene)(views))), size)
+    assert psnr(other, frame.roll(-48, 2)) > 40
+
+
+def test_a_crop_of_a_panorama_is_the_pinhole_render():
+    generator = torch.Generator().manual_seed(0)
+    scene = sphere(2000, lambda direction: torch.rand(direction.shape, generator=generator))
+    pose = torch.eye(4)
+    pose[:3, 3] = torch.tensor([0.1, 0.05, -0.1])
+    camera = cameras(pose[None], (96, 128), 100.0)
+    panorama = filmed(Equirectangular(), scene, camera, 400)
+    (pinhole,) = rendering(build(Renderer, "auto"), scene)(camera)
+    y, x = torch.meshgrid((torch.arange(96) + 0.5 - 48) / 100, (torch.arange(128) + 0.5 - 64) / 100, indexing="ij")
+    longitude, latitude = torch.atan(x), torch.atan2(y, (1 + x.square()).sqrt())
+    where = torch.stack([longitude / math.pi, latitude / (math.pi / 2)], -1)
+    crop = F.grid_sample(panorama[None], where[None], align_corners=False)[0]
+    assert psnr(crop, pinhole) > 50
+
+
+def test_each_half_of_vr180_is_the_front_of_the_panorama_of_one_eye():
+    generator = torch.Generator().manual_seed(0)
+    scene = sphere(600, lambda direction: torch.rand(direction.shape, generator=generator))
+    frame = filmed(Vr180(baseline=0.2), scene, cameras(torch.eye(4)[None]), 64)
+    for half, x in zip(frame.chunk(2, dim=2), (-0.1, 0.1), strict=True):
+        pose = torch.eye(4)
+        pose[0, 3] = x
+        assert psnr(half, filmed(Equirectangular(), scene, cameras(pose[None]), 64)[:, :, 32:96]) > 60
+
+
+def test_eyes_are_a_baseline_apart_and_meet_at_the_distance():
+    scene = FilmedScene(sphere(500, torch.zeros_like), cameras(torch.eye(4)[None]))
+    assert scene.distance == pytest.approx(1, abs=0.1)
+    camera = scene.cameras
+    pair = Stereo(baseline=0.07).views(scene, camera, (48, 128))
+    torch.testing.assert_close(pair.world_from_camera[0, :, :3, 3], torch.tensor([[-0.035, 0, 0], [0.035, 0, 0]]))
+    assert torch.equal(pair.world_from_camera[0, :, :3, :3], torch.eye(3).expand(2, 3, 3))
+    local = torch.tensor([0.1, 0.1, scene.distance]) - pair.world_from_camera[0, :, :3, 3]
+    pixels = (pair.intrinsics[0] @ local[..., None])[..., 0]
+    torch.testing.assert_close(pixels[0] / pixels[0, 2], pixels[1] / pixels[1, 2])
+
+
+def turntable(number=12, radius=2.0, height=1.5, center=(3.0, 0.0, -1.0), tilt=0.3):
+    """Cameras around a point, looking down at it; up is tilted against the axes of the world."""
+    turn = 2 * math.pi * torch.arange(number).double() / number
+    up = torch.tensor([math.sin(tilt), -math.cos(tilt), 0.0], dtype=torch.float64)
+    a = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)
+    b = torch.linalg.cross(up, a)
+    middle = torch.tensor(center, dtype=torch.float64)
+    eyes = middle + radius * (turn.cos()[:, None] * a + turn.sin()[:, None] * b) + height * up
+    return look_at(eyes, middle.expand_as(eyes), up), middle, up
+
+
+def test_an_orbit_looks_at_the_center_from_a_constant_radius():
+    poses, center, up = turntable()
+    scene = FilmedScene(sphere(200, torch.zeros_like), cameras(poses[:7]))
+    torch.testing.assert_close(scene.focus, center, atol=0.1, rtol=0)
+    assert float(scene.up @ up) > math.cos(math.radians(1))
+    path = Orbit()(scene, 40).world_from_camera[0].double()
+    offsets = path[:, :3, 3] - scene.focus
+    radii = offsets.norm(dim=1)
+    torch.testing.assert_close(radii, radii[:1].expand(40))
+    torch.testing.assert_close(F.normalize(-offsets, dim=1), path[:, :3, 2], atol=1e-5, rtol=0)
+    heights = offsets @ scene.up
+    torch.testing.assert_close(heights, heights[:1].expand(40), atol=1e-5, rtol=0)
+    assert float(radii[0]) == pytest.approx(2.5, abs=0.1)
+    steps = path[:, :3, 3].diff(dim=0).norm(dim=1)
+    assert float((path[0, :3, 3] - path[-1, :3, 3]).norm()) == pytest.approx(float(steps[0]), rel=1e-3)
+
+
+KEYS = [
+    {"time": 1, "position": [0, 0, -1], "look_at": [0, 0, 2], "fov": 60},
+    {"time": 1.5, "position": [1, 0, 0], "look_at": [0, 0, 2], "fov": 30},
+    {"time": 3, "world_from_camera": [[1, 0, 0, 0], [0, 1, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]]},
+]
+
+
+def test_a_path_goes_through_its_keyframes_at_their_times(tmp_path):
+    (tmp_path / "path.json").write_text(json.dumps({"keyframes": KEYS, "up": [0, -1, 0]}))
+    scene = FilmedScene(sphere(50, torch.zeros_like), cameras(torch.eye(4)[None]))
+    keyframes = Keyframes(file=str(tmp_path / "path.json"))
+    assert keyframes.seconds == 2
+    path = keyframes(scene, 41)
+    poses, focal = path.world_from_camera[0, [0, 10, 40]], path.intrinsics[0, [0, 10, 40], 1, 1]
+    positions = torch.tensor([[0.0, 0, -1], [1, 0, 0], [0, 1, 0]])
+    torch.testing.assert_close(poses[:, :3, 3], positions)
+    ahead = F.normalize(torch.tensor([[0.0, 0, 3], [-1, 0, 2], [0, 0, 1]]), dim=1)
+    torch.testing.assert_close(poses[:, :3, 2], ahead, atol=1e-5, rtol=0)
+    half = torch.tensor([30.0, 15.0, math.degrees(math.atan(24 / 60))])
+    torch.testing.assert_close(focal, 24 / half.deg2rad().tan())
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        ({"time": 1}, "time 1 is not after"),
+        ({"look_at": None}, "give either position and look_at, or world_from_camera"),
+        ({"look_at": [1, 0, 0]}, "are the same point"),
+        ({"fov": 500}, "fov"),
+        ({"zoom": 2}, "zoom"),
+        ({"position": [1, 2]}, "position"),
+        ({"position": None, "look_at": None, "world_from_camera": np.diag([2, 1, 1, 1]).tolist()}, "is no rotation"),
+    ],
+)
+def test_keyframes_that_make_no_sense_are_a_line(change, expected, tmp_path):
+    (tmp_path / "path.json").write_text(json.dumps({"keyframes": [KEYS[0], {**KEYS[1], **change}]}))
+    with pytest.raises(UserError, match=expected) as raised:
+        Film(path=str(tmp_path / "path.json"))
+    assert len(str(raised.value).splitlines()) == 1 and "path.json" in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("options", "expected"),
+    [
+        ({"kind": "fisheye"}, "no projection is named 'fisheye'"),
+        ({"path": "orbits"}, "Did you mean 'orbit'"),
+        ({"path": "path.csv"}, "reads .csv files"),
+        ({"path": "missing.json"}, "there is no file of keyframes missing.json"),
+        ({"path": "json"}, "file"),
+        ({"turns": 2.0}, "video.turns=2.0 has no meaning with video.path=smooth"),
+        ({"path": "orbit", "turns": 0.0}, "video.turns=0"),
+        ({"baseline": 0.1}, "video.baseline=0.1 has no meaning with video.kind=pinhole"),
+        ({"kind": "stereo", "baseline": -1.0}, "video.baseline=-1"),
+        ({"height": 100_000}, "video.height=100000"),
+    ],
+)
+def test_options_that_make_no_sense_are_a_line(options, expected):
+    with pytest.raises(UserError, match=expected):
+        Film(**options)
+
+
+def decoded(path):
+    with opened(path) as container:
+        return [frame.to_ndarray() for frame in container.decode(video=0)]
+
+
+@pytest.mark.parametrize("fast_start", [False, True])
+def test_marking_a_film_leaves_its_frames(fast_start, tmp_path):
+    path = tmp_path / "video.mp4"
+    write_video(iter(images(5, (64, 128))), path)
+    if fast_start:  # the index before the frames, whose positions it states
+        slow = path.rename(tmp_path / "slow.mp4")
+        with av.open(str(slow)) as source, av.open(str(path), "w", options={"movflags": "faststart"}) as target:
+            stream = target.add_stream_from_template(source.streams.video[0])
+            for packet in source.demux(video=0):
+                if packet.dts is not None:
+                    packet.stream = stream
+                    target.mux(packet)
+        start = path.read_bytes()
+        assert start.index(b"moov") < start.index(b"mdat")
+    before = decoded(path)
+    mark_video(path, Layout(degrees=180, stereo=True))
+    after = decoded(path)
+    assert len(after) == 5 and all(np.array_equal(one, other) for one, other in zip(before, after, strict=True))
+
+
+@pytest.mark.parametrize(
+    ("layout", "expected"),
+    [
+        (Layout(), set()),
+        (Layout(stereo=True), {"Stereo 3D: side by side"}),
+        (Layout(degrees=360), {"Stereo 3D: 2D", "Spherical Mapping: equirectangular"}),
+        (Layout(180, stereo=True), {"Stereo 3D: side by side", "Spherical Mapping: tiled equirectangular"}),
+    ],
+)
+def test_ffmpeg_sees_what_a_film_is(layout, expected, tmp_path):
+    ffprobe = shutil.which("ffprobe")
+    if ffprobe is None:
+        pytest.skip("ffprobe is not installed")
+    write_video(iter(images(2, (64, 128))), tmp_path / "video.mp4")
+    mark_video(tmp_path / "video.mp4", layout)
+    words = [ffprobe, "-v", "error", "-show_streams", "-of", "json", str(tmp_path / "video.mp4")]
+    (stream,) = json.loads(subprocess.run(words, capture_output=True, check=True).stdout)["streams"]
+    rows = stream.get("side_data_list", [])
+    assert {f"{row['side_data_type']}: {row.get('type', row.get('projection'))}" for row in rows} == expected
+    tiled = [row for row in rows if row.get("projection") == "tiled equirectangular"]
+    # A quarter of the sphere is cut off left and right, so that the whole would be twice as wide.
+    assert all(abs(row["bound_left"] - 64) < 2 and abs(row["bound_right"] - 64) < 2 for row in tiled)
+
+
+def test_stills_say_that_they_are_panoramas(tmp_path):
+    poses, *_ = turntable(4, center=(0.0, 0.0, 0.0))
+    scene = sphere(50, lambda direction: 0.5 + 0.4 * direction)
+    node = {"_target_": "anystyle_film.film.Film", "kind": "equirectangular", "frames": 4, "height": 40, "stills": 2}
+    build(Video, node).write(scene, cameras(poses), rendering(build(Renderer, "auto"), scene), tmp_path)
+    stills = sorted((tmp_path / "stills").iterdir())
+    assert [still.name for still in stills] == ["frame_00001.jpg", "frame_00003.jpg"]
+    assert len(decoded(tmp_path / "video.mp4")) == 4
+    with Image.open(stills[0]) as image:
+        assert image.size == (80, 40)
+        assert b'GPano:ProjectionType="equirectangular"' in image.info["xmp"]
