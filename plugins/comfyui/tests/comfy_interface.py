@@ -10,6 +10,7 @@ import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
+from typing import ClassVar
 
 import torch
 
@@ -79,7 +80,7 @@ class Splat:
 
 
 class Bar:
-    values = []
+    values: ClassVar[list] = []
 
     def __init__(self, total, node_id=None):
         self.total = total

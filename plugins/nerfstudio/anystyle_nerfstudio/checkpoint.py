@@ -55,7 +55,7 @@ class Ckpt(Format):
 
 
 def state_of(gaussians: Gaussians) -> dict[str, Tensor]:
-    """A scene as splatfacto's parameters. Of degree 0 it would keep colours otherwise, and so the degree is at least 1."""
+    """A scene as splatfacto's parameters, of degree 1 at least: of degree 0 its colours are sigmoids."""
     (means, quats, scales, opacities, harmonics) = (
         getattr(gaussians, name)[0].detach().float().cpu()
         for name in ("means", "rotations", "scales", "opacities", "harmonics")

@@ -6,9 +6,10 @@ Original coordinates are those before ``ns-process-data``, which writes poses in
 OpenGL's there; a model's z axis is up.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError, one_line
 from anystyle.geometry.transforms import Similarity
+from anystyle.io import colmap
 from anystyle.io.documents import MAX_YAML, Positive, read_json, read_text
 from anystyle.types import Cameras
 
@@ -35,7 +37,7 @@ class _DataparserTransforms(msgspec.Struct):
 
 
 class _Applied(msgspec.Struct):
-    applied_transform: tuple[_Row, _Row, _Row] | tuple[_Row, _Row, _Row, _Row] | None = None
+    applied_transform: Annotated[list[_Row], msgspec.Meta(min_length=3, max_length=4)] | None = None
     applied_scale: Positive = 1.0
 
 
@@ -79,7 +81,7 @@ def read_run(folder: Path) -> RunFrame:
     return RunFrame(_similarity(model, scale, path).inverse(), _nearest_up(model[2, :3]), cameras, names)
 
 
-def _square(rows: tuple[_Row, ...]) -> NDArray[np.float64]:
+def _square(rows: Sequence[_Row]) -> NDArray[np.float64]:
     return np.array([*rows, (0.0, 0.0, 0.0, 1.0)], np.float64)
 
 
@@ -118,7 +120,8 @@ def _data_folder(folder: Path) -> Path | None:
             data = base / named
             if data.suffix == ".json" and data.is_file():
                 return data.parent
-            if data.is_dir():
+            # A run lies in a folder of its data's name.
+            if (data / "transforms.json").is_file() or colmap.find(data) is not None:
                 return data
     return None
 
@@ -128,8 +131,13 @@ class _PlainLoader(yaml.SafeLoader):
 
 
 def _plain(loader: yaml.SafeLoader, _: str, node: yaml.Node) -> Any:
-    build = {"mapping": loader.construct_mapping, "sequence": loader.construct_sequence}.get(node.id)
-    return loader.construct_scalar(node) if build is None else build(node, deep=True)
+    match node:
+        case yaml.MappingNode():
+            return loader.construct_mapping(node, deep=True)
+        case yaml.SequenceNode():
+            return loader.construct_sequence(node, deep=True)
+        case yaml.ScalarNode():
+            return loader.construct_scalar(node)
 
 
 _PlainLoader.add_multi_constructor("tag:yaml.org,2002:python/", _plain)
