@@ -74,7 +74,7 @@ def read_camera_path(path: Path) -> CameraPath:
 
 
 def keyframes_of(path: CameraPath) -> dict[str, object]:
-    """A path as the file of keyframes that ``video.path=FILE`` takes; every frame is one."""
+    """A path as a file of keyframes, every frame one: seconds, poses with OpenCV's axes, fields of view in degrees."""
     fovs = 2 * torch.rad2deg(torch.atan(path.cameras.size[0] / 2 / path.cameras.intrinsics[0, :, 1, 1]))
     rows = zip(path.times.tolist(), path.cameras.world_from_camera[0].tolist(), fovs.tolist(), strict=True)
     return {"keyframes": [{"time": time, "world_from_camera": pose, "fov": fov} for time, pose, fov in rows]}

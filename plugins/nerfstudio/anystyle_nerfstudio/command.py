@@ -28,7 +28,7 @@ from anystyle_nerfstudio.run_folder import read_run
 
 SUBCOMMANDS = {
     "export": "from a scene to data folders and runs that ns-viewer and ns-render open, one for each style",
-    "path": "from a camera path of its viewer to a file for video.path",
+    "path": "from a camera path of its viewer to a file of keyframes",
 }
 MAX_KEYFRAMES = 10_000
 
@@ -63,7 +63,7 @@ def export(words: Sequence[str]) -> None:
 
 def path_parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle nerfstudio path``."""
-    flags = new_parser("nerfstudio path", "Turn a camera path of nerfstudio's viewer into a file for video.path.")
+    flags = new_parser("nerfstudio path", "Turn a camera path of nerfstudio's viewer into a file of keyframes.")
     flags.add_argument("path", type=Path, help="a file that the viewer saved, in camera_paths/")
     flags.add_argument("--run", type=Path, help="the folder of the run it is of (default: one that export wrote)")
     flags.add_argument("--out", type=Path, required=True, help="the file to write")

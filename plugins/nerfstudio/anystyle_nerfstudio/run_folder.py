@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError, one_line
 from anystyle.geometry.transforms import Similarity
-from anystyle.io import colmap
 from anystyle.io.documents import MAX_YAML, Positive, read_json, read_text
 from anystyle.types import Cameras
 
@@ -121,7 +120,7 @@ def _data_folder(folder: Path) -> Path | None:
             if data.suffix == ".json" and data.is_file():
                 return data.parent
             # A run lies in a folder of its data's name.
-            if (data / "transforms.json").is_file() or colmap.find(data) is not None:
+            if data.is_dir() and stored_cameras(data):
                 return data
     return None
 
