@@ -69,7 +69,9 @@ def state_of(gaussians: Gaussians) -> dict[str, Tensor]:
         "features_rest": rest if rest.shape[1] else torch.zeros(len(means), 3, 3),
         "opacities": opacities.clamp(1e-6, 1 - 1e-6).logit()[:, None],
     }
-    return {f"_model.gauss_params.{name}": parameters[name].contiguous() for name in PARAMETERS}
+    # Copies: of a view its whole storage would be saved.
+    copies = {name: parameters[name].clone(memory_format=torch.contiguous_format) for name in PARAMETERS}
+    return {f"_model.gauss_params.{name}": copy for name, copy in copies.items()}
 
 
 def gaussians_of(pipeline: Mapping[str, Any], path: Path) -> Gaussians:

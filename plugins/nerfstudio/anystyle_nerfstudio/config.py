@@ -42,7 +42,7 @@ pipeline: !!python/object:nerfstudio.pipelines.base_pipeline.VanillaPipelineConf
     data: *data
   model: !!python/object:nerfstudio.models.splatfacto.SplatfactoModelConfig
     _target: !!python/name:nerfstudio.models.splatfacto.SplatfactoModel ''
-    background_color: black
+    background_color: white
     camera_optimizer: !!python/object:nerfstudio.cameras.camera_optimizers.CameraOptimizerConfig
       _target: !!python/name:nerfstudio.cameras.camera_optimizers.CameraOptimizer ''
       mode: 'off'
