@@ -1,0 +1,321 @@
+"""The nodes. Each calls one step of the Python API; importable only where ComfyUI runs."""
+
+import importlib
+import shlex
+from pathlib import Path
+from typing import Any
+
+from anystyle.geometry.cameras import smooth_path
+from anystyle.pipeline.controls import Controls
+from anystyle.pipeline.export import export_styles
+from anystyle.pipeline.load import load_model
+from anystyle.pipeline.options import PoseOptions
+from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.styles import Mixture, StyleInput, embed_styles
+from anystyle.pipeline.stylize import encode_inputs
+from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import compose, options
+from anystyle.registry.packages import presets
+from anystyle.types import Progress, Style
+
+from .running import running
+from .values import Model, Scene, folder_of_images, image_from_renders, style_from_image
+
+io: Any = importlib.import_module("comfy_api.latest").io
+ui: Any = importlib.import_module("comfy_api.latest").ui
+folder_paths: Any = importlib.import_module("folder_paths")
+
+CATEGORY = "anystyle"
+MODEL, CAPTURE = io.Custom("ANYSTYLE_MODEL"), io.Custom("ANYSTYLE_CAPTURE")
+SCENE, STYLE = io.Custom("ANYSTYLE_SCENE"), io.Custom("ANYSTYLE_STYLE")
+
+
+def _schema(name: str, title: str, description: str, inputs: list[Any], outputs: list[Any], **further: Any) -> Any:
+    return io.Schema(
+        node_id=f"AnyStyle{name}",
+        display_name=title,
+        category=CATEGORY,
+        description=description,
+        inputs=inputs,
+        outputs=outputs,
+        **further,
+    )
+
+
+def _located(source: str) -> str | Path:
+    """A source as a path; relative ones are below ComfyUI's input folder."""
+    source = source.strip()
+    return source if source.startswith("example:") else Path(folder_paths.get_input_directory(), source).expanduser()
+
+
+class LoadModel(io.ComfyNode):
+    """A model with its weights."""
+
+    @classmethod
+    def define_schema(cls) -> Any:
+        """The inputs and outputs."""
+        return _schema(
+            "LoadModel",
+            "Load AnyStyle Model",
+            "What makes a scene of photographs, and what paints it.",
+            [
+                io.Combo.Input("model", options=list(presets("model")), default="default"),
+                io.String.Input(
+                    "options",
+                    default="",
+                    tooltip="Further words of `anystyle stylize`, such as: reconstruction=fit "
+                    "reconstruction.quality=draft views.take=24 method=brush",
+                ),
+            ],
+            [MODEL.Output(display_name="model")],
+        )
+
+    @classmethod
+    def execute(cls, model: str, options: str) -> Any:
+        """Load it."""
+        with running():
+            config = compose("stylize", [f"model={model}", *shlex.split(options)])
+            return io.NodeOutput(Model(config, load_model(config)))
+
+
+class LoadCapture(io.ComfyNode):
+    """Photographs, a video or a splat."""
+
+    @classmethod
+    def define_schema(cls) -> Any:
+        """The inputs and outputs."""
+        return _schema(
+            "LoadCapture",
+            "Load Photographs",
+            "Photographs that overlap, of one place. A video or a file of a Gaussian scene will do, too.",
+            [
+                io.String.Input(
+                    "source",
+                    default="example:street",
+                    tooltip="A folder, a pattern, a video or a splat, in ComfyUI's input folder or with its whole path",
+                ),
+                io.Image.Input(
+                    "images",
+                    optional=True,
+                    tooltip="A batch to use instead; files in a folder are better, for they say their lens",
+                ),
+            ],
+            [CAPTURE.Output(display_name="capture")],
+        )
+
+    @classmethod
+    def fingerprint_inputs(cls, source: str, images: Any = None) -> Any:
+        """What changes when files do, so that a changed folder is read again."""
+        path = Path(_located(source))
+        files = sorted(path.iterdir()) if path.is_dir() else [path] if path.is_file() else []
+        return [source, *((file.name, file.stat().st_mtime_ns, file.stat().st_size) for file in files)]
+
+    @classmethod
+    def execute(cls, source: str, images: Any = None) -> Any:
+        """Name the source; a batch becomes files in ComfyUI's temporary folder."""
+        if images is None:
+            return io.NodeOutput(_located(source))
+        with running():
+            return io.NodeOutput(folder_of_images(images, Path(folder_paths.get_temp_directory())))
+
+
+class FitScene(io.ComfyNode):
+    """A Gaussian scene of a capture."""
+
+    @classmethod
+    def define_schema(cls) -> Any:
+        """The inputs and outputs."""
+        return _schema(
+            "FitScene",
+            "Fit Scene",
+            "Finds the cameras of photographs and fits Gaussians to them, once for any number of styles.",
+            [MODEL.Input("model"), CAPTURE.Input("capture")],
+            [SCENE.Output(display_name="scene")],
+        )
+
+    @classmethod
+    def execute(cls, model: Model, capture: str | Path) -> Any:
+        """Encode the capture."""
+        config, loaded = model.config, model.loaded
+        with running() as report:
+            encoded = encode_inputs(
+                capture,
+                loaded.stylizer,
+                options(config, "views"),
+                PoseOptions(config.poses or loaded.poses, config.poses_from),
+                options(config, "splat"),
+                loaded.reconstruction,
+                report.stages,
+            )
+            unstyled = Restyler(encoded, loaded.method).unstyled
+            return io.NodeOutput(Scene(encoded, unstyled, "unstyled", loaded.method, loaded.weights))
+
+
+class TextStyle(io.ComfyNode):
+    """A style in words."""
+
+    @classmethod
+    def define_schema(cls) -> Any:
+        """The inputs and outputs."""
+        return _schema(
+            "TextStyle",
+            "Style from Text",
+            "A style in words.",
+            [io.String.Input("text", default="thick oil paint in orange and navy", multiline=True)],
+            [STYLE.Output(display_name="style")],
+        )
+
+    @classmethod
+    def execute(cls, text: str) -> Any:
+        """Pass the words on."""
+        return io.NodeOutput(text)
+
+
+class ImageStyle(io.ComfyNode):
+    """A style as a picture."""
+
+    @classmethod
+    def define_schema(cls) -> Any:
+        """The inputs and outputs."""
+        return _schema(
+            "ImageStyle",
+            "Style from Image",
+            "A style as a picture; of a batch the first.",
+            [io.Image.Input("image"), io.String.Input("name", default="picture", tooltip="For titles and notes")],
+            [STYLE.Output(display_name="style")],
+        )
+
+    @classmethod
+    def execute(cls, image: Any, name: str) -> Any:
+        """Turn the picture into a style."""
+        with running():
+            return io.NodeOutput(Style(image=style_from_image(image), names=(name.strip() or "picture",)))
+
+
+class MixStyles(io.ComfyNode):
+    """A point between two styles."""
+
+    @classmethod
+    def define_schema(cls) -> Any:
+        """The inputs and outputs."""
+        return _schema(
+            "MixStyles",
+            "Mix Styles",
+            "A point between two styles, of texts or pictures.",
+            [
+                STYLE.Input("first"),
+                STYLE.Input("second"),
+                io.Float.Input(
+                    "amount", default=0.5, min=0.0, max=1.0, step=0.05, tooltip="0 is the first style, 1 the second"
+                ),
+            ],
+            [STYLE.Output(display_name="style")],
+        )
+
+    @classmethod
+    def execute(cls, first: StyleInput, second: StyleInput, amount: float) -> Any:
+        """Mix them."""
+        return io.NodeOutput(Mixture(first, second, amount))
+
+
+class Stylize(io.ComfyNode):
+    """A scene in a style."""
+
+    @classmethod
+    def define_schema(cls) -> Any:
+        """The inputs and outputs."""
+        return _schema(
+            "Stylize",
+            "Stylize Scene",
+            "Gives a scene a style. It starts from the photographs' colours, whatever style the scene had.",
+            [
+                SCENE.Input("scene"),
+                STYLE.Input("style"),
+                io.Float.Input("strength", default=1.0, min=0.0, max=1.0, step=0.05, tooltip="0 is the unstyled scene"),
+                io.Float.Input(
+                    "preserve_color",
+                    default=0.0,
+                    min=0.0,
+                    max=1.0,
+                    step=0.05,
+                    tooltip="How much of the scene's own hues stays",
+                ),
+                io.Float.Input("scale", default=1.0, min=0.125, max=8.0, step=0.125, tooltip="Size of strokes"),
+            ],
+            [SCENE.Output(display_name="scene")],
+        )
+
+    @classmethod
+    def execute(cls, scene: Scene, style: StyleInput, strength: float, preserve_color: float, scale: float) -> Any:
+        """Restyle it."""
+        controls = Controls(strength=strength, preserve_color=preserve_color, scale=scale)
+        with running() as report:
+            embedded = embed_styles([style], scene.encoded.stylizer, [controls])[0]
+            gaussians = Restyler(scene.encoded, scene.method, report)(embedded)
+            return io.NodeOutput(Scene(scene.encoded, gaussians, embedded.title, scene.method, scene.weights))
+
+
+class Render(io.ComfyNode):
+    """Pictures of a scene."""
+
+    @classmethod
+    def define_schema(cls) -> Any:
+        """The inputs and outputs."""
+        return _schema(
+            "Render",
+            "Render Scene",
+            "Pictures of a scene from the photographs' cameras, or of a flight through them.",
+            [
+                SCENE.Input("scene"),
+                io.Combo.Input("cameras", options=["photographs", "flight"], default="photographs"),
+                io.Int.Input("frames", default=48, min=2, max=10_000, tooltip="Of a flight"),
+                io.Float.Input("scale", default=1.0, min=0.1, max=8.0, step=0.1, tooltip="Relative to the views"),
+            ],
+            [io.Image.Output(display_name="images")],
+        )
+
+    @classmethod
+    def execute(cls, scene: Scene, cameras: str, frames: int, scale: float) -> Any:
+        """Render it."""
+        given = scene.encoded.cameras
+        route = smooth_path(given, frames) if cameras == "flight" else given
+        height, width = (max(2, round(side * scale / 2) * 2) if scale != 1 else side for side in given.size)
+        number, images = route.intrinsics.shape[1], []
+        with running() as report:
+            for image in scene.encoded.render(scene.gaussians, route.resized((height, width))):
+                images.append(image)
+                report(Progress(f"view {len(images)} of {number}", len(images) / number, image))
+            return io.NodeOutput(image_from_renders(images))
+
+
+class SaveScene(io.ComfyNode):
+    """A scene as a file."""
+
+    @classmethod
+    def define_schema(cls) -> Any:
+        """The inputs and outputs."""
+        names = list(catalog().names("format"))
+        return _schema(
+            "SaveScene",
+            "Save Scene",
+            "Writes a scene into ComfyUI's output folder.",
+            [
+                SCENE.Input("scene"),
+                io.String.Input("filename_prefix", default="scenes/anystyle"),
+                io.Combo.Input("format", options=names, default="ply"),
+            ],
+            [io.String.Output(display_name="path")],
+            is_output_node=True,
+        )
+
+    @classmethod
+    def execute(cls, scene: Scene, filename_prefix: str, format: str) -> Any:
+        """Write the file."""
+        folder, name, counter, *_ = folder_paths.get_save_image_path(
+            filename_prefix, folder_paths.get_output_directory()
+        )
+        path = Path(folder, f"{name}_{counter:05}_.{format}")
+        with running():
+            export_styles(scene.styled(), path, format)
+        line = f"{path.name}: {path.stat().st_size / 1e6:.2f} MB, {scene.title}"
+        return io.NodeOutput(str(path), ui=ui.PreviewText(line))

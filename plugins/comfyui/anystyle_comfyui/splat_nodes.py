@@ -1,0 +1,59 @@
+"""From and to ComfyUI's own type of Gaussian scenes, ``SPLAT``; only for versions that have it."""
+
+import importlib
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+from .nodes import CAPTURE, SCENE, _schema, folder_paths, io
+from .running import running
+from .values import Scene, gaussians_from_splat, splat_columns
+
+types: Any = importlib.import_module("comfy_api.latest").Types
+
+
+class SceneToSplat(io.ComfyNode):
+    """A scene for ComfyUI's own nodes."""
+
+    @classmethod
+    def define_schema(cls) -> Any:
+        """The inputs and outputs."""
+        return _schema(
+            "SceneToSplat",
+            "Scene to Splat",
+            "A scene for ComfyUI's own splat nodes.",
+            [SCENE.Input("scene")],
+            [io.Splat.Output(display_name="splat")],
+        )
+
+    @classmethod
+    def execute(cls, scene: Scene) -> Any:
+        """Convert it; every number stays as it is, and quaternions are normalised."""
+        return io.NodeOutput(types.SPLAT(**splat_columns(scene.gaussians)))
+
+
+class CaptureFromSplat(io.ComfyNode):
+    """A scene of ComfyUI's own nodes, to be stylized."""
+
+    @classmethod
+    def define_schema(cls) -> Any:
+        """The inputs and outputs."""
+        return _schema(
+            "CaptureFromSplat",
+            "Capture from Splat",
+            "A splat of ComfyUI's own nodes, for Fit Scene: it keeps its geometry, and is seen from cameras around it.",
+            [io.Splat.Input("splat"), io.Int.Input("index", default=0, min=0, max=4096, tooltip="Of a batch")],
+            [CAPTURE.Output(display_name="capture")],
+        )
+
+    @classmethod
+    def execute(cls, splat: Any, index: int) -> Any:
+        """Write it as a PLY file in ComfyUI's temporary folder."""
+        if index >= splat.positions.shape[0]:
+            raise ValueError(f"index={index}, and the batch has {splat.positions.shape[0]} splats; give a smaller one")
+        temporary = Path(folder_paths.get_temp_directory())
+        temporary.mkdir(parents=True, exist_ok=True)
+        with running():
+            path = Path(mkdtemp(prefix="anystyle_", dir=temporary), "splat.ply")
+            gaussians_from_splat(splat, index).save(path)
+            return io.NodeOutput(path)

@@ -1,0 +1,98 @@
+"""What travels between nodes, and its conversion from and to ComfyUI's tensors; nothing here needs ComfyUI."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from omegaconf import DictConfig
+from torch import Tensor
+
+from anystyle.io.sheet import save_png, to_pil
+from anystyle.methods.base import Method
+from anystyle.pipeline.encode import EncodedCapture
+from anystyle.pipeline.load import LoadedModel
+from anystyle.types import Gaussians, StyledScene
+from anystyle.vision.weights import license_lines, licenses
+
+
+@dataclass(frozen=True)
+class Model:
+    """A loaded model, and the configuration that it was loaded with."""
+
+    config: DictConfig
+    loaded: LoadedModel
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene in one style.
+
+    Args:
+        encoded: The capture, which every further style starts from.
+        gaussians: As they are in the style.
+        title: Of the style.
+        method: How a scene takes a style.
+        weights: What the model was loaded from.
+    """
+
+    encoded: EncodedCapture
+    gaussians: Gaussians
+    title: str
+    method: Method
+    weights: Mapping[str, Any]
+
+    def styled(self) -> StyledScene:
+        """The scene as files hold it."""
+        notes = (self.title, *license_lines(licenses(self.weights)))
+        names = tuple(self.encoded.names)
+        return StyledScene(((self.title, self.gaussians),), self.encoded.cameras, names, notes, self.title)
+
+
+def image_from_renders(renders: list[Float[Tensor, "3 H W"]]) -> Float[Tensor, "B H W 3"]:
+    """Renders as a batch of ComfyUI's type ``IMAGE``, sRGB in [0, 1]."""
+    return torch.stack(renders).movedim(1, -1).clamp(0, 1).contiguous()
+
+
+def style_from_image(image: Float[Tensor, "B H W C"]) -> Float[Tensor, "1 3 H W"]:
+    """The first picture of a batch of ComfyUI's type ``IMAGE``, without its alpha; a copy, which may take gradients."""
+    return image[:1, ..., :3].float().movedim(-1, 1).clamp(0, 1).clone(memory_format=torch.contiguous_format)
+
+
+def folder_of_images(images: Float[Tensor, "B H W C"], parent: Path) -> Path:
+    """A folder with a batch as PNG files; the same pictures have the same folder, in which cameras are found once."""
+    bytes_ = (images[..., :3].float().cpu().clamp(0, 1) * 255).round().byte()
+    folder = parent / f"anystyle_{sha256(bytes_.numpy().tobytes() + str(bytes_.shape).encode()).hexdigest()[:16]}"
+    folder.mkdir(parents=True, exist_ok=True)
+    for index, picture in enumerate(bytes_):
+        save_png(to_pil(picture.movedim(-1, 0) / 255), folder / f"{index:04d}.png")
+    return folder
+
+
+def splat_columns(gaussians: Gaussians) -> dict[str, Tensor]:
+    """Visible Gaussians as the arguments of ComfyUI's type ``SPLAT``.
+
+    Both have 3DGS's axes, linear scales, opacities in [0, 1], quaternions wxyz and harmonics with the constant first.
+    """
+    shown = gaussians.map(lambda tensor: tensor[:, gaussians.opacities[0] > 0].detach().float().cpu())
+    return {
+        "positions": shown.means,
+        "scales": shown.scales,
+        "rotations": F.normalize(shown.rotations, dim=-1),
+        "opacities": shown.opacities[..., None],
+        "sh": shown.harmonics,
+    }
+
+
+def gaussians_from_splat(splat: Any, index: int = 0) -> Gaussians:
+    """One scene of a batch of ComfyUI's type ``SPLAT``, without its padding."""
+    count = splat.positions.shape[1] if splat.counts is None else int(splat.counts[index])
+    columns = (splat.positions, splat.rotations, splat.scales, splat.opacities, splat.sh)
+    means, rotations, scales, opacities, harmonics = (
+        column[index : index + 1, :count].detach().float().cpu().clone() for column in columns
+    )
+    return Gaussians(means, rotations, scales, opacities[..., 0], harmonics)

@@ -1,0 +1,1 @@
+"""Checkpoints, data folders and camera paths of nerfstudio."""

@@ -1,0 +1,80 @@
+"""Camera paths that nerfstudio's viewer saves, ``camera_paths/*.json``."""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import torch
+from jaxtyping import Float
+from msgspec import Meta
+from torch import Tensor
+
+from anystyle.errors import UserError
+from anystyle.io.documents import Positive, read_json
+from anystyle.types import Cameras
+
+FPS = 24.0
+"""Of a path that says neither frames a second nor seconds."""
+_Side = Annotated[int, Meta(ge=1, le=1 << 15)]
+
+
+class _Frame(msgspec.Struct):
+    camera_to_world: Annotated[list[float], Meta(min_length=16, max_length=16)]
+    fov: Annotated[float, Meta(gt=0, lt=180)]
+
+
+class _File(msgspec.Struct):
+    camera_path: Annotated[list[_Frame], Meta(max_length=100_000)]
+    render_height: _Side
+    render_width: _Side
+    camera_type: str = "perspective"
+    fps: Positive | None = None
+    seconds: Positive | None = None
+
+
+@dataclass(frozen=True)
+class CameraPath:
+    """A flight.
+
+    Args:
+        cameras: One a frame, in the coordinates of the run's model.
+        times: When, in seconds, from 0.
+    """
+
+    cameras: Cameras
+    times: Float[Tensor, " V"]
+
+
+def read_camera_path(path: Path) -> CameraPath:
+    """Read the frames of a path, which nerfstudio has interpolated between its keyframes.
+
+    A frame has a pose with OpenGL's axes, by rows, and a vertical field of view in degrees.
+    """
+    content = read_json(path, _File, what="camera path of nerfstudio")
+    if content.camera_type.lower() != "perspective":
+        raise UserError(f"{path} is a path of a camera of type {content.camera_type!r}; save one of type perspective")
+    if not content.camera_path:
+        raise UserError(f"{path} has no frames; add keyframes in the viewer, and press Generate Command again")
+    poses = torch.tensor([frame.camera_to_world for frame in content.camera_path], dtype=torch.float64)
+    poses = poses.unflatten(1, (4, 4)) * torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64)
+    turns, last = poses[:, :3, :3], poses.new_tensor([0.0, 0.0, 0.0, 1.0])
+    rigid = (turns @ turns.mT - torch.eye(3)).abs().amax() < 1e-3 and bool((turns.det() > 0).all())
+    if not rigid or not torch.equal(poses[:, 3], last.expand(len(poses), 4)):
+        raise UserError(f"{path}: camera_to_world of a frame is no rotation and translation, by rows")
+    height, width = content.render_height, content.render_width
+    focal = torch.tensor([height / 2 / math.tan(math.radians(frame.fov) / 2) for frame in content.camera_path])
+    intrinsics = torch.eye(3).repeat(len(poses), 1, 1)
+    intrinsics[:, 0, 0] = intrinsics[:, 1, 1] = focal
+    intrinsics[:, 0, 2], intrinsics[:, 1, 2] = width / 2, height / 2
+    fps = content.fps or (len(poses) / content.seconds if content.seconds else FPS)
+    cameras = Cameras(poses.float()[None], intrinsics[None], (height, width))
+    return CameraPath(cameras, torch.arange(len(poses)) / fps)
+
+
+def keyframes_of(path: CameraPath) -> dict[str, object]:
+    """A path as a file of keyframes, every frame one: seconds, poses with OpenCV's axes, fields of view in degrees."""
+    fovs = 2 * torch.rad2deg(torch.atan(path.cameras.size[0] / 2 / path.cameras.intrinsics[0, :, 1, 1]))
+    rows = zip(path.times.tolist(), path.cameras.world_from_camera[0].tolist(), fovs.tolist(), strict=True)
+    return {"keyframes": [{"time": time, "world_from_camera": pose, "fov": fov} for time, pose, fov in rows]}
