@@ -6,9 +6,9 @@ import pytest
 import torch
 
 from anystyle.losses.depth_consistency import DepthConsistency
-from anystyle.losses.edge_aware_smoothness import EdgeAwareSmoothness
 from anystyle.types import Geometry
 from anystyle_rivals.total_variation import TotalVariation
+from anystyle_tiny.losses import EdgeAwareSmoothness
 from oracle import hashed, smooth_image
 from style_cases import cameras, stylization
 

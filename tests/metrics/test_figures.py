@@ -15,7 +15,6 @@ from anystyle.metrics.art_fid import ArtFID, frechet_distance, frechet_infinity
 from anystyle.metrics.cfsd import CFSD
 from anystyle.metrics.clip import ClipDirection, ClipStyle
 from anystyle.metrics.color_match import ColorMatch
-from anystyle.metrics.depth_agreement import DepthAgreement
 from anystyle.metrics.kid import KID, discrepancy
 from anystyle.metrics.lpips import LPIPS
 from anystyle.metrics.psnr import PSNR
