@@ -24,6 +24,7 @@ from anystyle.metrics.warp_consistency import WarpConsistency
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.types import Cameras, Comparison, Style
 from anystyle.vision import feature_cache
+from anystyle_tiny.depth_agreement import DepthAgreement
 from oracle import hashed, smooth_image
 
 
