@@ -25,6 +25,7 @@ _SOURCES = "scenes=folder scenes.root=SCENES styles=folder styles.root=STYLES"
 ADDED = (
     (r"anystyle stylize (?!.*--cfg)(?!.*short_side)", "views.short_side=56"),
     (r"anystyle stylize (?!.*--cfg)", "video.frames=2"),
+    (r"anystyle film ", "video.frames=2 video.height=64"),
     (r"anystyle stylize example:", "reconstruction=feedforward poses=predicted views.take=3"),
     (r"anystyle train .*=tiny_", "trainer.max_steps=2 training.warmup=1 scenes.size=28 scenes.num_scenes=2"),
     (r"anystyle train .*=tiny_(style|ablation)", "training.batch_size=1 styles.num_styles=1 styles.size=28"),
@@ -88,6 +89,7 @@ ENDS = {
     r"anystyle weights download ": "cannot be fetched",
     r"anystyle data caption wikiart ": "captions need transformers",
     r"anystyle (stylize|profile) .*model=any(splat|style_head|style_full)\b": "the weights '.*' are missing: get",
+    r"anystyle film .*keyframes.json": "there is no file of keyframes keyframes.json",
     r"anystyle stylize .*reconstruction=fit": "no cameras are found: there is too little to see",
     r"anystyle stylize .*weights.backbone=model.safetensors": "there is no weights file model.safetensors",
 }
@@ -105,6 +107,7 @@ NOT_RUN = {
     r"anystyle plugins check KIND NAME$": "names to fill in",
     r"anystyle data prepare KIND ROOT$": "names to fill in",
     r"anystyle export SCENE": "a file of a format that the reader adds",
+    r"anystyle export .*obj": "a capture whose depth agrees; mesh/tests makes one",
     r"python -m build$": "builds the reader's package",
     r"pip install ": "needs a network",
     r"make (demo|setup|lint|test|test-slow|format lint)$": "sets up an environment from a network",

@@ -67,13 +67,6 @@ class CameraPath:
 
         write_video(frames(), path, fps=FPS)
 
-    def document(self, seconds: int) -> dict[str, object]:
-        """The keyframes as a JSON document that films read, ``video.path=keyframes.json``."""
-        times = np.linspace(0, seconds, len(self.keyframes)).tolist()
-        fov = math.degrees(self.field_of_view)
-        keys = zip(times, self.keyframes, strict=True)
-        return {"keyframes": [{"time": t, "world_from_camera": pose.double().tolist(), "fov": fov} for t, pose in keys]}
-
     def _knots(self) -> Cameras:
         if not self.keyframes:
             return self.cameras

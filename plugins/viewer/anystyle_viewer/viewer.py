@@ -10,7 +10,6 @@ from pathlib import Path
 import viser
 
 from anystyle.errors import UserError, one_line
-from anystyle.io.atomic import write_json
 from anystyle.io.sheet import to_pil
 from anystyle.pipeline.export import export, export_styles
 from anystyle.registry.catalog import catalog
@@ -154,14 +153,11 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             count = gui.add_markdown("")
             self.seconds = gui.add_slider("Seconds", 1, 20, 1, 4)
             preview, render = gui.add_button("Preview"), gui.add_button("Render MP4")
-            store = gui.add_button("Save keyframes.json")
 
         def show_count() -> None:
             number = len(self.path.keyframes)
             words = f"{number} keyframe{'s' * (number > 1)}."
             count.content = words if number else "No keyframes: the path goes through the photographs."
-
-            store.disabled = not number
 
         def set_keyframes(camera: viser.CameraHandle | None) -> None:
             self.path.keyframes = [] if camera is None else [*self.path.keyframes, pose_of(camera)]
@@ -176,11 +172,6 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             self.path.write_video(self.session.gaussians, path, self.seconds.value, on_frame)
 
         render.on_click(lambda event: event.client and self._download(event.client, "video.mp4", write_video))
-
-        def write_keyframes(path: Path, _: OnFrame) -> None:
-            write_json(path, self.path.document(self.seconds.value))
-
-        store.on_click(lambda event: event.client and self._download(event.client, "keyframes.json", write_keyframes))
 
     def _add_save_controls(self) -> None:
         gui = self.viser.gui
