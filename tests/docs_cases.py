@@ -116,7 +116,7 @@ NOT_RUN = {
     r"anystyle stylize outputs/poster/": "a run of nerfstudio; plugins/nerfstudio/tests makes one",
     r"anystyle nerfstudio path ": "a path of nerfstudio's viewer; plugins/nerfstudio/tests makes one",
     r"ns-viewer ": "needs nerfstudio",
-    r"ln -s .*ComfyUI": "needs ComfyUI",
+    r"(ln -s .*ComfyUI|ANYSTYLE_COMFYUI=)": "needs ComfyUI",
     r"make docs$": "tests/docs/test_site.py does what it does",
     r"python -m pytest tests/docs$": "these tests",
     r"torchrun ": "needs several graphics cards, or machines",
