@@ -9,6 +9,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from anystyle.commands._flags import new_parser, split
+from anystyle.commands._run import show
+from anystyle.errors import UserError
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model
 from anystyle.pipeline.options import PoseOptions
@@ -25,13 +27,22 @@ from anystyle_viewer.session import CACHE_SIZE, Session
 
 def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle view``; all other words are Hydra's, as those of ``anystyle stylize``."""
-    about = "Look at a scene, and give it styles: photographs, a folder of anystyle stylize, or a PLY file."
+    about = "Look at a scene, and give it styles: photographs, a folder of anystyle stylize, or a file of Gaussians."
     flags = new_parser("view", about)
-    flags.add_argument("input", type=Path, help="a folder of photographs or of results, a video, or a .ply file")
+    flags.add_argument(
+        "input",
+        type=Path,
+        nargs="?",
+        help="a folder of photographs or of results, a video, or a file of Gaussians; without one, a page where scenes "
+        "are made of what is dropped",
+    )
     flags.add_argument("--html", type=Path, metavar="FILE", help="write one page with all saved styles, and end")
     flags.add_argument("--port", type=int, default=8080, help="0 takes a free one (default: %(default)s)")
     flags.add_argument(
         "--keep", type=Path, default=Path("out/view"), help="stores styles and uploaded images (default: %(default)s)"
+    )
+    flags.add_argument(
+        "--close-after", type=float, metavar="SECONDS", help="end when no browser has been open for so long"
     )
     return flags
 
@@ -60,22 +71,48 @@ def open_session(path: Path, words: Sequence[str], folder: Path | None = None) -
 
 
 class View(Command):
-    """A scene in the browser, restyled while one looks; or as one HTML file that needs no network."""
+    """A scene in the browser, restyled while one looks; or as one HTML file; or a page that makes scenes."""
 
     def __call__(self, words: Sequence[str]) -> None:
         arguments, overrides = split(parser(), words)
         if arguments.html is not None:
-            saved = read_saved(arguments.input)
-            export_styles(replace(saved, title=arguments.input.resolve().stem), arguments.html, "html")
-            size = arguments.html.stat().st_size / 1e6
-            print(f"{arguments.html}: {len(saved.styles)} styles, {size:.2f} MB; open it in any browser")
-            return
-        if find_spec("viser") is None:
-            raise ImportError('anystyle view needs viser; pip install "anystyle[viewer]"')
-        from anystyle_viewer.viewer import Viewer
+            _write_page(arguments)
+        elif arguments.input is None:
+            _serve_start(arguments, overrides)
+        else:
+            _serve_scene(arguments, overrides)
 
-        opened, folder = (str(arguments.input), overrides), arguments.keep
-        with Viewer(open_session(arguments.input, overrides, folder), folder, opened, arguments.port) as viewer:
-            print(f"{viewer.server.url} shows {arguments.input}; Ctrl-C ends it", flush=True)
-            while True:
-                time.sleep(3600)
+
+def _write_page(arguments: argparse.Namespace) -> None:
+    if arguments.input is None:
+        raise UserError("--html writes a scene that is given; name a folder of results or a file of Gaussians")
+    saved = read_saved(arguments.input)
+    export_styles(replace(saved, title=arguments.input.resolve().stem), arguments.html, "html")
+    size = arguments.html.stat().st_size / 1e6
+    print(f"{arguments.html}: {len(saved.styles)} styles, {size:.2f} MB; open it in any browser")
+
+
+def _serve_start(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
+    from anystyle_viewer.start.server import StartServer
+
+    if overrides:
+        raise UserError(f"{overrides[0]}: without an input, options are chosen on the page; name an input")
+    with StartServer(arguments.keep, arguments.port) as server:
+        print(f"{server.url} makes scenes of what is dropped there; Ctrl-C ends it", flush=True)
+        show(server.url)
+        while True:
+            time.sleep(3600)
+
+
+def _serve_scene(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
+    if find_spec("viser") is None:
+        raise ImportError('anystyle view needs viser; pip install "anystyle[viewer]"')
+    from anystyle_viewer.viewer import Viewer
+
+    opened, folder = (str(arguments.input), overrides), arguments.keep
+    with Viewer(open_session(arguments.input, overrides, folder), folder, opened, arguments.port) as viewer:
+        print(f"{viewer.server.url} shows {arguments.input}; Ctrl-C ends it", flush=True)
+        watched = time.monotonic()
+        while arguments.close_after is None or time.monotonic() - watched < arguments.close_after:
+            time.sleep(1)
+            watched = time.monotonic() if viewer.is_watched else watched

@@ -72,6 +72,23 @@ def store_upload(folder: Path, name: str, content: bytes) -> Path:
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
+
+def refusal(host: str, origin: str | None, *, changes: bool) -> int | None:
+    """The status that refuses a request from elsewhere, or ``None``.
+
+    Web pages from elsewhere that a browser of this machine shows can send requests here, too, by forged posts or DNS
+    rebinding; browsers always name the origin of a request that changes something.
+    """
+    try:
+        name = urlsplit(f"//{host}").hostname
+    except ValueError:
+        name = None
+    if name not in LOOPBACK:
+        return 421
+    own = not changes if origin is None else urlsplit(origin).netloc == host
+    return None if own else 403
+
+
 OnPost = Callable[[Mapping[str, str], bytes], None]
 """Handles a request, given its query and its body; a ``UserError`` is answered as one line."""
 
@@ -79,9 +96,8 @@ OnPost = Callable[[Mapping[str, str], bytes], None]
 class PageServer(ThreadingHTTPServer):
     """Serves ``page`` at ``/``, handlers of POST requests by path, and viser's server at all other paths.
 
-    It runs on threads of its own until :meth:`close`; ``port`` 0 takes a free one. Web pages from elsewhere that a
-    browser of this machine shows can send requests here, too, by forged posts or DNS rebinding, so the ``Host`` and
-    ``Origin`` headers of every request are checked.
+    It runs on threads of its own until :meth:`close`; ``port`` 0 takes a free one. Every request is checked by
+    :func:`refusal`.
     """
 
     daemon_threads = True
@@ -117,12 +133,10 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _refused(self) -> bool:
         """Whether a request comes from another site, which is then answered."""
-        host, origin = self.headers.get("Host", ""), self.headers.get("Origin")
-        local = urlsplit(f"//{host}").hostname in LOOPBACK
-        own = self.command != "POST" if origin is None else urlsplit(origin).netloc == host
-        if not (local and own):
-            self._answer(403 if local else 421, "this request is not from the viewer's page on this machine")
-        return not (local and own)
+        status = refusal(self.headers.get("Host", ""), self.headers.get("Origin"), changes=self.command == "POST")
+        if status is not None:
+            self._answer(status, "this request is not from the viewer's page on this machine")
+        return status is not None
 
     def _answer(self, status: int, body: str | bytes, kind: str = "text/plain") -> None:
         content = body.encode() if isinstance(body, str) else body

@@ -7,7 +7,6 @@ import threading
 import webbrowser
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, NoReturn
 
 from anystyle.errors import UserError, one_line
@@ -43,11 +42,11 @@ def run(command: Callable[[], Any]) -> None:
         sys.exit(FAILED)
 
 
-def show(path: Path) -> None:
-    """Open a file in the browser where there is a display; nothing happens elsewhere."""
+def show(address: str) -> None:
+    """Open an address in the browser where there is a display; nothing happens elsewhere."""
     if sys.platform != "linux" or {"DISPLAY", "WAYLAND_DISPLAY"} & os.environ.keys():
         with suppress(webbrowser.Error, OSError):
-            webbrowser.open(path.resolve().as_uri())
+            webbrowser.open(address)
 
 
 def _terminated(number: int, frame: object) -> NoReturn:

@@ -102,7 +102,7 @@ def command(config: DictConfig, arguments: argparse.Namespace) -> None:
     took = f"{sum(stages.seconds.values()):.0f} s, {stages.write_share:.0%} of them for files"
     print(f"{scenes} in {target} in {took}; look at {page}")
     if arguments.open:
-        show(page)
+        show(page.resolve().as_uri())
 
 
 def reporter(thumbnail: Path, cleanup: ExitStack) -> Callable[[str, Progress], None]:

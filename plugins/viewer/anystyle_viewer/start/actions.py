@@ -1,0 +1,271 @@
+"""What the start page can ask for: the state of scenes, files, and changes."""
+
+import re
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, replace
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Annotated, Any, BinaryIO
+
+from msgspec import Meta
+
+from anystyle.errors import UserError
+from anystyle.examples import PREFIX, examples, resolved
+from anystyle.io.documents import parse_json
+from anystyle.registry.compose import choices
+from anystyle_viewer.server import MAX_UPLOAD, store_upload
+from anystyle_viewer.start import results
+from anystyle_viewer.start.jobs import Jobs
+from anystyle_viewer.start.library import ACTIVE, Library, Record, Settings
+from anystyle_viewer.start.live import Viewers
+from anystyle_viewer.start.progress import steps_of
+from anystyle_viewer.start.uploads import LIMITS, PART, Uploads, save_pictures, small_pictures, suffixes
+from anystyle_viewer.start.words import QUALITIES, command_words, painting_names, shown_command
+
+_FAILED = re.compile(r"no cameras are found: (.*?)(?:; (reconstruction=.*) does without)?")
+_MAX_MESSAGE = 256 * 1024
+
+
+@dataclass(frozen=True)
+class Message:
+    """What a request may hold besides settings; each uses what it needs."""
+
+    title: Annotated[str, Meta(max_length=200)] = ""
+    example: str = ""
+    name: str = ""
+    format: str = ""
+    style: str = results.ALL
+
+
+class Actions(AbstractContextManager["Actions"]):
+    """Answers the page, of whatever tab.
+
+    Args:
+        folder: Where scenes are kept.
+        program: The words that start ``anystyle``.
+    """
+
+    def __init__(self, folder: Path, program: Sequence[str]) -> None:
+        self.library, self.program = Library(folder), program
+        self.uploads, self.viewers = Uploads(self.library), Viewers(program)
+        self.jobs = Jobs(self.library, program, self.viewers.close)
+        self.choices: dict[str, Any] = {
+            "paintings": [{"name": name, "title": examples()[name].title} for name in painting_names()],
+            "captures": [name for name in examples() if name not in painting_names()],
+            "methods": choices("method"),
+            "qualities": QUALITIES,
+            "formats": results.formats(),
+            "suffixes": suffixes(),
+            "limits": {**LIMITS, "part": PART, "picture": MAX_UPLOAD},
+            "live": find_spec("viser") is not None,
+        }
+
+    def __exit__(self, *_: object) -> None:
+        self.jobs.close()
+        self.viewers.close_all()
+
+    def state(self, scene: str) -> dict[str, Any]:
+        """All scenes in short, and one in full."""
+        scenes = self.library.scenes()
+        whole: dict[str, Any] = {
+            "scenes": [self._short(name, record) for name, record in scenes.items() if record.kind is not None],
+            "pictures": self._pictures(),
+        }
+        if scene:
+            whole["scene"] = self._full(scene, scenes[scene]) if scene in scenes else None
+        return whole
+
+    def _short(self, scene: str, record: Record) -> dict[str, Any]:
+        run = None if record.result is None else self.library.run(scene, record.result)
+        return {
+            "id": scene,
+            "title": self._title(record),
+            "named": bool(record.title or record.source),
+            "created": record.created,
+            "kind": record.kind,
+            "state": record.job.state,
+            "count": len(self.library.inputs(scene) or self._thumbnails(scene)),
+            "picture": None if run is None else f"/style/{scene}/{record.result}/0",
+            "thumbnails": self._thumbnails(scene)[:1],
+        }
+
+    def _title(self, record: Record) -> str:
+        named = record.title or record.source.removeprefix(PREFIX).capitalize()
+        return named or time.strftime("Scene of %d %B, %H:%M", time.localtime(record.created))
+
+    def _thumbnails(self, scene: str) -> list[str]:
+        folder = self.library.thumbnails(scene)
+        return sorted(path.name for path in folder.glob("*.jpg")) if folder.is_dir() else []
+
+    def _pictures(self) -> list[str]:
+        files = self.library.pictures().glob("*.png")
+        return [path.name for path in sorted(files, key=lambda path: -path.stat().st_mtime)][:24]
+
+    def _full(self, scene: str, record: Record) -> dict[str, Any]:
+        job = record.job
+        failed = _FAILED.fullmatch(job.error) if job.state == "failed" else None
+        viewer = self.viewers.of(scene)
+        full = self._short(scene, record) | {
+            "files": [path.name for path in self.library.inputs(scene)],
+            "thumbnails": self._thumbnails(scene),
+            "settings": asdict(record.settings),
+            "number": job.number,
+            "error": job.error,
+            "reasons": failed[1].split("; ") if failed else [],
+            "without_cameras": failed[2] if failed else None,
+            "notes": job.notes,
+            "seconds": job.seconds,
+            "steps": [name for name, _, _ in steps_of(record.kind)],
+            "log": self.library.log(scene, job.number).is_file(),
+            "result": None if record.result is None else self._result(scene, record, record.result),
+            "live": None if viewer is None else {"address": viewer.address, "error": viewer.error},
+        }
+        if job.state == "waiting" and scene in self.jobs.waiting:
+            full["before"] = self.jobs.waiting.index(scene) + (self.jobs.running is not None)
+        if job.state == "running":
+            full["progress"] = asdict(self.jobs.state) | {"started": self.jobs.started}
+        return full
+
+    def _result(self, scene: str, record: Record, number: int) -> dict[str, Any] | None:
+        run = self.library.run(scene, number)
+        try:
+            report = results.read_report(run)
+            styles = results.styles_of(run, report)
+        except UserError:
+            return None  # deleted by hand
+        names = [path.name for path in self.library.inputs(scene)] if record.kind == "photographs" else []
+        return {
+            "number": number,
+            "styles": [results.shown_title(style) for style in styles],
+            "page": results.page_of(run) is not None,
+            "gaussians": report.gaussians,
+            "views": report.views,
+            "reconstruction": asdict(report.reconstruction),
+            "left_out": results.left_out(names, report),
+            "command": shown_command(record.job.words, self._title(record)) if record.job.words else "",
+            "licenses": sorted({text for terms in report.licenses.values() for text in terms.values()}),
+        }
+
+    def file(self, kind: str, words: Sequence[str]) -> Path | None:
+        """The file at an address, or ``None``; no part of an address becomes a path by itself."""
+        if kind == "painting" and len(words) == 1:
+            return resolved(Path(f"{PREFIX}{words[0]}")) if words[0] in painting_names() else None
+        if kind == "picture" and len(words) == 1:
+            return next((path for path in self.library.pictures().glob("*.png") if path.name == words[0]), None)
+        if len(words) < 2:
+            return None
+        scene, *rest = words
+        if kind == "thumbnail" and len(rest) == 1:
+            return next((path for path in self.library.thumbnails(scene).glob("*.jpg") if path.name == rest[0]), None)
+        if not rest[0].isdecimal():
+            return None
+        number = int(rest[0])
+        run, extra = self.library.run(scene, number), self.library.files(scene, number)
+        file = None
+        if kind == "log":
+            file = self.library.log(scene, number)
+        elif kind == "page":
+            file = results.page_of(run)
+        elif kind == "export" and len(rest) == 3:
+            file = results.download(run, extra, rest[2], rest[1], self.program)
+        elif kind in ("style", "film", "sheet") and len(rest) == 2 and rest[1].isdecimal() and run.is_dir():
+            styles = results.styles_of(run, results.read_report(run))
+            if int(rest[1]) < len(styles):
+                style = styles[int(rest[1])]
+                inside = {"film": style.folder / "video.mp4", "sheet": style.folder / "sheet.png"}
+                file = results.picture(style, extra) if kind == "style" else inside[kind]
+        return file if file is not None and file.is_file() else None
+
+    def post(self, words: Sequence[str], query: Mapping[str, str], body: BinaryIO) -> dict[str, Any]:
+        """Change something; the answer is what the page needs to go on."""
+        if words == ["pictures"]:
+            folder = self.library.pictures()
+            return {"name": store_upload(folder, query.get("name", ""), body.read()).name}
+        if len(words) == 3 and words[0] == "scenes" and words[2] == "files":
+            numbers = [query.get(name, "") for name in ("offset", "total")]
+            if not all(number.isdecimal() for number in numbers):
+                raise UserError("an upload without a size; load the page again")
+            offset, total = map(int, numbers)
+            name = query.get("name", "")
+            return {"name": self.uploads.receive(words[1], name, query.get("upload", ""), offset, total, body)}
+        text = body.read(_MAX_MESSAGE) or b"{}"
+        if words == ["scenes"]:
+            return {"id": self._create(parse_json(text, Message, source="the request"))}
+        if len(words) == 3 and words[0] == "scenes":
+            scene, action = words[1:]
+            self.library[scene]
+            if action == "run":
+                self._run(scene, parse_json(text, Settings, source="the form"))
+                return {}
+            return self._change(scene, action, parse_json(text, Message, source="the request"))
+        raise UserError("this page is older than the program; load it again")
+
+    def _change(self, scene: str, action: str, message: Message) -> dict[str, Any]:
+        match action:
+            case "cancel":
+                self.jobs.cancel(scene)
+            case "rename":
+                self._rename(scene, message.title)
+            case "delete":
+                self._delete(scene)
+            case "remove":
+                self.uploads.remove(scene, message.name)
+            case "live":
+                self._live(scene)
+            case "export":
+                return self._export(scene, message)
+            case _:
+                raise UserError("this page is older than the program; load it again")
+        return {}
+
+    def _create(self, message: Message) -> str:
+        scene = self.library.create(" ".join(message.title.split()))
+        if message.example:
+            source = f"{PREFIX}{message.example}"
+            folder = resolved(Path(source))
+            for path in sorted(folder.glob("*.jpg")):
+                save_pictures(small_pictures("photographs", path), self.library.thumbnails(scene), path.name)
+            self.library.update(scene, lambda record: replace(record, kind="example", source=source))
+        return scene
+
+    def _run(self, scene: str, settings: Settings) -> None:
+        record, inputs = self.library[scene], self.library.inputs(scene)
+        if record.kind is None:
+            raise UserError("there is nothing to make a scene of; add photographs, a film or a splat")
+        source = record.source or str(inputs[0] if record.kind != "photographs" else inputs[0].parent)
+        words = command_words(settings, record.kind, source, self.library.pictures())
+        self.jobs.submit(scene, settings, words)
+
+    def _rename(self, scene: str, title: str) -> None:
+        title = " ".join(title.split())
+        if not title:
+            raise UserError("a scene needs a name")
+        self.library.update(scene, lambda record: replace(record, title=title))
+
+    def _delete(self, scene: str) -> None:
+        self.jobs.cancel(scene)
+        if self.library[scene].job.state in ACTIVE:
+            raise UserError("the scene is still being made; try again")
+        self.viewers.close(scene)
+        self.library.delete(scene)
+
+    def _live(self, scene: str) -> None:
+        record = self.library[scene]
+        if record.result is None:
+            raise UserError("the scene is not made yet")
+        keep = self.library.path(scene) / "live"
+        run = self.library.run(scene, record.result)
+        words = [word for word in record.job.words[1:] if word.startswith(("method", "model"))]
+        self.viewers.start(scene, run, keep, words)
+
+    def _export(self, scene: str, message: Message) -> dict[str, Any]:
+        record = self.library[scene]
+        if record.result is None:
+            raise UserError("the scene is not made yet")
+        run, files = self.library.run(scene, record.result), self.library.files(scene, record.result)
+        file = results.download(run, files, message.format, message.style, self.program)
+        name = f"{self._title(record)}.{message.format}"
+        address = f"/export/{scene}/{record.result}/{message.style}/{message.format}"
+        return {"address": address, "name": name, "bytes": file.stat().st_size}

@@ -1,0 +1,161 @@
+"""Uploads: files come in parts, are checked before they are kept, and get small pictures."""
+
+import re
+import shutil
+import threading
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import BinaryIO, Literal
+
+from PIL import Image
+
+from anystyle.data import images
+from anystyle.data.folder import distinct
+from anystyle.errors import UserError
+from anystyle.io import video
+from anystyle.io.atomic import atomic_path
+from anystyle.registry.catalog import catalog
+from anystyle_viewer.start.library import ACTIVE, Kind, Library
+
+PART = 8 << 20
+"""The largest part of a file in bytes."""
+LIMITS: dict[str, int] = {"photographs": 200 << 20, "film": 8 << 30, "splat": 4 << 30}
+"""The largest file of a kind in bytes."""
+MAX_FILES = 320
+"""Photographs of a scene: as many as are read."""
+FRAMES = 12
+"""Small pictures of a film."""
+SIDE = 480
+"""The longer side of small pictures in pixels."""
+_UPLOAD = re.compile(r"[0-9a-z]{1,32}")
+_NAMES: dict[Kind, str] = {"photographs": "photographs", "film": "a film", "splat": "a splat"}
+
+
+def suffixes() -> dict[Literal["photographs", "film", "splat"], list[str]]:
+    """The suffixes of files that are taken."""
+    splats = [f".{name}" for name in catalog().names("format") if catalog().find("format", name).load().reads]
+    return {"photographs": sorted(images.SUFFIXES), "film": sorted(video.SUFFIXES), "splat": splats}
+
+
+class Uploads:
+    """Receives the files of scenes."""
+
+    def __init__(self, library: Library) -> None:
+        self.library, self._suffixes, self._lock = library, suffixes(), threading.Lock()
+
+    def kind_of(self, name: str) -> Literal["photographs", "film", "splat"]:
+        """What a file is, by its suffix."""
+        suffix = Path(name).suffix.lower()
+        for kind, known in self._suffixes.items():
+            if suffix in known:
+                return kind
+        raise UserError(f"{name[:80]} is no photograph, film or splat that can be read; JPEG, PNG and MP4 can")
+
+    def receive(self, scene: str, name: str, upload: str, offset: int, total: int, part: BinaryIO) -> str | None:
+        """Append a part of a file; the last one checks and keeps the file.
+
+        Args:
+            scene: Which the file belongs to.
+            name: Of the file, as the user has it.
+            upload: Chosen by the page, the same for all parts of a file.
+            offset: Bytes that came before.
+            total: Bytes of the whole file.
+            part: At most :data:`PART` bytes.
+
+        Returns:
+            The name that the file has got, once it is whole.
+        """
+        kind = self._admitted(scene, name, total)
+        if not _UPLOAD.fullmatch(upload):
+            raise UserError("an upload without a name; load the page again")
+        partial = self.library.uploads(scene) / upload
+        partial.parent.mkdir(exist_ok=True)
+        with partial.open("ab") as file:
+            if file.tell() != offset:
+                raise UserError(f"{name[:80]}: a part was lost on the way; add the file again")
+            shutil.copyfileobj(part, file)
+            received = file.tell()
+        if received < total:
+            return None
+        try:
+            if received > total:
+                raise UserError(f"{name[:80]} is larger than was announced; add the file again")
+            return self._keep(scene, name, kind, partial)
+        finally:
+            partial.unlink(missing_ok=True)
+
+    def _admitted(self, scene: str, name: str, total: int) -> Literal["photographs", "film", "splat"]:
+        """The kind of a file that the scene can take."""
+        kind, record = self.kind_of(name), self.library[scene]
+        if not 0 < total <= LIMITS[kind]:
+            raise UserError(f"{name[:80]} has {total:,} bytes; from 1 to {LIMITS[kind]:,} are taken")
+        if total > shutil.disk_usage(self.library.folder).free // 2:
+            raise UserError(f"{name[:80]} has {total:,} bytes, for which the disk has too little room")
+        if record.job.state in ACTIVE:
+            raise UserError("the scene is being made; cancel that to add files")
+        if record.kind is not None and (record.kind != kind or kind != "photographs"):
+            raise UserError(
+                f"{name[:80]}: a scene is made of photographs, or one film, or one splat, and this one has "
+                f"{_NAMES.get(record.kind, 'an example')} already"
+            )
+        if len(self.library.inputs(scene)) >= MAX_FILES:
+            raise UserError(f"{name[:80]}: a scene takes at most {MAX_FILES} photographs")
+        return kind
+
+    def _keep(self, scene: str, name: str, kind: Literal["photographs", "film", "splat"], partial: Path) -> str:
+        """Check a whole file, draw its small pictures, and move it to the scene's inputs."""
+        named = partial.with_name(f"{partial.name}{Path(name).suffix.lower()}")
+        partial.rename(named)
+        try:
+            try:
+                pictures = small_pictures(kind, named)
+            except UserError as error:
+                raise UserError(str(error).replace(str(named), name[:80])) from None
+            with self._lock:  # two files that end at once may have one name
+                self._admitted(scene, name, named.stat().st_size)
+                folder = self.library.path(scene) / "input"
+                folder.mkdir(exist_ok=True)
+                stem = re.sub(r"[^\w-]+", "-", Path(name).stem).strip("-")[:60] or "photograph"
+                final = folder / f"{distinct([*(path.stem for path in folder.iterdir()), stem], '-')[-1]}{named.suffix}"
+                save_pictures(pictures, self.library.thumbnails(scene), final.name)
+                named.rename(final)
+                title = stem.replace("-", " ") if kind != "photographs" else ""
+                self.library.update(
+                    scene, lambda record: replace(record, kind=kind, title=record.title or title, source="")
+                )
+            return final.name
+        finally:
+            named.unlink(missing_ok=True)
+
+    def remove(self, scene: str, name: str) -> None:
+        """Remove one file of a scene."""
+        with self._lock:
+            if self.library[scene].job.state in ACTIVE:
+                raise UserError("the scene is being made; cancel that to remove files")
+            for path in self.library.inputs(scene):
+                if path.name == name:
+                    path.unlink()
+                    for picture in self.library.thumbnails(scene).glob("*.jpg"):
+                        if picture.name.rsplit(".", 2)[0] == name:
+                            picture.unlink()
+            if not self.library.inputs(scene):
+                self.library.update(scene, lambda record: replace(record, kind=None))
+
+
+def small_pictures(kind: str, path: Path) -> Sequence[Image.Image]:
+    """Small pictures of a photograph or a film, every pixel of which is decoded: damaged files are refused."""
+    if kind == "film":
+        pictures = [frame for _, frame in video.read_frames(path, FRAMES)]
+    else:
+        pictures = [images.open_image(path, longest=2 * SIDE)] if kind == "photographs" else []
+    for picture in pictures:
+        picture.thumbnail((SIDE, SIDE), Image.Resampling.LANCZOS)
+    return pictures
+
+
+def save_pictures(pictures: Sequence[Image.Image], folder: Path, name: str) -> None:
+    """Save small pictures of a file as ``NAME.00.jpg`` and so on."""
+    for index, picture in enumerate(pictures):
+        with atomic_path(folder / f"{name}.{index:02d}.jpg") as path:
+            picture.convert("RGB").save(path, "JPEG", quality=82)

@@ -1,0 +1,126 @@
+"""The form as a command line of ``anystyle stylize``, checked as the command checks it."""
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+
+from anystyle.commands._compose import checked_seed
+from anystyle.commands._flags import is_override, split
+from anystyle.commands.stylize import given_controls, given_styles, mixing_amounts, parser
+from anystyle.errors import UserError, unknown
+from anystyle.examples import PREFIX, examples, resolved
+from anystyle.pipeline.options import PoseOptions
+from anystyle.pipeline.styles import check_text
+from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import choices, compose, options
+from anystyle_viewer.start.library import Kind, Settings
+
+QUALITIES = ("draft", "good", "best")
+
+
+def command_words(settings: Settings, kind: Kind | None, inputs: str, pictures: Path) -> list[str]:
+    """The words of ``anystyle stylize`` without ``--out``; a UserError says which of the settings makes no sense.
+
+    Args:
+        settings: The form.
+        kind: Of the inputs.
+        inputs: A folder, a file, or an example.
+        pictures: The folder of uploaded pictures.
+    """
+    further = _further(settings.more)
+    words = [inputs]
+    for text in settings.texts:
+        check_text(text, "the style in words")
+        words += [f"--text={text}"] if text.startswith("-") else ["--text", text]
+    for name in settings.images:
+        words += ["--image", image_word(pictures, name)]
+    for flag, value, default in (
+        ("--mix", settings.mix, None),
+        ("--strength", settings.strength, 1.0),
+        ("--preserve-color", settings.preserve_color, 0.0),
+        ("--scale", settings.scale, 1.0),
+    ):
+        words += [flag, f"{value:g}"] if value is not None and value != default else []
+    given = {word.lstrip("+~").partition("=")[0] for word in further if is_override(word)}
+    ours = {key: word for key, word in _overrides(settings, kind).items() if key not in given}
+    if {"reconstruction", "poses"} & given:  # what is left of ours may not fit to the choice
+        ours = {key: word for key, word in ours.items() if key in ("method",)}
+    words += [*ours.values(), *further]
+    _check(words)
+    return words
+
+
+def _overrides(settings: Settings, kind: Kind | None) -> dict[str, str]:
+    """The words that choose components, by their keys."""
+    known = choices("method")
+    if settings.method not in known:
+        raise UserError(unknown("method", settings.method, known))
+    if settings.quality not in QUALITIES:
+        raise UserError(unknown("quality", settings.quality, QUALITIES))
+    words = {} if settings.method == "branch" else {"method": f"method={settings.method}"}
+    estimator = next(iter(catalog().names("pose_estimator")), None)
+    if kind == "splat" or estimator is None:
+        return words
+    # Named, so that photographs whose cameras are not found are an error, whose reasons the page shows.
+    made_by = catalog().find("pose_estimator", estimator).load().reconstruction
+    return words | {
+        "poses": f"poses={estimator}",
+        "reconstruction": f"reconstruction={made_by}",
+        "reconstruction.quality": f"reconstruction.quality={settings.quality}",
+    }
+
+
+def image_word(pictures: Path, name: str) -> str:
+    """An example, or the file of an uploaded picture, as a word of the command line."""
+    if name.startswith(PREFIX):
+        resolved(Path(name))  # refuses what is none
+        return name
+    path = next((path for path in pictures.glob("*.png") if path.name == name), None)
+    if path is None:
+        raise UserError(f"there is no picture {name[:80]!r} any more; add it again")
+    return str(path)
+
+
+def _further(text: str) -> list[str]:
+    """The words of the field for all options; none that would change where inputs and results lie."""
+    try:
+        words = shlex.split(text)
+    except ValueError:
+        raise UserError("further options: a quotation mark is not closed; close it, or leave it out") from None
+    arguments, overrides = split(parser(), words)
+    for flag, value in (("--out", arguments.out != parser().get_default("out")), ("--open", arguments.open)):
+        if value:
+            raise UserError(f"further options: {flag} has no place here; the page keeps the results")
+    if arguments.inputs:
+        raise UserError(
+            f"further options: {arguments.inputs[0]!r} is no option; write KEY=VALUE or a flag such as --mask WHERE"
+        )
+    if foreign := [word for word in overrides if not is_override(word) or word.lstrip("+~").startswith("hydra")]:
+        raise UserError(f"further options: {foreign[0]} is for the command line alone")
+    return words
+
+
+def _check(words: Sequence[str]) -> None:
+    """Read the words as the command does, before a run begins."""
+    arguments, overrides = split(parser(), words)
+    config = compose("stylize", overrides)
+    amounts = mixing_amounts(arguments, len(arguments.text) + len(arguments.image) + len(config.style))
+    given_styles(arguments, config, amounts)
+    given_controls(arguments)
+    for name in arguments.export.split(",") if arguments.export else ():
+        catalog().find("format", name)
+    for key in ("views", "splat", "export", "video"):
+        options(config, key)
+    PoseOptions(config.poses, config.poses_from)
+    checked_seed(config.seed)
+
+
+def shown_command(words: Sequence[str], title: str) -> str:
+    """The command line that reproduces a run, to be copied into a shell."""
+    name = "-".join(word for word in "".join(c if c.isalnum() else " " for c in title).split())
+    return shlex.join(["anystyle", "stylize", *words, "--out", f"styled-{name or 'scene'}"])
+
+
+def painting_names() -> list[str]:
+    """The examples that are pictures."""
+    return [name for name, example in examples().items() if Path(example.file).suffix]
