@@ -25,7 +25,7 @@
     new DOMParser().parseFromString(`<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 ${width} ${height}" fill="none" stroke="currentColor" stroke-width="2" stroke-linecap="round" stroke-linejoin="round" aria-hidden="true">${content}</svg>`, "image/svg+xml").documentElement;
   const fill = (element, ...children) => { element.replaceChildren(...children.flat(9).filter(Boolean)); return element; };
   const count = (number, kind) => `${number} ${(NOUNS[kind] ?? NOUNS.photographs)[number === 1 ? 0 : 1]}`;
-  const capital = (text) => text.charAt(0).toUpperCase() + text.slice(1);
+  const capital = (text) => /^\S+\.\w/.test(text) ? text : text.charAt(0).toUpperCase() + text.slice(1); // names of files stay
   const lasted = (seconds) => seconds < 90 ? `${Math.round(seconds)} s` : `${Math.floor(seconds / 60)} min ${Math.round(seconds % 60)} s`;
   const megabytes = (bytes) => bytes < 1e6 ? `${Math.max(1, Math.round(bytes / 1e3))} kB` : `${(bytes / 1e6).toFixed(1)} MB`;
   const when = (seconds) => new Date(1000 * seconds).toLocaleString(undefined, { dateStyle: "medium", timeStyle: "short" });
@@ -59,6 +59,7 @@
       return undefined;
     }
   };
+  let settle = () => {};
   const question = ({ title, detail = "", yes, name }) => new Promise((resolve) => {
     const dialog = byId("ask"), answer = byId("answer");
     byId("question").textContent = title;
@@ -66,13 +67,15 @@
     byId("yes").textContent = yes;
     byId("answer-label").hidden = name === undefined;
     answer.value = name ?? "";
-    dialog.returnValue = "";
-    dialog.addEventListener("close", () => resolve(dialog.returnValue ? (name === undefined ? true : answer.value) : null), { once: true });
+    // Not by the event "close", which comes later, maybe when the next question is open.
+    settle = (yes) => { dialog.close(); resolve(yes ? (name === undefined ? true : answer.value) : null); };
     dialog.showModal();
     if (name !== undefined) answer.select();
   });
+  byId("ask").addEventListener("submit", (event) => { event.preventDefault(); settle(Boolean(event.submitter?.value)); });
+  byId("ask").addEventListener("cancel", (event) => { event.preventDefault(); settle(false); });
   // Enter in the dialog's field means its main button.
-  byId("answer").addEventListener("keydown", (event) => { if (event.key === "Enter") { event.preventDefault(); byId("ask").close("yes"); } });
+  byId("answer").addEventListener("keydown", (event) => { if (event.key === "Enter") { event.preventDefault(); settle(true); } });
 
   // Where the page is
   const place = () => {
