@@ -108,7 +108,7 @@ NOT_RUN = {
     r"python -m build$": "builds the reader's package",
     r"pip install ": "needs a network",
     r"make (demo|setup|lint|test|test-slow|format lint)$": "sets up an environment from a network",
-    r"anystyle view \S+$": "serves until it is interrupted; viewer/test_live.py looks at it",
+    r"anystyle view( \S+)?$": "serves until it is interrupted; tests of the viewer look at it",
     r"make fuzz\b": "sets up an environment from a network, and takes minutes; test_fuzz.py damages a few inputs",
     r"PYTHONPATH=tests\S* python tests/benchmarks/": "minutes, and pictures that do not travel with the project",
     r"python tests/benchmarks/published\.py CHECKOUT ": "minutes, and a checkout of the published code",

@@ -29,40 +29,40 @@ def server(tmp_path, tmp_path_factory):
         yield server
 
 
-def drop(page, *files):
+def drop(tab, *files):
     data = {"items": [], "files": [str(file) for file in files], "dragOperationsMask": 1}
     for kind in ("dragEnter", "dragOver", "drop"):
-        page.call("Input.dispatchDragEvent", type=kind, x=300, y=300, data=data)
+        tab.call("Input.dispatchDragEvent", type=kind, x=300, y=300, data=data)
 
 
-def says(page, text, seconds=120):
-    page.wait(f"document.body.innerText.includes({text!r})", seconds)
+def says(tab, text, seconds=120):
+    tab.wait(f"document.body.innerText.includes({text!r})", seconds)
 
 
-def opened(page, server, hash=""):
-    page.call("Page.navigate", url="about:blank")
-    page.call("Page.navigate", url=f"{server.url}{hash}")
-    page.wait("!!document.querySelector('h1') && document.querySelector('h1').textContent !== ''")
+def opened(tab, server, hash=""):
+    tab.call("Page.navigate", url="about:blank")
+    tab.call("Page.navigate", url=f"{server.url}{hash}")
+    tab.wait("!!document.querySelector('h1') && document.querySelector('h1').textContent !== ''")
 
 
-def click(page, text, kind="button"):
+def click(tab, text, kind="button"):
     """Click what says so."""
     script = f"[...document.querySelectorAll({kind!r})].find((e) => e.textContent.trim() === {text!r})"
-    page.wait(f"!!{script} && !{script}.disabled")
-    page.value(f"{script}.click()")
+    tab.wait(f"!!{script} && !{script}.disabled")
+    tab.value(f"{script}.click()")
 
 
-def write(page, selector, text):
-    page.value(f"document.querySelector({selector!r}).select()")
-    page.type(text)
+def write(tab, selector, text):
+    tab.value(f"document.querySelector({selector!r}).select()")
+    tab.type(text)
 
 
-def make(page, text, more):
-    write(page, ".texts input", text)
-    page.value("document.querySelector('.paintings :checked')?.click()")
-    page.value("document.querySelector('details').open = true")
-    write(page, "#more", more)
-    click(page, "Make the scene")
+def make(tab, text, more):
+    write(tab, ".texts input", text)
+    tab.value("document.querySelector('.paintings :checked')?.click()")
+    tab.value("document.querySelector('details').open = true")
+    write(tab, "#more", more)
+    click(tab, "Make the scene")
 
 
 def test_from_a_dropped_splat_to_a_download(server, page, tmp_path):  # noqa: F811
