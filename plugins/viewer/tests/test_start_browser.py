@@ -40,7 +40,6 @@ def says(tab, text, seconds=120):
 
 
 def opened(tab, server, hash=""):
-    tab.call("Page.navigate", url="about:blank")
     tab.call("Page.navigate", url=f"{server.url}{hash}")
     tab.wait("!!document.querySelector('h1') && document.querySelector('h1').textContent !== ''")
 
@@ -110,8 +109,8 @@ def test_from_a_dropped_splat_to_a_download(server, page, tmp_path):  # noqa: F8
 
 
 def test_photographs_without_cameras_get_reasons_and_advice(server, page, tmp_path):  # noqa: F811
-    page.size(390, 844, mobile=True)
     opened(page, server)
+    page.size(390, 844, mobile=True)
     for name in ("a", "b", "c"):
         Image.new("RGB", (400, 300), "teal").save(tmp_path / f"{name}.jpg")
     (tmp_path / "broken.jpg").write_text("no photograph")
