@@ -40,7 +40,6 @@ def says(tab, text, seconds=120):
 
 
 def opened(tab, server, hash=""):
-    tab.call("Page.navigate", url="about:blank")
     tab.call("Page.navigate", url=f"{server.url}{hash}")
     tab.wait("!!document.querySelector('h1') && document.querySelector('h1').textContent !== ''")
 
@@ -106,12 +105,12 @@ def test_from_a_dropped_splat_to_a_download(server, page, tmp_path):  # noqa: F8
     assert {"scene.ply", "video.mp4", "scene.html", "report.json"} <= set(zipfile.ZipFile(file).namelist())
     command = page.value("document.querySelector('pre').textContent")
     assert re.fullmatch(r"anystyle stylize \S+scene\.ply --text 'red dots' model=tiny .* --out styled-scene", command)
-    assert not page.errors
+    assert not [error for error in page.errors if "400 (Bad Request)" not in error]  # of the option that was refused
 
 
 def test_photographs_without_cameras_get_reasons_and_advice(server, page, tmp_path):  # noqa: F811
-    page.size(390, 844, mobile=True)
     opened(page, server)
+    page.size(390, 844, mobile=True)
     for name in ("a", "b", "c"):
         Image.new("RGB", (400, 300), "teal").save(tmp_path / f"{name}.jpg")
     (tmp_path / "broken.jpg").write_text("no photograph")
