@@ -48,7 +48,7 @@ class Scene:
 
     def styled(self) -> StyledScene:
         """The scene as files hold it."""
-        notes = (self.title, *license_lines(licenses(self.weights)))
+        notes = (self.title, *self.encoded.notes, *license_lines(licenses(self.weights)))
         names = tuple(self.encoded.names)
         return StyledScene(((self.title, self.gaussians),), self.encoded.cameras, names, notes, self.title)
 
