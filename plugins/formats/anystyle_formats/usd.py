@@ -73,8 +73,7 @@ class Usd(Format):
 
     def read(self, path: Path) -> StyledScene:
         with reading(path, "USD file"), tempfile.TemporaryDirectory() as folder:
-            # pxr tells the kind of a file by its suffix.
-            stage = pxr.Usd.Stage.Open(str(_known(path, Path(folder))))
+            stage = _opened(_known(path, Path(folder)))
             data = stage.GetRootLayer().customLayerData
             titles = dict(zip(data.get("variants", ()), data.get("styles", ()), strict=True))
             styles: list[tuple[str, Gaussians]] = []
@@ -96,8 +95,15 @@ class Usd(Format):
         return StyledScene(tuple(styles), cameras, names, notes, up=up)
 
 
+def _opened(path: Path) -> Any:
+    try:
+        return pxr.Usd.Stage.Open(str(path))
+    except pxr.Tf.ErrorException:  # its text is the library's own lines and files
+        raise ValueError("OpenUSD cannot parse it") from None
+
+
 def _known(path: Path, folder: Path) -> Path:
-    """The path, or a link to it, of a suffix that says what the file is."""
+    """The path, or a link to it, of a suffix that says what the file is: OpenUSD goes by suffixes."""
     with path.open("rb") as file:
         start = file.read(8)
     suffix = ".usdc" if start == b"PXR-USDC" else ".usdz" if start[:4] == b"PK\3\4" else ".usda"
