@@ -55,6 +55,8 @@ def test_metrics(name):
             if "unsupported scalarType" in str(error):
                 pytest.skip("a compiled function in it takes tensors apart by itself")
             raise
+        except FileNotFoundError as error:  # weights that nothing stands in for
+            pytest.skip(str(error)[:80])
         held = [
             value for state in metric.metric_state.values() for value in (state if isinstance(state, list) else [state])
         ]

@@ -42,7 +42,7 @@ def build(base: type[T], config: "DictConfig | Mapping[str, Any] | str", /, **ru
     Example:
         >>> from anystyle.contracts import Loss
         >>> build(Loss, "depth_consistency").weight
-        1.0
+        0.1
         >>> build(Loss, {"_target_": "anystyle.losses.depth_consistency.DepthConsistency", "weight": 0.5}).weight
         0.5
     """

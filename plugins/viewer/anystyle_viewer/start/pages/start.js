@@ -496,7 +496,7 @@
         frame.parentElement.classList.remove("live");
       }
     };
-    return { name: "made", title: scene.title, root, update, hurry: () => wanted };
+    return { name: "made", title: scene.title, root, update };
   };
   const gone = () => ({ name: "gone", title: "anystyle", root: h("div", {}, heading("This scene is not there any more"), h("p", {}, h("a", { href: "#/" }, "All scenes"))), update: () => {} });
 
@@ -546,8 +546,7 @@
     }
     if (number !== asked) return;
     clearTimeout(timer);
-    const busy = uploads.size || state.scenes.some((one) => ACTIVE.includes(one.state)) || view?.hurry?.();
-    timer = setTimeout(refresh, document.hidden ? 10000 : busy ? 1000 : 4000);
+    timer = setTimeout(refresh, document.hidden ? 10000 : 1000);
   };
   addEventListener("hashchange", refresh);
   document.addEventListener("visibilitychange", () => { if (!document.hidden && choices) refresh(); });
