@@ -62,7 +62,7 @@ def _upright(stored: StoredCamera, path: Path) -> StoredCamera:
     try:
         with opened(path) as image:
             orientation, lying = image.getexif().get(ExifTags.Base.Orientation), image.width > image.height
-    except UserError:  # said, or left out, by whoever reads the photograph
+    except UserError:  # reading the photograph reports it
         return stored
     height, width = stored.size
     if orientation not in (6, 8) or lying != (width > height):

@@ -86,7 +86,7 @@ class Jobs:
                 self.running, self._ending, self.state, self.started = self.waiting.pop(0), "", State(), time.time()
             try:
                 self._run(self.running)
-            except Exception as error:
+            except Exception as error:  # a bug of one run, logged with its traceback
                 _log.exception("a run ended unexpectedly")  # the queue goes on
                 with suppress(ValueError, OSError):
                     self.library.set_job(self.running, state="failed", error=f"{type(error).__name__}: {error}")
