@@ -1,5 +1,8 @@
 """Losses on features against the goldens, literal transcriptions of their equations, and what must not matter."""
 
+import gc
+import weakref
+
 import pytest
 import torch
 import torch.nn.functional as F
@@ -7,6 +10,7 @@ from torch import Tensor
 
 from anystyle.contracts import Loss
 from anystyle.losses.content import Content
+from anystyle.losses.features import features_to_compare
 from anystyle.losses.style import StyleLoss
 from anystyle.vision import networks
 from anystyle_rivals.gram import Gram
@@ -116,3 +120,24 @@ def test_a_palette_loss_tells_two_colours_from_their_mean() -> None:
 
     assert against(halves) == pytest.approx(0, abs=1e-10)
     assert against(flat) > 0.05
+
+
+def test_features_to_compare_are_computed_once_for_a_tensor_and_die_with_it() -> None:
+    computed: list[Tensor] = []
+
+    def compute(images: Tensor) -> list[Tensor]:
+        computed.append(images.clone())
+        return [images]
+
+    images = PHOTOGRAPHS.clone()
+    first, again = (features_to_compare(images, ("network",), compute)[0] for _ in range(2))
+    assert first is again
+    torch.testing.assert_close(first, PHOTOGRAPHS.flatten(0, 1))
+    features_to_compare(images, ("another network",), compute)
+    images.mul_(0.5)
+    torch.testing.assert_close(features_to_compare(images, ("network",), compute)[0], images.flatten(0, 1))
+    assert len(computed) == 3
+    gone = weakref.ref(images)
+    del images, first, again, computed
+    gc.collect()
+    assert gone() is None

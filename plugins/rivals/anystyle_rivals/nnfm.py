@@ -43,12 +43,11 @@ class NNFM(FeatureLoss):
         if styles is None:
             return color.new_zeros(())
         image, given = styles
-        with torch.no_grad():
-            targets = self._unit_features(image)
+        targets = _unit(self.targets(image))
         distances = [
             self.distance(view, targets[scene])
             for scene in range(color.shape[0])
-            for view in self._unit_features(color[scene])
+            for view in _unit(self.features(color[scene]))
         ]
         return mean_where(torch.stack(distances), given.repeat_interleave(color.shape[1]))
 
@@ -56,8 +55,9 @@ class NNFM(FeatureLoss):
         """Of a view's unit features from the style image's."""
         return (1 - (features * target[:, _nearest(features, target)]).sum(0)).mean()
 
-    def _unit_features(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M C S"]:
-        return F.normalize(torch.cat(self.features(images), dim=1).flatten(2), dim=1, eps=1e-8)
+
+def _unit(features: list[Float[Tensor, "M _ h w"]]) -> Float[Tensor, "M C S"]:
+    return F.normalize(torch.cat(features, dim=1).flatten(2), dim=1, eps=1e-8)
 
 
 @torch.no_grad()

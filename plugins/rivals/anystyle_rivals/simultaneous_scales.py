@@ -2,15 +2,15 @@
 
 from collections.abc import Sequence
 
-import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.losses.features import FeatureLoss, mean_where, style_images
+from anystyle.losses.features import FeatureLoss, features_to_compare, mean_where, style_images
 from anystyle.types import Stylization
 from anystyle.vision.eager_backward import eager_backward
+from anystyle.vision.feature_cache import identity
 from anystyle.vision.statistics import gram, mean_std
 
 
@@ -55,17 +55,18 @@ class SimultaneousScales(FeatureLoss):
         def distance(images: Tensor) -> Tensor:
             total = images.new_zeros(len(images))
             for scale in range(self.scales):
-                small, small_style = (F.avg_pool2d(each, 2**scale) for each in (images, style))
-                if min(*small.shape[-2:], *small_style.shape[-2:]) < 16:
+                if min(*images.shape[-2:], *style.shape[-2:]) < 16 * 2**scale:
                     break
-                total = total + self._at_one_scale(small, small_style, num_views)
+                total = total + self._at_one_scale(F.avg_pool2d(images, 2**scale), style, scale, num_views)
             return mean_where(total, given.repeat_interleave(num_views))
 
         return eager_backward(distance, color.flatten(0, 1))
 
-    def _at_one_scale(self, images: Tensor, style: Tensor, num_views: int) -> Float[Tensor, " M"]:
-        with torch.no_grad():
-            targets = self.features(style)
+    def _at_one_scale(self, images: Tensor, style: Tensor, scale: int, num_views: int) -> Float[Tensor, " M"]:
+        def small(images: Tensor) -> list[Tensor]:
+            return self.features(F.avg_pool2d(images, 2**scale))
+
+        targets = features_to_compare(style, (identity(self.network), *self.layers, self.size, scale), small)
         total = images.new_zeros(len(images))
         for features, target in zip(self.features(images), targets, strict=True):
             unit = target.mean((1, 2, 3), keepdim=True).clamp_min(1e-6)

@@ -1,12 +1,11 @@
 """CLIP directional: align the change of every view with the direction of the style."""
 
-import torch
 import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Loss, StyleEncoder
-from anystyle.losses.features import Reference, reference_images, resized
+from anystyle.losses.features import Reference, reference_embeddings, resized
 from anystyle.types import Stylization
 
 
@@ -37,11 +36,9 @@ class ClipDirectional(Loss):
         self.needs_unstyled = reference == "render"
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        before_images = reference_images(result, self.reference).flatten(0, 1)
         after_images = result.renders.color.flatten(0, 1)
         embed = self._encoder[0].embed_images
-        with torch.no_grad():
-            before = embed(resized(before_images, self.size, "bicubic"))
+        before = reference_embeddings(result, self.reference, self._encoder[0], self.size)
         # eps bounds the gradient where a view has not changed at all.
         change = F.normalize(embed(resized(after_images, self.size, "bicubic")) - before, dim=-1, eps=1e-4)
         direction = F.normalize(result.embedding.direction, dim=-1)

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from anystyle.contracts import Loss, StyleEncoder
 from anystyle.errors import UserError
-from anystyle.losses.features import Reference, reference_images, resized
+from anystyle.losses.features import Reference, reference_embeddings, resized
 from anystyle.types import Stylization
 from anystyle.vision.eager_backward import eager_backward
 
@@ -63,8 +63,7 @@ class ClipPatch(Loss):
         # With a shared crop all copies of a view are equal, so one a view gives the same mean.
         copies = 1 if self.shared_crop else self.crops
         patches = self._patches(color.repeat_interleave(copies, 0), generator)
-        with torch.no_grad():
-            before = embed(resized(reference_images(result, self.reference).flatten(0, 1), self.size, "bicubic"))
+        before = reference_embeddings(result, self.reference, self._encoder[0], self.size)
         target = F.normalize(result.embedding.direction, dim=-1).repeat_interleave(result.renders.color.shape[1], 0)
         total = color.new_zeros(())
         for index in torch.arange(len(patches), device=before.device).split(self.batch):

@@ -37,8 +37,7 @@ class Content(FeatureLoss):
         self.reduction: Literal["mean", "sum"] = reduction
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        with torch.no_grad():
-            target = self.features(result.views.images.flatten(0, 1))
+        target = self.targets(result.views.images)
 
         def distance(images: Tensor) -> Tensor:
             layers = zip(self.features(images), target, strict=True)

@@ -1,7 +1,7 @@
 """Shared by losses: the images that they compare with, and features of a frozen network."""
 
 from abc import abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, MutableMapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -9,11 +9,13 @@ import torch
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
+from torch.utils.weak import WeakIdKeyDictionary
 
-from anystyle.contracts import Loss
+from anystyle.contracts import Loss, StyleEncoder
 from anystyle.errors import UserError
 from anystyle.types import Renders, Stylization
 from anystyle.vision import networks
+from anystyle.vision.feature_cache import identity
 from anystyle.vision.weights import Source
 
 
@@ -54,6 +56,34 @@ def resized(images: Float[Tensor, "M 3 H W"], side: int | None, mode: str, *, an
     return F.interpolate(images, size=(side, side), mode=mode, align_corners=False, antialias=antialias)
 
 
+_KEPT: MutableMapping[Tensor, dict[tuple[object, ...], list[Tensor]]] = WeakIdKeyDictionary()
+
+
+@torch.no_grad()
+def features_to_compare(
+    images: Float[Tensor, "*batch 3 H W"], key: tuple[object, ...], compute: Callable[[Tensor], list[Tensor]]
+) -> list[Tensor]:
+    """What ``compute`` gives for images ``M 3 H W``, kept as long as they are: a scene has the same in all its steps.
+
+    The ``key`` is everything else that the result depends on: network, layers, size.
+    """
+    kept, key = _KEPT.setdefault(images, {}), (*key, images._version)
+    if key not in kept:
+        kept[key] = [features.detach() for features in compute(images.flatten(0, -4))]
+    return kept[key]
+
+
+def reference_embeddings(
+    result: Stylization, reference: Reference, encoder: StyleEncoder, size: int | None
+) -> Float[Tensor, "M D"]:
+    """The style encoder's embeddings of the unstyled images, resized to a square, without gradients."""
+
+    def embed(images: Tensor) -> list[Tensor]:
+        return [encoder.embed_images(resized(images, size, "bicubic"))]
+
+    return features_to_compare(reference_images(result, reference), (identity(encoder), size), embed)[0]
+
+
 class FeatureLoss(Loss):
     """A loss on features of some layers of a network; constructors of subclasses name the options.
 
@@ -84,6 +114,10 @@ class FeatureLoss(Loss):
     def features(self, images: Float[Tensor, "M 3 H W"]) -> list[Float[Tensor, "M _ _ _"]]:
         """The features of sRGB images, resized to a square without keeping their aspect, as published."""
         return self.network(resized(images, self.size, "bilinear", antialias=True), self.layers)
+
+    def targets(self, images: Float[Tensor, "*batch 3 H W"]) -> list[Float[Tensor, "M _ _ _"]]:
+        """Features to compare with, without gradients; see :func:`features_to_compare`."""
+        return features_to_compare(images, (identity(self.network), *self.layers, self.size), self.features)
 
 
 class StatisticsLoss(FeatureLoss):
@@ -118,8 +152,8 @@ class StatisticsLoss(FeatureLoss):
         style, given = styles
         num_views = result.renders.color.shape[1]
         with torch.no_grad():
-            targets = [self.statistics(features).repeat_interleave(num_views, 0) for features in self.features(style)]
-            photographs = self.features(result.views.images.flatten(0, 1)) if self.relative else []
+            targets = [self.statistics(features).repeat_interleave(num_views, 0) for features in self.targets(style)]
+            photographs = self.targets(result.views.images) if self.relative else []
             starts = [self.statistics(features) for features in photographs]
         total = images.new_zeros(())
         for layer, features in enumerate(self.features(images)):

@@ -81,7 +81,8 @@ class SceneLoop:
         self.rates, self.decay = rates, decay
         self.generator = torch.Generator().manual_seed(seed)
         self.order = canonical_order(scene.views.images[0])
-        self.views, self.cameras = scene.views, scene.cameras
+        # Selected once, as losses keep the features of a tensor that they have seen.
+        self.views = [scene.views.select([view]) for view in range(scene.views.images.shape[1])]
         with torch.no_grad():
             given = stylizer.unstyled(scene)
         self._begin(given if keep_harmonics else replace(given, harmonics=given.harmonics[:, :, :1]))
@@ -94,8 +95,8 @@ class SceneLoop:
     def recolor_before(self) -> None:
         """Match the colours of photographs and Gaussians to the style's; renders are linear in colours."""
         assert self.style.image is not None
-        mapped = color_map(self.views.images[0], self.style.image)
-        self.views = replace(self.views, images=mapped.of_images(self.views.images[0])[None])
+        mapped = color_map(self.scene.views.images[0], self.style.image)
+        self.views = [replace(view, images=mapped.of_images(view.images[0])[None]) for view in self.views]
         self._begin(with_mapped_colors(self.before, mapped))
 
     def run(self, num_steps: int, report_every: int, on_progress: OnProgress) -> None:
@@ -123,14 +124,13 @@ class SceneLoop:
 
     def loss(self, view: int) -> Tensor:
         """The weighted sum of all losses on one view."""
-        cameras, gaussians = self.cameras.select([view]), self.splats.gaussians()
+        cameras, gaussians, views = self.scene.cameras.select([view]), self.splats.gaussians(), self.views[view]
         geometry = replace(
             self.scene.geometry,
             cameras=cameras,
             depth=self.scene.geometry.depth[:, [view]],
             confidence=self.scene.geometry.confidence[:, [view]],
         )
-        views = self.views.select([view])
         result = Stylization(
             views=replace(views, cameras=None),
             style=self.style,
@@ -145,13 +145,13 @@ class SceneLoop:
     @torch.no_grad()
     def _unstyled(self, view: int) -> Renders:
         if view not in self.unstyled:
-            self.unstyled[view] = self.stylizer.render(self.before, self.cameras.select([view]))
+            self.unstyled[view] = self.stylizer.render(self.before, self.scene.cameras.select([view]))
         return self.unstyled[view]
 
     @torch.no_grad()
     def thumbnail(self) -> Tensor:
         """The first view as it is now."""
-        return self.stylizer.render(self.splats.gaussians(), self.cameras.select([0])).color[0, 0]
+        return self.stylizer.render(self.splats.gaussians(), self.scene.cameras.select([0])).color[0, 0]
 
     @torch.no_grad()
     def result(self, *, recolored: bool) -> Gaussians:
@@ -160,7 +160,7 @@ class SceneLoop:
         if not recolored:
             return gaussians
         assert self.style.image is not None
-        views = [self.stylizer.render(gaussians, self.cameras.select([view])).color[0] for view in self.order]
+        views = [self.stylizer.render(gaussians, self.scene.cameras.select([view])).color[0] for view in self.order]
         mapped = color_map(torch.cat(views), self.style.image)
         return with_mapped_colors(gaussians, mapped)
 
