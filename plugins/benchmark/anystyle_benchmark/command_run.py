@@ -20,6 +20,7 @@ CONF = Path(__file__).parent / "conf"
 KEYS = """\
   track=open             a bundled track (open, smoke, tnt, ablation) or a file; root=DIR where its inputs lie
   methods=[brush,mine.toml] scenes=[street] styles=[wave] seeds=[0]      some of them; all if not given
+  pages=[wave]           styles in which a scene of Gaussians is also kept as a page that the site links, 1 MB each
   out=benchmark          the folder of results; what it has already is not run again
   -m methods=brush,nnfm scenes=street,banana hydra/launcher=joblib       spread over processes, or a cluster
 """
@@ -43,6 +44,7 @@ def benchmark(config: DictConfig) -> None:
     inputs = Inputs(str(config.track), None if config.root is None else Path(str(config.root)))
     scenes = [inputs.scene(name) for name in _chosen(config.scenes)] or inputs.track.scenes
     styles = [inputs.style(name) for name in _chosen(config.styles)] or inputs.track.styles
+    pages = [inputs.style(name).name for name in _chosen(config.pages)]
     seeds = [_seed(word) for word in _chosen(config.seeds)]
     specs = [read_spec(name) for name in _chosen(config.methods) or names()]
     root = Path(str(config.out))
@@ -54,7 +56,7 @@ def benchmark(config: DictConfig) -> None:
             continue
         for seed in seeds or range(spec.seeds):
             for scene in scenes if seed < spec.seeds else ():
-                run_scene(inputs, spec, home, scene, styles, seed, root, _say)
+                run_scene(inputs, spec, home, scene, styles, seed, root, _say, pages)
 
 
 def _chosen(value: object) -> list[str]:

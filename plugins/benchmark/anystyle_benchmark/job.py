@@ -30,6 +30,8 @@ class Job(Struct, frozen=True):
         styles: In which the scene is wanted.
         seed: For whatever is random.
         out: Folder for ``STYLE/VIEW.png``, 8-bit RGB, and :class:`Seconds` as ``seconds.json``.
+        pages: Names of styles in which the scene is also wanted as a page to walk through, ``STYLE.html``; a program
+            without a scene leaves them out.
     """
 
     track: str
@@ -40,6 +42,7 @@ class Job(Struct, frozen=True):
     styles: tuple[AskedStyle, ...]
     seed: int
     out: str
+    pages: tuple[str, ...] = ()
 
 
 class Seconds(Struct, frozen=True):

@@ -16,6 +16,7 @@ from anystyle.data.folder import SourceImage
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.io.sheet import save_png, to_pil
+from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.options import PoseOptions
 from anystyle.registry.compose import compose, options
 from anystyle.types import Cameras
@@ -50,6 +51,10 @@ def main(job_file: str, words: Sequence[str]) -> None:
         spent, before = time.process_time(), spent
         seconds[style.name] = spent - before
         write_json(Path(job.out) / SECONDS, {"scene": once, "styles": seconds})
+        if style.name in job.pages:
+            shown = results.scene([(result.style.title, result.gaussians)], [result.style], result.style.title)
+            export_styles(shown, Path(job.out) / f"{style.name}.html", "html")
+            spent = time.process_time()
 
 
 def judged_cameras(

@@ -74,6 +74,10 @@ class Cell(NamedTuple):
         """The file of its :class:`Record`."""
         return self.images(root).with_name(f"{self.style}.json")
 
+    def page(self, root: Path) -> Path:
+        """A page with its scene to walk through, where there is one."""
+        return self.images(root).with_name(f"{self.style}.html")
+
 
 class MetricInfo(Struct, frozen=True):
     """What a column is: its title, whether ``higher`` or ``lower`` is better, its reference, a stand-in network.

@@ -51,6 +51,7 @@ def run_scene(
     seed: int,
     root: Path,
     say: Say,
+    pages: Sequence[str] = (),
 ) -> None:
     """Have a method render a scene in those styles that are missing, and record each cell.
 
@@ -63,6 +64,7 @@ def run_scene(
         seed: Of the run.
         root: The folder of results.
         say: Takes a line of progress.
+        pages: Styles in which the scene is wanted as a page, too.
     """
     cells = {
         style.name: Cell(spec.name, seed, scene.name, style.name) for style in styles if style.guide in spec.guides
@@ -80,7 +82,7 @@ def run_scene(
             say(f"{spec.name}, {scene.name}, seed {seed}: {len(missing)} styles …")
             shutil.rmtree(scratch, ignore_errors=True)
             (scratch / "out").mkdir(parents=True)
-            ended = _ask(inputs, spec, home, scene, missing, seed, size, scratch)
+            ended = _ask(inputs, spec, home, scene, missing, seed, size, scratch, pages)
             wanted = {style.name: cells[style.name] for style in missing}
             found = _collect(scratch / "out", wanted, scene.views, size, root, ended)
             failures = {
@@ -105,6 +107,7 @@ def _ask(
     seed: int,
     size: tuple[int, int],
     scratch: Path,
+    pages: Sequence[str],
 ) -> Ended:
     out = scratch / "out"
     if spec.folder is not None:
@@ -118,7 +121,9 @@ def _ask(
         AskedStyle(style.name, None if style.image is None else str(inputs.path(style.image).resolve()), style.text)
         for style in styles
     )
-    job = Job(inputs.track.name, scene.name, photographs, scene.views, size, asked, seed, str(out.resolve()))
+    job = Job(
+        inputs.track.name, scene.name, photographs, scene.views, size, asked, seed, str(out.resolve()), tuple(pages)
+    )
     job_file = scratch.resolve() / "job.json"
     write_json(job_file, msgspec.to_builtins(job))
     try:
@@ -194,6 +199,8 @@ def _collect(
         record = Record("done", "", seconds, once, ended.memory, _machine(), {"python": platform.python_version()})
         shutil.rmtree(images, ignore_errors=True)
         (out / name).replace(images)
+        if (page := out / f"{name}.html").is_file():
+            page.replace(cells[name].page(root))
         write_json(cells[name].record(root), msgspec.to_builtins(record))
     return set(found)
 

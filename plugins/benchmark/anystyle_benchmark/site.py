@@ -83,7 +83,7 @@ def build(inputs: Inputs, root: Path, figures: Figures, out: Path, megabytes: fl
         for name, text in pages(inputs, root, figures, specs, shown).items():
             (folder / name).write_text(text, encoding="utf-8")
         for cell in shown:
-            if (page := _page(cell, root)).is_file():
+            if (page := _place(cell).page(root)).is_file():
                 target = folder / "cells" / cell.method / cell.scene / page.name
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(page, target)
@@ -210,7 +210,7 @@ def _data(
             "status": cell.status,
             "message": cell.message,
             "figures": cell.figures,
-            "page": _page(cell, root).is_file(),
+            "page": _place(cell).page(root).is_file(),
         }
     wholes: dict[str, dict[str, Figure]] = {}
     for whole in sorted(figures.scenes, key=lambda whole: -whole.seed):  # the first seed's stay
@@ -237,11 +237,6 @@ def _data(
 
 def _place(cell: CellFigures) -> Cell:
     return Cell(cell.method, cell.seed, cell.scene, cell.style)
-
-
-def _page(cell: CellFigures, root: Path) -> Path:
-    """A page with the cell's splat, which may be there."""
-    return _place(cell).images(root).with_name(f"{cell.style}.html")
 
 
 def _write(sources: Mapping[str, Sequence[Path]], folder: Path, megabytes: float, progress: Progress) -> Made:

@@ -169,9 +169,10 @@ def test_a_preset_of_ours_runs_on_an_example(tmp_path, world):
     spec = world / "ours.toml"
     words = 'preset = ["model=tiny", "poses=predicted", "reconstruction=feedforward"]'
     spec.write_text(f'name = "copier"\ntitle = "T"\n{words}\nguides = ["image", "text"]')
-    records = ran(world, spec, "scenes=one")
+    records = ran(world, spec, "scenes=one", "pages=[a]")
     assert {name: record.message for (_, name), record in records.items()} == {"a": "", "b": "", "words": ""}
     assert records["one", "a"].scene_seconds > 0
+    assert [page.name for page in (world / "results/copier/0/one").glob("*.html")] == ["a.html"]
 
 
 @pytest.mark.parametrize(
