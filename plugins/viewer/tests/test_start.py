@@ -74,6 +74,7 @@ def test_uploads_come_in_parts_under_names_of_their_own(client, started):
     )
     assert not list(library.uploads(scene).iterdir())
     client.post(f"/scenes/{scene}/remove", {"name": "IMG-1.jpg"})
+    (library.thumbnails(scene) / ".partial-half.jpg").write_bytes(content[:1000])
     assert client.scene(scene)["thumbnails"] == ["img-1-2.jpg.00.jpg"]
 
 

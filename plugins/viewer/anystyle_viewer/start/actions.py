@@ -97,10 +97,11 @@ class Actions(AbstractContextManager["Actions"]):
 
     def _thumbnails(self, scene: str) -> list[str]:
         folder = self.library.thumbnails(scene)
-        return sorted(path.name for path in folder.glob("*.jpg")) if folder.is_dir() else []
+        # Names with a dot in front are of files that are being written.
+        return sorted(path.name for path in folder.glob("[!.]*.jpg")) if folder.is_dir() else []
 
     def _pictures(self) -> list[str]:
-        files = self.library.pictures().glob("*.png")
+        files = self.library.pictures().glob("[!.]*.png")
         return [path.name for path in sorted(files, key=lambda path: -path.stat().st_mtime)][:24]
 
     def _full(self, scene: str, record: Record) -> dict[str, Any]:
