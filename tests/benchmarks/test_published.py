@@ -1,6 +1,5 @@
 """What of the comparison with the published code needs none of it."""
 
-import subprocess
 import sys
 from importlib.util import module_from_spec
 
@@ -8,16 +7,17 @@ import numpy as np
 import pytest
 import torch
 
+from anystyle.errors import UserError
 from benchmarks import published, published_stand_ins
 from oracle import fill_named
 
 
-def test_a_folder_that_is_no_checkout(tmp_path):
-    done = subprocess.run([sys.executable, published.__file__, tmp_path], capture_output=True, text=True)
-    assert done.returncode == 2
-    assert done.stderr == (
-        f"anystyle: error: {tmp_path} is no checkout of joaxkal/AnyStyle: it has no {published.NETWORK}\n"
-    )
+def test_a_folder_that_is_no_checkout(tmp_path, monkeypatch):
+    monkeypatch.setattr(sys, "argv", [published.__file__, str(tmp_path)])
+    with pytest.raises(
+        UserError, match=f"{tmp_path} is no checkout of joaxkal/AnyStyle: it has no {published.NETWORK}"
+    ):
+        published.main()
 
 
 def test_weights_are_those_of_the_goldens():
