@@ -25,7 +25,7 @@ from pathlib import Path
 
 import torch
 
-from anystyle.losses import clip_patch, content, style
+from anystyle.losses import clip_patch, features
 from anystyle.registry.compose import compose
 from anystyle.training.run import make_data, make_training
 from anystyle.vision import weights
@@ -85,7 +85,7 @@ def measure(case: Case, kind: str) -> dict[str, float]:
     if kind == "straightforward":
         stylizer.backbone.requires_grad_(True)
         training.encoded.encode = stylizer.backbone.encode
-        for module in (clip_patch, content, style):
+        for module in (clip_patch, features):
             module.eager_backward = lambda function, images: function(images)
     learns = [parameter for parameter in training.parameters() if parameter.requires_grad]
     optimizer = torch.optim.AdamW(stylizer.branch.parameters(), lr=1e-4)
@@ -96,7 +96,11 @@ def measure(case: Case, kind: str) -> dict[str, float]:
     for step, batch in enumerate(batches):
         start, started = time.perf_counter(), time.process_time()
         result = training.stylize(batch, training.embed(batch.style, step))
-        sum(term.weight * term(result) for term in training.terms.values()).backward()
+        terms = training.losses
+        if kind == "straightforward":
+            sum(term.weight * term(result) for term in terms.values()).backward()
+        else:
+            features.objective(terms, result)[0].backward()
         optimizer.step()
         for parameter in learns:
             parameter.grad = None

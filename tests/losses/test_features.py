@@ -10,12 +10,14 @@ from torch import Tensor
 
 from anystyle.contracts import Loss
 from anystyle.losses.content import Content
-from anystyle.losses.features import features_to_compare
+from anystyle.losses.features import features_to_compare, objective
 from anystyle.losses.style import StyleLoss
 from anystyle.vision import networks
 from anystyle_rivals.gram import Gram
 from anystyle_rivals.nnfm import NNFM
+from anystyle_rivals.simultaneous_scales import SimultaneousScales
 from anystyle_rivals.sliced_wasserstein import SlicedWasserstein
+from anystyle_rivals.total_variation import TotalVariation
 from oracle import assert_matches, golden, smooth_image
 from style_cases import filled_vgg_file, stylization
 
@@ -141,3 +143,27 @@ def test_features_to_compare_are_computed_once_for_a_tensor_and_die_with_it() ->
     del images, first, again, computed
     gc.collect()
     assert gone() is None
+
+
+def test_the_objective_is_the_weighted_sum_and_reads_a_network_once_for_all_its_losses() -> None:
+    size, layers = None, ("relu2_1", "relu3_1")
+    terms: dict[str, Loss] = {
+        "nnfm": NNFM(network="texture", size=size, layers=("relu3_1", "relu3_2"), weight=2.0),
+        "content": Content(network="texture", size=size, layers=layers, weight=0.5),
+        "scales": SimultaneousScales(network="texture", layers=layers, scales=2, weight=0.01),
+        "small": StyleLoss(network="texture", size=48, layers=layers),
+        "total_variation": TotalVariation(),
+    }
+    rendered = RENDERED[:, :, :, :48, :64].clone().requires_grad_()
+    result = stylization(rendered, PHOTOGRAPHS[:, :, :, :48, :64], STYLES)
+    plain = {name: term(result) for name, term in terms.items()}
+    expected = torch.stack([terms[name].weight * value for name, value in plain.items()]).sum()
+    (gradient,) = torch.autograd.grad(expected, rendered)
+    seen: list[torch.Size] = []
+    for name in ("nnfm", "content", "scales", "small"):
+        terms[name].network.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0].shape[-2:]))
+    total, values = objective(terms, result)
+    torch.testing.assert_close(total, expected)
+    torch.testing.assert_close(values, {name: value.detach() for name, value in plain.items()})
+    torch.testing.assert_close(torch.autograd.grad(total, rendered)[0], gradient)
+    assert sorted(seen) == [(24, 32), (48, 48), (48, 64)]  # targets are known from before

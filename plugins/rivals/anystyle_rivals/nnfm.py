@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from anystyle.losses.features import FeatureLoss, mean_where, style_images
+from anystyle.losses.features import FeatureLoss, Features, mean_where, style_images
 from anystyle.types import Stylization
 
 
@@ -37,19 +37,15 @@ class NNFM(FeatureLoss):
     def example(cls, folder: Path) -> dict[str, object]:
         return {"network": "texture", "layers": ("relu3_1", "relu3_2"), "size": 48}
 
-    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: Features) -> Float[Tensor, ""]:
         styles = style_images(result)
-        color = result.renders.color
         if styles is None:
-            return color.new_zeros(())
+            return images.new_zeros(())
         image, given = styles
-        targets = _unit(self.targets(image))
-        distances = [
-            self.distance(view, targets[scene])
-            for scene in range(color.shape[0])
-            for view in _unit(self.features(color[scene]))
-        ]
-        return mean_where(torch.stack(distances), given.repeat_interleave(color.shape[1]))
+        num_views = len(images) // len(image)
+        targets = _unit(self.targets(image)).repeat_interleave(num_views, 0)
+        distances = [self.distance(*pair) for pair in zip(_unit(features()), targets, strict=True)]
+        return mean_where(torch.stack(distances), given.repeat_interleave(num_views))
 
     def distance(self, features: Float[Tensor, "C S"], target: Float[Tensor, "C T"]) -> Float[Tensor, ""]:
         """Of a view's unit features from the style image's."""

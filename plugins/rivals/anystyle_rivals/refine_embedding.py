@@ -9,7 +9,7 @@ import torch
 
 from anystyle.contracts import Loss
 from anystyle.errors import UserError
-from anystyle.losses.features import FeatureLoss
+from anystyle.losses.features import FeatureLoss, objective
 from anystyle.methods.base import Method
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, Style, StyleEmbedding, Stylization
@@ -58,7 +58,7 @@ class RefineEmbedding(Method):
     ) -> Gaussians:
         if scene.gaussians is not None:
             raise UserError("method=refine_embedding is of the single pass; give reconstruction=feedforward")
-        losses = [loss.to(embedding.vector.device) for loss in self.losses.values()]
+        losses = {name: loss.to(embedding.vector.device) for name, loss in self.losses.items()}
         vector = embedding.vector.detach().clone().requires_grad_()
         rate = self.learning_rate * float(vector.detach().square().mean().sqrt())
         optimizer = torch.optim.Adam([vector], lr=rate)
@@ -74,7 +74,7 @@ class RefineEmbedding(Method):
                     views=replace(scene.views, cameras=None), style=style, embedding=embedding, scene=scene,
                     gaussians=gaussians, renders=stylizer.render(gaussians, scene.cameras), unstyled=unstyled,
                 )  # fmt: skip
-                total = torch.stack([loss.weight * loss(result) for loss in losses]).sum()
+                total, _ = objective(losses, result)
                 if (value := float(total.detach())) < least:
                     best, least = vector.detach().clone(), value
                 (vector.grad,) = torch.autograd.grad(total, [vector])

@@ -7,9 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.losses.features import FeatureLoss, features_to_compare, mean_where, style_images
+from anystyle.losses.features import FeatureLoss, Features, features_to_compare, mean_where, style_images
 from anystyle.types import Stylization
-from anystyle.vision.eager_backward import eager_backward
 from anystyle.vision.feature_cache import identity
 from anystyle.vision.statistics import gram, mean_std
 
@@ -44,31 +43,29 @@ class SimultaneousScales(FeatureLoss):
             raise UserError(f"loss.simultaneous_scales.scales={scales}; give at least 1")
         self.scales, self.gram_weight, self.moments_weight = scales, gram_weight, moments_weight
 
-    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: Features) -> Float[Tensor, ""]:
         styles = style_images(result)
-        color = result.renders.color
         if styles is None:
-            return color.new_zeros(())
+            return images.new_zeros(())
         style, given = styles
-        num_views = color.shape[1]
+        num_views = len(images) // len(style)
+        total = images.new_zeros(len(images))
+        for scale in range(self.scales):
+            if min(*images.shape[-2:], *style.shape[-2:]) < 16 * 2**scale:
+                break
+            seen = self.features(F.avg_pool2d(images, 2**scale)) if scale else features()
+            total = total + self._at_one_scale(seen, style, scale, num_views)
+        return mean_where(total, given.repeat_interleave(num_views))
 
-        def distance(images: Tensor) -> Tensor:
-            total = images.new_zeros(len(images))
-            for scale in range(self.scales):
-                if min(*images.shape[-2:], *style.shape[-2:]) < 16 * 2**scale:
-                    break
-                total = total + self._at_one_scale(F.avg_pool2d(images, 2**scale), style, scale, num_views)
-            return mean_where(total, given.repeat_interleave(num_views))
-
-        return eager_backward(distance, color.flatten(0, 1))
-
-    def _at_one_scale(self, images: Tensor, style: Tensor, scale: int, num_views: int) -> Float[Tensor, " M"]:
+    def _at_one_scale(
+        self, seen: Sequence[Tensor], style: Float[Tensor, "B 3 h w"], scale: int, num_views: int
+    ) -> Float[Tensor, " M"]:
         def small(images: Tensor) -> list[Tensor]:
             return self.features(F.avg_pool2d(images, 2**scale))
 
         targets = features_to_compare(style, (identity(self.network), *self.layers, self.size, scale), small)
-        total = images.new_zeros(len(images))
-        for features, target in zip(self.features(images), targets, strict=True):
+        total = seen[0].new_zeros(len(seen[0]))
+        for features, target in zip(seen, targets, strict=True):
             unit = target.mean((1, 2, 3), keepdim=True).clamp_min(1e-6)
             features, target = features / unit.repeat_interleave(num_views, 0), target / unit
             pairs = zip((gram(features), *mean_std(features)), (gram(target), *mean_std(target)), strict=True)

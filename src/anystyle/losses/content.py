@@ -8,9 +8,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.losses.features import FeatureLoss
+from anystyle.losses.features import FeatureLoss, Features
 from anystyle.types import Stylization
-from anystyle.vision.eager_backward import eager_backward
 
 
 class Content(FeatureLoss):
@@ -36,12 +35,7 @@ class Content(FeatureLoss):
         super().__init__(network, layers, size, weight)
         self.reduction: Literal["mean", "sum"] = reduction
 
-    def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        target = self.targets(result.views.images)
-
-        def distance(images: Tensor) -> Tensor:
-            layers = zip(self.features(images), target, strict=True)
-            scale = 1 if self.reduction == "mean" else 1 / len(images)
-            return torch.stack([scale * F.mse_loss(*pair, reduction=self.reduction) for pair in layers]).sum()
-
-        return eager_backward(distance, result.renders.color.flatten(0, 1))
+    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: Features) -> Float[Tensor, ""]:
+        layers = zip(features(), self.targets(result.views.images), strict=True)
+        scale = 1 if self.reduction == "mean" else 1 / len(images)
+        return torch.stack([scale * F.mse_loss(*pair, reduction=self.reduction) for pair in layers]).sum()

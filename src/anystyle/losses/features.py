@@ -1,7 +1,9 @@
 """Shared by losses: the images that they compare with, and features of a frozen network."""
 
 from abc import abstractmethod
-from collections.abc import Callable, MutableMapping, Sequence
+from collections.abc import Callable, Mapping, MutableMapping, Sequence
+from functools import cache, partial
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -15,6 +17,7 @@ from anystyle.contracts import Loss, StyleEncoder
 from anystyle.errors import UserError
 from anystyle.types import Renders, Stylization
 from anystyle.vision import networks
+from anystyle.vision.eager_backward import eager_backward
 from anystyle.vision.feature_cache import identity
 from anystyle.vision.weights import Source
 
@@ -84,6 +87,9 @@ def reference_embeddings(
     return features_to_compare(reference_images(result, reference), (identity(encoder), size), embed)[0]
 
 
+Features = Callable[[], list[Float[Tensor, "M _ _ _"]]]
+
+
 class FeatureLoss(Loss):
     """A loss on features of some layers of a network; constructors of subclasses name the options.
 
@@ -111,9 +117,21 @@ class FeatureLoss(Loss):
         """The network of the features, and what it stands in for."""
         return self._chosen.source
 
-    def features(self, images: Float[Tensor, "M 3 H W"]) -> list[Float[Tensor, "M _ _ _"]]:
+    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+        def value(images: Tensor) -> Tensor:
+            return self.compare(result, images, lambda: self.features(images))
+
+        return eager_backward(value, result.renders.color.flatten(0, 1))
+
+    @abstractmethod
+    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: Features) -> Float[Tensor, ""]:
+        """The loss of images in place of the renders of ``result``; ``features`` gives theirs, of ``layers``."""
+
+    def features(
+        self, images: Float[Tensor, "M 3 H W"], layers: Sequence[str] | None = None
+    ) -> list[Float[Tensor, "M _ _ _"]]:
         """The features of sRGB images, resized to a square without keeping their aspect, as published."""
-        return self.network(resized(images, self.size, "bilinear", antialias=True), self.layers)
+        return self.network(resized(images, self.size, "bilinear", antialias=True), layers or self.layers)
 
     def targets(self, images: Float[Tensor, "*batch 3 H W"]) -> list[Float[Tensor, "M _ _ _"]]:
         """Features to compare with, without gradients; see :func:`features_to_compare`."""
@@ -141,11 +159,7 @@ class StatisticsLoss(FeatureLoss):
     def statistics(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M K D"]:
         """The statistics of one layer's features: K parts of D numbers each."""
 
-    def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        return self.distance(result, result.renders.color.flatten(0, 1))
-
-    def distance(self, result: Stylization, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, ""]:
-        """The loss of images in place of the renders of ``result``."""
+    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: Features) -> Float[Tensor, ""]:
         styles = style_images(result)
         if styles is None:
             return images.new_zeros(())
@@ -156,8 +170,8 @@ class StatisticsLoss(FeatureLoss):
             photographs = self.targets(result.views.images) if self.relative else []
             starts = [self.statistics(features) for features in photographs]
         total = images.new_zeros(())
-        for layer, features in enumerate(self.features(images)):
-            distance = self._distance(self.statistics(features), targets[layer])
+        for layer, of_layer in enumerate(features()):
+            distance = self._distance(self.statistics(of_layer), targets[layer])
             if self.relative:
                 distance = (distance / self._distance(starts[layer], targets[layer]).clamp_min(1e-12) + 1e-3).sqrt()
             total = total + mean_where(distance, given.repeat_interleave(num_views))
@@ -166,3 +180,31 @@ class StatisticsLoss(FeatureLoss):
     def _distance(self, first: Float[Tensor, "M K D"], second: Float[Tensor, "M K D"]) -> Float[Tensor, " M"]:
         squares = (first - second).square()
         return (squares.mean(-1) if self.reduction == "mean" else squares.sum(-1)).sum(-1)
+
+
+def objective(terms: Mapping[str, Loss], result: Stylization) -> tuple[Float[Tensor, ""], dict[str, Tensor]]:
+    """The weighted sum of some terms, and the value of each.
+
+    Terms that read one network at one size see its features of the renders once. Their values have no gradients.
+    """
+    values = {name: term(result) for name, term in terms.items() if not isinstance(term, FeatureLoss)}
+    total = result.renders.color.new_zeros(()) + sum(terms[name].weight * value for name, value in values.items())
+    alike: dict[tuple[Source, int | None], dict[str, FeatureLoss]] = {}
+    for name, term in terms.items():
+        if isinstance(term, FeatureLoss):
+            alike.setdefault((term.source, term.size), {})[name] = term
+    for group in alike.values():
+        total = total + eager_backward(partial(_together, group, result, values), result.renders.color.flatten(0, 1))
+    return total, {name: values[name] for name in terms}
+
+
+def _together(
+    group: Mapping[str, FeatureLoss], result: Stylization, values: dict[str, Tensor], images: Float[Tensor, "M 3 H W"]
+) -> Float[Tensor, ""]:
+    first, layers = next(iter(group.values())), list(dict.fromkeys(chain(*(term.layers for term in group.values()))))
+    by_layer = cache(lambda: dict(zip(layers, first.features(images, layers), strict=True)))
+    total = images.new_zeros(())
+    for name, term in group.items():
+        value = term.compare(result, images, lambda term=term: [by_layer()[layer] for layer in term.layers])
+        values[name], total = value.detach(), total + term.weight * value
+    return total

@@ -1,7 +1,6 @@
 """Style: match the mean and spread of features."""
 
 from collections.abc import Sequence
-from functools import partial
 from typing import Literal
 
 import torch
@@ -9,8 +8,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.losses.features import StatisticsLoss
-from anystyle.types import Stylization
-from anystyle.vision.eager_backward import eager_backward
 from anystyle.vision.statistics import mean_std
 
 
@@ -36,9 +33,6 @@ class StyleLoss(StatisticsLoss):
     ) -> None:
         super().__init__(network, layers, size, relative, weight)
         self.reduction = reduction
-
-    def forward(self, result: Stylization) -> Float[Tensor, ""]:
-        return eager_backward(partial(self.distance, result), result.renders.color.flatten(0, 1))
 
     def statistics(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M K D"]:
         """Means, then deviations."""

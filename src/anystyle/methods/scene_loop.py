@@ -12,6 +12,7 @@ from torch import Tensor
 
 from anystyle.contracts import Loss
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
+from anystyle.losses.features import objective
 from anystyle.methods.gaussian_parameters import GaussianParameters
 from anystyle.methods.order import canonical_order
 from anystyle.stylizer import Stylizer
@@ -140,7 +141,7 @@ class SceneLoop:
             renders=self.stylizer.render(gaussians, cameras),
             unstyled=self._unstyled(view) if any(loss.needs_unstyled for loss in self.losses.values()) else None,
         )
-        return torch.stack([loss.weight * loss(result) for loss in self.losses.values()]).sum()
+        return objective(self.losses, result)[0]
 
     @torch.no_grad()
     def _unstyled(self, view: int) -> Renders:

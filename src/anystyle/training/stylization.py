@@ -15,6 +15,7 @@ from anystyle.contracts import Loss, SceneSource, StyleSource, neutral_embedding
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import to_pil
+from anystyle.losses.features import objective
 from anystyle.stylizer import Stylizer
 from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
@@ -114,7 +115,7 @@ class StylizationTraining(Training):
         for copied in (stylizer.branch.aggregator, stylizer.branch.gaussian_head):
             if copied is not None and not learn_copies:
                 copied.requires_grad_(False)
-        self.terms = nn.ModuleDict(losses)
+        self.losses, self.terms = dict(losses), nn.ModuleDict(losses)
         self.make_batches = partial(
             SceneBatches, images=images, batch_size=batch_size, context_views=context_views, view_power=view_power,
             spread=spread, heights=heights, width=width, multiple=stylizer.backbone.patch_size, flip=flip,
@@ -149,10 +150,8 @@ class StylizationTraining(Training):
         # In full precision, as published, whatever the networks are computed in.
         with torch.autocast(result.renders.color.device.type, enabled=False):
             result = result.to(torch.float32)
-            total = torch.zeros((), device=result.renders.color.device)
-            for name, term in self.terms.items():
-                value = term(result)
-                total = total + term.weight * value
+            total, values = objective(self.losses, result)
+            for name, value in values.items():
                 self.log(f"train/{name}", value, batch_size=rows, sync_dist=True)
         self.log("train/loss", total, batch_size=rows, prog_bar=True, sync_dist=True)
         return total
@@ -166,7 +165,7 @@ class StylizationTraining(Training):
         gaussians, unstyled = self.stylizer.restyle(scene, embedding), None
         with torch.autocast(views.images.device.type, enabled=False):
             renders = self._render(gaussians, scene)
-            if any(term.needs_unstyled for term in self.terms.values()):
+            if any(loss.needs_unstyled for loss in self.losses.values()):
                 with torch.no_grad():
                     unstyled = self._render(self.stylizer.unstyled(scene), scene)
         if not self.text_step_images and self.is_text_step(self.global_step):
