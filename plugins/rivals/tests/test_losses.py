@@ -7,11 +7,11 @@ import torch
 import torch.nn.functional as F
 
 from anystyle.losses.depth_consistency import DepthConsistency
-from anystyle.methods.scene_loop import color_map
 from anystyle.testing.inputs import stylization
 from anystyle.vision import networks, weights
 from anystyle_rivals.attribute_change import AttributeChange
 from anystyle_rivals.nnfm import NNFM
+from anystyle_rivals.scene_loop import color_map
 from anystyle_rivals.simultaneous_scales import SimultaneousScales
 from oracle import smooth_image
 from style_cases import filled_vgg_file

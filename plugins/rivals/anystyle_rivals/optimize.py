@@ -10,11 +10,11 @@ from anystyle.contracts import Loss
 from anystyle.errors import UserError
 from anystyle.losses.features import FeatureLoss
 from anystyle.methods.base import Method
-from anystyle.methods.scene_loop import SceneLoop
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, Style, StyleEmbedding
 from anystyle.types.progress import OnProgress, no_progress
 from anystyle.vision.weights import Source
+from anystyle_rivals.scene_loop import SceneLoop
 
 Recolor = Literal["none", "before", "after", "both"]
 

@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from anystyle.losses.features import objective
-from anystyle.methods import scene_loop
-from anystyle.methods.scene_loop import SceneLoop
 from anystyle.types import Style
+from anystyle_rivals import scene_loop
+from anystyle_rivals.scene_loop import SceneLoop
 from methods.worlds import method, painting, run, scene, stylizer
 
 GEOMETRY = ("means", "rotations", "scales", "opacities")
