@@ -155,6 +155,12 @@ def test_results_of_another_track_are_refused(world):
         ran(world, spec)
 
 
+def test_a_multirun_fills_one_folder(world):
+    records = ran(world, method(world), "-m", "scenes=one,two")
+    assert {scene for scene, _ in records} == {"one", "two"}
+    assert all(record.status == "done" for record in records.values())
+
+
 def test_pinned_inputs_are_verified(world):
     with (world / "track.toml").open("a") as file:
         hashes = Inputs(str(world / "track.toml")).hashes
