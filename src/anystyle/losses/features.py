@@ -88,6 +88,7 @@ def reference_embeddings(
 
 
 Features = Callable[[], list[Float[Tensor, "M _ _ _"]]]
+"""Gives features of images when they are needed: a style without an image needs none."""
 
 
 class FeatureLoss(Loss):
@@ -183,9 +184,9 @@ class StatisticsLoss(FeatureLoss):
 
 
 def objective(terms: Mapping[str, Loss], result: Stylization) -> tuple[Float[Tensor, ""], dict[str, Tensor]]:
-    """The weighted sum of some terms, and the value of each.
+    """The weighted sum of some terms, and the value of each without gradients.
 
-    Terms that read one network at one size see its features of the renders once. Their values have no gradients.
+    Terms that read one network at one size share one pass of it over the renders.
     """
     values = {name: term(result) for name, term in terms.items() if not isinstance(term, FeatureLoss)}
     total = result.renders.color.new_zeros(()) + sum(terms[name].weight * value for name, value in values.items())
@@ -195,7 +196,7 @@ def objective(terms: Mapping[str, Loss], result: Stylization) -> tuple[Float[Ten
             alike.setdefault((term.source, term.size), {})[name] = term
     for group in alike.values():
         total = total + eager_backward(partial(_together, group, result, values), result.renders.color.flatten(0, 1))
-    return total, {name: values[name] for name in terms}
+    return total, {name: values[name].detach() for name in terms}
 
 
 def _together(
@@ -206,5 +207,5 @@ def _together(
     total = images.new_zeros(())
     for name, term in group.items():
         value = term.compare(result, images, lambda term=term: [by_layer()[layer] for layer in term.layers])
-        values[name], total = value.detach(), total + term.weight * value
+        values[name], total = value, total + term.weight * value
     return total
