@@ -26,8 +26,8 @@ from anystyle_benchmark.track import Inputs, SceneEntry, StyleEntry
 
 PACKAGE = Path(__file__).parent
 SCRATCH, LOG = ".job", "log.txt"
-POLL = 0.2
-"""Seconds between looks at a process."""
+FIRST_POLL, LAST_POLL = 0.01, 0.2
+"""Seconds between looks at a process: short at first, as one that soon ends has its peak of memory soon."""
 LOG_BYTES = 1 << 16
 
 Say = Callable[[str], None]
@@ -152,6 +152,7 @@ def process(words: Sequence[str], folder: Path, hours: float, *, ours: bool = Tr
     if ours:
         variables["PYTHONPATH"] = os.pathsep.join([str(PACKAGE.parent), *filter(None, [os.environ.get("PYTHONPATH")])])
     deadline, peak, timed_out, before = time.monotonic() + 3600 * hours, 0.0, False, _children()
+    pause = FIRST_POLL
     with (folder / LOG).open("wb") as log:
         try:
             started = subprocess.Popen(
@@ -170,7 +171,8 @@ def process(words: Sequence[str], folder: Path, hours: float, *, ours: bool = Tr
                 peak = max(peak, _memory(started.pid))
                 if timed_out := time.monotonic() > deadline:
                     break
-                time.sleep(POLL)
+                time.sleep(pause)
+                pause = min(1.2 * pause, LAST_POLL)
         finally:
             if started.poll() is None:
                 os.killpg(started.pid, signal.SIGKILL)
