@@ -45,6 +45,6 @@ def main(words: Sequence[str]) -> None:
         )
     made = build(inputs, arguments.results, figures, arguments.out, arguments.megabytes, progress_lines())
     print(
-        f"{arguments.out / 'index.html'}: {made.size / 1e6:.1f} MB, pictures at {made.scale:.0%} of their size in WebP "
+        f"{arguments.out / 'index.html'}: {made.size / 1e6:.1f} MB, pictures at {made.scale:.0%} of their size in AVIF "
         f"quality {made.quality}"
     )

@@ -446,9 +446,9 @@ def test_pictures_are_as_good_as_the_size_allows(world, tmp_path, capsys):
     main(words)
     assert f"quality {QUALITIES[0][1]}" in capsys.readouterr().out
     size = sum(path.stat().st_size for path in (tmp_path / "site").rglob("*.*"))
-    with Image.open(tmp_path / "site/cells/pasted/scene0/image0.webp") as strip:
+    with Image.open(tmp_path / "site/cells/pasted/scene0/image0.avif") as strip:
         assert strip.size == (64, 4 * 48)
-    with Image.open(tmp_path / "site/styles/image0.webp") as style:
+    with Image.open(tmp_path / "site/styles/image0.avif") as style:
         assert style.size == (50, 60)
     first = (tmp_path / "site/index.html").read_text()
     chosen = re.findall(r'name="column" value="(\w+)" checked', first)

@@ -97,7 +97,7 @@ const strip = (source, scene, alt) => {
   return make("div", { class: "strip", style: `--views:${views.length};--ratio:${size.join("/")}` }, make("img", { src: source, alt, loading: "lazy", decoding: "async" }));
 };
 const picture = (method, scene, style, cell, alt) => cell.status === "done"
-  ? strip(`cells/${method}/${scene}/${style}.webp`, scene, alt)
+  ? strip(`cells/${method}/${scene}/${style}.avif`, scene, alt)
   : make("div", { class: "said", style: `--ratio:${scenes[scene].size.join("/")}` }, cell.status === "missing" ? "not run" : `${cell.status === "timeout" ? "too slow" : "failed"}: ${cell.message}`);
 const hash = (...parts) => `#${parts.map(encodeURIComponent).join("/")}`;
 
@@ -232,8 +232,8 @@ const method = (name, scene, style) => {
 
 const given = (scene, style) => {
   const { guide, text, title } = styles[style];
-  return [make("div", {}, make("h2", {}, "Photograph"), strip(`photographs/${scene}.webp`, scene, "Photograph"), make("p", { class: "note" }, scenes[scene].title)),
-    make("div", {}, make("h2", {}, "Style"), guide === "text" ? make("blockquote", {}, text) : make("img", { class: "style", src: `styles/${style}.webp`, alt: title }),
+  return [make("div", {}, make("h2", {}, "Photograph"), strip(`photographs/${scene}.avif`, scene, "Photograph"), make("p", { class: "note" }, scenes[scene].title)),
+    make("div", {}, make("h2", {}, "Style"), guide === "text" ? make("blockquote", {}, text) : make("img", { class: "style", src: `styles/${style}.avif`, alt: title }),
       make("p", { class: "note" }, title === text ? "" : title))];
 };
 
