@@ -52,8 +52,7 @@ def main(job_file: str, words: Sequence[str]) -> None:
         seconds[style.name] = spent - before
         write_json(Path(job.out) / SECONDS, {"scene": once, "styles": seconds})
         if style.name in job.pages:
-            shown = results.scene([(result.style.title, result.gaussians)], [result.style], result.style.title)
-            export_styles(shown, Path(job.out) / f"{style.name}.html", "html")
+            export_styles(result.scene(), Path(job.out) / f"{style.name}.html", "html")
             spent = time.process_time()
 
 

@@ -91,6 +91,11 @@ class Result:
         }
         return report if results.export.provenance else _technical(report)
 
+    def scene(self) -> StyledScene:
+        """The Gaussians for a file that holds several styles: before this one the unstyled, if only colours differ."""
+        styles = [("unstyled", self.results.restyler.unstyled)] if self.alike else []
+        return self.results.scene([*styles, (self.style.title, self.gaussians)], [self.style], self.style.title)
+
     def render(self, cameras: Cameras | None = None) -> Iterator[Float[Tensor, "3 H W"]]:
         """Render views one by one, on the CPU; the input views unless cameras are given."""
         return self.encoded.render(self.gaussians, cameras)
@@ -110,13 +115,11 @@ class Result:
     def _write_scene(self, folder: Path) -> list[Image.Image]:
         gaussians, encoded, options = self.gaussians, self.encoded, self.results.export
         folder.mkdir(parents=True, exist_ok=True)
-        unstyled, title = self.results.restyler.unstyled, self.style.title
-        styles = [*([("unstyled", unstyled)] if self.alike else []), (title, gaussians)]
-        scene = self.results.scene(styles, [self.style], title)
+        scene = self.scene()
         for name in dict.fromkeys(["ply", *options.formats]):
             if not self.alike or name not in self.results.common_formats:
                 export_styles(scene, folder / f"scene.{name}", name, up=options.up)
-        untouched = options.up in (None, "opencv") and _same_geometry(gaussians, unstyled)
+        untouched = options.up in (None, "opencv") and _same_geometry(gaussians, self.results.restyler.unstyled)
         original, written = self.encoded.splat, folder / "scene.ply"
         if original is not None and original.suffix.lower() == written.suffix and untouched:
             # A trip through float32 logarithms and back moves the last bits.
