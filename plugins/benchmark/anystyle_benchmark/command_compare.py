@@ -9,10 +9,9 @@ import msgspec
 from anystyle.commands._flags import new_parser, parse
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path, write_json
-from anystyle.io.documents import read_json
 from anystyle_benchmark.compare import answers, compare, sentences, table, with_people
 from anystyle_benchmark.judge import inputs_of
-from anystyle_benchmark.results import FIGURES, Figures
+from anystyle_benchmark.results import read_figures
 
 
 def parser() -> argparse.ArgumentParser:
@@ -51,9 +50,7 @@ def main(words: Sequence[str]) -> None:
         return
     if plan:
         raise UserError(f"{plan[0]} is an option of a study; it needs --with-people STUDY")
-    figures: Figures = read_json(
-        arguments.results / FIGURES, Figures, what="record of figures; judge the results first"
-    )
+    figures = read_figures(arguments.results)
     found = compare(figures, methods)
     answered = [] if arguments.answers is None else answers(arguments.answers, methods)
     text = "\n".join(

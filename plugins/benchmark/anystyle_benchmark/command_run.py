@@ -8,15 +8,17 @@ from pathlib import Path
 from omegaconf import DictConfig, ListConfig
 
 from anystyle.commands._compose import launch
-from anystyle.commands._flags import new_parser, split
-from anystyle.errors import UserError
+from anystyle.commands._flags import is_override, new_parser, split
+from anystyle.errors import UserError, unknown
 from anystyle.io.atomic import write_json
-from anystyle_benchmark.results import bind
+from anystyle.io.documents import kept_json
+from anystyle_benchmark.results import Cell, bind, cells_of, is_done
 from anystyle_benchmark.run import run_scene
-from anystyle_benchmark.spec import as_document, names, read_spec
+from anystyle_benchmark.spec import PROGRAM, Spec, as_document, names, read_spec
 from anystyle_benchmark.track import Inputs
 
 CONF = Path(__file__).parent / "conf"
+OPTIONS = ("track", "root", "methods", "scenes", "styles", "seeds", "pages", "out")
 KEYS = """\
   track=open             a bundled track (open, smoke, tnt, ablation) or a file; root=DIR where its inputs lie
   methods=[brush,mine.toml] scenes=[street] styles=[wave] seeds=[0]      some of them; all if not given
@@ -36,6 +38,9 @@ def parser() -> argparse.ArgumentParser:
 def main(words: Sequence[str]) -> None:
     """Run ``anystyle benchmark run``."""
     _, rest = split(parser(), list(words))
+    for key in (word.partition("=")[0] for word in rest if is_override(word)):
+        if key.isidentifier() and key not in OPTIONS:
+            raise UserError(unknown("option", key, OPTIONS))
     launch("benchmark", benchmark, rest, CONF)
 
 
@@ -48,15 +53,33 @@ def benchmark(config: DictConfig) -> None:
     seeds = [_seed(word) for word in _chosen(config.seeds)]
     specs = [read_spec(name) for name in _chosen(config.methods) or names()]
     root = Path(str(config.out))
+    for spec, _ in specs:
+        _check_program(spec, root)
     bind(inputs, root)
+    cells: list[Cell] = []
     for spec, home in specs:
         write_json(root / spec.name / "method.json", as_document(spec))
         if spec.not_run is not None:
             _say(f"{spec.name} is not run: {spec.not_run}")
             continue
         for seed in seeds or range(spec.seeds):
-            for scene in scenes if seed < spec.seeds else ():
-                run_scene(inputs, spec, home, scene, styles, seed, root, _say, pages)
+            if seed >= spec.seeds:
+                _say(f"{spec.name} has {spec.seeds} seed{'s' * (spec.seeds > 1)}; seed {seed} is left out")
+                continue
+            for scene in scenes:
+                cells += run_scene(inputs, spec, home, scene, styles, seed, root, _say, pages)
+    done = sum(is_done(cell, root) for cell in cells)
+    track = "" if inputs.bundled else f" --track {inputs.file}"
+    _say(f"{done} of {len(cells)} cells are done; next: anystyle benchmark judge {root}{track}")
+
+
+def _check_program(spec: Spec, root: Path) -> None:
+    """Refuse a method where another program of its name has made images: figures would be of both."""
+    folder = root / spec.name
+    kept = kept_json(folder / "method.json", Spec)
+    fields = [] if kept is None else [name for name in PROGRAM if getattr(kept, name) != getattr(spec, name)]
+    if fields and any(is_done(cell, root) for cell in cells_of(root, spec.name)):
+        raise UserError(f"{folder} holds images made by another {fields[0]}; delete it, or name the method differently")
 
 
 def _chosen(value: object) -> list[str]:

@@ -7,10 +7,9 @@ from pathlib import Path
 from anystyle.commands._flags import new_parser, parse
 from anystyle.commands.evaluate import progress_lines
 from anystyle.errors import UserError
-from anystyle.io.documents import read_json
-from anystyle_benchmark.results import FIGURES, Figures
+from anystyle_benchmark.judge import inputs_of
+from anystyle_benchmark.results import FIGURES, read_figures
 from anystyle_benchmark.site import build
-from anystyle_benchmark.track import Inputs
 
 
 def parser() -> argparse.ArgumentParser:
@@ -34,14 +33,12 @@ def parser() -> argparse.ArgumentParser:
 def main(words: Sequence[str]) -> None:
     """Run ``anystyle benchmark site``."""
     arguments = parse(parser(), words)
-    path: Path = arguments.results / FIGURES
-    if not path.is_file():
-        raise UserError(f"there is no {path}; run `anystyle benchmark judge {arguments.results}` first")
-    figures: Figures = read_json(path, Figures, what="file of figures")
-    inputs = Inputs(arguments.track or figures.track.name, arguments.root)
+    figures = read_figures(arguments.results)
+    inputs = inputs_of(arguments.results, arguments.track, arguments.root)
     if inputs.digest != figures.track.digest:
         raise UserError(
-            f"{path} is of other inputs, or another version of track or judge; run `anystyle benchmark judge`"
+            f"{arguments.results / FIGURES} is of other inputs, or another version of track or judge; run "
+            f"`anystyle benchmark judge {arguments.results}`"
         )
     made = build(inputs, arguments.results, figures, arguments.out, arguments.megabytes, progress_lines())
     print(

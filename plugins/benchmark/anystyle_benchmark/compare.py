@@ -84,6 +84,7 @@ def compare(figures: Figures, methods: Sequence[str]) -> list[Compared]:
     rows = [*figures.cells, *figures.scenes]
     found: list[Compared] = []
     for pair in combinations(methods, 2):
+        before = len(found)
         for guide in GUIDES:
             groups = [[row for row in rows if (row.method, row.guide) == (method, guide)] for method in pair]
             for figure in figures.metrics:
@@ -95,6 +96,8 @@ def compare(figures: Figures, methods: Sequence[str]) -> list[Compared]:
                 means = as_figure(float(first[both].mean())), as_figure(float(second[both].mean()))
                 mean, low, high, pvalue = map(as_figure, (gap.mean, gap.low, gap.high, gap.pvalue))
                 found.append(Compared(*pair, guide, figure, means, mean, low, high, pvalue, None, gap.n))
+        if len(found) == before:
+            raise UserError(f"{' and '.join(pair)} have no figure in the same cell; leave one of them out")
     adjusted = holm([as_number(one.pvalue) for one in found])
     return [
         _decided(one, pvalue, figures.metrics[one.figure].better) for one, pvalue in zip(found, adjusted, strict=True)

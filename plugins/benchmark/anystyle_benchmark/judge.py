@@ -48,11 +48,12 @@ from anystyle_benchmark.results import (
     Record,
     SceneFigures,
     TableRow,
+    read_lock,
     wrong_images,
 )
 from anystyle_benchmark.spec import Spec, as_document
 from anystyle_benchmark.statistics import arranged, interval, rounded
-from anystyle_benchmark.track import PROTOCOL, Inputs, SceneEntry, StyleEntry
+from anystyle_benchmark.track import PROTOCOL, TRACKS, Inputs, SceneEntry, StyleEntry
 
 log = logging.getLogger(__name__)
 
@@ -184,7 +185,8 @@ class Judge:
 
     def _figures(self, unit: Unit, images: Mapping[str, str], kept: Kept) -> list[Judged]:
         """The figures of a unit's whole images, by every metric of its guide: those kept, and those that are new."""
-        metrics = {name: self.metrics[name] for name in self.inputs.track.metrics[unit.guide] if name in self.metrics}
+        names = self.inputs.track.metrics.get(unit.guide, ())
+        metrics = {name: self.metrics[name] for name in names if name in self.metrics}
         keys = {
             name: _digest([PROTOCOL, name, sorted(metric.weights.items()), sorted(images.items())])
             for name, metric in metrics.items()
@@ -212,7 +214,8 @@ class Judge:
                     for one in metrics
                     for name, found in self._new({one: metrics[one]}, unit, styles).items()
                 }
-            text = f"{next(iter(metrics))} says nothing of {unit.scene}: {one_line(error)}"
+            text = f"{next(iter(metrics))} has no figures in {unit.scene}: {one_line(error)}"
+            text += "" if self.inputs.scene(unit.scene).geometry else " (the track has no geometry of this scene)"
             if text not in self._said:
                 log.warning(text)
             self._said.add(text)
@@ -278,8 +281,10 @@ def photographs(inputs: Inputs, scene: SceneEntry, root: Path) -> tuple[Path, ..
 
 def inputs_of(root: Path, track: str | None = None, folder: Path | None = None) -> Inputs:
     """The track of a folder of results: that of a name or file, or the one that the results name."""
-    kept = None if track else read_json(root / "track.json", Lock, what="record of the results' track")
-    return Inputs(track or (kept.name if kept else ""), folder)
+    name = track or read_lock(root).name
+    if not track and not (TRACKS / name).is_dir():
+        raise UserError(f"{root} is of track {name}, which is a file of yours; name it: --track FILE.toml")
+    return Inputs(name, folder)
 
 
 def read_methods(root: Path) -> list[Spec]:

@@ -19,7 +19,7 @@ from PIL import Image
 
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
-from anystyle.io.documents import Figure, kept_json
+from anystyle.io.documents import Figure, kept_json, read_json
 from anystyle_benchmark.track import PROTOCOL, Inputs
 
 FIGURES = "figures.json"
@@ -171,23 +171,48 @@ def bind(inputs: Inputs, root: Path) -> Lock:
     """The lock of a folder of results, which is written if there is none; another track's or version's is refused."""
     track = inputs.track
     lock = Lock(track.name, track.version, PROTOCOL, inputs.digest, inputs.hashes)
-    kept = kept_json(root / "track.json", Lock)
-    if kept is None:
+    if not (root / "track.json").exists():
         write_json(root / "track.json", msgspec.to_builtins(lock))
-    elif kept.digest != lock.digest:
-        raise UserError(
-            f"{root} holds results of track {kept.name} version {kept.version}, judge {kept.protocol}, and not of "
-            f"{lock.name} version {lock.version}, judge {lock.protocol} with these inputs; use another folder"
-        )
+        return lock
+    kept = read_lock(root)
+    if kept.digest != lock.digest:
+        names = [f"{one.name} version {one.version}" for one in (kept, lock)]
+        if names[0] != names[1]:
+            other = f"and not of {names[1]}"
+        elif kept.protocol != lock.protocol:
+            other = f"judge {kept.protocol}, and this is judge {lock.protocol}"
+        else:
+            changed = sorted(name for name, _ in kept.hashes.items() ^ lock.hashes.items())
+            other = f"and {changed[0] if changed else inputs.file} has changed since; it needs another version"
+        raise UserError(f"{root} holds results of track {names[0]}, {other}; use another folder")
     return lock
 
 
-def cells(root: Path) -> Iterator[Cell]:
-    """Every cell that has a record, in order of the paths."""
-    for path in sorted(root.glob("*/*/*/*.json")):
-        method, seed, scene, file = path.relative_to(root).parts
+def read_lock(root: Path) -> Lock:
+    """The lock of a folder of results."""
+    return read_json(root / "track.json", Lock, what="record of the results' track")
+
+
+def read_figures(root: Path) -> Figures:
+    """What the judge found in a folder of results."""
+    path = root / FIGURES
+    if not path.is_file():
+        raise UserError(f"there is no {path}; run `anystyle benchmark judge {root}` first")
+    return read_json(path, Figures, what="file of figures")
+
+
+def cells_of(root: Path, method: str) -> Iterator[Cell]:
+    """Every cell of a method that has a record, in order of the paths."""
+    for path in sorted((root / method).glob("*/*/*.json")):
+        seed, scene = path.parts[-3:-1]
         if seed.isdecimal():
-            yield Cell(method, int(seed), scene, file.removesuffix(".json"))
+            yield Cell(method, int(seed), scene, path.stem)
+
+
+def is_done(cell: Cell, root: Path) -> bool:
+    """Whether a cell has images."""
+    record = kept_json(cell.record(root), Record)
+    return record is not None and record.status == "done" and cell.images(root).is_dir()
 
 
 def wrong_images(folder: Path, views: Sequence[str], size: tuple[int, int]) -> list[str]:

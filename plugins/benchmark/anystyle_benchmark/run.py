@@ -20,7 +20,7 @@ from anystyle.io.atomic import write_json
 from anystyle.io.documents import kept_json
 from anystyle_benchmark.environment import interpreter, last_line
 from anystyle_benchmark.job import SECONDS, AskedStyle, Job, Seconds
-from anystyle_benchmark.results import Cell, Record, wrong_images
+from anystyle_benchmark.results import Cell, Record, is_done, wrong_images
 from anystyle_benchmark.spec import Spec
 from anystyle_benchmark.track import Inputs, SceneEntry, StyleEntry
 
@@ -34,12 +34,12 @@ Say = Callable[[str], None]
 
 
 class Ended(NamedTuple):
-    """How a process ended: with which words if it failed, after how many CPU seconds, with how many MiB at most."""
+    """How a process ended: its error if it failed, CPU seconds, and peak MiB; ``None`` where none was run."""
 
     failure: str = ""
     timed_out: bool = False
     seconds: float = 0.0
-    memory: float = 0.0
+    memory: float | None = None
 
 
 def run_scene(
@@ -52,8 +52,8 @@ def run_scene(
     root: Path,
     say: Say,
     pages: Sequence[str] = (),
-) -> None:
-    """Have a method render a scene in those styles that are missing, and record each cell.
+) -> list[Cell]:
+    """Have a method render a scene in those styles that are missing, and record each cell; all cells of the scene.
 
     Args:
         inputs: The track.
@@ -76,10 +76,10 @@ def run_scene(
         with FileLock(folder / ".lock", timeout=0):
             scratch = folder / SCRATCH
             _collect(scratch / "out", cells, scene.views, size, root, Ended())  # of an interrupted run
-            missing = [style for style in styles if style.name in cells and not _done(cells[style.name], root)]
+            missing = [style for style in styles if style.name in cells and not is_done(cells[style.name], root)]
             if not missing:
-                return
-            say(f"{spec.name}, {scene.name}, seed {seed}: {len(missing)} styles …")
+                return list(cells.values())
+            say(f"{spec.name}, {scene.name}, seed {seed}: {len(missing)} style{'s' * (len(missing) > 1)} …")
             shutil.rmtree(scratch, ignore_errors=True)
             (scratch / "out").mkdir(parents=True)
             ended = _ask(inputs, spec, home, scene, missing, seed, size, scratch, pages)
@@ -91,11 +91,16 @@ def run_scene(
             for name, message in failures.items():
                 record = Record("timeout" if ended.timed_out else "failed", message, machine=_machine())
                 write_json(wanted[name].record(root), msgspec.to_builtins(record))
-            shutil.rmtree(scratch)
+            (folder / LOG).unlink(missing_ok=True)
             failed = f", {len(failures)} failed: {next(iter(failures.values()))}" if failures else ""
+            if failures and (scratch / LOG).is_file():
+                (scratch / LOG).replace(folder / LOG)
+                failed += f" (output in {folder / LOG})"
+            shutil.rmtree(scratch)
             say(f"{spec.name}, {scene.name}, seed {seed}: {len(found)} done in {ended.seconds:.0f} CPU s{failed}")
     except Timeout:
-        say(f"{spec.name}, {scene.name}, seed {seed}: another process is at it")
+        say(f"{spec.name}, {scene.name}, seed {seed}: another process is running it")
+    return list(cells.values())
 
 
 def _ask(
@@ -198,7 +203,8 @@ def _collect(
         images, share = cells[name].images(root), ended.seconds / len(found) or None
         seconds = share if said is None else said.styles.get(name, share)
         once = 0.0 if said is None else said.scene
-        record = Record("done", "", seconds, once, ended.memory, _machine(), {"python": platform.python_version()})
+        ran = ("", {}) if ended.memory is None else (_machine(), {"python": platform.python_version()})
+        record = Record("done", "", seconds, once, ended.memory, *ran)
         shutil.rmtree(images, ignore_errors=True)
         (out / name).replace(images)
         if (page := out / f"{name}.html").is_file():
@@ -214,11 +220,6 @@ def _absent(scratch: Path, name: str, views: Sequence[str], size: tuple[int, int
     others = [path for path in scratch.rglob("*") if path.is_file() and path not in ours]
     elsewhere = [str(path.relative_to(scratch)) for path in others if path.parent != scratch / "out" / name]
     return wrong[0] + (f"; it wrote {listing(elsewhere, 3)}" if elsewhere else "")
-
-
-def _done(cell: Cell, root: Path) -> bool:
-    record = kept_json(cell.record(root), Record)
-    return record is not None and record.status == "done" and cell.images(root).is_dir()
 
 
 def _memory(pid: int) -> float:

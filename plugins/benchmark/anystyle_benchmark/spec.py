@@ -11,6 +11,8 @@ from anystyle.io.documents import Positive, read_toml
 from anystyle_benchmark.track import Name
 
 METHODS = Path(__file__).parent / "methods"
+PROGRAM = ("preset", "command", "requirements", "folder")
+"""The keys of a spec on which images depend."""
 
 
 class Spec(Struct, frozen=True, forbid_unknown_fields=True):
@@ -65,6 +67,8 @@ def read_spec(method: str) -> tuple[Spec, Path]:
         raise UserError(f"{path} gives {' and '.join(given) or 'nothing'}; a spec has one of {', '.join(ways)}")
     if spec.requirements and any("==" not in line and "@" not in line for line in spec.requirements):
         raise UserError(f"{path}: requirements are pinned, such as numpy==2.1.0")
+    if spec.folder is not None and not (path.parent / spec.folder).is_dir():
+        raise UserError(f"{path}: there is no folder {path.parent / spec.folder}")
     return spec, path.parent
 
 

@@ -15,6 +15,7 @@ from anystyle.errors import UserError, unknown
 from anystyle.examples import resolved
 from anystyle.io.documents import read_toml
 from anystyle.paths import natural
+from anystyle.registry.compose import choices
 
 TRACKS = Path(__file__).parent / "tracks"
 PROTOCOL = 1
@@ -83,7 +84,7 @@ class Track(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
     short_side: Annotated[int, Meta(ge=16, le=4096)]
     scenes: Annotated[tuple[SceneEntry, ...], Meta(min_length=1)]
     styles: Annotated[tuple[StyleEntry, ...], Meta(min_length=1)]
-    metrics: dict[str, tuple[str, ...]]
+    metrics: dict[Annotated[str, Meta(pattern="^(image|text)$")], tuple[str, ...]]
     sha256: dict[str, str] = msgspec.field(default_factory=dict)
 
 
@@ -104,6 +105,14 @@ class Inputs:
         for style in self.track.styles:
             if (style.image is None) == (style.text is None):
                 raise UserError(f"{path}: style {style.name} needs an image or a text, and not both")
+        for kind, entries in (("scene", self.track.scenes), ("style", self.track.styles)):
+            names = [entry.name for entry in entries]
+            if twice := [name for name in names if names.count(name) > 1]:
+                raise UserError(f"{path}: two {kind}s are named {twice[0]}")
+        for metric in (name for names in self.track.metrics.values() for name in names):
+            if metric not in choices("metric"):
+                raise UserError(f"{path}: {unknown('metric', metric, choices('metric'))}")
+        self.file, self.bundled = path, path.is_relative_to(TRACKS)
 
     def scene(self, name: str) -> SceneEntry:
         """The scene of a name."""
@@ -139,7 +148,10 @@ class Inputs:
             for file in self.photographs(scene).values():
                 yield f"{scene.photographs}/{file.name}", file
             if scene.geometry is not None:
-                for file in sorted(self.path(scene.geometry).iterdir()):
+                folder = self.path(scene.geometry)
+                if not folder.is_dir():
+                    raise UserError(f"there is no {folder}; `anystyle benchmark geometry {self.file}` makes it")
+                for file in sorted(folder.iterdir()):
                     yield f"{scene.geometry}/{file.name}", file
         for style in self.track.styles:
             if style.image is not None:

@@ -130,5 +130,13 @@ def test_slips_are_one_line(world, tmp_path, words, message):
 
 
 def test_what_was_not_judged_cannot_be_compared(tmp_path):
-    with pytest.raises(UserError, match="judge the results first"):
+    with pytest.raises(UserError, match=r"there is no .*figures\.json; run `anystyle benchmark judge .*` first"):
         main([str(tmp_path), "noise", "pasted"])
+
+
+def test_methods_without_a_common_cell_cannot_be_compared(figures):
+    cells = [cell for cell in figures.cells if cell.method != "noise" or cell.scene == "scene0"]
+    cells = [cell for cell in cells if cell.method != "pasted" or cell.scene == "scene1"]
+    apart = msgspec.structs.replace(figures, cells=cells, scenes=[])
+    with pytest.raises(UserError, match="noise and pasted have no figure in the same cell"):
+        compare(apart, ["unstyled", "noise", "pasted"])

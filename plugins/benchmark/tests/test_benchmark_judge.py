@@ -1,6 +1,5 @@
 """The judge puts figures where they belong, keeps them, and loses nothing to bad images."""
 
-import json
 import shutil
 
 import msgspec
@@ -173,7 +172,8 @@ def test_somebodys_folder_is_checked_without_judging(world, tmp_path, capsys):
         (["--check", "DIR/none", "--track", "TRACK"], "there is no folder"),
         (["DIR/none", "--track", "TRACK"], "holds no results of a method"),
         (["RESULTS", "--track", "TRACK", "--metrics", "kidd"], "Did you mean 'kid'"),
-        (["RESULTS", "--track", "OTHER"], "use another folder"),
+        (["RESULTS", "--track", "OTHER"], "version 1, and not of small version 2; use another folder"),
+        (["RESULTS"], r"of track small, which is a file of yours; name it: --track FILE\.toml"),
     ],
 )
 def test_slips_are_one_line(world, tmp_path, words, message):
@@ -185,13 +185,6 @@ def test_slips_are_one_line(world, tmp_path, words, message):
     places = {"TRACK": str(track), "RESULTS": str(results), "DIR": str(tmp_path), "OTHER": str(other / "track.toml")}
     with pytest.raises(UserError, match=message):
         main([places.get(word, word.replace("DIR", str(tmp_path))) for word in words])
-
-
-def test_results_say_their_own_track(world, capsys):
-    """A track that comes with the package needs no name; a file's does."""
-    assert json.loads((world[1] / "track.json").read_text())["name"] == "small"
-    with pytest.raises(UserError, match="no track is named 'small'"):
-        main([str(world[1])])
 
 
 def test_seconds_of_a_style_and_of_a_scene_are_apart():

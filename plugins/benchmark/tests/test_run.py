@@ -152,13 +152,70 @@ def test_a_folder_of_images_is_a_method(world):
     records = ran(world, spec)
     assert records["one", "a"].status == "done" and records["one", "a"].seconds is None
     assert records["two", "b"].message == "there is no b/0.png"
+    record = records["one", "a"]  # nobody knows on which machine these were made, and by what
+    assert (record.memory, record.machine, record.versions) == (None, "", {})
+
+
+def test_what_a_failed_program_printed_is_kept_until_it_succeeds(world, capsys):
+    log = world / "results" / "copier" / "0" / "one" / "log.txt"
+    ran(world, method(world, "print('loading'); raise ValueError('no such weights')"), "scenes=one")
+    assert log.read_text().startswith("loading\nTraceback") and log.read_text().endswith(
+        "ValueError: no such weights\n"
+    )
+    assert f"output in {log}" in capsys.readouterr().err
+    ran(world, method(world, PROGRAM), "scenes=one")
+    assert not log.exists()
+
+
+def test_a_run_ends_with_what_there_is_and_what_comes_next(world, capsys):
+    spec, results, track = method(world), world / "results", world / "track.toml"
+    ran(world, spec, "scenes=one")
+    ran(world, spec, "scenes=one", "seeds=[0,3]")
+    lines = capsys.readouterr().err.splitlines()
+    assert "copier has 1 seed; seed 3 is left out" in lines
+    assert lines[-1] == f"2 of 2 cells are done; next: anystyle benchmark judge {results} --track {track}"
+
+
+def test_images_of_another_program_of_the_same_name_are_refused(world):
+    spec = method(world, "raise ValueError")
+    ran(world, spec, "scenes=one")
+    spec = method(world, PROGRAM, 'hours = 1.0\nseeds = 2\nabout = "Mended."')  # nothing was made yet
+    spec.write_text(spec.read_text().replace("copy.py", f"../{world.name}/copy.py"))
+    ran(world, spec, "scenes=one", "seeds=0")
+    kept = (world / "results" / "copier" / "method.json").read_bytes()
+    spec.write_text(spec.read_text().replace('"{job}"', '"--fast", "{job}"'))
+    with pytest.raises(UserError, match=r"copier holds images made by another command; delete it, or name the method"):
+        ran(world, spec)
+    assert (world / "results" / "copier" / "method.json").read_bytes() == kept
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["method=noise"], "no option is named 'method'. Did you mean 'methods'"),
+        (["methods=noise", "styles=c"], "no style is named 'c'"),
+        (["methods=nowhere.toml"], "there is no spec of a method nowhere.toml"),
+        (["methods=noise", "seeds=one"], "give integers of at least 0"),
+    ],
+)
+def test_slips_are_one_line_and_run_nothing(world, words, message):
+    with pytest.raises(UserError, match=message):
+        main([f"track={world / 'track.toml'}", f"out={world / 'results'}", *words])
+    assert not (world / "results").exists()
+
+
+def test_a_damaged_record_of_the_track_is_no_other_track(world):
+    ran(world, method(world), "scenes=one")
+    (world / "results" / "track.json").write_text("{")
+    with pytest.raises(UserError, match=r"track\.json is no record of the results' track"):
+        ran(world, method(world), "scenes=one")
 
 
 def test_results_of_another_track_are_refused(world):
     spec = method(world)
     ran(world, spec, "scenes=one", "styles=a")
     Image.new("RGB", (32, 32), "green").save(world / "b.png")
-    with pytest.raises(UserError, match="holds results of track small version 1"):
+    with pytest.raises(UserError, match=r"small version 1, and b\.png has changed since; it needs another version"):
         ran(world, spec)
 
 
@@ -195,6 +252,7 @@ def test_a_preset_of_ours_runs_on_an_example(tmp_path, world):
         ('name = "x"\ntitle = "T"\nfolder = "f"\nnot_run = "x"', "gives folder and not_run"),
         ('name = "x"\ntitle = "T"\ncommand = ["x"]\nrequirements = ["numpy"]', "requirements are pinned"),
         ('name = "../x"\ntitle = "T"\nfolder = "f"', "name"),
+        ('name = "x"\ntitle = "T"\nfolder = "f"', r"x\.toml: there is no folder .*f"),
     ],
 )
 def test_a_spec_that_says_too_little_or_too_much_is_refused(tmp_path, text, message):

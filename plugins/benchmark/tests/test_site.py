@@ -22,7 +22,7 @@ from anystyle_benchmark.results import (
     SceneFigures,
     TableRow,
     bind,
-    cells,
+    cells_of,
 )
 from anystyle_benchmark.site import QUALITIES
 from anystyle_benchmark.spec import Spec, as_document
@@ -67,9 +67,9 @@ def write_figures(inputs, root: Path, methods=tuple(SPECS)) -> None:
     for name in methods:
         write_json(root / name / "method.json", as_document(SPECS[name]))
     rows, wholes = [], []
-    for cell in cells(root):
+    for cell in (cell for name in sorted(methods) for cell in cells_of(root, name)):
         guide = inputs.style(cell.style).guide
-        if cell.method in methods and guide in SPECS[cell.method].guides:
+        if guide in SPECS[cell.method].guides:
             failed = tuple(cell) == FAILED
             record = Record("failed", MESSAGE) if failed else Record("done", "", 2.0, 6.0, 100.0, "A machine")
             write_json(cell.record(root), msgspec.to_builtins(record))

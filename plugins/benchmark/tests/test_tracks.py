@@ -14,7 +14,7 @@ from anystyle.errors import UserError
 from anystyle.geometry.warp import sample_at
 from anystyle.io.arrays import read_array
 from anystyle.types import Frames
-from anystyle_benchmark import make_geometry
+from anystyle_benchmark.command import Benchmark
 from anystyle_benchmark.track import TRACKS, Inputs
 
 SHIPPED = ("open", "smoke", "ablation")
@@ -80,13 +80,38 @@ def test_the_papers_track_says_what_its_root_lacks(tmp_path: Path) -> None:
 
 def test_inputs_are_locked_by_a_command(tmp_path: Path) -> None:
     track = write_track(tmp_path)
-    make_geometry.main([str(track), "--scenes", "--lock"])
+    Benchmark()(["geometry", str(track), "--scenes", "", "--lock"])
     assert Inputs(str(track)).hashes == Inputs(str(track)).track.sha256
     (tmp_path / "styles" / "image0.png").write_bytes(b"another")
     with pytest.raises(UserError, match=r"styles/image0\.png is not the file"):
         _ = Inputs(str(track)).hashes
-    make_geometry.main([str(track), "--scenes", "--lock"])
+    Benchmark()(["geometry", str(track), "--scenes", "", "--lock"])
     assert len(Inputs(str(track)).hashes) == len(Inputs(str(track)).track.sha256)
+
+
+@pytest.mark.parametrize(
+    ("line", "other", "message"),
+    [
+        ('name = "scene1"', 'name = "scene0"', "two scenes are named scene0"),
+        ('name = "image1"', 'name = "text0"', "two styles are named text0"),
+        ('"color_match"', '"colour_match"', "no metric is named 'colour_match'. Did you mean 'color_match'"),
+        ('image = ["color', 'images = ["color', "is no track"),
+        ('"styles/image0.png"', '"styles/none.png"', r"lacks .*none\.png"),
+        ('"geometry/scene0"', '"geometry/none"', r"none; `anystyle benchmark geometry .*track\.toml` makes it"),
+    ],
+)
+def test_slips_in_a_track_are_one_line(tmp_path: Path, line: str, other: str, message: str) -> None:
+    track = write_track(tmp_path)
+    assert Inputs(str(track)).hashes
+    track.write_text(track.read_text().replace(line, other))
+    with pytest.raises(UserError, match=message):
+        _ = Inputs(str(track)).hashes
+
+
+def test_photographs_that_show_too_little_of_each_other_are_one_line(tmp_path: Path) -> None:
+    track = write_track(tmp_path, scenes=1)
+    with pytest.raises(UserError, match=r"scene scene0: no cameras are found: .*; or leave out `geometry`"):
+        Benchmark()(["geometry", str(track)])
 
 
 def test_stereo_finds_the_depth_of_a_capture(tmp_path: Path) -> None:
@@ -94,7 +119,7 @@ def test_stereo_finds_the_depth_of_a_capture(tmp_path: Path) -> None:
     text = (TRACKS / "smoke" / "track.toml").read_text().split("[sha256]")[0]
     text = text.replace("../open/photographs", str(TRACKS / "open" / "photographs")).replace("../open/", "")
     track.write_text(text)
-    make_geometry.main([str(track), "--scenes", "bronze_axe"])
+    Benchmark()(["geometry", str(track), "--scenes", "bronze_axe"])
     made = Inputs(str(track))
     view = made.scene("bronze_axe").views[0]
     depth, reference = (read_array(i.path(str(i.scene("bronze_axe").geometry)) / f"{view}.npy") for i in (made, known))

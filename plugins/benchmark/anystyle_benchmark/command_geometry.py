@@ -1,8 +1,7 @@
-"""Depth and cameras of a track's views: ``python -m anystyle_benchmark.make_geometry TRACK.toml``.
+"""``anystyle benchmark geometry``: depth and cameras of a track's views, and the hashes of its inputs.
 
 Cameras are found from all photographs by structure from motion, depth by stereo of them at the judged size; it is 0
-where no other photograph confirms it. Scenes that name a folder of ``geometry`` get theirs; ``--lock`` writes the
-hashes of all inputs into the track, after what it says.
+where no other photograph confirms it.
 """
 
 import argparse
@@ -14,9 +13,9 @@ import torch
 from PIL import Image
 
 import anystyle
-from anystyle.commands._run import run
+from anystyle.commands._flags import new_parser, parse
 from anystyle.data.images import open_image, to_tensor
-from anystyle.errors import UserError
+from anystyle.errors import UserError, one_line
 from anystyle.evaluation.comparisons import write_cameras
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.read import read
@@ -33,11 +32,17 @@ def make_geometry(inputs: Inputs, scene: SceneEntry) -> None:
     """Write the judged views' depth along z, in half precision, and cameras."""
     photographs, (height, width) = inputs.photographs(scene), inputs.size(scene)
     files = [str(path) for path in photographs.values()]
-    found = read(files, anystyle.load().backbone, ViewOptions(), PoseOptions("sfm"), None, Stages())
+    try:
+        found = read(files, anystyle.load().backbone, ViewOptions(), PoseOptions("sfm"), None, Stages())
+    except UserError as error:
+        raise UserError(f"scene {scene.name}: {one_line(error)}; or leave out `geometry`") from None
     from anystyle_captures.stereo import plane_sweep  # the folder of a plugin is known once one of it was asked for
 
     if found.cameras is None or len(found.sources) < len(files):
-        raise UserError(f"{scene.name}: cameras of {len(found.sources)} of {len(files)} photographs are found")
+        raise UserError(
+            f"scene {scene.name}: cameras of {len(found.sources)} of {len(files)} photographs are found; "
+            "give photographs in smaller steps, or leave out `geometry`"
+        )
     cameras = judged_cameras(found.cameras, found.sources, list(photographs), (height, width))
     pictures = [open_image(path) for path in photographs.values()]
     small = [picture.resize((width, height), Image.Resampling.LANCZOS) for picture in pictures]
@@ -61,22 +66,28 @@ def lock(track: Path) -> None:
     track.write_text(f"{text}\n\n[sha256]\n" + "".join(f'"{name}" = "{value}"\n' for name, value in hashes.items()))
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    """The command."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("track", type=Path, help="a track.toml, its inputs beside it")
-    parser.add_argument("--scenes", nargs="*", help="some of the scenes; no name: none")
-    parser.add_argument("--lock", action="store_true", help="write the hashes of all inputs into the track")
-    given = parser.parse_args(words)
-    inputs = Inputs(str(given.track))
-    names = [scene.name for scene in inputs.track.scenes] if given.scenes is None else given.scenes
-    for name in names:
-        scene = inputs.scene(name)
+def parser() -> argparse.ArgumentParser:
+    """The flags of ``anystyle benchmark geometry``."""
+    flags = new_parser(
+        "benchmark geometry",
+        "Compute depth and cameras of a track's views, for metrics of consistency, in the folders of `geometry` that "
+        "its scenes name.",
+    )
+    flags.add_argument("track", type=Path, help="a track.toml, its inputs beside it")
+    flags.add_argument("--scenes", metavar="A,B", help="only these scenes; '' for none")
+    flags.add_argument("--lock", action="store_true", help="write the hashes of all inputs into the track's file")
+    return flags
+
+
+def main(words: Sequence[str]) -> None:
+    """Run ``anystyle benchmark geometry``."""
+    arguments = parse(parser(), words)
+    inputs = Inputs(str(arguments.track))
+    chosen = None if arguments.scenes is None else list(filter(None, arguments.scenes.split(",")))
+    for scene in inputs.track.scenes if chosen is None else [inputs.scene(name) for name in chosen]:
         if scene.geometry is not None:
             make_geometry(inputs, scene)
-    if given.lock:
-        lock(given.track)
-
-
-if __name__ == "__main__":
-    run(main)
+            print(f"{scene.name}: depth and cameras of {len(scene.views)} views in {inputs.path(scene.geometry)}")
+    if arguments.lock:
+        lock(arguments.track)
+        print(f"{arguments.track} has the hashes of its inputs")
