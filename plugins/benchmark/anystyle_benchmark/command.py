@@ -11,8 +11,8 @@ SUBCOMMANDS = {
     "run": "render a track's scenes in its styles, each method in a process of its own",
     "geometry": "depth and cameras of your own track's scenes, and the hashes of its inputs",
     "judge": "compute the figures of results; --check verifies a folder of images without judging",
-    "compare": "which methods differ, by intervals over scenes and styles; --with-people makes a study of two",
-    "site": "a static site of the figures and the pictures behind them",
+    "compare": "which methods differ significantly; --with-people makes a user study of two",
+    "site": "a static site of tables and pictures",
 }
 
 

@@ -18,15 +18,20 @@ def parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle benchmark compare``."""
     flags = new_parser(
         "benchmark compare",
-        "Say by which figures methods differ in the cells that both have, and by which they cannot be told apart.",
+        "Test by which figures methods differ, in the cells that both have.",
         epilog="With --with-people, words such as study=pilot and participants=12 change the study's plan.",
     )
     add = flags.add_argument
     add("results", type=Path, help="a folder that `anystyle benchmark judge` judged")
-    add("methods", nargs="+", metavar="METHOD", help="two or more, such as brush nnfm; and OPTION=VALUE of a study")
+    add(
+        "methods",
+        nargs="+",
+        metavar="METHOD",
+        help="two or more, such as brush nnfm; with --with-people also OPTION=VALUE of the study",
+    )
     add("--out", type=Path, metavar="DIR", help="write compare.md and compare.json there")
     add("--with-people", type=Path, metavar="STUDY", help="make a user study of two methods there instead")
-    add("--answers", type=Path, metavar="STUDY", help="a study with its answers, or what `study analyze` made of them")
+    add("--answers", type=Path, metavar="STUDY", help="a study with its answers, or the results of `study analyze`")
     add("--track", metavar="NAME", help="for --with-people: a track, or a track.toml (default: that of the results)")
     add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
     return flags

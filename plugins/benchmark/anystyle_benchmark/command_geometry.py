@@ -24,7 +24,7 @@ from anystyle_benchmark.ours import judged_cameras
 from anystyle_benchmark.track import Inputs, SceneEntry
 
 SUPPORT = 1
-"""Depth is known where that of so many other photographs agrees."""
+"""Number of other photographs whose depth must agree."""
 
 
 @torch.no_grad()

@@ -28,7 +28,7 @@ def parser() -> argparse.ArgumentParser:
     flags = new_parser(
         "benchmark judge",
         "Compute the track's figures of every method in a folder of results. Writes figures.json, table.md and "
-        "table.csv there; what did not change is not judged again.",
+        "table.csv there; only what changed is computed again.",
     )
     add = flags.add_argument
     add("results", nargs="?", type=Path, help="the folder that `anystyle benchmark run` filled")
@@ -36,7 +36,10 @@ def parser() -> argparse.ArgumentParser:
     add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
     add("--metrics", default="", metavar="A,B", help="only these of the track's metrics")
     add(
-        "--check", type=Path, metavar="FOLDER", help="judge nothing; say what is wrong with images SCENE/STYLE/VIEW.png"
+        "--check",
+        type=Path,
+        metavar="FOLDER",
+        help="judge nothing; list what is wrong with images SCENE/STYLE/VIEW.png",
     )
     return flags
 
@@ -93,7 +96,7 @@ def summary(figures: Figures, headline: Sequence[str]) -> Table:
     better = {name: info.better for name, info in figures.metrics.items()}
     networks = {name: figures.metrics[name].stand_in for name in shown if figures.metrics[name].stand_in}
     return Table(
-        ("method", "cells", *(titled(name, better) for name in shown), "CPU s a style"),
+        ("method", "cells", *(titled(name, better) for name in shown), "CPU s per style"),
         tuple(rows),
         notes=(INTERVALS, *(f"{name}: {network} ({STAND_IN})." for name, network in networks.items())),
     )

@@ -21,10 +21,10 @@ CONF = Path(__file__).parent / "conf"
 OPTIONS = ("track", "root", "methods", "scenes", "styles", "seeds", "pages", "out")
 KEYS = """\
   track=open             a bundled track (open, smoke, tnt, ablation) or a file; root=DIR where its inputs lie
-  methods=[brush,mine.toml] scenes=[street] styles=[wave] seeds=[0]      some of them; all if not given
-  pages=[wave]           styles in which a scene of Gaussians is also kept as a page that the site links, 1 MB each
-  out=benchmark          the folder of results; what it has already is not run again
-  -m methods=brush,nnfm scenes=street,banana hydra/launcher=joblib       spread over processes, or a cluster
+  methods=[brush,mine.toml] scenes=[street] styles=[wave] seeds=[0]      default: all
+  pages=[wave]           styles of which each scene is also saved as a 3D page that the site links, 1 MB each
+  out=benchmark          the folder of results; cells that are done are not run again
+  -m methods=brush,nnfm scenes=street,banana hydra/launcher=joblib       distributed over processes, or a cluster
 """
 
 

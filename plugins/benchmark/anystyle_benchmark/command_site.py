@@ -17,7 +17,7 @@ def parser() -> argparse.ArgumentParser:
     flags = new_parser(
         "benchmark site",
         "Make a static site of judged results: tables, cost against quality, every cell's pictures side by side. It "
-        "opens from its folder and from any server, and asks for nothing from elsewhere.",
+        "opens from its folder and from any server, and loads nothing from other addresses.",
     )
     add = flags.add_argument
     add("results", type=Path, help="the folder that `anystyle benchmark judge` judged")
@@ -25,7 +25,11 @@ def parser() -> argparse.ArgumentParser:
     add("--track", metavar="NAME", help="a track, or a track.toml (default: that of the results)")
     add("--root", type=Path, metavar="DIR", help="where the track's inputs lie (default: beside its file)")
     add(
-        "--megabytes", type=float, default=60, metavar="N", help="the site's size at most; pictures follow (default 60)"
+        "--megabytes",
+        type=float,
+        default=60,
+        metavar="N",
+        help="the site's largest size; sets the quality of its pictures (default 60)",
     )
     return flags
 

@@ -1,4 +1,4 @@
-"""What a method is asked: a JSON file that its process reads, and the images it writes."""
+"""A job: the JSON file that a method's process reads, and the images it writes."""
 
 from pathlib import Path
 
@@ -46,10 +46,10 @@ class Job(Struct, frozen=True):
 
 
 class Seconds(Struct, frozen=True):
-    """CPU seconds of what is done once a scene, and of each style; a method may say them.
+    """CPU seconds per scene, and of each style; a method may write them.
 
-    Without them the seconds of the whole process are divided evenly by its styles. ``scene`` is ``None`` where what is
-    done once was there already, such as a fit that another method made: nobody knows then what it took.
+    Without them the seconds of the whole process are divided evenly by its styles. ``scene`` is ``None`` where the work
+    per scene was reused, such as the fit of an earlier method.
     """
 
     scene: float | None = 0.0

@@ -1,8 +1,7 @@
 """The judge: every method's figures, cell by cell, and their means with intervals.
 
-What a scene's images came to in all styles is kept in ``RESULTS/.judged`` by the images' hashes: what did not change is
-not judged again. Figures that a style has alone are its cell's; those that only a scene's styles have together, such as
-a distance of distributions, are the scene's.
+Figures are cached in ``RESULTS/.judged`` by the hashes of the images: only what changed is computed again. Figures of
+a single style belong to its cell; those of all styles of a scene, such as a distance of distributions, to the scene.
 """
 
 import hashlib
@@ -59,13 +58,13 @@ log = logging.getLogger(__name__)
 
 GUIDES = ("image", "text")
 ENCODERS, STAND_IN = (("clip", "clip_b32"), ("long_clip", "longclip_b32")), ("tiny", "tiny_style_encoder")
-"""Style encoders that texts are compared in, with their weights: the first that is there, or else what stands in."""
+"""Style encoders for texts, with their weights: the first that is installed, or else the stand-in."""
 PHOTOGRAPHS = ".photographs"
 """The folder of what images are compared with, ``SCENE/VIEW.png``, in the folder of results."""
 
 
 class Judged(Struct, frozen=True):
-    """A metric's figures of each style and of all of a scene; ``key`` is what they rest on."""
+    """A metric's figures of each style and of all of a scene; ``key`` hashes what they were computed from."""
 
     key: str
     styles: dict[str, dict[str, Figure]]
@@ -73,7 +72,7 @@ class Judged(Struct, frozen=True):
 
 
 class Kept(Struct, frozen=True):
-    """What is known of a unit: the hashes of whole images by style, and the figures by metric."""
+    """The cache of a unit: hashes of complete images by style, and figures by metric."""
 
     images: dict[str, str] = msgspec.field(default_factory=dict)
     metrics: dict[str, Judged] = msgspec.field(default_factory=dict)
@@ -165,7 +164,7 @@ class Judge:
         return [style for style in self.inputs.track.styles if style.guide == guide]
 
     def _judge(self, unit: Unit) -> tuple[list[CellFigures], list[Judged]]:
-        """What became of each cell of a unit, and its figures; images that cannot be judged are a failure."""
+        """The status of each cell of a unit, and its figures; a cell whose images cannot be judged has failed."""
         scene, kept = self.inputs.scene(unit.scene), kept_json(unit.kept(self.root), Kept) or Kept()
         size, rows, images = self.inputs.size(scene), [], {}
         for style in self._styles(unit.guide):
@@ -203,7 +202,7 @@ class Judge:
         return [found[name] for name in metrics if name in found]
 
     def _new(self, metrics: Mapping[str, Metric], unit: Unit, styles: Sequence[str]) -> dict[str, Found]:
-        """The metric loop; where one metric refuses, the others are asked without it."""
+        """The metric loop; if a metric raises, each is computed alone and those that raise are left out."""
         torch.manual_seed(0)
         try:
             return judge_scene(metrics, self._comparisons(unit, styles)) if metrics else {}

@@ -41,10 +41,10 @@ class Record(Struct, frozen=True):
     Args:
         status: Of a method that ran, failed, or took too long.
         message: One line, where it did not run.
-        seconds: CPU seconds of this style, the method's share of what it does once a scene apart; NaN as ``None``.
-        scene_seconds: CPU seconds of what it does once a scene, such as fitting it; 0 where it does not say, ``None``
-            where it found that done.
-        memory: Peak resident memory of its processes, in MiB.
+        seconds: CPU seconds of this style, without those per scene; ``None`` where unknown.
+        scene_seconds: CPU seconds per scene, such as of fitting it; 0 where not reported, ``None`` where an earlier
+            result was reused.
+        memory: Peak resident memory of its processes, in MiB; ``None`` where nothing was run.
         machine: Processor and number of cores.
         versions: Of what ran.
     """

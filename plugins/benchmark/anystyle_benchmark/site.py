@@ -31,7 +31,7 @@ QUALITIES = (
     *((0.55, 35), (0.45, 35), (0.35, 35), (0.25, 30), (0.2, 25)),
 )
 """Scale and AVIF quality of the pictures, best first."""
-_SAMPLE = 24  # pictures by which a quality's size is foretold
+_SAMPLE = 24  # pictures from which the size at a quality is estimated
 _LONGEST = 65535  # pixels of a side that AVIF can hold
 _STYLE = 512  # pixels of the longer side of a style image
 
@@ -126,6 +126,8 @@ def pages(
     words = {
         "figures": figures,
         "track": inputs.track,
+        "track_word": inputs.track.name if inputs.bundled else inputs.file.name,
+        "track_flag": "" if inputs.bundled else f" --track {inputs.file.name}",
         "specs": specs,
         "headline": headline,
         "guides": {guide: _rows(figures, specs, guide) for guide in dict.fromkeys(row.guide for row in figures.table)},
@@ -244,8 +246,8 @@ def _write(sources: Mapping[str, Sequence[Path]], folder: Path, megabytes: float
     most, others = megabytes * 1e6, _size(folder)
     sample = list(sources.values())[:: max(1, len(sources) // _SAMPLE)]
     for scale, quality in QUALITIES:
-        foretold = others + len(sources) / len(sample) * sum(len(encode(paths, scale, quality)) for paths in sample)
-        if foretold > most:
+        estimate = others + len(sources) / len(sample) * sum(len(encode(paths, scale, quality)) for paths in sample)
+        if estimate > most:
             continue
         for done, (name, paths) in enumerate(sources.items()):
             progress("site", done, len(sources))

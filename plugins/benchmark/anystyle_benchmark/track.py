@@ -74,8 +74,8 @@ class Track(Struct, frozen=True, forbid_unknown_fields=True, dict=True):
         scenes: The captures.
         styles: Images and texts.
         metrics: Names of metrics for each guide, ``image`` and ``text``.
-        sha256: Of every input, by its path as the track writes it; without it the inputs are somebody's own copies, and
-            their hashes are recorded with the results.
+        sha256: Of every input, by its path as the track writes it; without it only the hashes of the user's own copies
+            are recorded, with the results.
     """
 
     name: Name

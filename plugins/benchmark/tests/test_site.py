@@ -256,7 +256,8 @@ def test_methods_have_cards(index):
     assert "anystyle stylize method=palette" in index.value(card.format("palette"))
     assert "A machine" in index.value(card.format("palette"))
     assert "100 MiB" in index.value(card.format("palette"))
-    assert "handed in" in index.value(card.format("pasted"))
+    assert "--track track.toml" in index.value("document.querySelector('#submit ~ pre:nth-of-type(2)').innerText")
+    assert "images made elsewhere" in index.value(card.format("pasted"))
     links = index.value("[...document.querySelectorAll('#method-pasted a')].map((link) => link.href)")
     assert links == ["https://example.org/code"]  # and no script of somebody's spec
     assert index.value("document.querySelector('#method-pasted h3').innerText").startswith(HOSTILE)

@@ -183,7 +183,7 @@ const plot = (form) => {
   const across = (one) => logarithm(Math.log10(one));
   const up = scale(low, high, height - bottom, 26);
   const { title, better } = metrics[metric];
-  const svg = draw("svg", { width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${title} against CPU seconds a style; the numbers are in the table` });
+  const svg = draw("svg", { width, height, viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${title} against CPU seconds per style; the numbers are in the table` });
   for (const one of ticks(low, high, 6)) {
     svg.append(draw("line", { class: "grid", x1: left, x2: width, y1: up(one), y2: up(one) }));
     svg.append(draw("text", { class: "tick", x: left - 8, y: up(one) + 4, "text-anchor": "end" }, number(one)));
@@ -193,7 +193,7 @@ const plot = (form) => {
     svg.append(draw("text", { class: "tick", x: across(one), y: height - bottom + 18, "text-anchor": "middle" }, number(one)));
   }
   svg.append(draw("text", { x: 0, y: 12 }, `${title}, ${better} is better`));
-  svg.append(draw("text", { x: width - 4, y: height - 6, "text-anchor": "end" }, "CPU seconds a style"));
+  svg.append(draw("text", { x: width - 4, y: height - 6, "text-anchor": "end" }, "CPU seconds per style"));
   const taken = shown.map((point) => ({ x: across(point.seconds) - 6, y: up(point.mean) - 6, width: 12, height: 12 }));
   const names = shown.map((point) => point.title.length > 26 ? `${point.title.slice(0, 25)}…` : point.title);
   const narrow = width < 600;
@@ -225,7 +225,7 @@ const method = (name, scene, style) => {
   return make("article", { class: "cell", "aria-label": title, ...(baseline ? { "data-baseline": "" } : {}) },
     make("h2", {}, title), picture(name, scene, style, cell, title),
     make("dl", {}, ...first),
-    ...(cell.page ? [make("p", {}, make("a", { href: `cells/${name}/${scene}/${style}.html` }, "walk through the scene"))] : []),
+    ...(cell.page ? [make("p", {}, make("a", { href: `cells/${name}/${scene}/${style}.html` }, "view the scene in 3D"))] : []),
     ...(seeds > 1 && cell.status === "done" ? [make("p", {}, `seed ${cell.seed}`)] : []),
     ...(more.length ? [make("details", {}, make("summary", {}, "more figures"), make("dl", {}, ...more))] : []));
 };
