@@ -167,7 +167,7 @@ def _style_encoder(config: DictConfig, metric: str) -> StyleEncoder:
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Be the command: with ``--run``, once for each run that is found."""
+    """Run ``anystyle evaluate``; with ``--run``, once for each run found."""
 
     def command() -> None:
         flags = parser()

@@ -1,4 +1,4 @@
-"""The single pass."""
+"""The method of the paper: the style branch in a single pass."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Style retrieval: whether a stylized scene leads back to its style image."""
+"""Style retrieval: whether the style image nearest to a stylized scene is its own."""
 
 import warnings
 import zlib

@@ -1,4 +1,4 @@
-"""Initial values for training without pretrained weights: a network that shows its photographs on a plane.
+"""Initial values for training without pretrained weights: a network that places its photographs on a plane.
 
 Depth is about 1, cameras stand at the origin, and every pixel is a Gaussian of its own colour and about its footprint's
 size. All other weights start small, so that training starts from a picture and not from noise.

@@ -1,6 +1,6 @@
-"""What people turn while they look: strength, colour preservation, size of strokes, and where style enters.
+"""Controls of a style: strength, colour preservation, size of strokes, and where it enters.
 
-Each is a function of embeddings, images or colours that any model shares; none knows a backbone.
+Each is a function of embeddings, images or colours that any model has; none depends on a backbone.
 """
 
 from abc import ABC, abstractmethod
@@ -71,7 +71,7 @@ class Controls:
 
     @property
     def label(self) -> str:
-        """What differs from the defaults, for people; empty where nothing does."""
+        """What differs from the defaults, as text; empty where nothing does."""
         default = Controls()
         changed = [item.name for item in fields(self) if getattr(self, item.name) != getattr(default, item.name)]
         values = {name: getattr(self, name) for name in changed}

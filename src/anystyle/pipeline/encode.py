@@ -104,7 +104,7 @@ def encode(given: ReadViews, stylizer: Stylizer, options: ViewOptions, stages: S
 
 
 def encoder(stylizer: Stylizer) -> Callable[[Views], Scene]:
-    """What a style branch needs to know of views with cameras: no network's features where it styles colours alone."""
+    """The encoding that the style branch needs of views with cameras; no features if it styles colours alone."""
     if stylizer.branch.gaussian_head is not None:
         return stylizer.encode
     return colors_alone

@@ -167,7 +167,7 @@ class LoadedModel:
         stylizer: With its weights, in ``eval`` mode, on the device to compute on.
         method: How a scene takes a style.
         reconstruction: What makes a scene of views; ``None`` where that depends on whether their cameras are found.
-        poses: Where cameras come from unless it is said.
+        poses: The default source of cameras.
         weights: What was loaded; see :func:`assemble`.
     """
 
@@ -217,7 +217,7 @@ def load(model: str | None = None, overrides: Sequence[str] = ()) -> Stylizer:
 
 
 def default_poses(config: DictConfig) -> str:
-    """Where cameras come from unless it is said: a small bundled network predicts them badly."""
+    """The default source of cameras; a small bundled network predicts them badly."""
     known = weights.files()
     name = config.weights.backbone
     return "auto" if name in known and known[name].bundled else "predicted"

@@ -1,4 +1,4 @@
-"""Where style enters: masks of photographs, or in the scene a box, a sphere, or what looks alike; edges may be soft."""
+"""Where style enters: masks of photographs, or a box, a sphere or a region of similar colour in the scene."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -158,8 +158,8 @@ def parsed(word: str) -> Mask:
     except (ValueError, IndexError) as error:
         reason = f" ({error})" if "has no inside" in str(error) or "expected >" in str(error) else ""
         raise UserError(
-            f"the mask {word!r} is none{reason}; give a folder, {SHAPES}, each with ,soft=WIDTH if its edge is soft"
+            f"the mask {word!r} is not valid{reason}; give a folder, {SHAPES}, with ,soft=WIDTH for a soft edge"
         ) from None
     if not Path(word).is_dir():
-        raise UserError(f"the mask {word!r} is no folder, and not {SHAPES}")
+        raise UserError(f"the mask {word!r} is neither a folder nor {SHAPES}")
     return Photographs(Path(word), **options)

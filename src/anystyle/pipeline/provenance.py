@@ -1,4 +1,4 @@
-"""What a scene was made of, as notes of its files; folders, and what EXIF says of a photograph, are no part of it."""
+"""What a scene was made of, as notes of its files; folders and the EXIF data of photographs are left out."""
 
 import hashlib
 import json

@@ -1,4 +1,4 @@
-"""Styles as people give them: texts, images, and points between two styles."""
+"""Styles as inputs: texts, images, mixtures of two, and several by place."""
 
 import logging
 import re
@@ -126,7 +126,7 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             check_text(style)
             if scale != 1 and not paints:
                 raise UserError(
-                    f"scale={scale:g} is of strokes in a picture; the style {style[:40]!r} is a text, and this model "
+                    f"scale={scale:g} enlarges the strokes of a style image; {style[:40]!r} is a text, and this model "
                     "paints no strokes"
                 )
             title = f"“{' '.join(style.split())}”"

@@ -143,7 +143,7 @@ class Catalog:
 
     Args:
         plugins: The declarations, in the order of their origins.
-        problems: What could not be read, one line each; shown to those who ask for a name that is not there.
+        problems: What could not be read, one line each; shown with the error for an unknown name.
     """
 
     def __init__(self, plugins: Iterable[Plugin], problems: Sequence[str] = ()) -> None:

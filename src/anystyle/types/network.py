@@ -1,4 +1,4 @@
-"""Tokens, sites and raw predictions: what flows inside a network."""
+"""Tokens, sites and raw predictions: values inside a network."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

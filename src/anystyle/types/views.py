@@ -1,4 +1,4 @@
-"""Photographs, cameras and styles: what goes in."""
+"""Inputs: photographs, cameras and styles."""
 
 from dataclasses import dataclass, replace
 

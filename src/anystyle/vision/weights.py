@@ -60,7 +60,7 @@ def files() -> dict[str, WeightsFile]:
     for package in packages():
         for name, entry in _rows(package / TABLE).items():
             if known.setdefault(name, entry) != entry:
-                raise UserError(f"{package / TABLE} names {name!r}, which another row is called; rename it")
+                raise UserError(f"{package / TABLE} names {name!r}, the name of another row; rename it")
     return known
 
 

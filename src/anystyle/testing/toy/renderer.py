@@ -1,4 +1,4 @@
-"""Round blobs: the smallest renderer that sorts, blends and can be learned through."""
+"""Round blobs: the smallest renderer that sorts, blends and is differentiable."""
 
 import torch
 from jaxtyping import Float
