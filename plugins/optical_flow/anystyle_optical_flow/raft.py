@@ -6,17 +6,17 @@ from typing import Literal
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Correspondence
 from anystyle.errors import UserError
-from anystyle.geometry.warp import cycle_visible
 from anystyle.types import Flow, Frames
 from anystyle.vision.feature_cache import CACHE
 from anystyle.vision.weights import Source, Weights, locate, published
 from anystyle_optical_flow import network
 from anystyle_optical_flow.matching import match
+from anystyle_optical_flow.visibility import cycle_visible, inside
 
 log = logging.getLogger(__name__)
 
@@ -63,7 +63,7 @@ class Raft(Correspondence):
     def __call__(self, source: Frames, target: Frames) -> Flow:
         forward = self.displacement(source, target)
         # The features of a frame are computed once for both directions.
-        visible = cycle_visible(forward, self.displacement(target, source)) if self.cycle else _inside(forward)
+        visible = cycle_visible(forward, self.displacement(target, source)) if self.cycle else inside(forward)
         return Flow(forward, visible)
 
     @torch.no_grad()
@@ -105,10 +105,3 @@ def padded(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 h w"]:
     below = max(network.SMALLEST, -(-height // 8) * 8) - height
     right = max(network.SMALLEST, -(-width // 8) * 8) - width
     return F.pad(images, (0, right, 0, below), mode="replicate") if below or right else images
-
-
-def _inside(flow: Float[Tensor, "M 2 H W"]) -> Bool[Tensor, "M H W"]:
-    height, width = flow.shape[-2:]
-    x = torch.arange(width, device=flow.device) + flow[:, 0]
-    y = torch.arange(height, device=flow.device)[:, None] + flow[:, 1]
-    return (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
