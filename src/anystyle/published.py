@@ -22,7 +22,7 @@ class Published(ABC):
         """What the checkpoint fixes of a configuration, as far as its shapes show it.
 
         Keys are those of overrides: ``backbone.dim``, and for a checkpoint with a style branch ``placement`` and
-        whatever else the branch was trained with.
+        all other options that the branch was trained with.
         """
 
     @abstractmethod

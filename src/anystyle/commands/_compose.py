@@ -120,7 +120,7 @@ def _arguments(words: Sequence[str]) -> Iterator[None]:
 def _raising() -> Iterator[None]:
     """Let Hydra raise instead of printing an error and leaving with status 1.
 
-    The processes that a training starts inherit that; who asked for no traceback here asked for none there.
+    The processes that a training starts inherit both variables.
     """
     variables = {"HYDRA_FULL_ERROR": "1"} | ({} if wants_traceback() else {"ANYSTYLE_TRACEBACK": "0"})
     before = {name: os.environ.get(name) for name in variables}

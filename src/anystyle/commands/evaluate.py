@@ -69,7 +69,7 @@ def folder_words(arguments: argparse.Namespace) -> list[str]:
 
 
 def subject_words(words: Sequence[str]) -> list[str]:
-    """The override that leaves the model out, where the protocol takes no stylizer and no word asks for a model."""
+    """The override that leaves the model out, if the protocol takes no stylizer and no word chooses a part of one."""
     chosen = {key: value for key, _, value in (word.partition("=") for word in words)}
     name = chosen.get("protocol", "")
     if name not in catalog().names("protocol") or any(key.partition(".")[0] in MODEL for key in chosen):

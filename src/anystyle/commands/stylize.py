@@ -192,7 +192,7 @@ def add_controls(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="WHERE",
         help="where style enters: a folder of masks, sphere:X,Y,Z,RADIUS, box:X,Y,Z,X,Y,Z, "
-        "like:X,Y,Z,RADIUS,TOLERANCE; ,soft=WIDTH behind it",
+        "like:X,Y,Z,RADIUS,TOLERANCE; ,soft=WIDTH after it",
     )
 
 

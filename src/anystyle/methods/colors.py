@@ -26,7 +26,7 @@ KEPT = 10_000_000
 """Pairs of Gaussians and views whose graphs of renders are kept, about 100 bytes each; of more, views are rendered
 again for every pass backward."""
 MIN_CONFIDENCE = 1e-3
-"""Of a pixel all of whose Gaussians are seen larger elsewhere."""
+"""Of a pixel whose Gaussians are all seen larger in other views."""
 
 
 def fit_colors(
@@ -101,7 +101,7 @@ def covering_views(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, *
         gaussians: A batch of one scene.
         cameras: A batch of one scene.
         renderer: Differentiable in colours.
-        share: Of the pixels that Gaussians cover where they are largest, in (0, 1]; so much is shown.
+        share: Of the pixels that Gaussians cover in the views where they are largest, the share to be shown, in (0, 1].
         most: Views at most.
     """
     system = _System(gaussians.detach(), cameras.detach(), renderer)
@@ -157,10 +157,10 @@ def _conjugate_gradients(
 
 @dataclass(frozen=True)
 class _System:
-    """Renders as a linear map ``A`` of colours, but for what shines through: a pass backward is ``Aᵀ``.
+    """Renders as a linear map ``A`` of colours, without the background: a backward pass is ``Aᵀ``.
 
-    With ``confidence`` of the pixels of each view, ``Aᵀ`` is ``Aᵀ diag(confidence)`` everywhere: least squares count
-    squared errors so much.
+    With ``confidence`` of the pixels of each view, ``Aᵀ`` is ``Aᵀ diag(confidence)`` everywhere: the weights of
+    squared errors.
     """
 
     gaussians: Gaussians

@@ -48,7 +48,7 @@ def connect(layer: nn.Module, output: int, source: int, offset: float) -> None:
 def pass_colors_on(dpt: Dpt, first: int, coefficients: int, gain: Sequence[float], offset: Sequence[float]) -> None:
     """Route colours that image features add to the :func:`carriers` to the constant harmonics, unchanged.
 
-    ``first`` is the decoder's first channel of harmonics, of so many ``coefficients`` a colour.
+    ``first`` is the decoder's first channel of harmonics, ``coefficients`` for each colour.
     """
     neck, neck_bias = conv(dpt.neck)
     last, last_bias = conv(dpt.output[2])

@@ -53,7 +53,7 @@ class Controls:
     Args:
         strength: In [0, 1]; 0 is the unstyled scene, bit for bit.
         preserve_color: In [0, 1]: how much of the scene's own hues stays under the style's strokes.
-        scale: Size of strokes. A model that paints none shows its encoder the style image so much larger.
+        scale: Size of strokes. A model without strokes embeds the style image enlarged by it.
         mask: Where style enters; everywhere without one.
     """
 

@@ -1,4 +1,4 @@
-"""The third step: views become a scene; run once per scene, whatever its styles."""
+"""The third step: views become a scene, once for all styles."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -44,7 +44,7 @@ class EncodedCapture:
         targets: Names and cameras of further views to render, in the capture's frame.
         scene_from_known: From the frame of stored or estimated cameras to the capture's, where they differ.
         splat: The file of the scene, where Gaussians were given.
-        notes: On what the scene was made of, but for styles and networks.
+        notes: Provenance of the scene, without styles and networks.
     """
 
     stylizer: Stylizer

@@ -89,7 +89,7 @@ def room_for_backbone(config: DictConfig, *, learns: bool = False) -> None:
         with torch.random.fork_rng([]), _on_meta(True):
             tensors = build(Backbone, config.backbone).state_dict().values()
     except RuntimeError:
-        return  # its constructor asks for values
+        return  # its constructor reads values, which meta tensors lack
     needed = sum(tensor.nbytes for tensor in tensors) * (4 if learns else 1)
     require(needed, f"the weights of the backbone{', with what learning adds' if learns else ''}", _SMALLER)
 
@@ -309,7 +309,7 @@ def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str
         config={name: OmegaConf.to_container(config[name], resolve=True, enum_to_str=True) for name in nodes},
         base={part: sha256(file) for part, file in files.items()},
         provenance=dict(provenance),
-        # Without a file of the backbone nothing says what was copied.
+        # Without a file of the backbone it is unknown what was copied.
         omitted=tuple(name for name, part in branch.named_children() if "backbone" in files and _is_frozen(part)),
     )
 

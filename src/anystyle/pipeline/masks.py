@@ -100,7 +100,7 @@ class Photographs(Mask):
 
     Args:
         folder: An image named as each photograph, drawn on it as it came from the camera; dark is unstyled.
-        soft: The masks are blurred by so many times their shorter side.
+        soft: Standard deviation of the blur of the masks, as a fraction of their shorter side.
     """
 
     folder: Path

@@ -19,7 +19,7 @@ from anystyle.types import StyledScene
 from anystyle.vision.weights import binding
 
 MADE_OF = "made of "
-"""The beginning of a note that is a table in JSON; others are for people."""
+"""The beginning of a note that is a table in JSON; others are plain text."""
 
 
 def note(kind: str, files: Sequence[Path] = (), /, **facts: object) -> str:

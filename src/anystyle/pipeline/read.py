@@ -39,7 +39,7 @@ class ReadViews:
         cameras: Of all views, stored or estimated; ``None`` where the backbone predicts them.
         points: For each view, sparse points in the cameras' world that it shows, where some are known.
         targets: Stored cameras that the scene is to be rendered from, too.
-        report: What ``report.json`` says of the cameras.
+        report: The entries of ``report.json`` on the cameras.
     """
 
     views: Views

@@ -59,7 +59,7 @@ class Plugin:
         kind: One of :func:`kinds`.
         name: How configurations call it.
         target: ``module:Class``.
-        origin: Who declares it, for people.
+        origin: What declares it, to display.
         root: The folder its module is imported from, where it is not installed.
         project: The distribution it belongs to, where it belongs to one.
         defined: The class itself, where a running process declared it.
