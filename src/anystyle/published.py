@@ -14,10 +14,6 @@ class Published(ABC):
     """
 
     @abstractmethod
-    def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The tensors under their publishers' names without prefixes, whatever file they come from."""
-
-    @abstractmethod
     def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:
         """What the checkpoint fixes of a configuration, as far as its shapes show it.
 
