@@ -28,9 +28,10 @@ from IPython.display import Markdown
 from PIL import Image
 
 import anystyle
-from anystyle.correspondences.dis import DIS
+from anystyle.contracts import Correspondence
 from anystyle.correspondences.rendered_depth import RenderedDepth
 from anystyle.io.sheet import contact_sheet, to_pil
+from anystyle.registry.build import build
 from anystyle.types import Frames
 
 # %% [markdown]
@@ -108,7 +109,8 @@ asked = {
     "style 14": renders[1],
     "flat grey": 0 * views.images + 0.5,
 }
-flows = {name: DIS()(frame(images, 0), frame(images, 1)) for name, images in asked.items()}
+dis = build(Correspondence, "dis")
+flows = {name: dis(frame(images, 0), frame(images, 1)) for name, images in asked.items()}
 
 
 def colored(displacement):

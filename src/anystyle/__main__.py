@@ -37,7 +37,7 @@ def available() -> dict[str, str]:
 def main() -> None:
     """Run one command: one of the core as the program ``python -m anystyle.commands.COMMAND``, or a plugin.
 
-    A training that starts itself again for each device then finds its way back to the same command.
+    A training that restarts itself for each device is then started by the same command.
     """
     first, *rest = sys.argv[1:] or ["--help"]
     if first in ("-h", "--help", "help"):

@@ -1,6 +1,6 @@
-"""What every plugin promises. If you read one file, read this one.
+"""The contracts of plugins, one class for each kind.
 
-Each class here is a socket: a plugin inherits from it, implements the abstract methods and is listed in one line of
+A plugin inherits from one of these classes, implements its abstract methods and is listed in one line of
 TOML. ``anystyle.testing`` holds each contract as plain functions; ``anystyle plugins check`` runs them, on an instance
 built with the options of :meth:`~anystyle.registry.socket.Socket.example`, the defaults unless overridden.
 """
@@ -151,7 +151,7 @@ class Backbone(Socket, nn.Module, ABC):
 
     @final
     def freeze(self) -> "Backbone":
-        """Stop learning for good: no gradients, and ``eval`` mode whatever is asked for."""
+        """Disable gradients, and stay in ``eval`` mode even if :meth:`train` is called."""
         self.frozen = True
         return self.requires_grad_(False).train(False)
 
@@ -194,10 +194,10 @@ class StyleEncoder(Socket, nn.Module, ABC):
         Raises:
             UserError: They do not fit, or no published weights of this encoder are known.
         """
-        raise UserError(f"no published weights of a {type(self).__name__} are known; give a file of ours, or null")
+        raise UserError(f"no published weights of a {type(self).__name__} are known; give one that anystyle wrote")
 
     def match_text(self, text: str) -> TextMatch | None:
-        """What it knows that comes nearest to a text, and the words it does not know; ``None`` if it cannot say."""
+        """The nearest known description to a text, and the words that are unknown; ``None`` if it cannot tell."""
         return None
 
 
@@ -309,7 +309,7 @@ class Metric(Socket, torchmetrics.Metric, ABC):
     """Set by an instance: the SHA-256 of every file of weights that figures rest on, by the file's name."""
 
     gallery: Sequence[Float[Tensor, "3 h w"]] = ()
-    """Set by who judges: style images to be told apart, beside those of what is judged."""
+    """Set by a protocol: further style images to retrieve from, beside those of the comparisons."""
 
     is_differentiable = False
 
@@ -357,7 +357,7 @@ class Correspondence(Socket, ABC):
         """
 
     def displacement(self, source: Frames, target: Frames) -> Float[Tensor, "M 2 H W"]:
-        """The flow alone, for those who do not ask what is visible; override it where that is cheaper.
+        """The flow without visibility; override it where that is cheaper.
 
         Raises:
             ValueError: As :meth:`__call__`.

@@ -1,4 +1,4 @@
-"""Errors for the person who caused them, each told in one line."""
+"""Errors that a user can cause, as one-line messages."""
 
 import difflib
 from collections.abc import Iterable

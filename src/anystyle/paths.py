@@ -14,7 +14,7 @@ ASSETS = PACKAGE / "assets"
 
 
 def shown(path: Path) -> str:
-    """A path as people read it: without what leads to the checkout, the package or the current folder."""
+    """A path to display: relative to the checkout, the package or the current folder where it is below one."""
     for base in (SHARED, Path.cwd()):
         if path.is_relative_to(base):
             return path.relative_to(base).as_posix()

@@ -14,15 +14,11 @@ class Published(ABC):
     """
 
     @abstractmethod
-    def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """The tensors under their publishers' names without prefixes, whatever file they come from."""
-
-    @abstractmethod
     def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:
         """What the checkpoint fixes of a configuration, as far as its shapes show it.
 
         Keys are those of overrides: ``backbone.dim``, and for a checkpoint with a style branch ``placement`` and
-        whatever else the branch was trained with.
+        all other options that the branch was trained with.
         """
 
     @abstractmethod

@@ -1,4 +1,4 @@
-"""The method in one file: Figure 2 of the paper, top to bottom."""
+"""The method: Figure 2 of the paper, top to bottom."""
 
 import contextlib
 from collections.abc import Iterator, Sequence

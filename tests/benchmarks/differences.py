@@ -15,7 +15,6 @@ import torch.nn.functional as F
 from PIL import Image
 from torch import Tensor
 
-from anystyle.correspondences.dis import DIS
 from anystyle.data.images import read_image, to_tensor
 from anystyle.examples import resolved
 from anystyle.io.sheet import to_pil
@@ -26,6 +25,7 @@ from anystyle.types import Comparison
 from anystyle.vision import networks
 from anystyle.vision.statistics import mean_std
 from anystyle_magenta.teacher import Teacher
+from anystyle_optical_flow.dis import DIS
 
 LAYERS = ("expand1", "expand3", "expand5", "expand8")
 SIZE = (336, 448)

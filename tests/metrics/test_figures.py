@@ -10,7 +10,6 @@ from skimage.metrics import peak_signal_noise_ratio, structural_similarity
 from torchmetrics.image.kid import poly_mmd
 
 from anystyle.contracts import Metric
-from anystyle.correspondences.raft import Raft
 from anystyle.metrics.art_fid import ArtFID, frechet_distance, frechet_infinity
 from anystyle.metrics.cfsd import CFSD
 from anystyle.metrics.clip import ClipDirection, ClipStyle
@@ -24,6 +23,7 @@ from anystyle.metrics.warp_consistency import WarpConsistency
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.types import Cameras, Comparison, Style
 from anystyle.vision import feature_cache
+from anystyle_optical_flow.raft import Raft
 from anystyle_tiny.depth_agreement import DepthAgreement
 from oracle import hashed, smooth_image
 

@@ -212,7 +212,7 @@ def test_runtime_arguments(plugin_folder):
     assert build(Injector, node(plain), dim=8, style_dim=2).sizes == (8, 2, 4)
     assert build(Injector, "no_style", dim=8, style_dim=2).sizes == (8,)
     assert isinstance(build(Injector, "inherits", dim=8, style_dim=2), Injector)
-    with pytest.raises(PluginError, match="needs 'style_dim', which there is none of here"):
+    with pytest.raises(PluginError, match="needs 'style_dim', which is not available here"):
         build(Injector, node(plain), dim=8)
     with pytest.raises(AssertionError, match="'dims' is not a runtime argument of a injector"):
         build(Injector, node(plain), dims=8)

@@ -97,7 +97,7 @@ def test_a_run_of_another_configuration_is_not_continued(uninterrupted):
 
 def test_a_checkpoint_of_nobody_knows_what_is_not_continued(uninterrupted, tmp_path):
     shutil.copy(uninterrupted[0] / "last.ckpt", tmp_path / "last.ckpt")
-    with pytest.raises(ValueError, match=r"no bound.json that says of which configuration; pass resume=changed"):
+    with pytest.raises(ValueError, match=r"no bound.json with its configuration; pass resume=changed"):
         train(configuration(RECONSTRUCTION, tmp_path), tmp_path)
     assert train(configuration((*RECONSTRUCTION, "resume=changed"), tmp_path), tmp_path).finished
 

@@ -1,16 +1,9 @@
 """The evaluation's networks against the published implementations, filled by the same hash."""
 
-import pytest
 import torch
 
-from anystyle.vision import inception, networks, raft
-from judging_cases import ALIASES
+from anystyle.vision import inception, networks
 from oracle import assert_matches, fill_named, fill_sorted, golden, hashed
-
-
-def with_aliases(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """The original's state dict: one module under two names."""
-    return {**state, **{key: state[key.replace(".norm3.", ".downsample.1.")] for key in ALIASES}}
 
 
 def with_classifiers(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
@@ -38,31 +31,6 @@ def test_inception_matches_the_reference() -> None:
     net.load_state_dict(state)
     with torch.no_grad():
         assert_matches(net(hashed(1120, (1, 3, 128, 160))), record["features"])
-
-
-def test_raft_matches_the_reference() -> None:
-    record = golden("anystyle_golden")["raft"]
-    net = raft.Raft().eval()
-    published = with_aliases(net.state_dict())
-    assert len(published) == record["n_keys"]
-    filled = {f"module.{key}": value for key, value in fill_sorted(published).items()}
-    net.load_state_dict(raft.original_keys(filled))
-    source, target = (hashed(index, (1, 3, 128, 160), 0, 255) / 255 for index in (1110, 1111))
-    with torch.no_grad():
-        described = net.describe(source), net.describe(target)
-        flow = net.flow(*described, net.context(source), iterations=record["iters"])
-    assert_matches(flow, record["flow_up"], rtol=1e-4, atol=1e-4)
-
-
-def test_loading_is_strict(tmp_path) -> None:
-    net = raft.Raft()
-    state = with_aliases(net.state_dict())
-    torch.save({f"module.{key}": value for key, value in state.items()}, tmp_path / "right.pth")
-    raft.load(path=tmp_path / "right.pth")
-    del state["fnet.conv1.bias"]
-    torch.save(state, tmp_path / "wrong.pth")
-    with pytest.raises(ValueError, match=r"wrong.pth does not fit this Raft: 1 missing \(fnet"):
-        raft.load(path=tmp_path / "wrong.pth")
 
 
 def test_alexnet_and_vgg16_have_the_published_shapes() -> None:

@@ -73,6 +73,7 @@ class Checkpoints(Published):
     """AnySplat's file, AnyStyle's checkpoints and VGGT's file."""
 
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The tensors under their publishers' names, without the prefixes of their file."""
         bare: dict[str, Tensor] = {}
         for key, tensor in state.items():
             bare[next((key.removeprefix(prefix) for prefix in PREFIXES if key.startswith(prefix)), key)] = tensor

@@ -12,7 +12,7 @@ from pathlib import Path
 from anystyle.commands._flags import new_parser, parse, subcommand
 from anystyle.data.images import SUFFIXES
 from anystyle.errors import UserError
-from anystyle.evaluation.paper_folder import PaperFolder, is_paper_folder
+from anystyle.evaluation.paper_folder import PaperFolder
 from anystyle.io.atomic import atomic_path
 from anystyle.registry.socket import Command
 from anystyle_datasets import preparing
@@ -99,7 +99,8 @@ def _progress(stage: str, done: int, total: int) -> None:
 def check_command(arguments: argparse.Namespace) -> None:
     """Run ``anystyle data check``."""
     root, write = arguments.path, arguments.write
-    if arguments.layout == "tables" or (arguments.layout is None and is_paper_folder(root)):
+    has_tables = (root / "content").is_dir() and PaperFolder(root).styles.is_dir()
+    if arguments.layout == "tables" or (arguments.layout is None and has_tables):
         _check_tables(root)
         return
     start = time.perf_counter()

@@ -89,7 +89,7 @@ def test_scannet_is_found_where_it_keeps_its_photographs_and_cameras(tmp_path):
     # COLMAP's model, or nothing, at the place that is named.
     for cameras in ("dslr/colmap", "dslr/nerfstudio", "gone.json"):
         (tmp_path / "1ada7a0617/dslr/colmap").mkdir(exist_ok=True)
-        with pytest.raises(ValueError, match="is not there, or holds no cameras; cameras= names what"):
+        with pytest.raises(ValueError, match="is not there, or holds no cameras; cameras= is relative to"):
             FolderScenes(**options | {"cameras": cameras}).read(1, [0])
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from anystyle import contracts
 from anystyle.geometry.harmonics import damping, rotation_matrices
-from anystyle.geometry.transforms import multiply, wxyz_from_matrix, wxyz_from_xyzw, xyzw_from_wxyz
+from anystyle.geometry.transforms import multiply, wxyz_from_matrix, wxyz_from_xyzw
 from anystyle.types import Attributes, Cameras, Clusters, Gaussians, Geometry
 
 
@@ -84,7 +84,7 @@ class Adapter(contracts.Adapter):
         if self.rotations == "camera":
             return multiply(camera_rotations, wxyz_from_xyzw(unit))
         world = multiply(camera_rotations, unit.roll(2, dims=-1))
-        return xyzw_from_wxyz(torch.where(world[..., :1] < 0, -world, world))
+        return torch.where(world[..., :1] < 0, -world, world).roll(-1, dims=-1)  # xyzw
 
 
 def harmonics(color: Float[Tensor, "B V H W 3 K"], cameras: Cameras) -> Float[Tensor, "B V H W K 3"]:

@@ -45,6 +45,7 @@ class Checkpoints(Published):
     """The files of Depth Anything 3 that see several views."""
 
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The tensors under their publishers' names, without the prefixes of their file."""
         bare = {key.removeprefix("model."): tensor for key, tensor in state.items()}
         if any(name.startswith("da3.") for name in bare):
             bare = {name.removeprefix("da3."): bare[name] for name in bare if not name.startswith("da3_metric.")}

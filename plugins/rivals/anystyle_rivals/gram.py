@@ -6,7 +6,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.losses.features import StatisticsLoss
-from anystyle.vision.statistics import gram
+
+
+def gram(features: Float[Tensor, "M C *S"]) -> Float[Tensor, "M C C"]:
+    """Mean product of every two channels over all pixels (Gatys et al. 2016, equation 3, divided by their number)."""
+    flat = features.flatten(2)
+    return flat @ flat.mT / flat.shape[-1]
 
 
 class Gram(StatisticsLoss):

@@ -10,7 +10,8 @@ from anystyle.errors import UserError
 from anystyle.losses.features import FeatureLoss, Features, features_to_compare, mean_where, style_images
 from anystyle.types import Stylization
 from anystyle.vision.feature_cache import identity
-from anystyle.vision.statistics import gram, mean_std
+from anystyle.vision.statistics import mean_std
+from anystyle_rivals.gram import gram
 
 
 class SimultaneousScales(FeatureLoss):

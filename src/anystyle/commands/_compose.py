@@ -30,7 +30,7 @@ def main(
     parser: argparse.ArgumentParser | None = None,
     words: Sequence[str] | None = None,
 ) -> None:
-    """Be a command: read the words, compose the configuration, run, and end with one line if it fails.
+    """Run a command: parse its words, compose the configuration, call ``function``; user errors end in one line.
 
     Args:
         config_name: The configuration's root in ``conf/``.
@@ -50,7 +50,7 @@ def main(
 
 
 def describe(parser: argparse.ArgumentParser) -> None:
-    """Let a parser's help say what Hydra takes, and what there is to choose from."""
+    """Add Hydra's syntax and the configuration groups with their choices to a parser's help."""
     listing = "".join(f"  {group}: {', '.join(choices(group))}\n" for group in groups())
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = "\n".join(filter(None, [parser.epilog, EPILOG, f"Groups:\n{listing}"]))
@@ -59,7 +59,7 @@ def describe(parser: argparse.ArgumentParser) -> None:
 def launch(
     config_name: str, function: Callable[[DictConfig], Any], words: Sequence[str], folder: Path | None = None
 ) -> None:
-    """Hand words to Hydra, which composes what is in ``folder`` (``conf/``) and calls ``function``, maybe often."""
+    """Hand words to Hydra, which composes what is in ``folder`` (``conf/``) and calls ``function``, for each job."""
     register()
     check_words(words)
     if len({word.partition("=")[0] for word in words} & {*MODES}) > 1:
@@ -120,7 +120,7 @@ def _arguments(words: Sequence[str]) -> Iterator[None]:
 def _raising() -> Iterator[None]:
     """Let Hydra raise instead of printing an error and leaving with status 1.
 
-    The processes that a training starts inherit that; who asked for no traceback here asked for none there.
+    The processes that a training starts inherit both variables.
     """
     variables = {"HYDRA_FULL_ERROR": "1"} | ({} if wants_traceback() else {"ANYSTYLE_TRACEBACK": "0"})
     before = {name: os.environ.get(name) for name in variables}

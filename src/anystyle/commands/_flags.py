@@ -1,4 +1,4 @@
-"""Telling a command's ordinary flags from what goes to Hydra."""
+"""Separating a command's own flags from Hydra's overrides and flags."""
 
 import argparse
 import re
@@ -92,7 +92,7 @@ def split(parser: argparse.ArgumentParser, words: Sequence[str]) -> tuple[argpar
 
 
 def parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
-    """Read words none of which is Hydra's."""
+    """Read words that hold none of Hydra's."""
 
     def fail(message: str) -> NoReturn:
         unknown = re.search(r"unrecognized arguments: (-\S+)", message)

@@ -1,4 +1,4 @@
-"""How a command ends: quietly, or with one line and an exit status."""
+"""Running a command: exit statuses, user errors in one line, tracebacks of bugs."""
 
 import os
 import signal
@@ -16,10 +16,10 @@ _FULL = ("ANYSTYLE_TRACEBACK", "HYDRA_FULL_ERROR")
 
 
 def run(command: Callable[[], Any]) -> None:
-    """Run a command and leave the process as people expect.
+    """Run a command, and exit with its status.
 
-    An error of the user's ends in one line on the standard error stream and exit status 2, an interruption in 130. A
-    bug shows its traceback, and so does every error where ``ANYSTYLE_TRACEBACK=1``.
+    A user error prints one line to the standard error stream and exits with status 2, an interruption with 130. A bug
+    shows its traceback, and so does every error where ``ANYSTYLE_TRACEBACK=1``.
     """
     if threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, _terminated)
@@ -30,7 +30,7 @@ def run(command: Callable[[], Any]) -> None:
         print("anystyle: interrupted", file=sys.stderr)
         sys.exit(INTERRUPTED)
     except BrokenPipeError:
-        # Whoever read our output has had enough, such as `| head`; Python would complain once more while it exits.
+        # The reader of the pipe, such as `head`, has closed it; Python would report that again when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     except Exception as error:
@@ -50,7 +50,7 @@ def show(address: str) -> None:
 
 
 def _terminated(number: int, frame: object) -> NoReturn:
-    """End as after Ctrl-C: what was begun is cleared away."""
+    """Exit through Python's own cleanup, so that temporary files are removed."""
     print("anystyle: terminated", file=sys.stderr)
     sys.exit(128 + number)
 
@@ -74,7 +74,7 @@ def message(error: BaseException) -> str | None:
     if isinstance(error, FileNotFoundError):
         return one_line(error)
     if type(error) is ImportError and error.name is None:
-        return one_line(error)  # raised by hand where an optional dependency is missing: it names the extra
+        return one_line(error)  # raised by anystyle where an optional dependency is missing; it names the extra
     if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
         return f"out of memory: {one_line(error) or 'use fewer views or a smaller size'}"
     return None

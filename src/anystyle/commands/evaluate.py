@@ -69,7 +69,7 @@ def folder_words(arguments: argparse.Namespace) -> list[str]:
 
 
 def subject_words(words: Sequence[str]) -> list[str]:
-    """The override that leaves the model out, where the protocol takes no stylizer and no word asks for a model."""
+    """The override that leaves the model out, if the protocol takes no stylizer and no word chooses a part of one."""
     chosen = {key: value for key, _, value in (word.partition("=") for word in words)}
     name = chosen.get("protocol", "")
     if name not in catalog().names("protocol") or any(key.partition(".")[0] in MODEL for key in chosen):
@@ -167,7 +167,7 @@ def _style_encoder(config: DictConfig, metric: str) -> StyleEncoder:
 
 
 def main(words: Sequence[str] | None = None) -> None:
-    """Be the command: with ``--run``, once for each run that is found."""
+    """Run ``anystyle evaluate``; with ``--run``, once for each run found."""
 
     def command() -> None:
         flags = parser()

@@ -1,4 +1,4 @@
-"""Check a plugin against the contract of its kind, and say in plain words what is wrong."""
+"""Check a plugin against the contract of its kind, and report what is wrong."""
 
 import argparse
 import sys

@@ -160,7 +160,7 @@ def given_styles(arguments: argparse.Namespace, config: DictConfig, amounts: Seq
             styles.append(Style(image=image, names=(f"style {index}",)))
     if any(mask for _, mask in given):
         if amounts:
-            raise UserError("--mix is of two styles that are everywhere; leave out --mix or what is behind @")
+            raise UserError("--mix applies two styles to the whole scene; leave out --mix, or the @MASK of the styles")
         given += [(style, None) for style in styles[len(given) :]]
         return [Places(tuple(sorted(given, key=lambda one: one[1] is not None)))]
     if not amounts:
@@ -181,7 +181,7 @@ def _by_place(word: str, kind: Callable[[str], StyleInput]) -> tuple[StyleInput,
 
 
 def add_controls(parser: argparse.ArgumentParser) -> None:
-    """Add them; each takes several values, and every combination is a result."""
+    """Add the flags of controls; each takes several values, and every combination is a result."""
     group = parser.add_argument_group("how a style is applied; several values make a strip")
     group.add_argument("--strength", action="append", default=[], metavar="0..1", help="0 is the unstyled scene")
     group.add_argument("--preserve-color", action="append", default=[], metavar="0..1", help="keep the scene's hues")
@@ -192,7 +192,7 @@ def add_controls(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="WHERE",
         help="where style enters: a folder of masks, sphere:X,Y,Z,RADIUS, box:X,Y,Z,X,Y,Z, "
-        "like:X,Y,Z,RADIUS,TOLERANCE; ,soft=WIDTH behind it",
+        "like:X,Y,Z,RADIUS,TOLERANCE; ,soft=WIDTH after it",
     )
 
 

@@ -1,1 +1,1 @@
-"""Where scenes and styles come from: photographs, videos, paintings and a procedural world."""
+"""Reading scenes and styles: photographs, videos, stored cameras, style images and captions."""

@@ -73,5 +73,5 @@ class CameraReader(Socket, ABC):
 
 
 def readers() -> list[CameraReader]:
-    """A reader of every program that the catalog knows, by rank."""
+    """All readers of the catalog, by rank."""
     return sorted((build(CameraReader, name) for name in catalog().names("cameras")), key=lambda reader: reader.rank)

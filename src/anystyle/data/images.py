@@ -108,7 +108,7 @@ def _to_rgb(image: Image.Image) -> Image.Image:
 
 
 def readable(paths: Sequence[Path]) -> list[Path]:
-    """Those files whose header is an image's; the log says how many are not, and which."""
+    """The files whose header is an image's; others are logged."""
     with ThreadPoolExecutor(8) as pool:
         fine = dict(zip(paths, pool.map(_opens, paths), strict=True))
     bad = [path for path in paths if not fine[path]]

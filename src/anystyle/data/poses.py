@@ -35,7 +35,7 @@ def read_poses(folder: Path, images: Sequence[Path], stored_in: str | None = Non
             raise UserError(f"{path} names none of the photographs beside it")
     if stored_in is None:
         return {}
-    raise UserError(f"{target} is not there, or holds no cameras; cameras= names what lies in every scene")
+    raise UserError(f"{target} is not there, or holds no cameras; cameras= is relative to each scene's folder")
 
 
 def stored_cameras(folder: Path) -> dict[str, StoredCamera]:

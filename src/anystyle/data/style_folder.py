@@ -1,4 +1,4 @@
-"""A folder of style images with what was written about them."""
+"""A folder of style images with captions."""
 
 import logging
 from pathlib import Path

@@ -97,7 +97,7 @@ class Protocol(Socket, ABC):
 
 
 def required(part: Part | None, kind: str) -> Part:
-    """A part that must be configured; a :class:`UserError` says how to where it is not."""
+    """A part that must be configured; raises a :class:`UserError` if it is not."""
     if part is None:
         raise UserError(f"this protocol needs {kind}; add {kind}=NAME (`anystyle plugins {kind}` lists them)")
     return part

@@ -39,9 +39,9 @@ class ModelRenders(Protocol):
             scene, as the published scripts do; ``corrected`` writes PNG with rounded values and shows it the frames
             that are judged.
         scene_names: Which scenes, in this order; all if empty.
-        num_scenes: At most so many; ``None`` takes all.
-        num_styles: At most so many; ``None`` takes all.
-        frames: The first so many of each scene are judged.
+        num_scenes: How many scenes at most; ``None`` takes all.
+        num_styles: How many styles at most; ``None`` takes all.
+        frames: How many frames of each scene are judged, from its first.
         square: Whether the middle square of each view is taken.
     """
 

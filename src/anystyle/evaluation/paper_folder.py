@@ -104,11 +104,6 @@ class PaperFolder:
             raise UserError(f"root={self.root}: {'; '.join(missing[:3])}{more}; {_DESCRIPTION}")
 
 
-def is_paper_folder(root: Path) -> bool:
-    """Whether a folder has this layout."""
-    return (root / "content").is_dir() and PaperFolder(root).styles.is_dir()
-
-
 def _folders(folder: Path) -> list[Path]:
     folders = (path for path in folder.glob("[!.]*") if path.is_dir())
     return sorted(folders, key=lambda path: natural(path.name))

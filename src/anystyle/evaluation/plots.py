@@ -1,4 +1,4 @@
-"""Pictures of evaluations: figures of every style and of every run, and the best and worst examples."""
+"""Plots of evaluations: figures of every style and of every run, and the best and worst examples."""
 
 import math
 from collections.abc import Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Figures that papers printed, and the tables they stand in, with notes on what does not add up."""
+"""Figures that papers printed, and the tables they stand in, with notes on contradictions."""
 
 import math
 from collections.abc import Sequence

@@ -12,7 +12,7 @@ FOLDER = Path(__file__).parent
 
 @dataclass(frozen=True)
 class Example:
-    """An example, with what its licence asks to be said of it.
+    """An example, with the attribution that its licence requires.
 
     Args:
         file: A folder of photographs or a painting, relative to this package.

@@ -19,11 +19,6 @@ def wxyz_from_xyzw(quaternions: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*ba
     return quaternions.roll(1, dims=-1)
 
 
-def xyzw_from_wxyz(quaternions: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 4"]:
-    """Move the real part to the back."""
-    return quaternions.roll(-1, dims=-1)
-
-
 def matrix_from_wxyz(quaternions: Float[Tensor, "*batch 4"]) -> Float[Tensor, "*batch 3 3"]:
     """Rotation matrices of quaternions of any norm; that of the zero quaternion is the identity.
 

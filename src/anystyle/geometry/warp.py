@@ -70,23 +70,6 @@ def softmax_splat(
     )
 
 
-def cycle_visible(
-    forward: Float[Tensor, "M 2 H W"], backward: Float[Tensor, "M 2 H W"], *, relative: float = 0.01, slack: float = 0.5
-) -> Bool[Tensor, "M H W"]:
-    """Where following the flow there and back returns to the start (Sundaram, Brox and Keutzer, ECCV 2010, Eq. 5).
-
-    The allowed squared error is ``slack`` pixels² and ``relative`` times the squared displacements.
-    """
-    height, width = forward.shape[-2:]
-    sampled = sample_at(backward, forward)
-    error = (forward + sampled).square().sum(1)
-    allowed = relative * (forward.square().sum(1) + sampled.square().sum(1)) + slack
-    x = torch.arange(width, device=forward.device) + forward[:, 0]
-    y = torch.arange(height, device=forward.device)[:, None] + forward[:, 1]
-    inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    return (error <= allowed) & inside
-
-
 class Reprojected(NamedTuple):
     """Displacements (x, y) of a source view's pixels into the target, depth there, and whether the target sees them."""
 

@@ -11,7 +11,7 @@ class AdaLN(TokenInjector):
 
     The adaLN-Zero of Peebles and Xie, "Scalable Diffusion Models with Transformers", 2023 (arXiv:2212.09748, section
     3.2): a layer norm without parameters of its own, scale, shift and gate predicted by one layer that starts at 0.
-    There the gate stands behind a block; at a site no block is between, so it opens on the modulated tokens themselves.
+    There the gate multiplies a block's output; a site has no block, so here it multiplies the modulated tokens.
     Unlike FiLM, what it adds does not depend on how large a token is.
 
     Args:

@@ -1,4 +1,4 @@
-"""What injectors have in common that change tokens one by one."""
+"""The base of injectors that change each token alone."""
 
 from abc import abstractmethod
 

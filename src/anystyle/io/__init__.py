@@ -1,1 +1,1 @@
-"""Files in and out: PLY, COLMAP, video, sheets, checkpoints, what a run leaves."""
+"""Reading and writing files: PLY, COLMAP, video, contact sheets, checkpoints, JSON and YAML."""

@@ -49,7 +49,7 @@ MAX_PARTS, MAX_YAML_PARTS = 2_000_000, 100_000
 
 
 def regular(path: str | Path, *, most: int | None = MAX_BYTES, what: str = "file") -> Path:
-    """A path that is a regular file of at most so many bytes: no folder, pipe, device or link to itself."""
+    """The path, if it is a regular file of at most ``most`` bytes: no folder, pipe, device or circular link."""
     path = Path(path)
     try:
         state = path.stat()
@@ -65,7 +65,7 @@ def regular(path: str | Path, *, most: int | None = MAX_BYTES, what: str = "file
 
 
 def read_bytes(path: str | Path, *, most: int = MAX_BYTES, what: str = "file") -> bytes:
-    """The content of a regular file of at most so many bytes."""
+    """The content of a regular file of at most ``most`` bytes."""
     try:
         with regular(path, most=most, what=what).open("rb") as file:
             return file.read(most)

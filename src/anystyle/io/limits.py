@@ -30,7 +30,7 @@ def require(needed: int, what: str, advice: str) -> None:
 
 
 def gib(count: int | float) -> str:
-    """Bytes for people."""
+    """A number of bytes as text, in GiB."""
     return f"{count / 2**30:.1f} GiB"
 
 

@@ -1,4 +1,4 @@
-"""Videos: frames in, frames out."""
+"""Reading frames of videos, and writing videos."""
 
 import logging
 from collections.abc import Iterable, Iterator

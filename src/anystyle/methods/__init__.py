@@ -1,1 +1,1 @@
-"""From an encoded scene and a style to stylized Gaussians: the single pass, and what it is compared with."""
+"""From an encoded scene and a style to stylized Gaussians: the single pass, and colours of fitted Gaussians."""

@@ -1,4 +1,4 @@
-"""The single pass."""
+"""The method of the paper: the style branch in a single pass."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ MAX_VIEWS = 48
 class Branch(Method):
     """What the style branch predicts in a single pass, as in the paper.
 
-    Fitted or given Gaussians, which the branch knows nothing of, are coloured so that their renders look like the
+    Fitted or given Gaussians, which the branch does not predict, are coloured so that their renders look like the
     styled pixels; everything else of them stays as it is.
 
     Args:

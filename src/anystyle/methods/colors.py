@@ -16,17 +16,17 @@ from anystyle.io.cache import LRUCache
 from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, Tokens, Views
 
 MIN_WEIGHT = 1e-3
-"""A Gaussian that all views together show less of than so many pixels keeps its colour."""
+"""A Gaussian that covers fewer pixels of all views together keeps its colour."""
 EVIDENCE, NEIGHBORS = 1.0, 8
-"""A Gaussian that all views together show less of than so many pixels takes after so many nearest ones of which they
-show more, in place of the pixels that it lacks."""
+"""A Gaussian that covers fewer than ``EVIDENCE`` pixels of all views takes the rest of its colour from the nearest
+``NEIGHBORS`` that cover more."""
 COUNTED = 50_000
 """Gaussians that views are chosen by, evenly spaced; all pairs of them and views are held in memory."""
 KEPT = 10_000_000
 """Pairs of Gaussians and views whose graphs of renders are kept, about 100 bytes each; of more, views are rendered
 again for every pass backward."""
 MIN_CONFIDENCE = 1e-3
-"""Of a pixel all of whose Gaussians are seen larger elsewhere."""
+"""Of a pixel whose Gaussians are all seen larger in other views."""
 
 
 def fit_colors(
@@ -51,7 +51,7 @@ def fit_colors(
     by the square of the share that Gaussians have in it which no other view shows larger, so that each place is painted
     by one view, as surfaces are textured from photographs (Lempitsky and Ivanov 2007).
 
-    Gaussians that views hardly show, on which least squares would put what is left of the error, are pulled towards the
+    Gaussians that views hardly show, which least squares would fit to residual errors, are pulled towards the
     colours of their neighbours.
 
     Args:
@@ -101,7 +101,7 @@ def covering_views(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, *
         gaussians: A batch of one scene.
         cameras: A batch of one scene.
         renderer: Differentiable in colours.
-        share: Of the pixels that Gaussians cover where they are largest, in (0, 1]; so much is shown.
+        share: Of the pixels that Gaussians cover in the views where they are largest, the share to be shown, in (0, 1].
         most: Views at most.
     """
     system = _System(gaussians.detach(), cameras.detach(), renderer)
@@ -157,10 +157,10 @@ def _conjugate_gradients(
 
 @dataclass(frozen=True)
 class _System:
-    """Renders as a linear map ``A`` of colours, but for what shines through: a pass backward is ``Aᵀ``.
+    """Renders as a linear map ``A`` of colours, without the background: a backward pass is ``Aᵀ``.
 
-    With ``confidence`` of the pixels of each view, ``Aᵀ`` is ``Aᵀ diag(confidence)`` everywhere: least squares count
-    squared errors so much.
+    With ``confidence`` of the pixels of each view, ``Aᵀ`` is ``Aᵀ diag(confidence)`` everywhere: the weights of
+    squared errors.
     """
 
     gaussians: Gaussians
@@ -278,7 +278,7 @@ def _identity(system: _System) -> tuple[object, ...]:
 def colors_alone(views: Views) -> Scene:
     """Views with cameras as ``placement=color`` reads them: colours; no tokens, depth or Gaussians."""
     if views.cameras is None:
-        raise UserError("colours alone are encoded of views with cameras")
+        raise UserError("placement=color encodes views with cameras, and these have none")
     images, cameras = views.images, views.cameras
     batch, number, _, height, width = images.shape
     pixels = images.new_zeros(batch, number, height, width)

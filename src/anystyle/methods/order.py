@@ -1,4 +1,4 @@
-"""Orders of photographs that do not depend on the order given."""
+"""An order of photographs that does not depend on the order given."""
 
 import hashlib
 from collections.abc import Iterable, Sequence

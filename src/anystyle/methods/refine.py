@@ -20,7 +20,6 @@ def refine(
     renderer: Renderer,
     *,
     steps: int,
-    seed: int = 0,
 ) -> Gaussians:
     """Lower the mean absolute error of renders, by Adam on one view a step; opacities stay.
 
@@ -31,10 +30,9 @@ def refine(
         confidence: Weights of pixels.
         renderer: Differentiable in all attributes.
         steps: Each a render of one view and its backward pass.
-        seed: Of the order of views.
     """
     parameters = GaussianParameters(gaussians, RATES, gaussians.scales[0].mean(-1))
-    generator, left = torch.Generator().manual_seed(seed), list[int]()
+    generator, left = torch.Generator().manual_seed(0), list[int]()
     for _ in range(steps):
         left = left or torch.randperm(len(targets), generator=generator).tolist()
         view = left.pop()

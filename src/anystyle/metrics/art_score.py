@@ -1,4 +1,4 @@
-"""ArtScore: how much stylized images look like fine art to a network that was taught to rank (Chen et al. 2024)."""
+"""ArtScore: how much stylized images look like fine art to a network trained to rank (Chen et al. 2024)."""
 
 from collections.abc import Mapping
 from typing import ClassVar, Literal

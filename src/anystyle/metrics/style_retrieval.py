@@ -1,4 +1,4 @@
-"""Style retrieval: whether a stylized scene leads back to its style image."""
+"""Style retrieval: whether the style image nearest to a stylized scene is its own."""
 
 import warnings
 import zlib
@@ -27,7 +27,7 @@ class Retrieval(Metric):
     over all styles of their scene, style images over all of theirs, so that what a scene shows does not count. Chance
     is one over the number of style images, and figures of other numbers cannot be compared.
 
-    A subclass says what pictures are described by, and names the two figures in :attr:`better`, colour first.
+    A subclass defines the vectors, and names the two figures in :attr:`better`, colour first.
     """
 
     full_state_update = False

@@ -1,4 +1,4 @@
-"""The dense prediction transformer's decoder (Ranftl et al., arXiv 2103.13413), as networks of geometry use it."""
+"""The dense prediction transformer's decoder (Ranftl et al., arXiv 2103.13413), as geometry networks use it."""
 
 from collections.abc import Callable, Sequence
 

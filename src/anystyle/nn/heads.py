@@ -77,7 +77,7 @@ class DptGeometry(nn.Module, Generic[Camera]):
     """Cameras from the last tap's leading token, and a DPT for depth; in the weights' precision throughout.
 
     Args:
-        camera: Reads pose encodings off tokens, as :meth:`cameras` asks.
+        camera: Decodes pose encodings from tokens, for :meth:`cameras`.
         depth: Predicts the logarithm of depth, and of confidence less one.
         taps: The layers that the depth head reads, four, in rising order.
         chunk: Views decoded at a time, which changes memory only.

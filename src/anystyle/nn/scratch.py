@@ -1,4 +1,4 @@
-"""Initial values for training without pretrained weights: a network that shows its photographs on a plane.
+"""Initial values for training without pretrained weights: a network that places its photographs on a plane.
 
 Depth is about 1, cameras stand at the origin, and every pixel is a Gaussian of its own colour and about its footprint's
 size. All other weights start small, so that training starts from a picture and not from noise.
@@ -48,7 +48,7 @@ def connect(layer: nn.Module, output: int, source: int, offset: float) -> None:
 def pass_colors_on(dpt: Dpt, first: int, coefficients: int, gain: Sequence[float], offset: Sequence[float]) -> None:
     """Route colours that image features add to the :func:`carriers` to the constant harmonics, unchanged.
 
-    ``first`` is the decoder's first channel of harmonics, of so many ``coefficients`` a colour.
+    ``first`` is the decoder's first channel of harmonics, ``coefficients`` for each colour.
     """
     neck, neck_bias = conv(dpt.neck)
     last, last_bias = conv(dpt.output[2])

@@ -1,1 +1,1 @@
-"""From a configuration to a running model: assembling, weights, groups of views, refinement, memory."""
+"""The pipeline of ``anystyle stylize``: load a model, read views, encode, restyle, save."""

@@ -1,4 +1,4 @@
-"""Cameras that are known beforehand, and placing them in the frame of a scene."""
+"""Known cameras, and placing them in the frame of a scene."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,6 +1,6 @@
-"""What people turn while they look: strength, colour preservation, size of strokes, and where style enters.
+"""Controls of a style: strength, colour preservation, size of strokes, and where it enters.
 
-Each is a function of embeddings, images or colours that any model shares; none knows a backbone.
+Each is a function of embeddings, images or colours that any model has; none depends on a backbone.
 """
 
 from abc import ABC, abstractmethod
@@ -53,7 +53,7 @@ class Controls:
     Args:
         strength: In [0, 1]; 0 is the unstyled scene, bit for bit.
         preserve_color: In [0, 1]: how much of the scene's own hues stays under the style's strokes.
-        scale: Size of strokes. A model that paints none shows its encoder the style image so much larger.
+        scale: Size of strokes. A model without strokes embeds the style image enlarged by it.
         mask: Where style enters; everywhere without one.
     """
 
@@ -71,7 +71,7 @@ class Controls:
 
     @property
     def label(self) -> str:
-        """What differs from the defaults, for people; empty where nothing does."""
+        """What differs from the defaults, as text; empty where nothing does."""
         default = Controls()
         changed = [item.name for item in fields(self) if getattr(self, item.name) != getattr(default, item.name)]
         values = {name: getattr(self, name) for name in changed}

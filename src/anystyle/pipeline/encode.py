@@ -1,4 +1,4 @@
-"""The third step: views become a scene; run once per scene, whatever its styles."""
+"""The third step: views become a scene, once for all styles."""
 
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -44,7 +44,7 @@ class EncodedCapture:
         targets: Names and cameras of further views to render, in the capture's frame.
         scene_from_known: From the frame of stored or estimated cameras to the capture's, where they differ.
         splat: The file of the scene, where Gaussians were given.
-        notes: On what the scene was made of, but for styles and networks.
+        notes: Provenance of the scene, without styles and networks.
     """
 
     stylizer: Stylizer
@@ -104,7 +104,7 @@ def encode(given: ReadViews, stylizer: Stylizer, options: ViewOptions, stages: S
 
 
 def encoder(stylizer: Stylizer) -> Callable[[Views], Scene]:
-    """What a style branch needs to know of views with cameras: no network's features where it styles colours alone."""
+    """The encoding that the style branch needs of views with cameras; no features if it styles colours alone."""
     if stylizer.branch.gaussian_head is not None:
         return stylizer.encode
     return colors_alone

@@ -89,7 +89,7 @@ def room_for_backbone(config: DictConfig, *, learns: bool = False) -> None:
         with torch.random.fork_rng([]), _on_meta(True):
             tensors = build(Backbone, config.backbone).state_dict().values()
     except RuntimeError:
-        return  # its constructor asks for values
+        return  # its constructor reads values, which meta tensors lack
     needed = sum(tensor.nbytes for tensor in tensors) * (4 if learns else 1)
     require(needed, f"the weights of the backbone{', with what learning adds' if learns else ''}", _SMALLER)
 
@@ -167,7 +167,7 @@ class LoadedModel:
         stylizer: With its weights, in ``eval`` mode, on the device to compute on.
         method: How a scene takes a style.
         reconstruction: What makes a scene of views; ``None`` where that depends on whether their cameras are found.
-        poses: Where cameras come from unless it is said.
+        poses: The default source of cameras.
         weights: What was loaded; see :func:`assemble`.
     """
 
@@ -217,7 +217,7 @@ def load(model: str | None = None, overrides: Sequence[str] = ()) -> Stylizer:
 
 
 def default_poses(config: DictConfig) -> str:
-    """Where cameras come from unless it is said: a small bundled network predicts them badly."""
+    """The default source of cameras; a small bundled network predicts them badly."""
     known = weights.files()
     name = config.weights.backbone
     return "auto" if name in known and known[name].bundled else "predicted"
@@ -309,7 +309,7 @@ def branch_header(config: DictConfig, branch: nn.Module, provenance: Mapping[str
         config={name: OmegaConf.to_container(config[name], resolve=True, enum_to_str=True) for name in nodes},
         base={part: sha256(file) for part, file in files.items()},
         provenance=dict(provenance),
-        # Without a file of the backbone nothing says what was copied.
+        # Without a file of the backbone it is unknown what was copied.
         omitted=tuple(name for name, part in branch.named_children() if "backbone" in files and _is_frozen(part)),
     )
 

@@ -1,4 +1,4 @@
-"""Where style enters: masks of photographs, or in the scene a box, a sphere, or what looks alike; edges may be soft."""
+"""Where style enters: masks of photographs, or a box, a sphere or a region of similar colour in the scene."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -100,7 +100,7 @@ class Photographs(Mask):
 
     Args:
         folder: An image named as each photograph, drawn on it as it came from the camera; dark is unstyled.
-        soft: The masks are blurred by so many times their shorter side.
+        soft: Standard deviation of the blur of the masks, as a fraction of their shorter side.
     """
 
     folder: Path
@@ -158,8 +158,8 @@ def parsed(word: str) -> Mask:
     except (ValueError, IndexError) as error:
         reason = f" ({error})" if "has no inside" in str(error) or "expected >" in str(error) else ""
         raise UserError(
-            f"the mask {word!r} is none{reason}; give a folder, {SHAPES}, each with ,soft=WIDTH if its edge is soft"
+            f"the mask {word!r} is not valid{reason}; give a folder, {SHAPES}, with ,soft=WIDTH for a soft edge"
         ) from None
     if not Path(word).is_dir():
-        raise UserError(f"the mask {word!r} is no folder, and not {SHAPES}")
+        raise UserError(f"the mask {word!r} is neither a folder nor {SHAPES}")
     return Photographs(Path(word), **options)

@@ -1,4 +1,4 @@
-"""What a scene was made of, as notes of its files; folders, and what EXIF says of a photograph, are no part of it."""
+"""What a scene was made of, as notes of its files; folders and the EXIF data of photographs are left out."""
 
 import hashlib
 import json
@@ -19,7 +19,7 @@ from anystyle.types import StyledScene
 from anystyle.vision.weights import binding
 
 MADE_OF = "made of "
-"""The beginning of a note that is a table in JSON; others are for people."""
+"""The beginning of a note that is a table in JSON; others are plain text."""
 
 
 def note(kind: str, files: Sequence[Path] = (), /, **facts: object) -> str:

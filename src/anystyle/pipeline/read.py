@@ -39,7 +39,7 @@ class ReadViews:
         cameras: Of all views, stored or estimated; ``None`` where the backbone predicts them.
         points: For each view, sparse points in the cameras' world that it shows, where some are known.
         targets: Stored cameras that the scene is to be rendered from, too.
-        report: What ``report.json`` says of the cameras.
+        report: The entries of ``report.json`` on the cameras.
     """
 
     views: Views
@@ -172,7 +172,7 @@ def _max_views(paths: Sequence[Path], options: ViewOptions, reconstruction: Reco
 def view_size(backbone: Backbone, options: ViewOptions, reconstruction: Reconstruction) -> tuple[int, bool]:
     """The shorter side of views in pixels, and whether smaller photographs are enlarged to it.
 
-    They are to what somebody asks for or a network was trained at; a fit gains nothing from enlarged pixels.
+    They are enlarged to a requested size or the one a network was trained at; a fit gains nothing from enlarged pixels.
     """
     if options.short_side is None and reconstruction.short_side is not None:
         return reconstruction.short_side, False

@@ -89,7 +89,7 @@ class Restyler:
 
 
 def _finite(gaussians: Gaussians, what: str) -> Gaussians:
-    """The Gaussians themselves, if all their numbers are finite: NaN would be written without complaint."""
+    """The same Gaussians, or a UserError if a number is not finite: formats would store NaN silently."""
     for item in fields(gaussians):
         values: Tensor = getattr(gaussians, item.name)
         lost = values.numel() - int(values.isfinite().sum())

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
 from itertools import takewhile
@@ -15,10 +15,8 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.contracts import Video
-from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
-from anystyle.io.checkpoint import save_tensors
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
 from anystyle.methods.base import Method
 from anystyle.pipeline.encode import EncodedCapture
@@ -26,19 +24,16 @@ from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.options import ExportOptions
 from anystyle.pipeline.provenance import MADE_OF, note, tables
 from anystyle.pipeline.restyle import Restyler
+from anystyle.pipeline.scene_files import save_gaussians, write_cameras, write_colmap
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, OnProgress, StyledScene, no_progress
 from anystyle.vision.weights import BINDING, binding, license_lines, licenses
 
-CONVENTION = "OpenCV axes (x right, y down, z forward); intrinsics in source pixels; lengths in the scene's own unit"
-MAX_POINTS = 100_000
-"""Points of a COLMAP export: what an optimisation of Gaussians starts from."""
-
 VERSIONS = {name: version(name) for name in ("anystyle", "torch", "numpy")}
 WRITTEN = "scene, renders and video"
-"""What is said while a result is written."""
+"""The progress line while a result is written."""
 
 Column = tuple[str, Cell, Sequence[Cell]]
 """Of a sheet: title, style image if there is one, renders as small as its cells."""
@@ -149,7 +144,7 @@ class Result:
 
 
 class Results:
-    """One result a style, each computed when it is asked for: memory holds the one that is looked at.
+    """The results of several styles, each computed on access; none is kept in memory.
 
     Args:
         encoded: The capture.
@@ -300,10 +295,10 @@ def _anonymous(
 def _technical(report: dict[str, Any]) -> dict[str, object]:
     """A report without names, hashes, texts and paths."""
     left_out = ("inputs", "weights", "config", "provenance")
-    reasons = {name: value for name, value in report["reconstruction"].items() if name != "reasons"}
+    reconstruction = {name: value for name, value in report["reconstruction"].items() if name != "reasons"}
     bound = {part: terms for part, terms in report["licenses"].items() if terms["means"] == BINDING}
     kept = {name: value for name, value in report.items() if name not in left_out}
-    return kept | {"reconstruction": reasons, "licenses": bound, "method": {"kind": report["method"]["kind"]}}
+    return kept | {"reconstruction": reconstruction, "licenses": bound, "method": {"kind": report["method"]["kind"]}}
 
 
 def _same_geometry(first: Gaussians, second: Gaussians) -> bool:
@@ -318,65 +313,3 @@ def _method_report(method: Method) -> dict[str, object]:
         "kind": catalog().name_of("method", type(method)),
         "networks": [asdict(source) for source in method.sources],
     }
-
-
-def save_gaussians(gaussians: Gaussians, path: Path) -> None:
-    """Write every tensor of some Gaussians, without the loss of the PLY's conventions, as safetensors."""
-    tensors = {item.name: getattr(gaussians, item.name).detach().cpu().contiguous() for item in fields(gaussians)}
-    save_tensors(path, tensors, {"format": "anystyle/1 gaussians"})
-
-
-def write_cameras(path: Path, encoded: EncodedCapture) -> None:
-    """Write the cameras of the input views as readable JSON, whole or not at all.
-
-    Intrinsics are in pixels of the source images; where known cameras were given, the similarity from their frame to
-    the scene's is written, too.
-    """
-    cameras = encoded.cameras.to("cpu")
-    rows = zip(
-        encoded.sources, _source_intrinsics(encoded, cameras.intrinsics[0]), cameras.world_from_camera[0], strict=True
-    )
-    views = [
-        {
-            "name": source.name,
-            "height": source.size[0],
-            "width": source.size[1],
-            "intrinsics": intrinsics.tolist(),
-            "world_from_camera": pose.tolist(),
-        }
-        for source, intrinsics, pose in rows
-    ]
-    content: dict[str, object] = {"convention": CONVENTION, "views": views}
-    if encoded.scene_from_known is not None:
-        scale, rotation, translation = encoded.scene_from_known
-        content["scene_from_known"] = {
-            "meaning": "scene = scale * rotation @ known + translation",
-            "scale": float(scale),
-            "rotation": rotation.tolist(),
-            "translation": translation.tolist(),
-        }
-    write_json(path, content)
-
-
-def write_colmap(folder: Path, gaussians: Gaussians, encoded: EncodedCapture, *, binary: bool) -> None:
-    """Write one scene as a COLMAP model: cameras in source pixels, images, and the surest Gaussians as points."""
-    from anystyle.io import colmap
-
-    opacities = gaussians.opacities[0].cpu()
-    surest = opacities.argsort(descending=True, stable=True)[: min(MAX_POINTS, int((opacities > 0).sum()))]
-    rgb = rgb_from_constant(gaussians.harmonics[0, :, 0].cpu()[surest])
-    cameras = encoded.cameras.to("cpu").to(torch.float64)
-    model = colmap.pinhole_model(
-        [f"{source.name}.png" if source.path is None else source.path.name for source in encoded.sources],
-        [source.size for source in encoded.sources],
-        _source_intrinsics(encoded, cameras.intrinsics[0]).numpy(),
-        cameras.camera_from_world[0].numpy(),
-        gaussians.means[0].cpu()[surest].double().numpy(),
-        (rgb.clamp(0, 1) * 255).round().byte().numpy(),
-    )
-    colmap.write(model, folder, binary=binary)
-
-
-def _source_intrinsics(encoded: EncodedCapture, intrinsics: Float[Tensor, "V 3 3"]) -> Float[Tensor, "V 3 3"]:
-    pairs = zip(encoded.sources, intrinsics, strict=True)
-    return torch.stack([source.source_intrinsics(matrix) for source, matrix in pairs])

@@ -115,7 +115,7 @@ def read_unturned(path: Path, up: str | None) -> StyledScene:
         if report.style in (whole.style if isinstance(whole.style, list) else [whole.style])
     ]
     if not styles:
-        raise UserError(f"{path / 'report.json'} tells of results that are not there")
+        raise UserError(f"{path / 'report.json'} lists results that are missing")
     unstyled = path / "unstyled.safetensors"
     if unstyled.is_file():
         styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))
@@ -124,7 +124,7 @@ def read_unturned(path: Path, up: str | None) -> StyledScene:
 
 
 def read_gaussians(path: Path) -> Gaussians:
-    """Read what :func:`anystyle.pipeline.save.save_gaussians` wrote."""
+    """Read what :func:`anystyle.pipeline.scene_files.save_gaussians` wrote."""
     try:
         with safe_open(regular(path, most=None), framework="pt") as file:
             return Gaussians(**{item.name: file.get_tensor(item.name) for item in fields(Gaussians)})

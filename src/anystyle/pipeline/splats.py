@@ -1,4 +1,4 @@
-"""A 3D Gaussian scene that somebody has: cameras for it, its renders as views, and its file with other colours."""
+"""Stylizing a given 3D Gaussian scene: cameras for it, and its renders as views."""
 
 import time
 from collections.abc import Callable

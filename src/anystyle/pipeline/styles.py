@@ -1,4 +1,4 @@
-"""Styles as people give them: texts, images, and points between two styles."""
+"""Styles as inputs: texts, images, mixtures of two, and several by place."""
 
 import logging
 import re
@@ -55,7 +55,7 @@ StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture | Places
 
 @dataclass(frozen=True)
 class EmbeddedStyle:
-    """A style as the network reads it, with what people see of it.
+    """An embedded style, with what is displayed of it.
 
     Args:
         name: Lower-case words joined by hyphens, for a folder.
@@ -63,7 +63,7 @@ class EmbeddedStyle:
         cell: Its picture, where there is one.
         embedding: A batch of one.
         style: The image or the text itself; neither for a point between two styles.
-        matches: Of each text that it is made of, what the encoder says of it.
+        matches: For each text, the nearest description that the encoder knows.
         notes: On the texts and images that it is made of.
         controls: How it is applied.
         parts: Several styles by place, whose masks are in their controls, in the order in which they cover each other;
@@ -126,7 +126,7 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             check_text(style)
             if scale != 1 and not paints:
                 raise UserError(
-                    f"scale={scale:g} is of strokes in a picture; the style {style[:40]!r} is a text, and this model "
+                    f"scale={scale:g} enlarges the strokes of a style image; {style[:40]!r} is a text, and this model "
                     "paints no strokes"
                 )
             title = f"“{' '.join(style.split())}”"

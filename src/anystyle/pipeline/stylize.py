@@ -1,4 +1,4 @@
-"""The one road of ``stylize``, for the command and for Python alike: load, read, encode, restyle, save."""
+"""``stylize``, for the command and the Python API: load, read, encode, restyle, save."""
 
 import contextlib
 from collections.abc import Mapping, Sequence

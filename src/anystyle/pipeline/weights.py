@@ -1,4 +1,4 @@
-"""Published weights by one call: a state dict in the original layout in, a stylizer out."""
+"""A stylizer with published weights, from a state dict in the original layout."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,1 +1,1 @@
-"""How scenes come to be from photographs: cameras by structure from motion, Gaussians by fitting."""
+"""Reconstructions: from views to the scene that is styled."""

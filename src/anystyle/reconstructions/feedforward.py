@@ -1,4 +1,4 @@
-"""The backbone's own scene."""
+"""The scene that the backbone predicts."""
 
 from collections.abc import Callable, Sequence
 

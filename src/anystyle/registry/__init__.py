@@ -1,1 +1,1 @@
-"""From names to objects: the catalog of plugins, schemas made of signatures, and the one door that builds."""
+"""The catalog of plugins, schemas made from constructor signatures, and building plugins."""

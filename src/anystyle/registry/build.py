@@ -1,4 +1,4 @@
-"""From a configuration node to an object: the only door, and it opens for the catalog alone."""
+"""Building plugins from configuration nodes; only classes of the catalog are built."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -59,7 +59,7 @@ def build(base: type[T], config: "DictConfig | Mapping[str, Any] | str", /, **ru
     named = runtime_arguments(plugin)
     for name, required in named.items():
         if required and name not in runtime:
-            raise PluginError(f"{plugin} needs '{name}', which there is none of here")
+            raise PluginError(f"{plugin} needs '{name}', which is not available here")
     # Checked above against the constructor itself, which the contract's signature does not show.
     constructor: Any = plugin.load()
     return constructor(**values, **{name: runtime[name] for name in named if name in runtime})
@@ -105,7 +105,7 @@ def _checked(plugin: Plugin, given: Mapping[str, Any]) -> dict[str, Any]:
             plain_value = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
             values[item.name] = fitted(plain_value, item.hint)
             if values[item.name] != values[item.name]:
-                raise UserError("nan is no number that anything can be set to")
+                raise UserError("nan is not a valid value")
         except (OmegaConfBaseException, ValueError) as error:
             message = str(error).partition("\n")[0]
             raise UserError(f"{plugin}, option '{item.name}': {message}") from error

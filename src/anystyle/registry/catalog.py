@@ -59,7 +59,7 @@ class Plugin:
         kind: One of :func:`kinds`.
         name: How configurations call it.
         target: ``module:Class``.
-        origin: Who declares it, for people.
+        origin: What declares it, to display.
         root: The folder its module is imported from, where it is not installed.
         project: The distribution it belongs to, where it belongs to one.
         defined: The class itself, where a running process declared it.
@@ -143,7 +143,7 @@ class Catalog:
 
     Args:
         plugins: The declarations, in the order of their origins.
-        problems: What could not be read, one line each; shown to those who ask for a name that is not there.
+        problems: What could not be read, one line each; shown with the error for an unknown name.
     """
 
     def __init__(self, plugins: Iterable[Plugin], problems: Sequence[str] = ()) -> None:

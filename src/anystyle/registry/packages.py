@@ -1,4 +1,4 @@
-"""What plugin packages carry beside their modules: presets in ``conf``, weights in ``weights.toml`` and ``assets``."""
+"""Data files of plugin packages: presets in ``conf``, weights in ``weights.toml`` and ``assets``."""
 
 import importlib.machinery
 import importlib.util

@@ -16,7 +16,7 @@ class Socket:
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Options of an instance that can be checked in seconds; the constructor's defaults, unless a plugin says else.
+        """Options of an instance that can be checked in seconds; the constructor's defaults, unless overridden.
 
         A large network returns a few thin layers, a data set the path of a small sample of its format that it has
         just written.

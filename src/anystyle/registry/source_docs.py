@@ -1,4 +1,4 @@
-"""What a plugin's source says of it, read without importing the plugin."""
+"""A plugin's description and options, read from its source without importing it."""
 
 import ast
 import contextlib
@@ -11,7 +11,7 @@ from anystyle.registry.catalog import Plugin, kind_named
 from anystyle.registry.packages import source_file
 
 _HOPS = 3
-"""How many modules a class may be handed on by."""
+"""The most modules that may re-export a class."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +23,7 @@ class Summary:
 
 
 def peek(plugin: Plugin) -> Summary:
-    """Read a plugin's description and options from its source; what is wrong with it stands in the description."""
+    """Read a plugin's description and options from its source; problems are described in place of the description."""
     if plugin.defined is not None:
         return Summary((inspect.getdoc(plugin.defined) or "").partition("\n")[0])
     module, _, name = plugin.target.partition(":")

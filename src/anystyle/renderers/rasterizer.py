@@ -16,7 +16,7 @@ from anystyle.types import Cameras, Gaussians, Renders
 
 @dataclass(kw_only=True, eq=False)
 class RendererOptions:
-    """What every renderer can be asked for.
+    """Options of every renderer.
 
     Args:
         background: Colour in [0, 1] behind the scene.

@@ -1,4 +1,4 @@
-"""What every plugin promises, of whatever kind: that it can be listed, and its options checked."""
+"""What plugins of every kind promise: that it can be listed, and its options checked."""
 
 from omegaconf import OmegaConf
 

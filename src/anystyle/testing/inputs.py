@@ -1,4 +1,4 @@
-"""What contracts feed to plugins: small, smooth, seeded, and the same on every machine."""
+"""Test inputs of contracts: small, smooth, seeded, and the same on every machine."""
 
 from dataclasses import replace
 

@@ -86,9 +86,7 @@ def resumable(config: DictConfig, last: Path) -> Resumed | None:
 def _refuse_changes(config: DictConfig, record: Path) -> None:
     options = "pass resume=changed to resume it all the same, resume=never to start again, or another name=..."
     if not record.is_file():
-        raise UserError(
-            f"{record.parent} holds a checkpoint and no {record.name} that says of which configuration; {options}"
-        )
+        raise UserError(f"{record.parent} holds a checkpoint and no {record.name} with its configuration; {options}")
     before: dict[str, Any] = read_json(record, dict[str, Any], what=f"record of a run's configuration; {options}")
     changed = changes(before, bound(config))
     if changed:

@@ -1,4 +1,4 @@
-"""Callbacks that keep one bad batch from spoiling a run."""
+"""Callbacks against bad batches: non-finite or exploding losses, and outliers."""
 
 import math
 from collections import deque
@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 import torch
 from lightning.pytorch import Callback, LightningModule, Trainer
-from torch import Tensor, nn
+from torch import Tensor
+from torch.nn.utils import get_total_norm
 
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
@@ -42,7 +43,7 @@ class FiniteLoss(Callback):
     def on_before_optimizer_step(
         self, trainer: Trainer, pl_module: LightningModule, optimizer: torch.optim.Optimizer
     ) -> None:
-        norm = gradient_norm(pl_module)
+        norm = get_total_norm([parameter.grad for parameter in pl_module.parameters() if parameter.grad is not None])
         pl_module.log("train/gradient_norm", norm)
         if not torch.isfinite(norm):
             self._refuse(trainer, f"the norm of the gradient is {norm.item():g}")
@@ -60,12 +61,6 @@ class FiniteLoss(Callback):
             f"at step {trainer.global_step} {problem or 'another process met a bad loss'}; the batch is in {path}. "
             f"Lower training.learning_rate, or resume from the last checkpoint with another seed"
         )
-
-
-def gradient_norm(module: nn.Module) -> Tensor:
-    """The norm of all gradients together."""
-    norms = [parameter.grad.norm() for parameter in module.parameters() if parameter.grad is not None]
-    return torch.stack(norms).norm() if norms else torch.zeros(())
 
 
 class SkipOutliers(Callback):

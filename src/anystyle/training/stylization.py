@@ -44,7 +44,7 @@ class StylizationTraining(Training):
         heights: Least and greatest image height; ``None`` leaves images as they are.
         width: Of the images; ``None`` keeps their aspect ratio.
         flip: Probability of mirroring a scene.
-        min_scale: Below 1, images are shrunk to a random scale of at least so much and enlarged again, which blurs
+        min_scale: Below 1, images are shrunk to a random scale from ``min_scale`` to 1 and enlarged again, which blurs
             them (published: 0.77).
         pool: Number of fixed selections of scenes and views; ``None`` draws new ones each step.
         cache_scenes: Number of encoded scenes kept in memory; for use with a ``pool``.

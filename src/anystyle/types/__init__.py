@@ -1,4 +1,4 @@
-"""The values that flow through the framework: frozen dataclasses of tensors.
+"""The values of the framework: frozen dataclasses of tensors.
 
 Axis letters, everywhere: ``B`` scenes, ``V`` views, ``H W`` pixels, ``h w`` another image's pixels, ``P`` tokens a
 view, ``C`` channels, ``N`` Gaussians, ``K`` spherical-harmonics coefficients, ``D`` style dimensions, ``M`` a flat

@@ -1,4 +1,4 @@
-"""What losses, metrics and correspondences are given."""
+"""Inputs of losses, metrics and correspondences."""
 
 from dataclasses import dataclass
 

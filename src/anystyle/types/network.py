@@ -1,4 +1,4 @@
-"""Tokens, sites and raw predictions: what flows inside a network."""
+"""Tokens, sites and raw predictions: values inside a network."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -35,7 +35,7 @@ class Tokens(Value):
         return self.data[:, :, self.special :]
 
     def contiguous(self) -> "Tokens":
-        """These tokens in row-major memory; they themselves where they are."""
+        """These tokens in row-major memory; the same object if they are already."""
         return self if self.data.is_contiguous() else replace(self, data=self.data.contiguous())
 
     def with_data(self, data: Float[Tensor, "B V P C"]) -> "Tokens":
@@ -103,7 +103,7 @@ class Geometry(Value):
 
     Args:
         cameras: The predicted cameras, for the input views' size.
-        depth: As the backbone defines it (its adapter knows), in the scene's units.
+        depth: As the backbone defines it and its adapter reads it, in the scene's units.
         confidence: Of the depth, at least 0; larger is surer.
     """
 

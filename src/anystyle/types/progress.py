@@ -12,7 +12,7 @@ class Progress:
     """The state of long work.
 
     Args:
-        line: For people.
+        line: A line of text to show.
         done: The fraction of the work that is done, in [0, 1], where it is known.
         thumbnail: A view as it is now, sRGB in [0, 1], where there is one.
     """

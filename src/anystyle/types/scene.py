@@ -126,7 +126,7 @@ class StyledScene:
         cameras: A batch of one scene; there may be none.
         names: Of the cameras.
         notes: Lines on where the scene comes from, such as licences.
-        title: For people.
+        title: To display.
         up: Axes of Gaussians and cameras' poses: ``opencv``, ``y`` or ``z`` up.
     """
 

@@ -1,4 +1,4 @@
-"""What all values have in common: frozen dataclasses of tensors that torch can traverse."""
+"""The base of values: frozen dataclasses of tensors that torch can traverse."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import fields

@@ -1,4 +1,4 @@
-"""Photographs, cameras and styles: what goes in."""
+"""Inputs: photographs, cameras and styles."""
 
 from dataclasses import dataclass, replace
 
@@ -124,9 +124,9 @@ class StyleEmbedding(Value):
 
 @dataclass(frozen=True)
 class TextMatch:
-    """The nearest description to a text that a style encoder knows, and words of the text that it never learnt.
+    """The nearest description to a text that a style encoder knows, and words of the text that it does not know.
 
-    The similarity is by a measure of the encoder; 1 is the same. ``remedy`` says what becomes of unknown words, or what
+    The similarity is by a measure of the encoder; 1 is the same. ``remedy`` is how unknown words are handled, or what
     would help.
     """
 

@@ -51,7 +51,7 @@ class Tokenizer:
 
 @cache
 def load(path: Path, size: int) -> Tokenizer:
-    """The tokeniser with a vocabulary of so many tokens of CLIP's ``bpe_simple_vocab_16e6.txt.gz`` or a ``merges.txt``.
+    """The tokeniser with the first ``size`` tokens of CLIP's ``bpe_simple_vocab_16e6.txt.gz`` or a ``merges.txt``.
 
     The file has a comment, then one pair of symbols a line.
     """

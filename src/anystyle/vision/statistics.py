@@ -1,6 +1,5 @@
 """Statistics of features ``M C *S`` over their pixels and of colours, which style losses and metrics compare."""
 
-import numpy as np
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
@@ -25,34 +24,6 @@ def pooled_moments(features: Float[Tensor, "M C *S"]) -> Float[Tensor, "M 2*C"]:
     """
     flat = features.flatten(2)
     return torch.cat([flat.mean(-1), (flat.var(-1, correction=0) + 1e-4).sqrt()], dim=-1)
-
-
-def gram(features: Float[Tensor, "M C *S"]) -> Float[Tensor, "M C C"]:
-    """Mean product of every two channels over all pixels (Gatys et al. 2016, equation 3, divided by their number)."""
-    flat = features.flatten(2)
-    return flat @ flat.mT / flat.shape[-1]
-
-
-def sliced_quantiles(
-    features: Float[Tensor, "M C *S"], directions: Float[Tensor, "P C"], levels: int
-) -> Float[Tensor, "M P levels"]:
-    """Quantiles of the features along fixed unit vectors, at the centres of ``levels`` equal intervals of [0, 1].
-
-    Their mean squared difference is a sliced Wasserstein distance, also between different numbers of pixels.
-    """
-    values = directions @ features.flatten(2)
-    if values.device.type == "cpu" and values.dtype in (torch.float32, torch.float64):
-        # NumPy sorts in a fifth to a fifteenth of PyTorch's time, and a sliced Wasserstein loss does little else.
-        values = values.gather(-1, torch.from_numpy(np.argsort(values.detach().numpy(), axis=-1)))
-    else:
-        values = values.sort(dim=-1).values
-    # Linear interpolation between order statistics; sorting alone where there are `levels` pixels.
-    return F.interpolate(values, size=levels, mode="linear", align_corners=False)
-
-
-def unit_directions(number: int, channels: int, generator: torch.Generator) -> Float[Tensor, "number channels"]:
-    """Unit vectors drawn uniformly from the sphere."""
-    return F.normalize(torch.randn(number, channels, generator=generator), dim=-1)
 
 
 LAYERS = ("expand3", "expand5", "expand8")

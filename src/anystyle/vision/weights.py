@@ -35,7 +35,7 @@ TABLE = "weights.toml"
 
 
 class MissingWeights(UserError, FileNotFoundError):
-    """A file of weights that is nowhere; the message says where to get it and where to put it."""
+    """A file of weights was not found; the message says where to get it and where to put it."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def files() -> dict[str, WeightsFile]:
     for package in packages():
         for name, entry in _rows(package / TABLE).items():
             if known.setdefault(name, entry) != entry:
-                raise UserError(f"{package / TABLE} names {name!r}, which another row is called; rename it")
+                raise UserError(f"{package / TABLE} names {name!r}, the name of another row; rename it")
     return known
 
 
@@ -183,7 +183,7 @@ def license_lines(terms: Mapping[str, Mapping[str, str]]) -> Iterator[str]:
 
 
 def binding(lines: Iterable[str]) -> tuple[str, ...]:
-    """Those of :func:`license_lines` whose licence binds results; others ask something of the weights alone."""
+    """Those of :func:`license_lines` whose licence binds results; others concern the weights alone."""
     return tuple(line for line in lines if line.endswith(BINDING))
 
 

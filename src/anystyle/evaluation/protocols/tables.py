@@ -38,12 +38,12 @@ class Tables(Protocol):
         table: The paper's table whose figures are computed, such as ``table_2``; ``None`` takes every metric.
         guides: How styles enter the model: ``image``, ``text``, or both; none leaves the model out.
         methods: Which folders of methods are judged; ``None`` takes all.
-        photographs: With how many styles the photographs are judged, as a method that changes nothing; 0 leaves
-            them out.
+        photographs: How many styles the photographs themselves are judged with, as a baseline that changes nothing; 0
+            leaves them out.
         variant: As in ``protocol=paper``.
         scene_names: Which scenes, in this order.
-        num_styles: The first so many.
-        frames: Of each scene, the first so many are judged.
+        num_styles: How many styles, from the first.
+        frames: How many frames of each scene are judged, from its first.
         size: Sides of the square views in pixels.
     """
 

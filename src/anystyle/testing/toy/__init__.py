@@ -1,1 +1,1 @@
-"""The smallest honest plugin of each kind: what contracts are tested on, and what new plugins begin as."""
+"""The smallest plugin of each kind: contracts are tested on them, and ``anystyle plugins new`` copies them."""

@@ -7,7 +7,7 @@ from anystyle.types import Flow, Frames
 
 
 class ToyCorrespondence(Correspondence):
-    """Where each pixel's point projects to in the target; visible wherever that is inside, whatever is in front.
+    """Where each pixel's point projects to in the target; visible wherever that is inside; occlusion is ignored.
 
     Args:
         margin: Pixels at the target's border that count as outside.

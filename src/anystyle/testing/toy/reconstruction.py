@@ -1,4 +1,4 @@
-"""A wall: the smallest reconstruction that is told where cameras are."""
+"""A wall: the smallest reconstruction that needs cameras."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace

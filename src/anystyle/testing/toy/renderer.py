@@ -1,4 +1,4 @@
-"""Round blobs: the smallest renderer that sorts, blends and can be learned through."""
+"""Round blobs: the smallest renderer that sorts, blends and is differentiable."""
 
 import torch
 from jaxtyping import Float
@@ -13,7 +13,7 @@ from anystyle.types import Cameras, Gaussians, Renders
 class ToyRenderer(Renderer):
     """Draw every Gaussian over the whole image, as a blob whose spread in a direction is its mean spread there.
 
-    It knows the constant colour alone, and its cost is Gaussians times pixels: for small scenes.
+    Only constant colours, at a cost of Gaussians times pixels: for small scenes.
 
     Args:
         background: Colour in [0, 1] behind the scene.

@@ -9,9 +9,9 @@ from torch import Tensor
 
 from anystyle.contracts import Correspondence
 from anystyle.errors import UserError
-from anystyle.geometry.warp import cycle_visible
 from anystyle.types import Flow, Frames
 from anystyle.vision.preprocess import gray
+from anystyle_optical_flow.visibility import cycle_visible
 
 SMALLEST = 16
 

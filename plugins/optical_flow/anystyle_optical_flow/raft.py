@@ -6,17 +6,17 @@ from typing import Literal
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Correspondence
 from anystyle.errors import UserError
-from anystyle.geometry.warp import cycle_visible
 from anystyle.types import Flow, Frames
-from anystyle.vision import raft
 from anystyle.vision.feature_cache import CACHE
-from anystyle.vision.matching import match
 from anystyle.vision.weights import Source, Weights, locate, published
+from anystyle_optical_flow import network
+from anystyle_optical_flow.matching import match
+from anystyle_optical_flow.visibility import cycle_visible, inside
 
 log = logging.getLogger(__name__)
 
@@ -49,7 +49,7 @@ class Raft(Correspondence):
         if iterations < 1:
             raise UserError(f"raft.iterations is {iterations}; at least 1 is needed")
         file = locate(checkpoint, weights)
-        self.network = None if file is None else raft.load(checkpoint, file)
+        self.network = None if file is None else network.load(checkpoint, file)
         source = Source(checkpoint, stand_in="window_matching") if file is None else published(checkpoint, file)
         self.sources = (source,)
         self.iterations = iterations
@@ -63,7 +63,7 @@ class Raft(Correspondence):
     def __call__(self, source: Frames, target: Frames) -> Flow:
         forward = self.displacement(source, target)
         # The features of a frame are computed once for both directions.
-        visible = cycle_visible(forward, self.displacement(target, source)) if self.cycle else _inside(forward)
+        visible = cycle_visible(forward, self.displacement(target, source)) if self.cycle else inside(forward)
         return Flow(forward, visible)
 
     @torch.no_grad()
@@ -80,35 +80,28 @@ class Raft(Correspondence):
         return torch.cat([self._flow(*batch) for batch in batches])[..., :height, :width]
 
     def _flow(self, source: Tensor, target: Tensor) -> Tensor:
-        network = self.network
-        if network is None:
+        raft = self.network
+        if raft is None:
             return match(source, target)
-        network.to(source)
+        raft.to(source)
         identity = self.sources[0].identity
         frames = torch.cat([source, target])
-        features = CACHE.features(frames, ("raft", identity), lambda images: [network.describe(images)])[0].chunk(2)
-        context = CACHE.features(source, ("raft context", identity), lambda images: list(network.context(images)))
-        return network.flow(features[0], features[1], context, self.iterations)
+        features = CACHE.features(frames, ("raft", identity), lambda images: [raft.describe(images)])[0].chunk(2)
+        context = CACHE.features(source, ("raft context", identity), lambda images: list(raft.context(images)))
+        return raft.flow(features[0], features[1], context, self.iterations)
 
 
 def padded(images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 3 h w"]:
     """Images continued by their border at the right and below, to what RAFT takes."""
     height, width = images.shape[-2:]
-    if min(height, width) < raft.SMALLEST:
+    if min(height, width) < network.SMALLEST:
         log.warning(
             "frames of %dx%d pixels are padded to %d: RAFT has no numbers for smaller ones, and its flow near the "
             "border is a guess",
             height,
             width,
-            raft.SMALLEST,
+            network.SMALLEST,
         )
-    below = max(raft.SMALLEST, -(-height // 8) * 8) - height
-    right = max(raft.SMALLEST, -(-width // 8) * 8) - width
+    below = max(network.SMALLEST, -(-height // 8) * 8) - height
+    right = max(network.SMALLEST, -(-width // 8) * 8) - width
     return F.pad(images, (0, right, 0, below), mode="replicate") if below or right else images
-
-
-def _inside(flow: Float[Tensor, "M 2 H W"]) -> Bool[Tensor, "M H W"]:
-    height, width = flow.shape[-2:]
-    x = torch.arange(width, device=flow.device) + flow[:, 0]
-    y = torch.arange(height, device=flow.device)[:, None] + flow[:, 1]
-    return (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)

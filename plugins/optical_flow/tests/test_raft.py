@@ -1,13 +1,45 @@
-"""What RAFT computes with less work against the same as published, and against SciPy."""
+"""RAFT against the published implementation, and what it computes with less work against the same as published."""
 
 import numpy as np
+import pytest
 import torch
 import torch.nn.functional as F
 from scipy.ndimage import map_coordinates
 
-from anystyle.vision import raft
-from anystyle.vision.raft import RADIUS, WINDOW, correlation_pyramid, look_up
-from oracle import hashed
+from anystyle_optical_flow import network
+from anystyle_optical_flow.network import RADIUS, WINDOW, correlation_pyramid, look_up
+from judging_cases import ALIASES
+from oracle import assert_matches, fill_sorted, golden, hashed
+
+
+def with_aliases(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """The original's state dict: one module under two names."""
+    return {**state, **{key: state[key.replace(".norm3.", ".downsample.1.")] for key in ALIASES}}
+
+
+def test_raft_matches_the_reference() -> None:
+    record = golden("anystyle_golden")["raft"]
+    net = network.Raft().eval()
+    published = with_aliases(net.state_dict())
+    assert len(published) == record["n_keys"]
+    filled = {f"module.{key}": value for key, value in fill_sorted(published).items()}
+    net.load_state_dict(network.original_keys(filled))
+    source, target = (hashed(index, (1, 3, 128, 160), 0, 255) / 255 for index in (1110, 1111))
+    with torch.no_grad():
+        described = net.describe(source), net.describe(target)
+        flow = net.flow(*described, net.context(source), iterations=record["iters"])
+    assert_matches(flow, record["flow_up"], rtol=1e-4, atol=1e-4)
+
+
+def test_loading_is_strict(tmp_path) -> None:
+    net = network.Raft()
+    state = with_aliases(net.state_dict())
+    torch.save({f"module.{key}": value for key, value in state.items()}, tmp_path / "right.pth")
+    network.load(path=tmp_path / "right.pth")
+    del state["fnet.conv1.bias"]
+    torch.save(state, tmp_path / "wrong.pth")
+    with pytest.raises(ValueError, match=r"wrong.pth does not fit this Raft: 1 missing \(fnet"):
+        network.load(path=tmp_path / "wrong.pth")
 
 
 @torch.no_grad()
@@ -32,7 +64,7 @@ def test_windows_of_correlations_are_scipys_linear_interpolation():
 @torch.no_grad()
 def test_the_recurrent_unit_is_the_published_one():
     """Three convolutions of state, context and motion together in each half, one for each gate."""
-    unit = raft.Recurrent()
+    unit = network.Recurrent()
     for index, parameter in enumerate(unit.parameters()):
         parameter.copy_(hashed(10 + index, parameter.shape, -1, 1) / 30)
     start, context, motion = hashed(7, (3, 1, 128, 9, 14), -1, 1)
@@ -52,4 +84,4 @@ def test_upsampling_is_the_published_one():
     share = logits.reshape(2, 1, 9, 8, 8, 5, 7).softmax(dim=2)
     around = F.unfold(8 * flow, 3, padding=1).reshape(2, 2, 9, 1, 1, 5, 7)
     expected = (share * around).sum(2).permute(0, 1, 4, 2, 5, 3).reshape(2, 2, 40, 56)  # from M 2 8 8 h w
-    torch.testing.assert_close(raft.upsample(flow, logits), expected, rtol=0, atol=2e-5)
+    torch.testing.assert_close(network.upsample(flow, logits), expected, rtol=0, atol=2e-5)

@@ -1,0 +1,1 @@
+"""Correspondences by optical flow: RAFT, and DIS."""
