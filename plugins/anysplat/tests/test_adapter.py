@@ -56,11 +56,6 @@ def test_activations_are_the_published_ones() -> None:
     torch.testing.assert_close(covariances, torch.tensor(record["covariances"]), rtol=1e-4, atol=1e-12)
 
 
-def test_damping_of_harmonics() -> None:
-    ones = torch.ones(1, 1, 3, 25)
-    torch.testing.assert_close(adapter().harmonics(ones)[0, 0, :, 0], torch.tensor(GOLDEN["adapter_sh4"]["sh_mask"]))
-
-
 def test_a_lone_constant_coefficient_is_spread_as_published() -> None:
     record = GOLDEN["adapter_style_sh0_quirk"]
     raw = attributes(hashed(1031, (1, 4, 10), -3, 3), 1)

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -27,8 +27,7 @@ STYLED = {
     "colors-rotations": ("rotation", "color"),
     "no-pos": ("opacity", "scale", "rotation", "color"),
 }
-# Published names of what our modules have no use for, with their shapes.
-TINY_FULL_UNUSED = {"aggregator.patch_embed.mask_token": (1, 1024)}
+# Published tensors that our modules have no use for, with their shapes.
 TEXT_ADAPTER = {"text_adapter.mlp.0.weight": (512, 512), "text_adapter.mlp.0.bias": (512,)} | {
     "text_adapter.mlp.2.weight": (512, 512),
     "text_adapter.mlp.2.bias": (512,),
@@ -118,15 +117,8 @@ def close(actual: Tensor, expected: Any) -> None:
     torch.testing.assert_close(actual.flatten(), torch.tensor(expected).flatten(), rtol=0, atol=1e-4)
 
 
-def raw_maps(attributes: Attributes) -> Tensor:
-    """Attributes as the published head lays them out, B V 84 H W."""
-    assert attributes.confidence is not None
-    parts = [attributes.opacity[..., None], attributes.scale, attributes.rotation, attributes.color.flatten(4)]
-    return torch.cat([*parts, attributes.confidence[..., None]], dim=-1).movedim(-1, 2)
-
-
 def check_raw(attributes: Attributes, record: Mapping[str, Any], name: str) -> None:
-    raw = raw_maps(attributes)
+    raw = reference.raw_maps(attributes)
     check(raw, record[name])
     means = raw.double().mean((0, 1, 3, 4)).numpy()
     np.testing.assert_allclose(means, record[f"{name}_channel_mean"], rtol=1e-4, atol=1e-5)
@@ -262,32 +254,6 @@ def check_styles(
 @pytest.mark.parametrize("case", ["tiny_v3_56x84", "tiny_b2_v2_70x70"])
 def test_a_small_network(tiny: Network, case: str) -> None:
     check_case(tiny, case)
-
-
-@pytest.fixture
-def silent(tiny: Network) -> Iterator[Network]:
-    """The small network whose injectors add nothing."""
-    state = {key: torch.zeros_like(t) if ".zero_proj." in key else t for key, t in tiny.state.items()}
-    load(tiny, state)
-    yield tiny
-    load(tiny, tiny.state)
-
-
-def load(network: Network, state: Mapping[str, Tensor]) -> None:
-    head = {name: tensor for name, tensor in state.items() if not name.startswith("aggregator_injection.")}
-    CHECKPOINTS.load("branch", network.branches["agg"], state)
-    CHECKPOINTS.load("branch", network.branches["head"], head)
-
-
-@pytest.mark.parametrize("placement", PLACEMENTS)
-def test_injectors_that_add_nothing(silent: Network, placement: str) -> None:
-    record = silent.golden["zero_proj_zero"]
-    _, embedding = inputs(silent.golden[record["case"]])
-    branch = silent.branches[placement]
-    scene = encoded(silent, record["case"])
-    with torch.no_grad():
-        styled = every_degree(branch, scene, embedding)
-    check(raw_maps(styled), record[f"{placement}_zero_proj_only"]["raw_style"])
 
 
 @pytest.mark.parametrize("placement", PLACEMENTS)
