@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from anystyle.types import Attributes
 from oracle import fill_sorted, hashed
 
+
 def fill(module: nn.Module, names: Callable[[Sequence[str]], Mapping[str, str]], *, published: str) -> int:
     """Give a module the hash-filled weights and return their number; ``published`` is cut off the published names."""
     state = module.state_dict()

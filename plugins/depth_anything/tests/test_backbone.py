@@ -84,8 +84,3 @@ class TestOrder:
 def test_options_that_contradict_each_other(options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         DepthAnything(**(EXAMPLE | options))
-
-
-def test_images_whose_sides_are_no_multiples_are_refused(backbone: DepthAnything) -> None:
-    with pytest.raises(ValueError, match="30x42 pixels; both sides must be multiples of 14"):
-        backbone.encode(views(1, size=(30, 42)))

@@ -1,20 +1,13 @@
-"""Where this network differs from others of its family, and closed forms of its parts."""
-
-import math
+"""The adapter's options and units in closed form; the goldens of the whole network have the published ones alone."""
 
 import pytest
 import torch
 import torch.nn.functional as F
-from torch import nn
 
-from anystyle.geometry import harmonics as world_harmonics
 from anystyle.geometry.transforms import matrix_from_wxyz, wxyz_from_xyzw
-from anystyle.nn.attention import SwiGlu
-from anystyle.nn.dpt import add_positions_
 from anystyle.types import Attributes, Cameras, Geometry
-from anystyle_depth_anything.adapter import Adapter, harmonics
+from anystyle_depth_anything.adapter import Adapter
 from anystyle_depth_anything.heads import decode_pose
-from anystyle_depth_anything.transformer import Embedder, flat_positions
 from oracle import hashed
 
 SIZE = (6, 8)
@@ -26,87 +19,9 @@ def some_cameras(seed: int = 50, views: int = 2) -> Cameras:
     return decode_pose(encoding, SIZE)
 
 
-class TestPose:
-    def test_encodings_are_of_world_from_camera_motions(self) -> None:
-        encoding = torch.tensor([[[1.0, 2, 3, 0, 0, 0, 1, 2 * math.atan(0.5), 2 * math.atan(0.25)]]])
-        cameras = decode_pose(encoding, SIZE)
-        assert cameras.world_from_camera[0, 0, :3, 3].tolist() == [1, 2, 3]
-        expected = [[16.0, 0, 4], [0, 6, 3], [0, 0, 1]]
-        torch.testing.assert_close(cameras.intrinsics[0, 0], torch.tensor(expected))
-
-    def test_a_field_of_view_of_nothing_has_a_finite_focal_length(self) -> None:
-        cameras = decode_pose(F.pad(torch.tensor([[[0.0, 0, 0, 0, 0, 0, 1]]]), (0, 2)), SIZE)
-        assert cameras.intrinsics[0, 0, 1, 1].item() == pytest.approx(3 / 1e-6)
-
-
-class TestRope:
-    def test_across_views_no_patch_has_a_place(self) -> None:
-        positions = flat_positions((2, 3))
-        assert positions[0].tolist() == [0, 0] and (positions[1:] == 1).all() and len(positions) == 7
-
-
-def cubic(distance: torch.Tensor) -> torch.Tensor:
-    """Keys' kernel with a slope of -0.75."""
-    near = 1.25 * distance**3 - 2.25 * distance**2 + 1
-    far = -0.75 * (distance**3 - 5 * distance**2 + 8 * distance - 4)
-    return torch.where(distance <= 1, near, torch.where(distance < 2, far, 0.0))
-
-
-class TestEmbedder:
-    def embedder(self) -> Embedder:
-        torch.manual_seed(0)
-        return Embedder(
-            dim=8,
-            depth=1,
-            heads=2,
-            ffn="mlp",
-            mlp_ratio=2.0,
-            layer_scale=1.0,
-            patch_size=2,
-            grid=4,
-            reference="middle",
-        )
-
-    def test_position_embeddings_are_used_as_they_are_on_their_own_grid_alone(self) -> None:
-        embedder = self.embedder()
-        assert embedder.positions((4, 4)) is embedder.pos_embed
-        # As many patches on another grid are resampled, and a constant stays one.
-        assert embedder.positions((2, 8)).shape == embedder.pos_embed.shape
-        nn.init.constant_(embedder.pos_embed, 0.7)
-        torch.testing.assert_close(embedder.positions((3, 7)), torch.full((1, 22, 8), 0.7))
-
-    def test_resampling_adds_a_tenth_of_a_patch(self) -> None:
-        embedder = self.embedder()
-        row = hashed(2, (4,))
-        with torch.no_grad():  # equal rows
-            embedder.pos_embed[:, 1:] = row.repeat(4)[None, :, None]
-        found = embedder.positions((4, 12))[0, 1:, 0].unflatten(0, (4, 12))[1]
-        places = (torch.arange(12) + 0.5) * 4 / 12.1 - 0.5
-        columns = torch.arange(-2, 6)
-        weights = cubic((places[:, None] - columns).abs())
-        torch.testing.assert_close(found, weights @ row[columns.clamp(0, 3)], rtol=1e-4, atol=1e-5)
-
-    def test_the_reference_has_a_camera_token_of_its_own(self) -> None:
-        embedder = self.embedder()
-        stem = embedder(hashed(1, (2, 3, 3, 4, 6)))
-        assert stem.special == 1 and stem.reference is not None and stem.reference.tolist() == [1, 1]
-        own, shared = embedder.camera_token[0]
-        torch.testing.assert_close(stem.data[:, :, 0], torch.stack([shared, own, shared]).expand(2, -1, -1))
-
-
-class TestDecoder:
-    def test_positions_are_those_of_the_corners_in_units_of_the_diagonal(self) -> None:
-        added = add_positions_(torch.zeros(1, 8, 6, 8), 8 / 6)[0]
-        column = 0.8 * 7 / 8
-        torch.testing.assert_close(added[0, :, -1], torch.full((6,), 0.1 * math.sin(column)))
-        torch.testing.assert_close(added[3, :, 0], torch.full((6,), 0.1 * math.cos(column / 10)))
-        torch.testing.assert_close(added[4, 0, :], torch.full((8,), -0.1 * math.sin(0.6 * 5 / 6)))
-
-    def test_gates_have_two_thirds_of_the_width(self) -> None:
-        assert SwiGlu(1536, 4 * 1536).w12.weight.shape == (8192, 1536)
-        layer = SwiGlu(8, 24)
-        gate, value = layer.w12(torch.ones(8)).chunk(2)
-        torch.testing.assert_close(layer(torch.ones(8)), layer.w3(gate * gate.sigmoid() * value))
+def test_a_field_of_view_of_nothing_has_a_finite_focal_length() -> None:
+    cameras = decode_pose(F.pad(torch.tensor([[[0.0, 0, 0, 0, 0, 0, 1]]]), (0, 2)), SIZE)
+    assert cameras.intrinsics[0, 0, 1, 1].item() == pytest.approx(3 / 1e-6)
 
 
 def raw(cameras: Cameras, degree: int = 2) -> tuple[Attributes, Geometry]:
@@ -175,12 +90,3 @@ class TestAdapter:
         one, other = (adapter(rotations=way)(attributes, geometry, None) for way in ("published", "camera"))
         torch.testing.assert_close(matrix_from_wxyz(one.rotations), matrix_from_wxyz(other.rotations))
         assert (one.rotations[..., 3] >= 0).all()
-
-    def test_harmonics_turn_as_those_of_the_world_do(self) -> None:
-        cameras = some_cameras()
-        attributes, _ = raw(cameras)
-        found = harmonics(attributes.color, cameras)
-        damped = attributes.color * torch.tensor([1.0] + [0.025] * 3 + [0.00625] * 5)
-        for view in range(2):
-            expected = world_harmonics.rotate(damped[:, view].mT, cameras.world_from_camera[0, view, :3, :3])
-            torch.testing.assert_close(found[:, view], expected, rtol=1e-4, atol=1e-5)
