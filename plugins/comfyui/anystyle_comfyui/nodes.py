@@ -1,9 +1,10 @@
 """The nodes. Each calls one step of the Python API; importable only where ComfyUI runs."""
 
 import importlib
+import inspect
 import shlex
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 from anystyle.geometry.cameras import smooth_path
 from anystyle.pipeline.controls import Controls
@@ -30,16 +31,27 @@ MODEL, CAPTURE = io.Custom("ANYSTYLE_MODEL"), io.Custom("ANYSTYLE_CAPTURE")
 SCENE, STYLE = io.Custom("ANYSTYLE_SCENE"), io.Custom("ANYSTYLE_STYLE")
 
 
-def _schema(name: str, title: str, description: str, inputs: list[Any], outputs: list[Any], **further: Any) -> Any:
-    return io.Schema(
-        node_id=f"AnyStyle{name}",
-        display_name=title,
-        category=CATEGORY,
-        description=description,
-        inputs=inputs,
-        outputs=outputs,
-        **further,
-    )
+class Node(io.ComfyNode):
+    """A node; its docstring is what ComfyUI shows of it."""
+
+    node_id: ClassVar[str]
+    title: ClassVar[str]
+    inputs: ClassVar[list[Any]]
+    outputs: ClassVar[list[Any]]
+    is_output: ClassVar[bool] = False
+
+    @classmethod
+    def define_schema(cls) -> Any:
+        """The node as ComfyUI lists it."""
+        return io.Schema(
+            node_id=cls.node_id,
+            display_name=cls.title,
+            category=CATEGORY,
+            description=" ".join((inspect.getdoc(cls) or "").split()),
+            inputs=cls.inputs,
+            outputs=cls.outputs,
+            is_output_node=cls.is_output,
+        )
 
 
 def _located(source: str) -> str | Path:
@@ -48,27 +60,21 @@ def _located(source: str) -> str | Path:
     return source if source.startswith("example:") else Path(folder_paths.get_input_directory(), source).expanduser()
 
 
-class LoadModel(io.ComfyNode):
-    """A model with its weights."""
+class LoadModel(Node):
+    """What makes a scene of photographs, and what paints it."""
 
-    @classmethod
-    def define_schema(cls) -> Any:
-        """The inputs and outputs."""
-        return _schema(
-            "LoadModel",
-            "Load AnyStyle Model",
-            "What makes a scene of photographs, and what paints it.",
-            [
-                io.Combo.Input("model", options=list(presets("model")), default="default"),
-                io.String.Input(
-                    "options",
-                    default="",
-                    tooltip="Further words of `anystyle stylize`, such as: reconstruction=fit "
-                    "reconstruction.quality=draft views.take=24 method=brush",
-                ),
-            ],
-            [MODEL.Output(display_name="model")],
-        )
+    node_id = "AnyStyleLoadModel"
+    title = "Load AnyStyle Model"
+    inputs: ClassVar = [
+        io.Combo.Input("model", options=list(presets("model")), default="default"),
+        io.String.Input(
+            "options",
+            default="",
+            tooltip="Further words of `anystyle stylize`, such as: reconstruction=fit "
+            "reconstruction.quality=draft views.take=24 method=brush",
+        ),
+    ]
+    outputs: ClassVar = [MODEL.Output(display_name="model")]
 
     @classmethod
     def execute(cls, model: str, options: str) -> Any:
@@ -78,30 +84,24 @@ class LoadModel(io.ComfyNode):
             return io.NodeOutput(Model(config, load_model(config)))
 
 
-class LoadCapture(io.ComfyNode):
-    """Photographs, a video or a splat."""
+class LoadCapture(Node):
+    """Photographs that overlap, of one place. A video or a file of a Gaussian scene will do, too."""
 
-    @classmethod
-    def define_schema(cls) -> Any:
-        """The inputs and outputs."""
-        return _schema(
-            "LoadCapture",
-            "Load Photographs",
-            "Photographs that overlap, of one place. A video or a file of a Gaussian scene will do, too.",
-            [
-                io.String.Input(
-                    "source",
-                    default="example:street",
-                    tooltip="A folder, a pattern, a video or a splat, in ComfyUI's input folder or with its whole path",
-                ),
-                io.Image.Input(
-                    "images",
-                    optional=True,
-                    tooltip="A batch to use instead; files in a folder are better, for they say their lens",
-                ),
-            ],
-            [CAPTURE.Output(display_name="capture")],
-        )
+    node_id = "AnyStyleLoadCapture"
+    title = "Load Photographs"
+    inputs: ClassVar = [
+        io.String.Input(
+            "source",
+            default="example:street",
+            tooltip="A folder, a pattern, a video or a splat, in ComfyUI's input folder or with its whole path",
+        ),
+        io.Image.Input(
+            "images",
+            optional=True,
+            tooltip="A batch to use instead; files in a folder are better, for they say their lens",
+        ),
+    ]
+    outputs: ClassVar = [CAPTURE.Output(display_name="capture")]
 
     @classmethod
     def fingerprint_inputs(cls, source: str, images: Any = None) -> Any:
@@ -119,19 +119,13 @@ class LoadCapture(io.ComfyNode):
             return io.NodeOutput(folder_of_images(images, Path(folder_paths.get_temp_directory())))
 
 
-class FitScene(io.ComfyNode):
-    """A Gaussian scene of a capture."""
+class FitScene(Node):
+    """Finds the cameras of photographs and fits Gaussians to them, once for any number of styles."""
 
-    @classmethod
-    def define_schema(cls) -> Any:
-        """The inputs and outputs."""
-        return _schema(
-            "FitScene",
-            "Fit Scene",
-            "Finds the cameras of photographs and fits Gaussians to them, once for any number of styles.",
-            [MODEL.Input("model"), CAPTURE.Input("capture")],
-            [SCENE.Output(display_name="scene")],
-        )
+    node_id = "AnyStyleFitScene"
+    title = "Fit Scene"
+    inputs: ClassVar = [MODEL.Input("model"), CAPTURE.Input("capture")]
+    outputs: ClassVar = [SCENE.Output(display_name="scene")]
 
     @classmethod
     def execute(cls, model: Model, capture: str | Path) -> Any:
@@ -151,19 +145,13 @@ class FitScene(io.ComfyNode):
             return io.NodeOutput(Scene(encoded, unstyled, "unstyled", loaded.method, loaded.weights))
 
 
-class TextStyle(io.ComfyNode):
+class TextStyle(Node):
     """A style in words."""
 
-    @classmethod
-    def define_schema(cls) -> Any:
-        """The inputs and outputs."""
-        return _schema(
-            "TextStyle",
-            "Style from Text",
-            "A style in words.",
-            [io.String.Input("text", default="thick oil paint in orange and navy", multiline=True)],
-            [STYLE.Output(display_name="style")],
-        )
+    node_id = "AnyStyleTextStyle"
+    title = "Style from Text"
+    inputs: ClassVar = [io.String.Input("text", default="thick oil paint in orange and navy", multiline=True)]
+    outputs: ClassVar = [STYLE.Output(display_name="style")]
 
     @classmethod
     def execute(cls, text: str) -> Any:
@@ -171,19 +159,16 @@ class TextStyle(io.ComfyNode):
         return io.NodeOutput(text)
 
 
-class ImageStyle(io.ComfyNode):
-    """A style as a picture."""
+class ImageStyle(Node):
+    """A style as a picture; of a batch the first."""
 
-    @classmethod
-    def define_schema(cls) -> Any:
-        """The inputs and outputs."""
-        return _schema(
-            "ImageStyle",
-            "Style from Image",
-            "A style as a picture; of a batch the first.",
-            [io.Image.Input("image"), io.String.Input("name", default="picture", tooltip="For titles and notes")],
-            [STYLE.Output(display_name="style")],
-        )
+    node_id = "AnyStyleImageStyle"
+    title = "Style from Image"
+    inputs: ClassVar = [
+        io.Image.Input("image"),
+        io.String.Input("name", default="picture", tooltip="For titles and notes"),
+    ]
+    outputs: ClassVar = [STYLE.Output(display_name="style")]
 
     @classmethod
     def execute(cls, image: Any, name: str) -> Any:
@@ -192,25 +177,19 @@ class ImageStyle(io.ComfyNode):
             return io.NodeOutput(Style(image=style_from_image(image), names=(name.strip() or "picture",)))
 
 
-class MixStyles(io.ComfyNode):
-    """A point between two styles."""
+class MixStyles(Node):
+    """A point between two styles, of texts or pictures."""
 
-    @classmethod
-    def define_schema(cls) -> Any:
-        """The inputs and outputs."""
-        return _schema(
-            "MixStyles",
-            "Mix Styles",
-            "A point between two styles, of texts or pictures.",
-            [
-                STYLE.Input("first"),
-                STYLE.Input("second"),
-                io.Float.Input(
-                    "amount", default=0.5, min=0.0, max=1.0, step=0.05, tooltip="0 is the first style, 1 the second"
-                ),
-            ],
-            [STYLE.Output(display_name="style")],
-        )
+    node_id = "AnyStyleMixStyles"
+    title = "Mix Styles"
+    inputs: ClassVar = [
+        STYLE.Input("first"),
+        STYLE.Input("second"),
+        io.Float.Input(
+            "amount", default=0.5, min=0.0, max=1.0, step=0.05, tooltip="0 is the first style, 1 the second"
+        ),
+    ]
+    outputs: ClassVar = [STYLE.Output(display_name="style")]
 
     @classmethod
     def execute(cls, first: StyleInput, second: StyleInput, amount: float) -> Any:
@@ -218,32 +197,26 @@ class MixStyles(io.ComfyNode):
         return io.NodeOutput(Mixture(first, second, amount))
 
 
-class Stylize(io.ComfyNode):
-    """A scene in a style."""
+class Stylize(Node):
+    """Gives a scene a style. It starts from the photographs' colours, whatever style the scene had."""
 
-    @classmethod
-    def define_schema(cls) -> Any:
-        """The inputs and outputs."""
-        return _schema(
-            "Stylize",
-            "Stylize Scene",
-            "Gives a scene a style. It starts from the photographs' colours, whatever style the scene had.",
-            [
-                SCENE.Input("scene"),
-                STYLE.Input("style"),
-                io.Float.Input("strength", default=1.0, min=0.0, max=1.0, step=0.05, tooltip="0 is the unstyled scene"),
-                io.Float.Input(
-                    "preserve_color",
-                    default=0.0,
-                    min=0.0,
-                    max=1.0,
-                    step=0.05,
-                    tooltip="How much of the scene's own hues stays",
-                ),
-                io.Float.Input("scale", default=1.0, min=0.125, max=8.0, step=0.125, tooltip="Size of strokes"),
-            ],
-            [SCENE.Output(display_name="scene")],
-        )
+    node_id = "AnyStyleStylize"
+    title = "Stylize Scene"
+    inputs: ClassVar = [
+        SCENE.Input("scene"),
+        STYLE.Input("style"),
+        io.Float.Input("strength", default=1.0, min=0.0, max=1.0, step=0.05, tooltip="0 is the unstyled scene"),
+        io.Float.Input(
+            "preserve_color",
+            default=0.0,
+            min=0.0,
+            max=1.0,
+            step=0.05,
+            tooltip="How much of the scene's own hues stays",
+        ),
+        io.Float.Input("scale", default=1.0, min=0.125, max=8.0, step=0.125, tooltip="Size of strokes"),
+    ]
+    outputs: ClassVar = [SCENE.Output(display_name="scene")]
 
     @classmethod
     def execute(cls, scene: Scene, style: StyleInput, strength: float, preserve_color: float, scale: float) -> Any:
@@ -255,24 +228,18 @@ class Stylize(io.ComfyNode):
             return io.NodeOutput(Scene(scene.encoded, gaussians, embedded.title, scene.method, scene.weights))
 
 
-class Render(io.ComfyNode):
-    """Pictures of a scene."""
+class Render(Node):
+    """Pictures of a scene from the photographs' cameras, or of a flight through them."""
 
-    @classmethod
-    def define_schema(cls) -> Any:
-        """The inputs and outputs."""
-        return _schema(
-            "Render",
-            "Render Scene",
-            "Pictures of a scene from the photographs' cameras, or of a flight through them.",
-            [
-                SCENE.Input("scene"),
-                io.Combo.Input("cameras", options=["photographs", "flight"], default="photographs"),
-                io.Int.Input("frames", default=48, min=2, max=10_000, tooltip="Of a flight"),
-                io.Float.Input("scale", default=1.0, min=0.1, max=8.0, step=0.1, tooltip="Relative to the views"),
-            ],
-            [io.Image.Output(display_name="images")],
-        )
+    node_id = "AnyStyleRender"
+    title = "Render Scene"
+    inputs: ClassVar = [
+        SCENE.Input("scene"),
+        io.Combo.Input("cameras", options=["photographs", "flight"], default="photographs"),
+        io.Int.Input("frames", default=48, min=2, max=10_000, tooltip="Of a flight"),
+        io.Float.Input("scale", default=1.0, min=0.1, max=8.0, step=0.1, tooltip="Relative to the views"),
+    ]
+    outputs: ClassVar = [io.Image.Output(display_name="images")]
 
     @classmethod
     def execute(cls, scene: Scene, cameras: str, frames: int, scale: float) -> Any:
@@ -288,25 +255,18 @@ class Render(io.ComfyNode):
             return io.NodeOutput(image_from_renders(images))
 
 
-class SaveScene(io.ComfyNode):
-    """A scene as a file."""
+class SaveScene(Node):
+    """Writes a scene into ComfyUI's output folder."""
 
-    @classmethod
-    def define_schema(cls) -> Any:
-        """The inputs and outputs."""
-        names = list(catalog().names("format"))
-        return _schema(
-            "SaveScene",
-            "Save Scene",
-            "Writes a scene into ComfyUI's output folder.",
-            [
-                SCENE.Input("scene"),
-                io.String.Input("filename_prefix", default="scenes/anystyle"),
-                io.Combo.Input("format", options=names, default="ply"),
-            ],
-            [io.String.Output(display_name="path")],
-            is_output_node=True,
-        )
+    node_id = "AnyStyleSaveScene"
+    title = "Save Scene"
+    inputs: ClassVar = [
+        SCENE.Input("scene"),
+        io.String.Input("filename_prefix", default="scenes/anystyle"),
+        io.Combo.Input("format", options=list(catalog().names("format")), default="ply"),
+    ]
+    outputs: ClassVar = [io.String.Output(display_name="path")]
+    is_output = True
 
     @classmethod
     def execute(cls, scene: Scene, filename_prefix: str, format: str) -> Any:

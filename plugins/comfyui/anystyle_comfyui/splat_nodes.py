@@ -3,28 +3,22 @@
 import importlib
 from pathlib import Path
 from tempfile import mkdtemp
-from typing import Any
+from typing import Any, ClassVar
 
-from .nodes import CAPTURE, SCENE, _schema, folder_paths, io
+from .nodes import CAPTURE, SCENE, Node, folder_paths, io
 from .running import running
 from .values import Scene, gaussians_from_splat, splat_columns
 
 types: Any = importlib.import_module("comfy_api.latest").Types
 
 
-class SceneToSplat(io.ComfyNode):
-    """A scene for ComfyUI's own nodes."""
+class SceneToSplat(Node):
+    """A scene for ComfyUI's own splat nodes."""
 
-    @classmethod
-    def define_schema(cls) -> Any:
-        """The inputs and outputs."""
-        return _schema(
-            "SceneToSplat",
-            "Scene to Splat",
-            "A scene for ComfyUI's own splat nodes.",
-            [SCENE.Input("scene")],
-            [io.Splat.Output(display_name="splat")],
-        )
+    node_id = "AnyStyleSceneToSplat"
+    title = "Scene to Splat"
+    inputs: ClassVar = [SCENE.Input("scene")]
+    outputs: ClassVar = [io.Splat.Output(display_name="splat")]
 
     @classmethod
     def execute(cls, scene: Scene) -> Any:
@@ -32,19 +26,16 @@ class SceneToSplat(io.ComfyNode):
         return io.NodeOutput(types.SPLAT(**splat_columns(scene.gaussians)))
 
 
-class CaptureFromSplat(io.ComfyNode):
-    """A scene of ComfyUI's own nodes, to be stylized."""
+class CaptureFromSplat(Node):
+    """A splat of ComfyUI's own nodes, for Fit Scene: it keeps its geometry, and is seen from cameras around it."""
 
-    @classmethod
-    def define_schema(cls) -> Any:
-        """The inputs and outputs."""
-        return _schema(
-            "CaptureFromSplat",
-            "Capture from Splat",
-            "A splat of ComfyUI's own nodes, for Fit Scene: it keeps its geometry, and is seen from cameras around it.",
-            [io.Splat.Input("splat"), io.Int.Input("index", default=0, min=0, max=4096, tooltip="Of a batch")],
-            [CAPTURE.Output(display_name="capture")],
-        )
+    node_id = "AnyStyleCaptureFromSplat"
+    title = "Capture from Splat"
+    inputs: ClassVar = [
+        io.Splat.Input("splat"),
+        io.Int.Input("index", default=0, min=0, max=4096, tooltip="Of a batch"),
+    ]
+    outputs: ClassVar = [CAPTURE.Output(display_name="capture")]
 
     @classmethod
     def execute(cls, splat: Any, index: int) -> Any:
