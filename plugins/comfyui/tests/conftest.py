@@ -1,19 +1,15 @@
-"""The helpers beside these tests are imported by their plain names; the nodes find ComfyUI's interface there, too."""
+"""ComfyUI's interface, which the nodes import."""
 
 import importlib.util
 import sys
-from pathlib import Path
 
+import comfy_interface
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture
 def comfy(monkeypatch, tmp_path):
     """ComfyUI's published interface, and the nodes loaded from their folder as ComfyUI loads them."""
-    import comfy_interface
-
     root = comfy_interface.ROOT
     interface = comfy_interface.install(monkeypatch, tmp_path)
     name = "custom_nodes_anystyle"
