@@ -1,5 +1,6 @@
 """The tiny style encoder: its contract's numbers, and what whitening does."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -82,3 +83,14 @@ def test_colours_are_read_off_more_pixels_than_textures(encoder: Tiny) -> None:
     torch.testing.assert_close(read, (torch.arange(len(read)) >= len(read) // 2).float())
     small = torch.rand(1, 3, 20, 30, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(colors(small), ramp(small, COLORS))
+
+
+def test_a_ramp_is_the_principal_order_of_the_colours_in_parts_of_equal_size() -> None:
+    image, knots = smooth_image(22, [2, 3, 16, 24]), 8
+    for row, each in enumerate(ramp(image, knots)):
+        colors = image[row].double().flatten(1).T.numpy()
+        centred = colors - colors.mean(0)
+        axis = np.linalg.svd(centred, full_matrices=False)[2][0]
+        axis = axis if axis @ [0.299, 0.587, 0.114] > 0 else -axis
+        expected = colors[np.argsort(centred @ axis)].reshape(knots, -1, 3).mean(1)
+        np.testing.assert_allclose(each, expected, atol=1e-5)

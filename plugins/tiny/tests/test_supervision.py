@@ -10,7 +10,6 @@ from anystyle.types import Cameras, Geometry, Views
 from anystyle_tiny.training.matches import patch_matches
 from anystyle_tiny.training.reconstruction import geometry_errors, psnr
 from anystyle_tiny.training.supervision import (
-    _subsample,
     camera_loss,
     canonical,
     depth_loss,
@@ -100,18 +99,6 @@ def test_transfer_and_point_losses_know_the_truth_and_how_far_a_camera_moved():
     # The second camera alone is off, by 0.2 at depth 2: a share of 0.1, less half the rounding width of 0.05.
     torch.testing.assert_close(
         transfer_loss(off, views.cameras, views.depth), torch.tensor((0.1 - 0.025) / 2), atol=1e-5, rtol=0
-    )
-
-
-@pytest.mark.parametrize("stride", [2, 3, 4])
-def test_subsample_pixels_keep_their_points(stride):
-    views = wall(moved(0), moved(0.3, 0, 0.1))
-    views = replace(views, depth=1 + hashed(4, (1, 2, SIZE, SIZE)))
-    small, depth = _subsample(views.cameras, views.depth, stride)
-    points = Geometry(views.cameras, views.depth, views.depth).points()
-    start = stride // 2
-    torch.testing.assert_close(
-        Geometry(small, depth, depth).points(), points[:, :, start::stride, start::stride], atol=1e-5, rtol=1e-5
     )
 
 

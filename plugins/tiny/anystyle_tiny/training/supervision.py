@@ -72,20 +72,16 @@ def transfer_loss(
 
     Unlike errors of rotation and translation it weighs both by their effect on the image.
     """
-    cameras, depth = _subsample(true, depth, stride)
-    world = Geometry(cameras, depth, depth).points()
+    world, depth = _strided(Geometry(true, depth, depth).points(), stride), _strided(depth, stride)
     local = _into(predicted.camera_from_world, world) - _into(true.camera_from_world, world)
     return masked_mean(_smooth_l1(local.norm(dim=-1) / depth.clamp_min(0.05)), depth > 0)
 
 
 def point_loss(geometry: Geometry, true: Cameras, depth: Float[Tensor, "B V H W"], *, stride: int = 2) -> Tensor:
     """Distance of predicted world points from the true ones, relative to their distance from the first camera."""
-    cameras, depth = _subsample(true, depth, stride)
-    predicted_cameras, predicted_depth = _subsample(geometry.cameras, geometry.depth, stride)
-    world = Geometry(cameras, depth, depth).points()
-    predicted = Geometry(predicted_cameras, predicted_depth, predicted_depth).points()
+    world, predicted = (_strided(one.points(), stride) for one in (Geometry(true, depth, depth), geometry))
     error = (predicted - world).norm(dim=-1) / world.norm(dim=-1).clamp_min(0.1)
-    return masked_mean(_smooth_l1(error), depth > 0)
+    return masked_mean(_smooth_l1(error), _strided(depth, stride) > 0)
 
 
 def project(cameras: Cameras, world: Float[Tensor, "B M 3"]) -> tuple[Float[Tensor, "B V M 2"], Float[Tensor, "B V M"]]:
@@ -116,12 +112,6 @@ def _into(frame: Float[Tensor, "B V 4 4"], points: Tensor) -> Tensor:
     return local.reshape(points.shape)
 
 
-def _subsample(cameras: Cameras, depth: Tensor, stride: int) -> tuple[Cameras, Tensor]:
-    """Every ``stride``-th pixel of a depth map, with the cameras of that smaller image."""
-    small = depth[..., stride // 2 :: stride, stride // 2 :: stride]
-    intrinsics = cameras.intrinsics.clone()
-    intrinsics[..., :2, :] = intrinsics[..., :2, :] / stride
-    # Pixel i of the small image is pixel stride*i + stride//2 of the large one; both centres lie at +0.5.
-    shift = (stride // 2 + 0.5) / stride - 0.5
-    intrinsics[..., :2, 2] = intrinsics[..., :2, 2] - shift
-    return Cameras(cameras.world_from_camera, intrinsics, (small.shape[-2], small.shape[-1])), small
+def _strided(values: Float[Tensor, "B V H W *C"], stride: int) -> Float[Tensor, "B V h w *C"]:
+    """Every ``stride``-th pixel, from the middle of the first ``stride`` pixels on."""
+    return values[:, :, stride // 2 :: stride, stride // 2 :: stride]

@@ -1,13 +1,33 @@
-"""The luminance loss and the ramps of colours against closed forms."""
+"""The losses of the tiny experiments against closed forms."""
 
-import numpy as np
+import math
+
 import pytest
 import torch
 
-from anystyle_tiny.losses import Luminance
-from anystyle_tiny.style_encoder import ramp
+from anystyle_tiny.losses import Checkerboard, Luminance
 from oracle import smooth_image
 from style_cases import stylization
+
+
+def test_a_pattern_that_repeats_with_the_patches_costs_its_mean_amplitude() -> None:
+    photographs = smooth_image(13, [1, 2, 3, 56, 70])
+    wave = 0.1 * torch.sin(2 * math.pi * (torch.arange(70) + 0.5) / 14)
+    result = stylization(photographs + wave, photographs)
+    assert Checkerboard(period=14)(result).item() == pytest.approx(wave[:14].abs().mean().item(), rel=1e-4)
+
+
+def test_tints_and_strokes_of_another_period_cost_nothing() -> None:
+    photographs = smooth_image(13, [1, 2, 3, 56, 56])
+    loss = Checkerboard(period=14)
+    assert loss(stylization(photographs * 0 + 0.3 + photographs, photographs)).item() == pytest.approx(0, abs=1e-6)
+    waves = 0.1 * torch.sin(2 * math.pi * (torch.arange(56) + 0.5) / 8)  # 7 of them in the 4 patches of a row
+    assert loss(stylization(photographs + waves, photographs)).item() == pytest.approx(0, abs=1e-6)
+
+
+def test_a_period_below_two_pixels_is_refused() -> None:
+    with pytest.raises(ValueError, match="period is 1"):
+        Checkerboard(period=1)
 
 
 def test_luminance_ignores_mean_contrast_and_what_is_finer_than_its_scale() -> None:
@@ -34,14 +54,3 @@ def test_luminance_of_a_flat_view_is_finite() -> None:
     flat = torch.full((1, 1, 3, 56, 56), 0.5, requires_grad=True)
     Luminance()(stylization(flat, smooth_image(13, [1, 1, 3, 56, 56]))).backward()
     assert torch.isfinite(flat.grad).all()
-
-
-def test_a_ramp_is_the_principal_order_of_the_colours_in_parts_of_equal_size() -> None:
-    image, knots = smooth_image(22, [2, 3, 16, 24]), 8
-    for row, each in enumerate(ramp(image, knots)):
-        colors = image[row].double().flatten(1).T.numpy()
-        centred = colors - colors.mean(0)
-        axis = np.linalg.svd(centred, full_matrices=False)[2][0]
-        axis = axis if axis @ [0.299, 0.587, 0.114] > 0 else -axis
-        expected = colors[np.argsort(centred @ axis)].reshape(knots, -1, 3).mean(1)
-        np.testing.assert_allclose(each, expected, atol=1e-5)
