@@ -19,6 +19,7 @@ import numpy as np
 import torch
 import torch.nn.functional as F
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from anystyle.contracts import Format
 from anystyle.geometry.harmonics import rgb_from_constant
@@ -186,16 +187,9 @@ class _Node:
         """The node's own transformation: 4 4."""
         if self.matrix is not None:
             return np.array(self.matrix).reshape(4, 4).T
-        x, y, z, w = self.rotation
-        turn = np.array(
-            [
-                [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-                [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-                [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-            ]
-        )
         whole = np.eye(4)
-        whole[:3, :3], whole[:3, 3] = turn * self.scale, self.translation
+        whole[:3, :3] = Rotation.from_quat(self.rotation).as_matrix() * self.scale
+        whole[:3, 3] = self.translation
         return whole
 
 
