@@ -36,16 +36,6 @@ def test_colors_are_the_stylized_ones_and_nothing_else_changes(stylizer, scene):
     torch.testing.assert_close(rgb_from_constant(styled.color[..., 0]).movedim(-1, 2), expected, rtol=0, atol=1e-5)
 
 
-@torch.no_grad()
-def test_exchanging_photographs_exchanges_their_colors(stylizer, scene):
-    """Given one geometry, the order of the views changes nothing; the network has no first view."""
-    embedding = stylizer.embed(image=images(1, (64, 64), seed=9))
-    order = [2, 0, 1]
-    color = stylizer.branch(scene, embedding).color
-    exchanged = scene.map(lambda tensor: tensor[:, order] if tensor.shape[:2] == (1, 3) else tensor)
-    torch.testing.assert_close(stylizer.branch(exchanged, embedding).color, color[:, order], rtol=0, atol=1e-4)
-
-
 def test_no_warning_is_due_and_the_report_names_the_files(caplog):
     with caplog.at_level(logging.WARNING):
         _, loaded = assemble(compose("stylize", ["model=painter"]))
