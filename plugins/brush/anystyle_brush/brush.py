@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from kornia.geometry.conversions import rotation_matrix_to_quaternion
 from scipy.spatial import KDTree
 from torch import Tensor
-from torch.nn.functional import interpolate, normalize
+from torch.nn.functional import interpolate, normalize, pad
 
 from anystyle.contracts import Renderer
 from anystyle.errors import UserError
@@ -103,13 +103,9 @@ class Brush(Method):
             chosen = canvas.choose(sized, blur(detail, 0.7 * sized.width)[:, 0], generator)
             colors = blur(painted, 0.5 * sized.width)
             layers.append(canvas.strokes(chosen, sized, tensor, colors, LIFT * (1 + depth) / 2, spread, generator))
-        degree = base.harmonics.shape[2]
-        layers[1:] = [replace(one, harmonics=_padded(one.harmonics, degree)) for one in layers[1:]]
+        missing = base.harmonics.shape[2] - 1
+        layers[1:] = [replace(one, harmonics=pad(one.harmonics, (0, 0, 0, missing))) for one in layers[1:]]
         return Gaussians.cat(layers, dim=1)
-
-
-def _padded(harmonics: Float[Tensor, "1 N 1 3"], count: int) -> Float[Tensor, "1 N K 3"]:
-    return torch.cat([harmonics, harmonics.new_zeros(1, harmonics.shape[1], count - 1, 3)], dim=2)
 
 
 def pixels_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> Float[Tensor, "V N"]:

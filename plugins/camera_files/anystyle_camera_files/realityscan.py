@@ -19,6 +19,7 @@ from anystyle_camera_files.xml import numbers, read_xml, starts_with
 _COLUMNS = {"z": "alt", "yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}
 """Names of columns in one version, by those in others."""
 _REQUIRED = {"name", "x", "y", "alt", "heading", "pitch", "roll", "f"}
+_OPTIONAL = {"px", "py", "k1", "k2", "k3", "k4", "t1", "t2"}
 _XCR = "http://www.capturingreality.com/ns/xcr/1.1#"
 _DESCRIPTION = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}Description"
 _BROWN = ("perspective", "brown3", "brown3t2", "brown4", "brown4t2")
@@ -101,9 +102,6 @@ def _from_table(path: Path, images: Sequence[Path]) -> dict[str, StoredCamera]:
         except ValueError as error:
             raise UserError(f"{path}: the camera of {name} cannot be read ({error})") from None
     return cameras
-
-
-_OPTIONAL = {"px", "py", "k1", "k2", "k3", "k4", "t1", "t2"}
 
 
 def _from_sidecars(folder: Path, images: Sequence[Path]) -> dict[str, StoredCamera]:
