@@ -28,6 +28,12 @@ def fit(photographs, options=OPTIONS, **rest):
     return fit_photographs(images, cameras, RENDERER, num_gaussians=900, options=options, heldout=(4,), **rest)
 
 
+@pytest.fixture(scope="module")
+def whole(photographs):
+    """A fit that nothing interrupts."""
+    return fit(photographs)
+
+
 def test_every_so_many_th_view_is_held_out():
     assert held_out(24, 8) == (4, 12, 20)
     assert held_out(8, 8) == (4,)
@@ -42,16 +48,13 @@ def test_the_same_photographs_are_held_out_in_any_order():
     assert {exchanged[view] for view in held_out(12, 4, exchanged)} == {"view2", "view6", "view10"}
 
 
-def test_photographs_alone_give_a_view_that_was_held_out(photographs):
+def test_photographs_alone_give_a_view_that_was_held_out(photographs, whole):
     """Stereo finds the wall, and the fit shows it from where no photograph was taken."""
-    result = fit(photographs)
-    assert result.steps == 70
-    assert result.heldout is not None and result.heldout.psnr > 22
-    longer = fit(photographs, replace(OPTIONS, num_steps=150))
-    assert longer.heldout is not None and longer.heldout.psnr > result.heldout.psnr
+    assert whole.steps == 70 and whole.heldout.psnr > 22
+    assert fit(photographs, replace(OPTIONS, num_steps=150)).heldout.psnr > whole.heldout.psnr
 
 
-def test_the_final_steps_begin_with_gaussians_of_the_views_held_out(photographs):
+def test_the_final_steps_begin_with_gaussians_of_the_views_held_out(photographs, whole):
     images, cameras, _ = photographs
 
     def psnr(result):
@@ -59,7 +62,7 @@ def test_the_final_steps_begin_with_gaussians_of_the_views_held_out(photographs)
         exposed = render * result.gains[4, :, None, None] + result.biases[4, :, None, None]
         return float(-10 * (exposed - images[4]).square().mean().log10())
 
-    before, after = fit(photographs, replace(OPTIONS, final_steps=0)), fit(photographs)
+    before, after = fit(photographs, replace(OPTIONS, final_steps=0)), whole
     assert before.heldout == after.heldout
     assert 1.05 < after.gaussians.means.shape[1] / before.gaussians.means.shape[1] < 1.2  # one of nine views
     assert psnr(after) > psnr(before) + 0.5
@@ -83,12 +86,12 @@ def test_stereo_reads_small_images_and_pixels_are_those_of_the_photographs(photo
         torch.testing.assert_close(initial.footprints, local[:, 2] / cameras.intrinsics[0, view, 0, 0])
 
 
-def test_a_fit_is_the_same_in_any_order_of_photographs(photographs, tmp_path, monkeypatch):
+def test_a_fit_is_the_same_in_any_order_of_photographs(photographs, whole, tmp_path, monkeypatch):
     """Bit for bit, with the views that pixels come from and their exposures; the cache serves every order."""
     monkeypatch.setenv("ANYSTYLE_CACHE", str(tmp_path))
     images, cameras, _ = photographs
     order = [3, 8, 0, 5, 4, 1, 7, 2, 6]  # the fifth is held out in both
-    first, other = (fit(given) for given in (photographs, (images[order], cameras.select(order), None)))
+    first, other = whole, fit((images[order], cameras.select(order), None))
     assert torch.equal(first.gaussians.means, other.gaussians.means)
     assert torch.equal(first.gaussians.harmonics, other.gaussians.harmonics)
     assert torch.equal(first.gains[order], other.gains) and torch.equal(first.biases[order], other.biases)
@@ -98,7 +101,7 @@ def test_a_fit_is_the_same_in_any_order_of_photographs(photographs, tmp_path, mo
 
 
 @pytest.mark.parametrize("steps", [20, 60], ids=["amid the fit", "before the final steps"])
-def test_a_fit_that_was_broken_off_comes_to_the_same(photographs, tmp_path, steps):
+def test_a_fit_that_was_broken_off_comes_to_the_same(photographs, whole, tmp_path, steps):
     def stop(progress):
         if progress.step > steps:
             raise InterruptedError
@@ -110,7 +113,6 @@ def test_a_fit_that_was_broken_off_comes_to_the_same(photographs, tmp_path, step
     seen = []
     resumed = fit(photographs, state=state, on_progress=lambda progress: seen.append(progress.step))
     assert min(seen) > steps and not state.exists()
-    whole = fit(photographs)
     for name, value in vars(whole.gaussians).items():
         assert torch.equal(value, getattr(resumed.gaussians, name)), name
     assert whole.heldout == resumed.heldout and torch.equal(whole.gains, resumed.gains)

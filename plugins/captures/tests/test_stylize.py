@@ -3,18 +3,16 @@
 import json
 import logging
 
-import numpy as np
 import pytest
 import torch
 from PIL import Image
 
 import anystyle
 from anystyle import PoseOptions, VideoOptions, ViewOptions
-from anystyle.methods.colors import fit_colors
 from anystyle.pipeline.encode import encoder
 from anystyle.types import Views
 from anystyle_captures.fit import Fit
-from cards import World, arc, panorama
+from cards import World, arc
 from known_scene import photographed_wall
 from real_data import real
 
@@ -29,10 +27,10 @@ def stylizer():
     return anystyle.load("painter")
 
 
-def write(folder, poses, seed=0, prefix="view"):
-    folder.mkdir(exist_ok=True)
+def write(folder, poses):
+    folder.mkdir()
     for number, pose in enumerate(poses):
-        Image.fromarray(World(seed).picture(pose, FOCAL, SIZE)).save(folder / f"{prefix}{number}.png")
+        Image.fromarray(World(0).picture(pose, FOCAL, SIZE)).save(folder / f"view{number}.png")
     return folder
 
 
@@ -63,17 +61,6 @@ def test_photographs_become_a_scene_that_styles_color(fitted, tmp_path):
     assert report["kind"] == "fit" and report["registered"] == 6 and report["trust"] == "good"
     assert report["reasons"] == [] and report["num_gaussians"] == first.gaussians.means.shape[1]
     assert report["heldout_psnr"] > 15 and 0 < report["heldout_ssim"] < 1 and report["seconds"] > 0
-
-
-def test_colors_are_fitted_as_they_are_asked_for(fitted, stylizer):
-    scene = fitted.encoded.capture.groups[0].scene
-    targets = scene.views.images[0].flip(1)  # other colours than those of the fit
-    errors = []
-    for steps in (0, 1, 4):
-        colored = fit_colors(scene.gaussians, scene.cameras, targets, stylizer.renderer, steps=steps)
-        with torch.no_grad():
-            errors.append(float((stylizer.render(colored, scene.cameras).color[0] - targets).square().mean()))
-    assert errors == sorted(errors, reverse=True)
 
 
 def test_known_cameras_are_kept(stylizer):
@@ -128,26 +115,11 @@ def test_a_moving_figure_is_reported(stylizer, caplog, moves):
     assert ("something moved while they were taken" in caplog.text) is moves
 
 
-def blank_wall(folder):
-    folder.mkdir()
-    for number in range(4):
-        Image.fromarray(np.full((*SIZE, 3), 190, dtype=np.uint8)).save(folder / f"{number}.png")
-    return folder
-
-
-@pytest.mark.parametrize(
-    ("capture", "reason"),
-    [
-        (lambda folder: write(folder, arc(2, 10)), "2 photographs are too few"),
-        (blank_wall, "too little to see"),
-        (lambda folder: write(folder, panorama(4, 30)), "turned without moving"),
-    ],
-    ids=["two", "blank", "turning"],
-)
-def test_a_capture_that_cannot_work_ends_in_a_plain_sentence(tmp_path, stylizer, caplog, capture, reason):
-    photos, style = capture(tmp_path / "photos"), torch.rand(3, 32, 32)
+def test_a_capture_that_cannot_work_ends_in_a_plain_sentence(tmp_path, stylizer, caplog):
+    photos, style = write(tmp_path / "photos", arc(2, 10)), torch.rand(3, 32, 32)
     with caplog.at_level(logging.WARNING):
         results = anystyle.stylize(photos, style, model=stylizer, poses=PoseOptions("auto"), views=VIEWS)
+    reason = "2 photographs are too few"
     assert reason in caplog.text and "what the backbone predicts in a single pass" in caplog.text
     report = results[0].report["reconstruction"]
     assert report["kind"] == "feedforward" and report["trust"] == "failed" and reason in report["reasons"][0]

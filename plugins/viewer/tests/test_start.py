@@ -29,7 +29,6 @@ def client(started):
     ("method", "path", "changes", "status"),
     [
         ("GET", "/", {}, 200),
-        ("GET", "/", {"Host": "localhost:8080"}, 200),  # through a tunnel
         ("GET", "/", {"Host": "evil.example"}, 421),  # DNS rebinding
         ("GET", "/", {"Sec_Fetch_Site": "cross-site"}, 200),  # a link to the page
         ("GET", "/state", {"Sec_Fetch_Site": "cross-site"}, 403),
@@ -37,11 +36,9 @@ def client(started):
         ("GET", "/state", {"Origin": "http://evil.example"}, 403),
         ("POST", "/scenes", {}, 200),
         ("POST", "/scenes", {"Origin": "http://evil.example"}, 403),
-        ("POST", "/scenes", {"Origin": "http://127.0.0.1:1"}, 403),
         ("POST", "/scenes", {"Origin": None}, 403),
         ("POST", "/scenes", {"X_Anystyle_Token": None}, 403),
         ("POST", "/scenes", {"X_Anystyle_Token": "guessed"}, 403),
-        ("POST", "/scenes", {"Host": "evil.example", "Origin": "http://evil.example"}, 421),
         ("PUT", "/scenes", {}, 403),
         ("GET", "/thumbnail/0123456789ab/x.jpg", {}, 400),
         ("GET", "/page/../1", {}, 400),
