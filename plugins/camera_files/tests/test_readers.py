@@ -44,17 +44,10 @@ def known(folder):
 
 
 BY_ALL = Lens(SIZE, (50.0, 50.0), (33.0, 23.5), (-0.1, 0.02, 0.0, 0.0), (0.004, -0.002))
-WRITTEN = [
-    (metashape, LENS),
-    (metashape, WIDE),
-    (table, LENS),
-    (sidecars, LENS),
-    (transforms, LENS),
-    (transforms, WIDE),
-]
+BY_BOTH = [(write, lens) for write in (metashape, transforms) for lens in (LENS, WIDE)]
 
 
-@pytest.mark.parametrize(("write", "lens"), [*WRITTEN, (metashape, WIDE), (transforms, WIDE), (model, BY_ALL)])
+@pytest.mark.parametrize(("write", "lens"), [*BY_BOTH, (table, LENS), (sidecars, LENS), (model, BY_ALL)])
 def test_what_is_written_is_read(tmp_path, write, lens):
     images = samples.write_photographs(tmp_path / "images", SIZE)
     write(tmp_path, images, lens)

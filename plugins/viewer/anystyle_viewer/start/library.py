@@ -21,6 +21,8 @@ _ID = re.compile(r"[0-9a-f]{12}")
 Text = Annotated[str, Meta(max_length=2000)]
 Kind = Literal["photographs", "film", "splat", "example"]
 ACTIVE = ("waiting", "running")
+ERROR = "anystyle: error: "
+"""What the program prints before the reason why it fails."""
 
 
 @dataclass(frozen=True)

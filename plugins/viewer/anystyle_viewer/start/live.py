@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from anystyle_viewer.start.library import ERROR
+
 IDLE = 120
 """Seconds without a browser after which a viewer ends."""
 _ADDRESS = re.compile(r"(http://127\.0\.0\.1:\d+/) ")
-_ERROR = "anystyle: error: "
 
 
 @dataclass
@@ -82,7 +83,7 @@ def _follow(viewer: Viewer) -> None:
         for line in lines:
             if match := _ADDRESS.match(line):
                 viewer.address = match[1]
-            elif line.startswith(_ERROR):
-                viewer.error = line.removeprefix(_ERROR).strip()
+            elif line.startswith(ERROR):
+                viewer.error = line.removeprefix(ERROR).strip()
     if viewer.process.wait() and not viewer.address:
         viewer.error = viewer.error or "the viewer ended before it was ready"

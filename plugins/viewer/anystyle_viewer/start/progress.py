@@ -4,12 +4,11 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from anystyle_viewer.start.library import Kind
+from anystyle_viewer.start.library import ERROR, Kind
 
 _LINE = re.compile(r"(\w+) (.*) …")
 _COUNT = re.compile(r"(\d+)(?: of |/)(\d+)")
 _LEFT = re.compile(r"(\d+) s left")
-_ERROR = "anystyle: error: "
 _CACHED = "read from the cache"
 
 STEPS: Mapping[str, tuple[tuple[str, tuple[str, ...], float], ...]] = {
@@ -62,8 +61,8 @@ def steps_of(kind: Kind | None) -> tuple[tuple[str, tuple[str, ...], float], ...
 def follow(state: State, line: str, kind: Kind | None) -> State:
     """The state after a further line of the program."""
     line = line.rstrip()
-    if line.startswith(_ERROR):
-        return State(state.sentence, state.step, state.done, state.notes, line.removeprefix(_ERROR))
+    if line.startswith(ERROR):
+        return State(state.sentence, state.step, state.done, state.notes, line.removeprefix(ERROR))
     match = _LINE.fullmatch(line)
     steps = steps_of(kind)
     known = {stage: index for index, (_, stages, _) in enumerate(steps) for stage in stages}

@@ -15,12 +15,12 @@ from anystyle.examples import examples
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import read_json
 from anystyle.registry.catalog import catalog
+from anystyle_viewer.start.library import ERROR
 from anystyle_viewer.start.uploads import SIDE
 
 ALL = "all"
 """Instead of the number of a style."""
 ARCHIVE = "zip"
-_ERROR = "anystyle: error: "
 
 
 @dataclass(frozen=True)
@@ -133,8 +133,8 @@ def download(run: Path, files: Path, name: str, style: str, program: Sequence[st
     command = [*program, "export", str(source), "--to", name, "--out", str(target)]
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", stdin=subprocess.DEVNULL)
     if done.returncode:
-        lines = [line for line in done.stderr.splitlines() if line.startswith(_ERROR)]
-        raise UserError(lines[-1].removeprefix(_ERROR) if lines else f"{name} could not be written")
+        lines = [line for line in done.stderr.splitlines() if line.startswith(ERROR)]
+        raise UserError(lines[-1].removeprefix(ERROR) if lines else f"{name} could not be written")
     return target
 
 

@@ -120,7 +120,7 @@ def _check(words: Sequence[str]) -> None:
 
 def shown_command(words: Sequence[str], title: str) -> str:
     """The command line that reproduces a run, to be copied into a shell."""
-    name = "-".join(word for word in "".join(c if c.isalnum() else " " for c in title).split())
+    name = "-".join("".join(c if c.isalnum() else " " for c in title).split())
     return shlex.join(["anystyle", "stylize", *words, "--out", f"styled-{name or 'scene'}"])
 
 
