@@ -211,9 +211,9 @@ def project(
         if not (seen and determinant > 0.0 and isfinite(determinant)):
             continue
         s = splats[written]
-        s[0], s[1], s[5], s[9], s[10], s[11] = px, py, opacity, z, wide, tall
-        s[2], s[3], s[4] = yy / determinant, -xy / determinant, xx / determinant
-        s[12], s[13], s[14] = xy * sqrt(reach / yy), xy / xx, sqrt(determinant) / xx
+        s[X], s[Y], s[OPACITY], s[DEPTH], s[WIDE], s[TALL] = px, py, opacity, z, wide, tall
+        s[XX], s[XY], s[YY] = yy / determinant, -xy / determinant, xx / determinant
+        s[PEAK], s[LEAN], s[BEND] = xy * sqrt(reach / yy), xy / xx, sqrt(determinant) / xx
         if count > 1:
             dx, dy, dz = mx - origin[0], my - origin[1], mz - origin[2]
             norm = max(sqrt(dx * dx + dy * dy + dz * dz), 1e-12)
@@ -223,7 +223,7 @@ def project(
             red += basis[k] * harmonics[g, k, 0]
             green += basis[k] * harmonics[g, k, 1]
             blue += basis[k] * harmonics[g, k, 2]
-        s[6], s[7], s[8] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
+        s[RED], s[GREEN], s[BLUE] = max(red, 0.0), max(green, 0.0), max(blue, 0.0)
         owners[written] = g
         written += 1
     return written - start
@@ -364,9 +364,9 @@ def project_backward(
     for i in range(start, stop):
         g, at = owners[i], ranks[i]
         # A channel that was clamped at 0 has no gradient; the splat stores the clamped value.
-        red = float(moments[at, 0]) if splats[at, 6] > 0.0 else 0.0
-        green = float(moments[at, 1]) if splats[at, 7] > 0.0 else 0.0
-        blue = float(moments[at, 2]) if splats[at, 8] > 0.0 else 0.0
+        red = float(moments[at, 0]) if splats[at, RED] > 0.0 else 0.0
+        green = float(moments[at, 1]) if splats[at, GREEN] > 0.0 else 0.0
+        blue = float(moments[at, 2]) if splats[at, BLUE] > 0.0 else 0.0
         d_harmonics[g, 0, 0] += basis[0] * red
         d_harmonics[g, 0, 1] += basis[0] * green
         d_harmonics[g, 0, 2] += basis[0] * blue
@@ -386,11 +386,11 @@ def project_backward(
         sx, sy = fx / z, fy / z
 
         # sigma = (xx dx² + 2 xy dx dy + yy dy²) / 2, with (dx, dy) from the splat to a pixel.
-        xx, xy, yy = float(splats[at, 2]), float(splats[at, 3]), float(splats[at, 4])
+        xx, xy, yy = float(splats[at, XX]), float(splats[at, XY]), float(splats[at, YY])
         wx, wy = float(moments[at, 5]), float(moments[at, 6])
         gx, gy = -(xx * wx + xy * wy), -(xy * wx + yy * wy)
         h = covariance_gradient(xx, xy, yy, 0.5 * moments[at, 7], 0.5 * moments[at, 8], 0.5 * moments[at, 9])
-        d_opacities[g] -= moments[at, 4] / splats[at, 5]
+        d_opacities[g] -= moments[at, 4] / splats[at, OPACITY]
 
         lens = sx, sy, bu, bv
         dsx, dsy, dbu, dbv = shape_backward(r, covariances, g, h, lens, d_covariances, posed, d_camera)
