@@ -61,7 +61,7 @@ def _located(source: str) -> str | Path:
 
 
 class LoadModel(Node):
-    """What makes a scene of photographs, and what paints it."""
+    """The networks that reconstruct photographs and stylize the scene."""
 
     node_id = "AnyStyleLoadModel"
     title = "Load AnyStyle Model"
@@ -85,7 +85,7 @@ class LoadModel(Node):
 
 
 class LoadCapture(Node):
-    """Photographs that overlap, of one place. A video or a file of a Gaussian scene will do, too."""
+    """Overlapping photographs of one place, a video, or a file of a Gaussian scene."""
 
     node_id = "AnyStyleLoadCapture"
     title = "Load Photographs"
@@ -98,7 +98,7 @@ class LoadCapture(Node):
         io.Image.Input(
             "images",
             optional=True,
-            tooltip="A batch to use instead; files in a folder are better, for they say their lens",
+            tooltip="A batch to use instead; files in a folder are better: their EXIF data describe the lens",
         ),
     ]
     outputs: ClassVar = [CAPTURE.Output(display_name="capture")]

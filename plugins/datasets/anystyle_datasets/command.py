@@ -22,7 +22,7 @@ from anystyle_datasets.preparing import ARCHIVE
 from anystyle_datasets.wikiart import DESCRIPTIONS
 
 SUBCOMMANDS = {
-    "prepare": "make what the loaders read out of what publishers hand out; nothing is downloaded",
+    "prepare": "convert a published data set to what the loaders read; nothing is downloaded",
     "check": "what a folder of scenes or styles holds, and what in it is missing or damaged",
     "caption": "describe the paintings of a folder by an image-to-text model",
 }
@@ -48,7 +48,7 @@ class Data(Command):
             check_command(parse(flags, words[1:]))
         elif name == "prepare":
             add("kind", choices=sorted(KINDS), help="of data")
-            add("path", type=Path, help="a folder; what is missing in it is made, what is there is kept")
+            add("path", type=Path, help="a folder; missing files are made in it, existing ones are kept")
             add("--archive", type=Path, help=f"the authors' {ARCHIVE} (wikiart, tables)")
             add("--stylos", type=Path, help="Stylos' folder of 50 test styles: kept out (wikiart), or copied (tables)")
             add("--styl3r", type=Path, help="a folder with Styl3R's test styles: kept out (wikiart)")

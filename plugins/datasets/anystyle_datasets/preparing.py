@@ -1,4 +1,4 @@
-"""Making what loaders read out of what publishers hand out: what is there is kept, and nothing is downloaded."""
+"""Published data sets converted to what the loaders read: existing files are kept, and nothing is downloaded."""
 
 import io
 import json
@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 S = TypeVar("S", Path, str)
 
 Progress = Callable[[str, int, int], None]
-"""Told what is made, how much of it is done, and of how much."""
+"""Called with the name of a stage, the number of finished steps and their total."""
 ARCHIVE = "evaluation_and_splits.zip"
 """The archive of AnyStyle's authors: scenes and styles of their tables, descriptions, and the list of test styles."""
 DESCRIBED = "style_descriptions.txt"
@@ -59,9 +59,7 @@ def dl3dv(root: Path, progress: Progress) -> str:
     held = frozenset(kept_json(root / "test_index.json", list[str]) or ())
     kept = [name for name in names if name not in held]
     if not kept:
-        raise UserError(
-            f"{root}: no scene of DL3DV lies there; expected folders with images_8 or images_4, at any depth"
-        )
+        raise UserError(f"{root} holds no scene of DL3DV; expected folders with images_8 or images_4, at any depth")
     if kept_json(root / "train_index.json", list[str]) != kept:
         write_json(root / "train_index.json", kept)
     return f"{len(kept)} scenes in train_index.json"
@@ -115,10 +113,10 @@ def re10k(root: Path, progress: Progress) -> str:
             told.append(f"{split}: {len(index)} of {len(lists)} clips, {absent} without frames here")
             listed, made = listed + len(lists), made + len(index)
     if not told:
-        raise UserError(f"{root}: no camera list lies there; expected train/*.txt and test/*.txt")
+        raise UserError(f"{root} holds no camera list; expected train/*.txt and test/*.txt")
     if not made:
         raise UserError(
-            f"{root}: no frame of the {listed} camera lists lies there; expected frames/CLIP/TIME.jpg or videos/ID.mp4"
+            f"{root} holds no frame of the {listed} camera lists; expected frames/CLIP/TIME.jpg or videos/ID.mp4"
         )
     return "; ".join(told)
 
@@ -218,7 +216,7 @@ def wikiart(
     """
     _unpack_tables(root, progress)
     if not any(path.suffix.lower() in PAINTINGS for path in root.glob("*/*")):
-        raise UserError(f"{root}: no painting lies there; expected MOVEMENT/NAME.jpg, or data/*.parquet")
+        raise UserError(f"{root} holds no painting; expected MOVEMENT/NAME.jpg, or data/*.parquet")
     taken = _take(archive, {DESCRIPTIONS: root / DESCRIPTIONS, TEST_FILES: root / TEST_FILES})
     before = set(read_list(root / TEST_FILES) if (root / TEST_FILES).is_file() else ())
     held = set(before)

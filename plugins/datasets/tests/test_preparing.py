@@ -107,7 +107,7 @@ def test_dl3dv_is_recognised_flat_and_a_torn_archive_leaves_nothing(dl3dv, say):
     with pytest.raises(UserError, match="is no archive, or a damaged one"):
         Data()(["prepare", "dl3dv", str(dl3dv)])
     assert list(archive.parent.iterdir()) == [archive]
-    with pytest.raises(UserError, match="no scene of DL3DV lies there"):
+    with pytest.raises(UserError, match="holds no scene of DL3DV"):
         Data()(["prepare", "dl3dv", str(dl3dv.parent / "packed" / HASHES[1])])
 
 
@@ -362,9 +362,9 @@ def test_what_holds_nothing_of_its_kind_is_refused_in_a_line(tmp_path, dl3dv, re
     for name in ("frames", "videos"):
         (re10k / name).rename(tmp_path / name)
     for words, message in {
-        ("wikiart", empty): "no painting lies there",
-        ("wikiart", dl3dv): "no painting lies there",
-        ("re10k", re10k): "no frame of the 3 camera lists",
+        ("wikiart", empty): "holds no painting",
+        ("wikiart", dl3dv): "holds no painting",
+        ("re10k", re10k): "holds no frame of the 3 camera lists",
         ("tables", tmp_path / "t", "--captures", empty): "holds none of Train, Truck, M60, Garden",
         ("tables", tmp_path / "t", "--stylos", empty): "there are no pictures in it",
         ("tables", tmp_path / "t", "--archive", other): "holds none of",

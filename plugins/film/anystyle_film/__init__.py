@@ -1,1 +1,1 @@
-"""Films of scenes: where the camera goes, how a frame is rendered, and what players are told."""
+"""Films of scenes: where the camera goes, how a frame is rendered, and metadata for players."""

@@ -62,7 +62,7 @@ class OrdinalModel:
         codes = list(responses.factors.values())
         self.levels = np.array([int(code.max()) + 1 for code in codes])
         if not self.factors:
-            raise NotFitted("one participant and one item: no random effect can be told from noise")
+            raise NotFitted("one participant and one item: random effects cannot be separated from noise")
         if len(np.unique(responses.deviations)) < 2:
             raise NotFitted("every answer is the same: the model has no finite fit")
         if len(sizes) > _MAX_SIZES:

@@ -166,7 +166,7 @@ class Store:
         """Let a person go on in another browser."""
         with self._change() as database:
             if not database.execute("UPDATE sessions SET token = NULL WHERE person = ?", (person,)).rowcount:
-                raise UserError(f"nobody has begun as {person!r}; name a code or an id as the participant entered it")
+                raise UserError(f"no session of {person!r} exists; give the code or id that the participant entered")
 
     def add(self, message: Answer, token: str) -> None:
         """Store one answer."""

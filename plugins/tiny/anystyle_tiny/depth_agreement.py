@@ -17,7 +17,7 @@ class DepthAgreement(RowMean):
     """The share of pixels whose point, seen from the next view, lies on that view's surface, in [0, 1].
 
     The depth of every view is moved into the next by their cameras. A pixel agrees where the moved depth is within a
-    tolerance of one of the four depths around it; a point that something nearer hides there says nothing. Rows without
+    tolerance of one of the four depths around it; points hidden there are not counted. Rows without
     depth or cameras, or with one view, are left out.
 
     Args:
@@ -34,7 +34,7 @@ class DepthAgreement(RowMean):
         self.tolerance = tolerance
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
-        """The share of each row, over all its pairs; ``nan`` where no pixel says anything."""
+        """The share of each row, over all its pairs; ``nan`` where no pixel counts."""
         depth, cameras = comparison.depth, comparison.cameras
         if depth is None or cameras is None or depth.shape[1] < 2:
             return torch.zeros(0, dtype=torch.float64, device=comparison.stylized.device)
@@ -45,8 +45,8 @@ class DepthAgreement(RowMean):
             moved = reproject(depth[row, :-1], intrinsics[row, :-1], intrinsics[row, 1:], motion)
             nearest, farthest = depth_around(depth[row, 1:], moved.displacement)
             hidden = moved.depth > farthest * (1 + self.tolerance)
-            speaks = moved.inside & (nearest > 0) & ~hidden
-            agrees = speaks & (moved.depth >= nearest * (1 - self.tolerance))
-            # Where no pixel speaks, 0 / 0.
-            shares.append(agrees.double().sum() / speaks.double().sum())
+            counted = moved.inside & (nearest > 0) & ~hidden
+            agrees = counted & (moved.depth >= nearest * (1 - self.tolerance))
+            # NaN where no pixel counts.
+            shares.append(agrees.double().sum() / counted.double().sum())
         return torch.stack(shares)

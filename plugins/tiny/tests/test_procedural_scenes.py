@@ -163,10 +163,9 @@ def bytes_of(size, scene, views):
 
 @pytest.mark.slow
 def test_bytes_are_the_same_in_another_process_and_in_threads():
-    found = (
-        "from anystyle.registry.catalog import catalog as c\nProceduralScenes = c().find('scenes', 'procedural').load()"
-    )
-    program = f"import hashlib\n{found}\n{inspect.getsource(bytes_of)}\nprint(bytes_of(40, 5, [0, 3]))"
+    load = "ProceduralScenes = catalog().find('scenes', 'procedural').load()"
+    imports = f"import hashlib\nfrom anystyle.registry.catalog import catalog\n{load}"
+    program = f"{imports}\n{inspect.getsource(bytes_of)}\nprint(bytes_of(40, 5, [0, 3]))"
     other = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.strip()
     source = ProceduralScenes(size=40, seed=3, split="validation")
     with ThreadPoolExecutor(4) as pool:

@@ -1,4 +1,4 @@
-"""What people would say of a procedural painting."""
+"""Captions of procedural paintings in natural words."""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -39,7 +39,7 @@ COLORS, WORDS, MEDIA = _VOCABULARY.colors, _VOCABULARY.patterns, _VOCABULARY.med
 
 
 def join_names(names: Sequence[str], below: Callable[[int], int]) -> str:
-    """A list of names as people write it."""
+    """Names joined as in a sentence."""
     if len(names) == 1:
         return names[0]
     if len(names) == 2:

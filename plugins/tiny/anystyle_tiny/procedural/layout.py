@@ -15,7 +15,7 @@ from anystyle_tiny.procedural.volumes import sine
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
-# sRGB colours of things people live among; a room mixes some of these with vivid ones.
+# Natural colours in sRGB; a scene mixes some of them with vivid ones.
 NATURAL = (
     (232, 226, 212), (201, 186, 160), (168, 140, 106), (120, 84, 54), (84, 60, 44), (156, 148, 138),
     (110, 112, 112), (188, 176, 168), (150, 84, 62), (176, 108, 78), (104, 122, 84), (74, 92, 66),

@@ -1,4 +1,4 @@
-"""Live viewers of finished scenes: a process each, on a loopback port of its own, that ends when nobody looks."""
+"""Live viewers of finished scenes: one process each, on a loopback port, that ends when no browser is open."""
 
 import re
 import subprocess

@@ -71,7 +71,7 @@ def styles_of(run: Path, report: Report) -> list[StyleFolder]:
 
 
 def shown_title(style: StyleFolder) -> str:
-    """A style as people call it: an example by its title, an uploaded picture without the digits of its hash."""
+    """The display title of a style: that of an example, or the name of an uploaded picture without its hash."""
     name, comma, controls = style.title.partition(", ")
     known = examples()
     return f"{known[name].title if name in known else re.sub(r'-[0-9a-f]{8}$', '', name)}{comma}{controls}"
