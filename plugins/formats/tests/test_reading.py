@@ -362,7 +362,10 @@ def test_damaged_files_end_in_one_line(name, tmp_path):
 @pytest.mark.parametrize(
     ("name", "data"),
     [
-        ("spz", gzip.compress(struct.pack("<IIIBBBB", 0x5053474E, 3, 4_000_000_000, 3, 12, 0, 0) + b"\0" * 64)),
+        (
+            "spz",
+            gzip.compress(struct.pack("<IIIBBBB", 0x5053474E, 3, 4_000_000_000, 3, 12, 0, 0) + b"\0" * 64, mtime=0),
+        ),
         ("spz", struct.pack("<IIIBBBBI12xQQ", 0x5053474E, 4, 9, 0, 12, 0, 1, 32, 99, 1 << 60) + b"\0" * 99),
         ("splat", b"\0" * 31),
         ("splat", b""),
