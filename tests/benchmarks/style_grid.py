@@ -1,6 +1,6 @@
 """The pictures of captures in ``docs/styles.md``, written into ``docs/pictures``.
 
-Run it with ``PYTHONPATH=tests:tests/benchmarks:plugins/brush:plugins/captures:plugins/magenta``. Four captures
+Run it with ``PYTHONPATH=tests``. Four captures
 fitted at 384 pixels, the middle view of each; the paintings that come with the package and the first by name of the
 test data, and eight texts; above ``method=branch``, below ``method=brush``. Nothing was chosen after looking.
 """

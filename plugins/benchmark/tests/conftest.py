@@ -1,12 +1,6 @@
-"""The helpers beside these tests are imported by their plain names."""
-
-import sys
-from pathlib import Path
+"""Judged results of a small track."""
 
 import pytest
-
-sys.path.insert(0, str(Path(__file__).parent))
-
 from benchmark_world import write_results, write_track
 
 from browsing import page, same_window  # noqa: F401
