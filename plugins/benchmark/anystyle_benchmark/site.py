@@ -27,7 +27,7 @@ from anystyle_benchmark.track import Inputs
 
 PAGES = Path(__file__).parent / "pages"
 QUALITIES = (
-    *((1, 75), (1, 65), (1, 55), (1, 45), (1, 40), (1, 35), (0.85, 35), (0.75, 35), (0.65, 35)),
+    *((1, 75), (1, 65), (1, 55), (1, 45), (1, 40), (1, 35), (0.92, 35), (0.85, 35), (0.75, 35), (0.65, 35)),
     *((0.55, 35), (0.45, 35), (0.35, 35), (0.25, 30), (0.2, 25)),
 )
 """Scale and AVIF quality of the pictures, best first."""
