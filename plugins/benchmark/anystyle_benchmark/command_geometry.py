@@ -17,6 +17,7 @@ from anystyle.commands._flags import new_parser, parse
 from anystyle.data.images import open_image, to_tensor
 from anystyle.errors import UserError, one_line
 from anystyle.evaluation.comparisons import write_cameras
+from anystyle.io.atomic import atomic_path
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.read import read
 from anystyle.pipeline.stages import Stages
@@ -36,7 +37,7 @@ def make_geometry(inputs: Inputs, scene: SceneEntry) -> None:
         found = read(files, anystyle.load().backbone, ViewOptions(), PoseOptions("sfm"), None, Stages())
     except UserError as error:
         raise UserError(f"scene {scene.name}: {one_line(error)}; or leave out `geometry`") from None
-    from anystyle_captures.stereo import plane_sweep  # the folder of a plugin is known once one of it was asked for
+    from anystyle_captures.stereo import plane_sweep  # importable once the catalog has loaded one of its plugins
 
     if found.cameras is None or len(found.sources) < len(files):
         raise UserError(
@@ -53,17 +54,19 @@ def make_geometry(inputs: Inputs, scene: SceneEntry) -> None:
     folder = inputs.path(str(scene.geometry))
     folder.mkdir(parents=True, exist_ok=True)
     chosen = [list(photographs).index(view) for view in scene.views]
-    write_cameras(folder / "cameras.npz", scene.views, cameras.select(chosen))
+    with atomic_path(folder / "cameras.npz") as temporary:
+        write_cameras(temporary, scene.views, cameras.select(chosen))
     for view, index in zip(scene.views, chosen, strict=True):
-        np.save(folder / f"{view}.npy", depth[index].numpy().astype(np.float16))
+        with atomic_path(folder / f"{view}.npy") as temporary:
+            np.save(temporary, depth[index].numpy().astype(np.float16))
 
 
-def lock(track: Path) -> None:
-    """Write the hashes of a track's inputs to the end of its file."""
-    text = track.read_text().split("\n[sha256]\n")[0].rstrip()
-    track.write_text(text + "\n")
-    hashes = Inputs(str(track)).hashes
-    track.write_text(f"{text}\n\n[sha256]\n" + "".join(f'"{name}" = "{value}"\n' for name, value in hashes.items()))
+def lock(inputs: Inputs) -> None:
+    """Write the hashes of a track's inputs to the end of its file, in place of earlier ones."""
+    text = inputs.file.read_text(encoding="utf-8").split("\n[sha256]\n")[0].rstrip()
+    hashes = "".join(f'"{name}" = "{value}"\n' for name, value in inputs.computed_hashes().items())
+    with atomic_path(inputs.file) as temporary:
+        temporary.write_text(f"{text}\n\n[sha256]\n{hashes}", encoding="utf-8")
 
 
 def parser() -> argparse.ArgumentParser:
@@ -82,6 +85,8 @@ def parser() -> argparse.ArgumentParser:
 def main(words: Sequence[str]) -> None:
     """Run ``anystyle benchmark geometry``."""
     arguments = parse(parser(), words)
+    if not arguments.track.is_file():
+        raise UserError(f"there is no file {arguments.track}; give the track.toml of your own track")
     inputs = Inputs(str(arguments.track))
     chosen = None if arguments.scenes is None else list(filter(None, arguments.scenes.split(",")))
     for scene in inputs.track.scenes if chosen is None else [inputs.scene(name) for name in chosen]:
@@ -89,5 +94,5 @@ def main(words: Sequence[str]) -> None:
             make_geometry(inputs, scene)
             print(f"{scene.name}: depth and cameras of {len(scene.views)} views in {inputs.path(scene.geometry)}")
     if arguments.lock:
-        lock(arguments.track)
+        lock(inputs)
         print(f"{arguments.track} has the hashes of its inputs")

@@ -5,7 +5,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from omegaconf import DictConfig, ListConfig
+from omegaconf import DictConfig, ListConfig, OmegaConf
 
 from anystyle.commands._compose import launch
 from anystyle.commands._flags import is_override, new_parser, split
@@ -18,7 +18,6 @@ from anystyle_benchmark.spec import PROGRAM, Spec, as_document, names, read_spec
 from anystyle_benchmark.track import Inputs
 
 CONF = Path(__file__).parent / "conf"
-OPTIONS = ("track", "root", "methods", "scenes", "styles", "seeds", "pages", "out")
 KEYS = """\
   track=open             a bundled track (open, smoke, tnt, ablation) or a file; root=DIR where its inputs lie
   methods=[brush,mine.toml] scenes=[street] styles=[wave] seeds=[0]      default: all
@@ -38,9 +37,10 @@ def parser() -> argparse.ArgumentParser:
 def main(words: Sequence[str]) -> None:
     """Run ``anystyle benchmark run``."""
     _, rest = split(parser(), list(words))
+    options = [str(key) for key in OmegaConf.load(CONF / "benchmark.yaml") if key not in ("defaults", "hydra")]
     for key in (word.partition("=")[0] for word in rest if is_override(word)):
-        if key.isidentifier() and key not in OPTIONS:
-            raise UserError(unknown("option", key, OPTIONS))
+        if key.isidentifier() and key not in options:
+            raise UserError(unknown("option", key, options))
     launch("benchmark", benchmark, rest, CONF)
 
 

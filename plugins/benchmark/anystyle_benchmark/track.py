@@ -157,14 +157,19 @@ class Inputs:
             if style.image is not None:
                 yield style.image, self.path(style.image)
 
-    @cached_property
-    def hashes(self) -> dict[str, str]:
-        """SHA-256 of every input; a UserError if one is not the track's."""
+    def computed_hashes(self) -> dict[str, str]:
+        """SHA-256 of every input as it is now; a UserError if one is missing."""
         found: dict[str, str] = {}
         for name, file in self.files():
             if not file.is_file():
                 raise UserError(f"the track {self.track.name} lacks {file}")
             found[name] = hashlib.sha256(file.read_bytes()).hexdigest()
+        return found
+
+    @cached_property
+    def hashes(self) -> dict[str, str]:
+        """SHA-256 of every input; a UserError if one is not the track's."""
+        found = self.computed_hashes()
         if self.track.sha256 and found != self.track.sha256:
             wrong = sorted(name for name, _ in found.items() ^ self.track.sha256.items())
             raise UserError(

@@ -152,7 +152,7 @@ def test_a_folder_of_images_is_a_method(world):
     records = ran(world, spec)
     assert records["one", "a"].status == "done" and records["one", "a"].seconds is None
     assert records["two", "b"].message == "there is no b/0.png"
-    record = records["one", "a"]  # nobody knows on which machine these were made, and by what
+    record = records["one", "a"]  # machine and versions of images made elsewhere are unknown
     assert (record.memory, record.machine, record.versions) == (None, "", {})
 
 

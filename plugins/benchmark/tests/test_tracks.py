@@ -87,6 +87,13 @@ def test_inputs_are_locked_by_a_command(tmp_path: Path) -> None:
         _ = Inputs(str(track)).hashes
     Benchmark()(["geometry", str(track), "--scenes", "", "--lock"])
     assert len(Inputs(str(track)).hashes) == len(Inputs(str(track)).track.sha256)
+    locked = track.read_text()
+    (tmp_path / "styles" / "image0.png").unlink()
+    with pytest.raises(UserError, match=r"lacks .*image0\.png"):
+        Benchmark()(["geometry", str(track), "--scenes", "", "--lock"])
+    assert track.read_text() == locked  # the earlier hashes are kept
+    with pytest.raises(UserError, match="there is no file open; give the track"):
+        Benchmark()(["geometry", "open", "--lock"])
 
 
 @pytest.mark.parametrize(
