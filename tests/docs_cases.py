@@ -9,7 +9,7 @@ PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
     *sorted((ROOT / "docs").glob("*.md")),
-    *sorted(ROOT.glob("plugins/*/README.md")),
+    *sorted(ROOT.glob("plugins/*/*.md")),
 ]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SHELLS = ("console", "bash", "sh")
@@ -116,8 +116,8 @@ NOT_RUN = {
     r"PYTHONPATH=tests\S* python tests/benchmarks/": "minutes, and pictures that do not travel with the project",
     r"python tests/benchmarks/published\.py CHECKOUT ": "minutes, and a checkout of the published code",
     r"ssh ": "needs another machine",
-    r"anystyle stylize outputs/poster/": "a run of nerfstudio; plugins/nerfstudio/tests makes one",
-    r"anystyle nerfstudio path ": "a path of nerfstudio's viewer; plugins/nerfstudio/tests makes one",
+    r"anystyle stylize outputs/poster/": "a run of nerfstudio; plugins/formats/tests makes one",
+    r"anystyle nerfstudio path ": "a path of nerfstudio's viewer; plugins/formats/tests makes one",
     r"ns-viewer ": "needs nerfstudio",
     r"(ln -s .*ComfyUI|ANYSTYLE_COMFYUI=)": "needs ComfyUI",
     r"make docs$": "tests/docs/test_site.py does what it does",

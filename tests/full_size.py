@@ -70,7 +70,7 @@ def shapes(kind: str) -> dict[str, Tensor]:
     config = compose("stylize", [f"model={model}", "style_encoder=long_clip"])
     with torch.device("meta"):
         stylizer, _ = build_and_load(config, {}, {})
-    from anystyle_anysplat import keys
+    from anystyle_backbones.anysplat import keys
 
     state = stylizer.backbone.state_dict()
     found = {name: state[key] for key, name in keys.backbone_names(state).items()}

@@ -11,7 +11,7 @@ from anystyle.data.folder import read_views
 from anystyle.data.images import image_size, open_image
 from anystyle.errors import UserError
 from anystyle.examples import examples, resolved
-from anystyle.pipeline.options import PoseOptions, VideoOptions, ViewOptions
+from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.styles import Mixture
 
 NAMES = sorted(examples())
@@ -46,7 +46,7 @@ def test_names_are_inputs_and_styles_in_python():
 
 @pytest.mark.slow
 def test_the_cameras_of_the_capture_are_found(tmp_path):
-    few = VideoOptions(frames=2)
+    few = {"frames": 2}
     anystyle.stylize("example:street", "charcoal drawing", views=ViewOptions(short_side=56), video=few, out=tmp_path)
     made = json.loads((tmp_path / "report.json").read_text())["reconstruction"]
     assert (made["kind"], made["registered"], made["trust"]) == ("fit", 12, "good")

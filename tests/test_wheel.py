@@ -40,7 +40,7 @@ def test_it_carries_configurations_plugins_and_weights(wheel):
     assert {f"anystyle/examples/{file}" for file in ("index.json", "street/LICENCE.txt", "street/12.jpg")} <= {*names}
     for part in (
         "conf/stylize.yaml",
-        "plugins/anysplat/pyproject.toml",
+        "plugins/backbones/pyproject.toml",
         "plugins/cpu_renderer/anystyle_cpu_renderer/renderer.py",
         "plugins/tiny/anystyle_tiny/conf/model/tiny.yaml",
         "plugins/tiny/anystyle_tiny/procedural/phrases.toml",

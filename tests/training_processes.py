@@ -59,7 +59,7 @@ def _train(words: Sequence[str], out: Path, environment: Mapping[str, str], larg
     assert "warm" in sys.modules, "the process was not forked from one that has imported everything"
     import torch
 
-    from anystyle.commands._run import run
+    from anystyle.cli.run import run
     from anystyle.training.run import train
     from training_cases import configuration
 

@@ -20,7 +20,7 @@ PLACEMENTS = {"head": Head(), "full": Full()}
 def small_checkpoint(placement: str | None, prefix: str = "", seed: int = 0) -> dict[str, Tensor]:
     """AnySplat of a few thin layers, or AnyStyle around it, under published names."""
     plugin = catalog().find("backbone", "anysplat").load()
-    from anystyle_anysplat import keys
+    from anystyle_backbones.anysplat import keys
 
     torch.manual_seed(seed)
     backbone = plugin(**plugin.example(Path()))

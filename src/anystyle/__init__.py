@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from anystyle.pipeline import weights
     from anystyle.pipeline.controls import Controls
     from anystyle.pipeline.load import load
-    from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
+    from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
     from anystyle.pipeline.styles import Mixture, Places
     from anystyle.pipeline.stylize import stylize
     from anystyle.registry.build import build
@@ -32,7 +32,6 @@ _HOMES = {
     "PoseOptions": "anystyle.pipeline.options",
     "SplatOptions": "anystyle.pipeline.options",
     "Stylizer": "anystyle.stylizer",
-    "VideoOptions": "anystyle.pipeline.options",
     "ViewOptions": "anystyle.pipeline.options",
     "build": "anystyle.registry.build",
     "catalog": "anystyle.registry.catalog",
@@ -53,6 +52,8 @@ def __getattr__(name: str) -> Any:
         value = getattr(importlib.import_module(_HOMES[name]), name)
         globals()[name] = value
         return value
+    if name == "VideoOptions":
+        raise AttributeError("VideoOptions is gone: give stylize a mapping, such as video={'frames': 48}")
     raise AttributeError(f"module 'anystyle' has no attribute {name!r}")
 
 
@@ -68,7 +69,6 @@ __all__ = [
     "PoseOptions",
     "SplatOptions",
     "Stylizer",
-    "VideoOptions",
     "ViewOptions",
     "build",
     "catalog",

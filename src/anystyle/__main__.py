@@ -48,8 +48,8 @@ def main() -> None:
 
         sys.stdout.write(f"anystyle {version('anystyle')}\n")
     elif first in ("-sc", "--shell-completion"):
-        from anystyle.commands._compose import complete
-        from anystyle.commands._run import run
+        from anystyle.cli.launch import complete
+        from anystyle.cli.run import run
 
         run(lambda: complete(available(), rest))
     elif first in COMMANDS:
@@ -59,7 +59,7 @@ def main() -> None:
         except KeyboardInterrupt:  # while the command's imports were under way
             sys.exit(130)
     else:
-        from anystyle.commands._run import run
+        from anystyle.cli.run import run
 
         run(lambda: _of_plugin(first, rest))
 

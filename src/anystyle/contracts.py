@@ -6,7 +6,7 @@ built with the options of :meth:`~anystyle.registry.socket.Socket.example`, the 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar, final
@@ -398,7 +398,11 @@ class StyleSource(Socket, ABC):
 
 
 class Format(Socket, ABC):
-    """A file format of Gaussian scenes; its name is the suffix of the files."""
+    """A file format of Gaussian scenes; its name is the suffix of the files.
+
+    A constructor that names ``renderer`` is given a function from Gaussians and cameras to :class:`~anystyle.types.Renders`
+    where one is available.
+    """
 
     up: ClassVar[str] = "opencv"
     """Axes of the format's files, unless they say otherwise: ``opencv``, ``y`` or ``z`` up."""
@@ -432,25 +436,6 @@ class Format(Socket, ABC):
             UserError: The file is damaged, or none of this format.
         """
         raise UserError(f"{path}: files of this format are written, and not read")
-
-
-RenderFrames = Callable[[Cameras], Iterator[Float[Tensor, "3 H W"]]]
-"""Renders one scene from cameras: sRGB in [0, 1] on the CPU; ends early where images are not needed any more."""
-
-
-class Video(Socket, ABC):
-    """What is filmed of a result."""
-
-    @abstractmethod
-    def write(self, gaussians: Gaussians, cameras: Cameras, render: RenderFrames, folder: Path) -> None:
-        """Write ``video.mp4`` into a folder, and what else belongs to it.
-
-        Args:
-            gaussians: A batch of one scene.
-            cameras: Of the views that it was made from, at least one.
-            render: Renders it.
-            folder: Has none of the files yet.
-        """
 
 
 @torch.no_grad()

@@ -6,7 +6,7 @@ import pytest
 import yaml
 from safetensors.torch import load_file
 
-from anystyle.commands._compose import launch
+from anystyle.cli.launch import launch
 from anystyle.commands.train import run
 from anystyle.errors import UserError
 from anystyle.registry.compose import ERRORS, compose, explain

@@ -25,7 +25,7 @@ from anystyle.types import Comparison
 from anystyle.vision import networks
 from anystyle.vision.statistics import mean_std
 from anystyle_magenta.teacher import Teacher
-from anystyle_optical_flow.dis import DIS
+from anystyle_metrics.optical_flow.dis import DIS
 
 LAYERS = ("expand1", "expand3", "expand5", "expand8")
 SIZE = (336, 448)

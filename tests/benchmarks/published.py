@@ -37,7 +37,7 @@ from safetensors.torch import load_file, save_file
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from anystyle.commands._run import run
+from anystyle.cli.run import run
 from anystyle.errors import UserError
 from anystyle.pipeline.weights import load_reference
 from anystyle.types import Scene, StyleEmbedding, Views

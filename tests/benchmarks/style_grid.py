@@ -17,7 +17,7 @@ from anystyle.examples import examples, resolved
 from anystyle.io.sheet import to_pil
 from anystyle.methods.branch import Branch
 from anystyle.types import Style
-from anystyle_brush.brush import Brush
+from anystyle_methods.brush import Brush
 from real_data import ROOT
 
 TEXTS = (

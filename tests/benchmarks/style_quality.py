@@ -53,7 +53,7 @@ from anystyle.registry.compose import compose
 from anystyle.stylizer import Stylizer
 from anystyle.types import Scene, Style, Views
 from anystyle.vision.statistics import centered_cosines, equalized_gray
-from anystyle_brush.brush import Brush
+from anystyle_methods.brush import Brush
 from real_data import ROOT
 
 CAPTURES = {

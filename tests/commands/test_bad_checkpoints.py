@@ -9,7 +9,7 @@ from omegaconf import OmegaConf
 from PIL import Image
 from safetensors.torch import save_file
 
-from anystyle.commands._compose import main
+from anystyle.cli.launch import main
 from anystyle.commands.stylize import command, parser
 from anystyle.pipeline import memory
 from anystyle.pipeline.weights import reference_config

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
 from anystyle import __main__ as program
+from anystyle.cli.arguments import split
+from anystyle.cli.run import message, run
 from anystyle.commands import _compose
-from anystyle.commands._flags import split
-from anystyle.commands._run import message, run
 from anystyle.contracts import Placement
 from anystyle.errors import UserError
 from anystyle.registry.build import build
@@ -86,7 +86,7 @@ def test_listing_imports_neither_torch_nor_a_plugin(words):
         f"sys.argv = ['anystyle', *{words!r}]\n"
         "try: main()\n"
         "finally: print('IMPORTED', [n for n in sys.modules if n.split('.')[0] in "
-        "('torch', 'hydra', 'omegaconf', 'numpy', 'rich', 'anystyle_anysplat') or n.startswith('anystyle.losses.')])"
+        "('torch', 'hydra', 'omegaconf', 'numpy', 'rich', 'anystyle_backbones') or n.startswith('anystyle.losses.')])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
@@ -278,7 +278,7 @@ def test_workers_know_the_plugins_of_a_folder(tmp_path):
         "    def __call__(self, *given, **named):\n        raise NotImplementedError\n"
     )
     (tmp_path / "job.py").write_text(
-        "import os\nfrom anystyle.commands._compose import main\n"
+        "import os\nfrom anystyle.cli.launch import main\n"
         "def job(config):\n    open(os.path.join(os.environ['JOBS'], str(config.study_test.mine.depth)), 'w')\n"
         "if __name__ == '__main__':\n    main('config', job)\n"
     )

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from anystyle.cli.run import run
 from anystyle.commands import report as command
-from anystyle.commands._run import run
 from anystyle.evaluation import record
 from anystyle.evaluation.base import Evaluation
 from anystyle.evaluation.tables import STAND_IN

@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 from plyfile import PlyData
 
-from anystyle.commands._compose import main
+from anystyle.cli.launch import main
 from anystyle.commands.stylize import command, parser
 from anystyle.errors import UserError
 from anystyle.formats.ply import Ply
@@ -132,7 +132,7 @@ def test_a_browser_opens_where_there_is_a_display(tmp_path, display):
     browser.chmod(0o755)
     shown = {"DISPLAY": ":9"} if display else {}
     clean = {key: value for key, value in os.environ.items() if key not in ("DISPLAY", "WAYLAND_DISPLAY")}
-    code = f"from anystyle.commands._run import show; show({(tmp_path / 'page.html').as_uri()!r})"
+    code = f"from anystyle.cli.run import show; show({(tmp_path / 'page.html').as_uri()!r})"
     environment = clean | shown | {"BROWSER": f"{browser} %s"}
     assert subprocess.run([sys.executable, "-c", code], env=environment, check=True, capture_output=True).stdout == b""
     assert (tmp_path / "opened").is_file() == display

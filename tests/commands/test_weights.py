@@ -13,8 +13,8 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
+from anystyle.cli.run import run
 from anystyle.commands import weights as command
-from anystyle.commands._run import run
 from anystyle.pipeline.weights import load_reference
 from anystyle.vision import weights
 from weights_cases import small_checkpoint

@@ -29,10 +29,7 @@ from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.testing.toy.styles import ToyStyles
 from anystyle.testing.toy.training import ToyTraining
-from anystyle.testing.toy.video import ToyVideo
 from anystyle.types import Site, no_progress
-from anystyle_film.testing.toy.camera_path import ToyCameraPath
-from anystyle_film.testing.toy.projection import ToyProjection
 from anystyle_study.testing.toy.study_test import ToyStudyTest
 
 
@@ -140,22 +137,6 @@ class Forgetful(ToyProtocol):
 class FarFirst(ToyRenderer):
     def __call__(self, gaussians, cameras):
         return super().__call__(replace(gaussians, means=gaussians.means * torch.tensor([1.0, 1.0, -1.0])), cameras)
-
-
-class Unfilmed(ToyVideo):
-    """Writes an empty file."""
-
-    def write(self, gaussians, cameras, render, folder):
-        (folder / "video.mp4").touch()
-
-
-class Jumping(ToyCameraPath):
-    """Cuts in the middle."""
-
-    def __call__(self, scene, frames):
-        path = super().__call__(scene, frames)
-        path.world_from_camera[0, frames // 2 :, 0, 3] += 5
-        return path
 
 
 class Careless(ToyFormat):
@@ -274,24 +255,8 @@ MUTANTS = {
         (Tilted, "reads_what_it_writes"),
         (Enlarged, "reads_what_it_writes"),
     ],
-    "video": [(Unfilmed, "writes_a_film")],
     "command": [(given(ToyCommand, "__call__", lambda words: []), "unknown_words_are_refused")],
     "study_test": [(Reversed, "negative_means_ours")],
-    "camera_path": [
-        (changed(ToyCameraPath, "__call__", lambda path: path.select([0])), "gives_one_camera_a_frame"),
-        (Jumping, "moves_smoothly"),
-        (
-            changed(ToyCameraPath, "__call__", lambda path: scale("intrinsics", torch.rand(()))(path)),
-            "gives_the_same_twice",
-        ),
-    ],
-    "projection": [
-        (
-            changed(ToyProjection, "size", lambda size: (size[0], size[1] + 1)),
-            "sizes_are_even",
-        ),
-        (changed(ToyProjection, "frame", lambda frame: frame * 0.9), "frames_are_made_of_views"),
-    ],
 }
 
 

@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from anystyle.__main__ import available
-from anystyle.commands._flags import parse, split
+from anystyle.cli.arguments import parse, split
 from anystyle.commands.plugins_new import write
 from anystyle.registry.catalog import kinds
 from anystyle.registry.compose import compose
@@ -157,7 +157,7 @@ def test_command_is_understood(page, line):
             split(importlib.import_module(f"anystyle_benchmark.command_{rest[0]}").parser(), rest[1:])
         return
     if command == "nerfstudio":
-        split(getattr(importlib.import_module("anystyle_nerfstudio.command"), f"{rest[0]}_parser")(), rest[1:])
+        split(getattr(importlib.import_module("anystyle_formats.nerfstudio.command"), f"{rest[0]}_parser")(), rest[1:])
         return
     if command == "data":
         with pytest.MonkeyPatch.context() as patch, pytest.raises(_ParsedError):

@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from anystyle.cli.run import run
 from anystyle.commands import report
-from anystyle.commands._run import run
 from anystyle.data.style_folder import FolderStyles
 from anystyle.errors import UserError
 from anystyle.evaluation import published_figures, record

@@ -66,7 +66,7 @@ def test_a_folder_is_locked_against_other_processes_until_its_holder_ends(tmp_pa
 
 def test_a_terminated_command_deletes_what_it_began(tmp_path):
     code = (
-        "import signal\nfrom anystyle.commands._run import run\nfrom anystyle.io.atomic import atomic_directory\n"
+        "import signal\nfrom anystyle.cli.run import run\nfrom anystyle.io.atomic import atomic_directory\n"
         "def command():\n"
         "    with atomic_directory('out') as temporary:\n"
         "        (temporary / 'half.png').touch()\n"

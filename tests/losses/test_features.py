@@ -13,11 +13,11 @@ from anystyle.losses.content import Content
 from anystyle.losses.features import features_to_compare, objective
 from anystyle.losses.style import StyleLoss
 from anystyle.vision import networks
-from anystyle_rivals.gram import Gram
-from anystyle_rivals.nnfm import NNFM
-from anystyle_rivals.simultaneous_scales import SimultaneousScales
-from anystyle_rivals.sliced_wasserstein import SlicedWasserstein
-from anystyle_rivals.total_variation import TotalVariation
+from anystyle_methods.gram import Gram
+from anystyle_methods.nnfm import NNFM
+from anystyle_methods.simultaneous_scales import SimultaneousScales
+from anystyle_methods.sliced_wasserstein import SlicedWasserstein
+from anystyle_methods.total_variation import TotalVariation
 from oracle import assert_matches, golden, smooth_image
 from style_cases import filled_vgg_file, stylization
 

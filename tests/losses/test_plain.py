@@ -7,7 +7,7 @@ import torch
 
 from anystyle.losses.depth_consistency import DepthConsistency
 from anystyle.types import Geometry
-from anystyle_rivals.total_variation import TotalVariation
+from anystyle_methods.total_variation import TotalVariation
 from anystyle_tiny.losses import EdgeAwareSmoothness
 from oracle import hashed, smooth_image
 from style_cases import cameras, stylization

@@ -23,7 +23,7 @@ from anystyle.metrics.warp_consistency import WarpConsistency
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.types import Cameras, Comparison, Style
 from anystyle.vision import feature_cache
-from anystyle_optical_flow.raft import Raft
+from anystyle_metrics.optical_flow.raft import Raft
 from anystyle_tiny.depth_agreement import DepthAgreement
 from oracle import hashed, smooth_image
 

@@ -14,7 +14,7 @@ from anystyle.metrics.warp_consistency import WarpConsistency, corrected_warp, r
 from anystyle.types import Comparison, Flow, Frames, Style
 from anystyle.vision import lpips
 from anystyle.vision.statistics import hellinger, rgb_uv_histogram
-from anystyle_optical_flow.raft import Raft
+from anystyle_metrics.optical_flow.raft import Raft
 from judging_cases import filled_folder, nine_frames, six_pairs
 from oracle import assert_matches, golden, hashed, smooth_image
 

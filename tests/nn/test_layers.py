@@ -7,10 +7,10 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
-from anystyle.nn import dpt, heads
 from anystyle.nn.attention import Attention
 from anystyle.nn.tokens import IMAGENET_MEAN, IMAGENET_STD, grid_of, normalised
 from anystyle.types import Cameras
+from anystyle_backbones import dpt, heads
 from oracle import hashed
 
 

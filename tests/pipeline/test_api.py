@@ -10,8 +10,8 @@ import torch
 from PIL import Image
 
 import anystyle
-from anystyle import ExportOptions, Mixture, PoseOptions, VideoOptions, ViewOptions
-from anystyle.commands._compose import main
+from anystyle import ExportOptions, Mixture, PoseOptions, ViewOptions
+from anystyle.cli.launch import main
 from anystyle.commands.stylize import command, parser
 from anystyle.contracts import SceneSource
 from anystyle.data.folder import read_views
@@ -21,7 +21,7 @@ from anystyle.pipeline.styles import slug
 from anystyle.types import Gaussians, Style
 
 VIEWS = ViewOptions(short_side=56, take=3)
-VIDEO = VideoOptions(frames=2, scale=0.5)
+VIDEO = {"frames": 2, "scale": 0.5}
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def test_a_film_that_is_not_needed_any_more_is_not_finished(photographs, stylize
         return styled(self, style)
 
     monkeypatch.setattr(Restyler, "__call__", interrupted)
-    long = VideoOptions(frames=100_000, scale=0.5)  # minutes
+    long = {"frames": 100_000, "scale": 0.5}  # minutes
     start = time.perf_counter()
     with pytest.raises(KeyboardInterrupt):
         anystyle.stylize(photographs, ["dots", "waves"], model=stylizer, views=VIEWS, video=long, out=tmp_path / "out")

@@ -11,8 +11,8 @@ from PIL import Image
 from scipy.spatial.transform import Rotation, Slerp
 
 import anystyle
-from anystyle import Controls, VideoOptions, ViewOptions
-from anystyle.commands._compose import main
+from anystyle import Controls, ViewOptions
+from anystyle.cli.launch import main
 from anystyle.commands.stylize import command, given_controls, given_styles, parser
 from anystyle.data.folder import Original, covering
 from anystyle.data.images import to_tensor
@@ -27,7 +27,7 @@ from anystyle_captures.structure_from_motion import StructureFromMotion
 from cards import World, arc
 
 VIEWS = ViewOptions(short_side=56, take=3)
-VIDEO = VideoOptions(frames=2, scale=0.5)
+VIDEO = {"frames": 2, "scale": 0.5}
 
 
 def gaussians_of(count=40, coefficients=4, seed=0):

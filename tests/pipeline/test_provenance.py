@@ -17,8 +17,8 @@ import pytest
 from PIL import Image, PngImagePlugin
 from plyfile import PlyData
 
+from anystyle.cli.launch import main
 from anystyle.commands import export
-from anystyle.commands._compose import main
 from anystyle.commands.stylize import command, parser
 from anystyle.pipeline.read import is_saved
 from anystyle.pipeline.saved import read_saved

@@ -9,7 +9,7 @@ import torch
 from plyfile import PlyData, PlyElement
 
 import anystyle
-from anystyle.commands._compose import main
+from anystyle.cli.launch import main
 from anystyle.commands.stylize import command, parser
 from anystyle.io import ply
 from anystyle.methods.branch import Branch

@@ -17,7 +17,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import choices
 from anystyle.registry.packages import groups, package_presets
 from anystyle.registry.source import PluginSource, register
-from anystyle.registry.untrusted import check_saved
+from anystyle.registry.untrusted import MOVED, check_saved
 
 PLACEMENTS = """
 from typing import Literal
@@ -30,7 +30,7 @@ class Deep(Placement):
 """
 LOSSES = """
 from anystyle.contracts import Loss
-from anystyle.registry.untrusted import check_saved
+from anystyle.registry.untrusted import MOVED, check_saved
 class One(Loss):
     def __init__(self, *, weight: float = 1.0, layers: tuple[int, ...] = (1, 2)) -> None:
         super().__init__()
@@ -128,7 +128,7 @@ def test_a_target_of_ones_own_builds_nothing(composed):
 @pytest.mark.parametrize(
     ("saved", "message"),
     [
-        ({"branch": {"_target_": "os.system"}}, r"file: branch\._target_ is 'os\.system', which no plugin"),
+        ({"branch": {"_target_": "os.system"}}, r"file: branch\._target_ is 'os\.system', which is not a registered"),
         ({"branch": [{"sh_degree": "${oc.env:HOME}"}]}, r"file: branch\.0\.sh_degree is .* no interpolations"),
     ],
 )
@@ -136,6 +136,16 @@ def test_a_saved_configuration_is_checked_before_anything_is_built(saved, messag
     check_saved({"placement": {"_target_": catalog().find("placement", "head").path}, "branch": [1, "a"]}, "file")
     with pytest.raises(UserError, match=message):
         check_saved(saved, "file")
+
+
+def test_a_saved_configuration_names_classes_that_have_moved_by_their_present_paths():
+    with pytest.warns(
+        DeprecationWarning, match=r"anystyle_anysplat\.AnySplat is anystyle_backbones\.anysplat\.AnySplat"
+    ):
+        saved = check_saved({"backbone": {"_target_": "anystyle_anysplat.AnySplat", "depth": 2}}, "file")
+    assert saved == {"backbone": {"_target_": catalog().find("backbone", "anysplat").path, "depth": 2}}
+    for old, new in MOVED.items():
+        assert any(plugin.path.startswith(new) for plugin in catalog()), old
 
 
 def test_source_lists_the_catalog(composed):

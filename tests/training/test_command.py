@@ -6,8 +6,8 @@ import signal
 
 import pytest
 
-from anystyle.commands._compose import launch
-from anystyle.commands._run import run as ending
+from anystyle.cli.launch import launch
+from anystyle.cli.run import run as ending
 from anystyle.commands.train import run
 from anystyle.errors import UserError
 from anystyle.registry.compose import compose

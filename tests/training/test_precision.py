@@ -7,7 +7,7 @@ from safetensors.torch import load_file
 from anystyle.branch import StyleBranch
 from anystyle.stylizer import Stylizer
 from anystyle.training.run import train
-from anystyle_rivals.total_variation import TotalVariation
+from anystyle_methods.total_variation import TotalVariation
 from training_cases import STYLIZATION, configuration
 
 WORDS = (

@@ -7,7 +7,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from anystyle.commands._compose import launch
+from anystyle.cli.launch import launch
 from anystyle.commands.train import run
 from anystyle.contracts import neutral_embedding
 from anystyle.losses.content import Content

@@ -42,7 +42,7 @@ def test_presets_have_the_published_size(name: str) -> None:
 def grown(file: Path, width: int, dtype: torch.dtype) -> None:
     """Write a checkpoint of a reduced depth, and of a width at which weights outweigh the program."""
     catalog().find("backbone", "anysplat").load()
-    from anystyle_anysplat import AnySplat, keys
+    from anystyle_backbones.anysplat import AnySplat, keys
 
     with torch.device("meta"):
         backbone = AnySplat(dim=width, heads=width // 64, embed_depth=4, depth=5, taps=(1, 2, 3, 4), camera_depth=1)

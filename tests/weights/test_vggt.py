@@ -20,7 +20,7 @@ def vggt() -> dict[str, Tensor]:
 
 def words(file: Path) -> list[str]:
     """Overrides for a training that starts from a file, of the miniature's size."""
-    from anystyle_anysplat import AnySplat
+    from anystyle_backbones.anysplat import AnySplat
 
     small = [override(f"backbone.{name}", value) for name, value in AnySplat.example(Path()).items()]
     weights = ["weights.branch=null", override("weights.backbone", str(file))]
@@ -31,7 +31,7 @@ def test_every_value_is_taken_over_and_the_gaussian_head_is_left_as_initialised(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     state = vggt()
-    from anystyle_anysplat import keys
+    from anystyle_backbones.anysplat import keys
 
     save_file(state, tmp_path / "vggt.safetensors")
     start = compose("stylize", [*words(tmp_path / "vggt.safetensors"), "weights.backbone=null"])

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from importlib import import_module
 
-from anystyle.commands._flags import subcommand
+from anystyle.cli.arguments import subcommand
 from anystyle.registry.catalog import catalog
 from anystyle.registry.socket import Command
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import msgspec
 
-from anystyle.commands._flags import new_parser, parse
+from anystyle.cli.arguments import new_parser, parse
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path, write_json
 from anystyle_benchmark.compare import answers, compare, sentences, table, with_people

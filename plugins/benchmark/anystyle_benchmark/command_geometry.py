@@ -13,7 +13,7 @@ import torch
 from PIL import Image
 
 import anystyle
-from anystyle.commands._flags import new_parser, parse
+from anystyle.cli.arguments import new_parser, parse
 from anystyle.data.images import open_image, to_tensor
 from anystyle.errors import UserError, one_line
 from anystyle.evaluation.comparisons import write_cameras

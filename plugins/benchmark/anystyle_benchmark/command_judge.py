@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from anystyle.commands._flags import new_parser, parse
+from anystyle.cli.arguments import new_parser, parse
 from anystyle.commands.evaluate import progress_lines
 from anystyle.errors import UserError
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled

@@ -14,7 +14,7 @@ import torch
 from torch.utils import _pytree as pytree
 
 import anystyle
-from anystyle.commands._flags import new_parser, split
+from anystyle.cli.arguments import new_parser, split
 from anystyle.contracts import Renderer
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from omegaconf import DictConfig, ListConfig, OmegaConf
 
-from anystyle.commands._compose import launch
-from anystyle.commands._flags import is_override, new_parser, split
+from anystyle.cli.arguments import is_override, new_parser, split
+from anystyle.cli.launch import launch
 from anystyle.errors import UserError, unknown
 from anystyle.io.atomic import write_json
 from anystyle.io.documents import kept_json

@@ -4,7 +4,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from anystyle.commands._flags import new_parser, parse
+from anystyle.cli.arguments import new_parser, parse
 from anystyle.commands.evaluate import progress_lines
 from anystyle.errors import UserError
 from anystyle_benchmark.judge import inputs_of

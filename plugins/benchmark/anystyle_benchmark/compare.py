@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from anystyle.commands._flags import parse
+from anystyle.cli.arguments import parse
 from anystyle.errors import UserError, unknown
 from anystyle.evaluation.tables import Table, number, titled
 from anystyle.io.documents import Figure, as_figure, as_number, read_json

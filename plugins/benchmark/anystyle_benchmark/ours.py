@@ -9,8 +9,8 @@ from pathlib import Path
 import torch
 
 import anystyle
-from anystyle.commands._flags import split
-from anystyle.commands._run import run
+from anystyle.cli.arguments import split
+from anystyle.cli.run import run
 from anystyle.commands.stylize import given_controls, parser
 from anystyle.data.folder import SourceImage
 from anystyle.errors import UserError

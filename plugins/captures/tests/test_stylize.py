@@ -8,7 +8,7 @@ import torch
 from PIL import Image
 
 import anystyle
-from anystyle import PoseOptions, VideoOptions, ViewOptions
+from anystyle import PoseOptions, ViewOptions
 from anystyle.pipeline.encode import encoder
 from anystyle.types import Views
 from anystyle_captures.fit import Fit
@@ -19,7 +19,7 @@ from real_data import real
 FOCAL, SIZE = 200.0, (168, 192)
 SHORT = Fit(quality="draft", num_gaussians=1500, num_steps=60, holdout=4)
 QUICK = {"quality": "draft", "num_gaussians": 800, "num_steps": 20}
-VIEWS, VIDEO = ViewOptions(short_side=84), VideoOptions(frames=2, scale=0.5)
+VIEWS, VIDEO = ViewOptions(short_side=84), {"frames": 2, "scale": 0.5}
 
 
 @pytest.fixture(scope="module")

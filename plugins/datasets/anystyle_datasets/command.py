@@ -9,7 +9,7 @@ from functools import partial
 from inspect import signature
 from pathlib import Path
 
-from anystyle.commands._flags import new_parser, parse, subcommand
+from anystyle.cli.arguments import new_parser, parse, subcommand
 from anystyle.data.images import SUFFIXES
 from anystyle.errors import UserError
 from anystyle.evaluation.paper_folder import PaperFolder

@@ -16,8 +16,8 @@ from torch import Tensor
 
 from anystyle.geometry.cameras import look_at
 from anystyle.types import Cameras
-from anystyle_film.contract import Layout, Projection
-from anystyle_film.pinhole import EYES, checked_baseline, eyes
+from anystyle_film.pinhole import EYES, eyes
+from anystyle_film.projection import Layout, Projection
 from anystyle_film.scene import FilmedScene
 
 OVERLAP = 5.0
@@ -63,8 +63,8 @@ class Vr180(Projection):
     layout = Layout(degrees=180, stereo=True)
     faces: ClassVar = (FRONT, RIGHT, LEFT, UP, DOWN)
 
-    def __init__(self, *, baseline: float | None = None) -> None:
-        self.baseline = checked_baseline(baseline)
+    def __init__(self, baseline: float | None = None) -> None:
+        self.baseline = baseline
 
     def size(self, cameras: Cameras, scale: float, height: int | None) -> tuple[int, int]:
         return (rows := panorama_height(cameras, scale, height)), 2 * rows

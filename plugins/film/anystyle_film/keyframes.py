@@ -28,7 +28,6 @@ from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.io.documents import read_json
 from anystyle.types import Cameras
-from anystyle_film.contract import CameraPath
 from anystyle_film.scene import FilmedScene
 
 MAX_SECONDS = 3600.0
@@ -53,14 +52,14 @@ class KeyframesFile(msgspec.Struct, forbid_unknown_fields=True):
     up: _Vector | None = None
 
 
-class Keyframes(CameraPath):
+class Keyframes:
     """A path through the keyframes of a JSON file, smooth in position, direction and field of view.
 
     Args:
         file: Its path.
     """
 
-    def __init__(self, *, file: str) -> None:
+    def __init__(self, file: str) -> None:
         self.file = Path(file)
         self.document: KeyframesFile = read_json(file, KeyframesFile, what="file of keyframes")
         keys = self.document.keyframes
@@ -68,12 +67,6 @@ class Keyframes(CameraPath):
         for index, key in enumerate(keys):
             self._check(index, key)
         self.seconds = float(self.times[-1]) or None
-
-    @classmethod
-    def example(cls, folder: Path) -> dict[str, object]:
-        views = [{"time": time, "position": [time, 0, -3], "look_at": [0, 0, 0]} for time in (0.0, 0.5)]
-        (folder / "keyframes.json").write_bytes(msgspec.json.encode({"keyframes": views}))
-        return {"file": str(folder / "keyframes.json")}
 
     def _check(self, index: int, key: Keyframe) -> None:
         where = f"{self.file}, keyframe {index + 1}"
@@ -91,9 +84,10 @@ class Keyframes(CameraPath):
         turn = pose[:3, :3]
         rigid = np.abs(turn @ turn.T - np.eye(3)).max() < 1e-3 and np.linalg.det(turn) > 0
         if not rigid or (pose[3] != [0, 0, 0, 1]).any():
-            raise UserError(f"{where}: world_from_camera is no rotation and translation above a row 0, 0, 0, 1")
+            raise UserError(f"{where}: world_from_camera is not a rotation and translation above a row 0, 0, 0, 1")
 
     def __call__(self, scene: FilmedScene, frames: int) -> Cameras:
+        """The cameras of the frames, evenly spaced in time."""
         poses = np.stack([self._pose(index, key, scene) for index, key in enumerate(self.document.keyframes)])
         height, width = scene.cameras.size
         mean = scene.cameras.intrinsics[0].double().mean(0).cpu().numpy()

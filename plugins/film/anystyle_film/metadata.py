@@ -12,7 +12,7 @@ from typing import BinaryIO
 from PIL import Image
 
 from anystyle.io.atomic import atomic_path
-from anystyle_film.contract import Layout
+from anystyle_film.projection import Layout
 
 _CONTAINERS = (b"moov", b"trak", b"mdia", b"minf", b"stbl")
 _VISUAL_ENTRY = 78

@@ -6,9 +6,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.errors import UserError
 from anystyle.types import Cameras
-from anystyle_film.contract import Layout, Projection
+from anystyle_film.projection import Layout, Projection
 from anystyle_film.scene import FilmedScene
 
 EYES = 1 / 30
@@ -37,8 +36,8 @@ class Stereo(Projection):
 
     layout = Layout(stereo=True)
 
-    def __init__(self, *, baseline: float | None = None) -> None:
-        self.baseline = checked_baseline(baseline)
+    def __init__(self, baseline: float | None = None) -> None:
+        self.baseline = baseline
 
     def size(self, cameras: Cameras, scale: float, height: int | None) -> tuple[int, int]:
         height, width = pinhole_size(cameras, scale, height)
@@ -68,10 +67,3 @@ def eyes(camera: Cameras, baseline: float) -> Cameras:
     pair = camera.world_from_camera.repeat(1, 2, 1, 1)
     pair[0, :, :3, 3] += pair[0, :, :3, 0] * pair.new_tensor([[-0.5], [0.5]]) * baseline
     return Cameras(pair, camera.intrinsics.repeat(1, 2, 1, 1), camera.size)
-
-
-def checked_baseline(baseline: float | None) -> float | None:
-    """The distance between the eyes as it was given."""
-    if baseline is not None and not 0 < baseline < float("inf"):
-        raise UserError(f"video.baseline={baseline:g}; give the distance between the eyes in scene units, above 0")
-    return baseline

@@ -12,22 +12,22 @@ import torch
 import torch.nn.functional as F
 from PIL import Image
 
-from anystyle.contracts import Renderer, Video
+from anystyle.contracts import Format, Renderer
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.video import opened, write_video
 from anystyle.registry.build import build
+from anystyle.testing import asserts, inputs
 from anystyle.testing.inputs import images
-from anystyle.types import Cameras, Gaussians
-from anystyle_film.command import rendering
-from anystyle_film.contract import Layout
+from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle_film.equirectangular import Equirectangular, Vr180
-from anystyle_film.film import Film
 from anystyle_film.keyframes import Keyframes
 from anystyle_film.metadata import mark_video
-from anystyle_film.paths import Orbit
-from anystyle_film.pinhole import Stereo
+from anystyle_film.mp4 import Mp4
+from anystyle_film.paths import orbit, smooth, spiral
+from anystyle_film.pinhole import Pinhole, Stereo
+from anystyle_film.projection import Layout
 from anystyle_film.scene import FilmedScene
 
 
@@ -59,12 +59,18 @@ def directions(height, width, degrees):
     return torch.stack([down.cos() * across.sin(), down.sin().expand(-1, width), down.cos() * across.cos()])
 
 
+def rendered(scene, views):
+    """The images of all cameras, each rendered by itself."""
+    renderer = build(Renderer, "auto")
+    with torch.no_grad():
+        return torch.stack([renderer(scene, views.select([i])).color[0, 0] for i in range(views.intrinsics.shape[1])])
+
+
 def filmed(projection, scene, camera, height):
     """One frame."""
     size = projection.size(camera, 1.0, height)
     views = projection.views(FilmedScene(scene, camera), camera, size)
-    render = rendering(build(Renderer, "auto"), scene)
-    return projection.frame(torch.stack(list(render(views))), size)
+    return projection.frame(rendered(scene, views), size)
 
 
 def psnr(first, second):
@@ -82,7 +88,7 @@ def test_a_panorama_shows_each_direction_where_the_closed_form_has_it():
     level = cameras(torch.stack([torch.eye(4), turned]))
     size = (96, 192)
     views = Equirectangular().views(FilmedScene(scene, cameras(torch.eye(4)[None])), level.select([1]), size)
-    other = Equirectangular().frame(torch.stack(list(rendering(build(Renderer, "auto"), scene)(views))), size)
+    other = Equirectangular().frame(rendered(scene, views), size)
     assert psnr(other, frame.roll(-48, 2)) > 40
 
 
@@ -93,7 +99,7 @@ def test_a_crop_of_a_panorama_is_the_pinhole_render():
     pose[:3, 3] = torch.tensor([0.1, 0.05, -0.1])
     camera = cameras(pose[None], (96, 128), 100.0)
     panorama = filmed(Equirectangular(), scene, camera, 400)
-    (pinhole,) = rendering(build(Renderer, "auto"), scene)(camera)
+    (pinhole,) = rendered(scene, camera)
     y, x = torch.meshgrid((torch.arange(96) + 0.5 - 48) / 100, (torch.arange(128) + 0.5 - 64) / 100, indexing="ij")
     longitude, latitude = torch.atan(x), torch.atan2(y, (1 + x.square()).sqrt())
     where = torch.stack([longitude / math.pi, latitude / (math.pi / 2)], -1)
@@ -139,7 +145,7 @@ def test_an_orbit_looks_at_the_center_from_a_constant_radius():
     scene = FilmedScene(sphere(200, torch.zeros_like), cameras(poses[:7]))
     torch.testing.assert_close(scene.focus, center, atol=0.1, rtol=0)
     assert float(scene.up @ up) > math.cos(math.radians(1))
-    path = Orbit()(scene, 40).world_from_camera[0].double()
+    path = orbit(scene, 40).world_from_camera[0].double()
     offsets = path[:, :3, 3] - scene.focus
     radii = offsets.norm(dim=1)
     torch.testing.assert_close(radii, radii[:1].expand(40))
@@ -161,7 +167,7 @@ KEYS = [
 def test_a_path_goes_through_its_keyframes_at_their_times(tmp_path):
     (tmp_path / "path.json").write_text(json.dumps({"keyframes": KEYS, "up": [0, -1, 0]}))
     scene = FilmedScene(sphere(50, torch.zeros_like), cameras(torch.eye(4)[None]))
-    keyframes = Keyframes(file=str(tmp_path / "path.json"))
+    keyframes = Keyframes(str(tmp_path / "path.json"))
     assert keyframes.seconds == 2
     path = keyframes(scene, 41)
     poses, focal = path.world_from_camera[0, [0, 10, 40]], path.intrinsics[0, [0, 10, 40], 1, 1]
@@ -182,24 +188,23 @@ def test_a_path_goes_through_its_keyframes_at_their_times(tmp_path):
         ({"fov": 500}, "fov"),
         ({"zoom": 2}, "zoom"),
         ({"position": [1, 2]}, "position"),
-        ({"position": None, "look_at": None, "world_from_camera": np.diag([2, 1, 1, 1]).tolist()}, "is no rotation"),
+        ({"position": None, "look_at": None, "world_from_camera": np.diag([2, 1, 1, 1]).tolist()}, "is not a rotation"),
     ],
 )
 def test_keyframes_that_make_no_sense_are_a_line(change, expected, tmp_path):
     (tmp_path / "path.json").write_text(json.dumps({"keyframes": [KEYS[0], {**KEYS[1], **change}]}))
     with pytest.raises(UserError, match=expected) as raised:
-        Film(path=str(tmp_path / "path.json"))
+        Mp4(path=str(tmp_path / "path.json"))
     assert len(str(raised.value).splitlines()) == 1 and "path.json" in str(raised.value)
 
 
 @pytest.mark.parametrize(
     ("options", "expected"),
     [
-        ({"kind": "fisheye"}, "no projection is named 'fisheye'"),
+        ({"kind": "fisheye"}, "expected one of"),
         ({"path": "orbits"}, "Did you mean 'orbit'"),
-        ({"path": "path.csv"}, "reads .csv files"),
+        ({"path": "path.csv"}, "or a .json file of keyframes"),
         ({"path": "missing.json"}, "there is no file of keyframes missing.json"),
-        ({"path": "json"}, "file"),
         ({"turns": 2.0}, "video.turns=2.0 has no meaning with video.path=smooth"),
         ({"path": "orbit", "turns": 0.0}, "video.turns=0"),
         ({"baseline": 0.1}, "video.baseline=0.1 has no meaning with video.kind=pinhole"),
@@ -209,7 +214,7 @@ def test_keyframes_that_make_no_sense_are_a_line(change, expected, tmp_path):
 )
 def test_options_that_make_no_sense_are_a_line(options, expected):
     with pytest.raises(UserError, match=expected):
-        Film(**options)
+        build(Format, {"_target_": "anystyle_film.mp4.Mp4", **options})
 
 
 def decoded(path):
@@ -264,11 +269,51 @@ def test_ffmpeg_sees_what_a_film_is(layout, expected, tmp_path):
 def test_stills_say_that_they_are_panoramas(tmp_path):
     poses, *_ = turntable(4, center=(0.0, 0.0, 0.0))
     scene = sphere(50, lambda direction: 0.5 + 0.4 * direction)
-    node = {"_target_": "anystyle_film.film.Film", "kind": "equirectangular", "frames": 4, "height": 40, "stills": 2}
-    build(Video, node).write(scene, cameras(poses), rendering(build(Renderer, "auto"), scene), tmp_path)
+    node = {"_target_": "anystyle_film.mp4.Mp4", "kind": "equirectangular", "frames": 4, "height": 40, "stills": 2}
+    styled = StyledScene((("red", scene),), cameras(poses), tuple("abcd"))
+    build(Format, node).write(styled, tmp_path / "video.mp4")
     stills = sorted((tmp_path / "stills").iterdir())
     assert [still.name for still in stills] == ["frame_00001.jpg", "frame_00003.jpg"]
     assert len(decoded(tmp_path / "video.mp4")) == 4
     with Image.open(stills[0]) as image:
         assert image.size == (80, 40)
         assert b'GPano:ProjectionType="equirectangular"' in image.info["xmp"]
+
+
+PATHS = {"smooth": smooth, "orbit": orbit, "spiral": spiral}
+SIZE = (48, 64)
+
+
+def path_of(name, views, frames):
+    return PATHS[name](FilmedScene(inputs.gaussians(1, 50), inputs.cameras(1, views, SIZE)), frames)
+
+
+@pytest.mark.parametrize("name", PATHS)
+def test_a_path_has_one_camera_per_frame_and_moves_smoothly(name):
+    for views in (1, 2, 9):
+        for frames in (1, 2, 25):
+            path = path_of(name, views, frames)
+            assert path.intrinsics.shape[:2] == (1, frames)
+            asserts.cameras(path, SIZE)
+            asserts.finite(path, f"the path of {frames} frames")
+    for column in (3, 2):  # positions, directions
+        coarse, fine = (
+            path_of(name, 5, frames).world_from_camera[0, :, :3, column].diff(dim=0).norm(dim=1).max()
+            for frames in (60, 120)
+        )
+        assert fine <= 0.7 * coarse + 1e-4
+
+
+@pytest.mark.parametrize("projection", [Pinhole(), Stereo(), Equirectangular(), Vr180()])
+def test_frames_have_even_sides_and_are_made_of_views_without_seams(projection):
+    seen = inputs.cameras(1, 3, SIZE)
+    heights = [projection.size(seen, scale, None)[0] for scale in (0.5, 1.0, 2.0)]
+    assert heights == sorted(set(heights))
+    for height in (36, 100):
+        size = projection.size(seen, 1.0, height)
+        assert size[0] == height and not any(side % 2 for side in size)
+    size = projection.size(seen, 1.0, 40)
+    views = projection.views(FilmedScene(inputs.gaussians(1, 50), seen), seen.select([1]), size)
+    asserts.cameras(views, views.size)
+    frame = projection.frame(torch.full((views.intrinsics.shape[1], 3, *views.size), 0.5), size)
+    asserts.close(frame, torch.full((3, *size), 0.5), "a frame of grey images")

@@ -17,8 +17,8 @@ from PIL import Image
 from plyfile import PlyData
 from test_formats import LEAST, picture, psnr, scene
 
+from anystyle.cli.launch import main
 from anystyle.commands import export as command
-from anystyle.commands._compose import main
 from anystyle.commands.stylize import command as stylize
 from anystyle.commands.stylize import parser
 from anystyle.contracts import Format

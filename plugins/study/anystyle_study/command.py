@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from anystyle.commands._flags import parse, subcommand
+from anystyle.cli.arguments import parse, subcommand
 from anystyle.registry.socket import Command
 
 SUBCOMMANDS = {

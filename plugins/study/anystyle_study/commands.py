@@ -15,7 +15,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
-from anystyle.commands._flags import new_parser
+from anystyle.cli.arguments import new_parser
 from anystyle.errors import UserError, unknown
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.documents import read_yaml

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from anystyle.errors import UserError
 from anystyle.geometry.warp import depth_around, reproject
-from anystyle.metrics._base import RowMean
+from anystyle.metrics.base import RowMean
 from anystyle.types import Comparison
 
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 
-from anystyle.commands._flags import new_parser, split
-from anystyle.commands._run import show
+from anystyle.cli.arguments import new_parser, split
+from anystyle.cli.run import show
 from anystyle.errors import UserError
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model

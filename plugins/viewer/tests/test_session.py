@@ -9,8 +9,8 @@ import torch
 from PIL import Image
 from viewer_scene import FOCAL, SIZE, camera, write_scene
 
+from anystyle.cli.launch import main
 from anystyle.commands import stylize
-from anystyle.commands._compose import main
 from anystyle.methods.base import Method
 from anystyle.methods.branch import Branch
 from anystyle.pipeline.controls import blended, with_colors_of

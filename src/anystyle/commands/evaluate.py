@@ -13,9 +13,9 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from anystyle.commands._compose import checked_seed, describe, job_folder, launch, override, run, split, with_sweep
-from anystyle.commands._flags import new_parser
-from anystyle.commands._run import words_of
+from anystyle.cli.arguments import new_parser
+from anystyle.cli.launch import checked_seed, describe, job_folder, launch, override, run, split, with_sweep
+from anystyle.cli.run import words_of
 from anystyle.contracts import Correspondence, Metric, SceneSource, StyleEncoder, StyleSource
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
@@ -205,8 +205,7 @@ def configured(config: DictConfig, folder: Path) -> DictConfig:
     """A configuration with the parts, options and weights of a run."""
     what = "record of a run, which names the weights it was trained on"
     bound: dict[str, Any] = read_json(folder / "bound.json", dict[str, Any], what=what)
-    saved = read_header(folder / BRANCH).config
-    check_saved(saved, folder / BRANCH)
+    saved = check_saved(read_header(folder / BRANCH).config, folder / BRANCH)
     merged = config.copy()
     with open_dict(merged):
         for part, node in saved.items():

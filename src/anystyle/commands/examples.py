@@ -1,7 +1,7 @@
 """The photographs and paintings that come with the package, by the names that stand for them."""
 
-from anystyle.commands._flags import new_parser, parse
-from anystyle.commands._run import run, words_of
+from anystyle.cli.arguments import new_parser, parse
+from anystyle.cli.run import run, words_of
 from anystyle.examples import PREFIX, examples
 
 

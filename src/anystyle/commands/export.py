@@ -4,8 +4,8 @@ import argparse
 from dataclasses import replace
 from pathlib import Path
 
-from anystyle.commands._flags import new_parser, parse
-from anystyle.commands._run import run, words_of
+from anystyle.cli.arguments import new_parser, parse
+from anystyle.cli.run import run, words_of
 from anystyle.errors import UserError
 
 

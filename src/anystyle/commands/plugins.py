@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from typing import get_args
 
 from anystyle import paths
-from anystyle.commands._flags import new_parser, parse
-from anystyle.commands._run import run, words_of
+from anystyle.cli.arguments import new_parser, parse
+from anystyle.cli.run import run, words_of
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import Catalog, Plugin, catalog, kind_named, kinds
 from anystyle.registry.packages import presets

@@ -4,8 +4,8 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from anystyle.commands._flags import new_parser, parse
-from anystyle.commands._run import FAILED, run, words_of
+from anystyle.cli.arguments import new_parser, parse
+from anystyle.cli.run import FAILED, run, words_of
 from anystyle.registry.catalog import catalog, kinds
 
 

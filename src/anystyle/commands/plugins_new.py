@@ -7,11 +7,12 @@ import keyword
 import os
 import re
 from collections.abc import Sequence
+from importlib.metadata import version
 from pathlib import Path
 
 from anystyle import paths
-from anystyle.commands._flags import new_parser, parse
-from anystyle.commands._run import run, words_of
+from anystyle.cli.arguments import new_parser, parse
+from anystyle.cli.run import run, words_of
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.registry.builtin import KINDS
@@ -60,6 +61,8 @@ def write(kind: str, name: str, into: Path) -> Path:
     cls = _class_name(name, source)
     words = _with_article(kind)
     facts = {"project": module.replace("_", "-"), "cls": cls, "kind": kind, "name": name, "module": module}
+    major, minor, *_ = version("anystyle").split(".")
+    facts["core"] = f">={major}.{minor},<{major}.{int(minor) + 1}"  # contracts do not change within a minor version
     facts |= {"words": words, "Words": words[0].upper() + words[1:], "use": _use(kind, name), "variable": VARIABLE}
     with atomic_directory(folder) as temporary:
         (temporary / f"{module}.py").write_text(_renamed(source, kind, name, cls), encoding="utf-8")

@@ -5,8 +5,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from anystyle.commands._flags import new_parser, parse
-from anystyle.commands._run import run, words_of
+from anystyle.cli.arguments import new_parser, parse
+from anystyle.cli.run import run, words_of
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, published_figures, run_table, runs
 from anystyle.io.atomic import atomic_directory

@@ -9,10 +9,10 @@ from pathlib import Path
 import torch
 from omegaconf import DictConfig
 
-from anystyle.commands._compose import checked_seed, job_folder, main, with_sweep
-from anystyle.commands._flags import new_parser
-from anystyle.commands._run import show
-from anystyle.contracts import Reconstruction, SceneSource, StyleSource, Video
+from anystyle.cli.arguments import new_parser
+from anystyle.cli.launch import checked_seed, job_folder, main, with_sweep
+from anystyle.cli.run import show
+from anystyle.contracts import Reconstruction, SceneSource, StyleSource
 from anystyle.errors import UserError
 from anystyle.io.sheet import to_pil
 from anystyle.pipeline.controls import Controls, Mask, combinations
@@ -80,7 +80,6 @@ def command(config: DictConfig, arguments: argparse.Namespace) -> None:
         config.export.formats = [*config.export.formats, *arguments.export.split(",")]
     config.export.provenance &= not arguments.no_provenance
     views, export = options(config, "views"), options(config, "export")
-    video = build(Video, config.video)
     poses = PoseOptions(config.poses, config.poses_from)
     target = job_folder(arguments.out)
     torch.manual_seed(checked_seed(config.seed))
@@ -96,7 +95,7 @@ def command(config: DictConfig, arguments: argparse.Namespace) -> None:
             controls=given_controls(arguments),
             out=target,
             export=export,
-            video=video,
+            video=config.video,
             provenance={"seed": config.seed, "config": without_folders(config)},
             stages=stages,
         )

@@ -10,7 +10,7 @@ from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.commands._compose import main
+from anystyle.cli.launch import main
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.paths import shown

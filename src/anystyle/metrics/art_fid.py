@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._base import (
+from anystyle.metrics.base import (
     NetworkMetric,
     image_vectors,
     lpips_of_pairs,

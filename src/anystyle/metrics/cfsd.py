@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._base import NetworkMetric, Pairs, RowMean, mean_per_row
+from anystyle.metrics.base import NetworkMetric, Pairs, RowMean, mean_per_row
 from anystyle.types import Comparison
 from anystyle.vision import networks, preprocess
 from anystyle.vision.feature_cache import CACHE

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from anystyle.contracts import StyleEncoder, neutral_embedding
 from anystyle.errors import UserError
-from anystyle.metrics._base import RowMean
+from anystyle.metrics.base import RowMean
 from anystyle.types import Comparison
 from anystyle.vision.feature_cache import CACHE, identity
 

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._base import Pairs, RowMean, mean_per_row, with_style_images
+from anystyle.metrics.base import Pairs, RowMean, mean_per_row, with_style_images
 from anystyle.types import Comparison
 from anystyle.vision import preprocess
 from anystyle.vision.feature_cache import CACHE

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.metrics._base import NetworkMetric, image_vectors, pairs, stacked, with_style_images
+from anystyle.metrics.base import NetworkMetric, image_vectors, pairs, stacked, with_style_images
 from anystyle.types import Comparison
 from anystyle.vision import embeddings
 from anystyle.vision.weights import Weights

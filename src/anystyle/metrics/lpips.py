@@ -6,7 +6,7 @@ from typing import ClassVar, Literal
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._base import NetworkMetric, Pairs, RowMean, lpips_of_pairs, mean_per_row
+from anystyle.metrics.base import NetworkMetric, Pairs, RowMean, lpips_of_pairs, mean_per_row
 from anystyle.types import Comparison
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchmetrics.functional.image import peak_signal_noise_ratio
 
 from anystyle.errors import UserError
-from anystyle.metrics._base import Pairs, RowMean, mean_per_row
+from anystyle.metrics.base import Pairs, RowMean, mean_per_row
 from anystyle.types import Comparison
 
 

@@ -8,7 +8,7 @@ from torch import Tensor
 from torchmetrics.functional.image import structural_similarity_index_measure
 
 from anystyle.errors import UserError
-from anystyle.metrics._base import Pairs, RowMean, mean_per_row
+from anystyle.metrics.base import Pairs, RowMean, mean_per_row
 from anystyle.types import Comparison
 
 WINDOW = 11

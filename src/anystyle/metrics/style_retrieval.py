@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Metric
-from anystyle.metrics._base import stacked, with_style_images
+from anystyle.metrics.base import stacked, with_style_images
 from anystyle.types import Comparison
 from anystyle.vision import networks
 from anystyle.vision.feature_cache import CACHE

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.metrics._base import RowMean
+from anystyle.metrics.base import RowMean
 from anystyle.types import Comparison
 
 

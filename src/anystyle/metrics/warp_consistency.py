@@ -10,7 +10,7 @@ from torch import Tensor
 
 from anystyle.contracts import Correspondence
 from anystyle.geometry.warp import backward_warp, softmax_splat
-from anystyle.metrics._base import NetworkMetric
+from anystyle.metrics.base import NetworkMetric
 from anystyle.types import Comparison, Frames
 from anystyle.vision import lpips, preprocess
 from anystyle.vision.feature_cache import batch_size, digests

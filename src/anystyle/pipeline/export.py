@@ -1,7 +1,9 @@
 """A scene as a file of any format, in the axes that its readers expect."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -11,7 +13,8 @@ from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
 from anystyle.pipeline.options import AXES
 from anystyle.registry.build import build
-from anystyle.types import Gaussians, StyledScene
+from anystyle.registry.catalog import catalog
+from anystyle.types import Cameras, Gaussians, Renders, StyledScene
 
 _FROM_OPENCV = {
     "opencv": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
@@ -49,6 +52,12 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
         beside.unlink(missing_ok=True)  # an earlier scene's
         if scene.notes:
             beside.write_text("\n".join(scene.notes) + "\n", encoding="utf-8")
+
+
+def film(options: Mapping[str, Any], renderer: Callable[[Gaussians, Cameras], Renders] | None = None) -> Format:
+    """The format of films with options such as ``{"path": "orbit"}``, or with a composed configuration of it."""
+    node = options if "_target_" in options else {"_target_": catalog().find("format", "mp4").path, **options}
+    return build(Format, node, renderer=renderer)
 
 
 def in_axes(up: str, scene: StyledScene) -> StyledScene:

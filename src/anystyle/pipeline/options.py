@@ -1,4 +1,4 @@
-"""The options of ``anystyle stylize`` that belong to no plugin, and those of its film.
+"""The options of ``anystyle stylize`` that do not belong to a plugin.
 
 These dataclasses are the schema of the configuration, too: ``conf/stylize.yaml`` names them, and has no defaults of
 its own.
@@ -6,14 +6,9 @@ its own.
 
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from pathlib import Path
 
-from anystyle.contracts import RenderFrames, Video
 from anystyle.errors import UserError
-from anystyle.geometry.cameras import smooth_path
-from anystyle.io.video import write_video
 from anystyle.registry.catalog import catalog
-from anystyle.types import Cameras, Gaussians
 
 AXES = ("opencv", "y", "z")
 """Axes: x right, y down, z forward; x right, y up, z back; x right, y forward, z up. All are right-handed."""
@@ -127,31 +122,6 @@ class SplatOptions:
     def __post_init__(self) -> None:
         _expect("splat.up", str(self.up), ("None", *AXES))
         _between("splat.cameras", self.cameras, 1, 1 << 16)
-
-
-@dataclass(frozen=True, kw_only=True)
-class VideoOptions(Video):
-    """A smooth flight through the cameras.
-
-    Args:
-        frames: How many frames.
-        fps: Frames a second.
-        scale: Size of a frame relative to the input views.
-    """
-
-    frames: int = 72
-    fps: int = 24
-    scale: float = 1.0
-
-    def __post_init__(self) -> None:
-        _between("video.frames", self.frames, 1, 100_000)
-        _between("video.fps", self.fps, 1, 1000)
-        _between("video.scale", self.scale, 0.01, 8)
-
-    def write(self, gaussians: Gaussians, cameras: Cameras, render: RenderFrames, folder: Path) -> None:
-        height, width = (max(2, round(side * self.scale / 2) * 2) for side in cameras.size)
-        route = smooth_path(cameras, self.frames).resized((height, width))
-        write_video(render(route), folder / "video.mp4", fps=self.fps)
 
 
 def _expect(option: str, value: str, choices: Collection[str]) -> None:

@@ -5,7 +5,6 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib.metadata import version
-from itertools import takewhile
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +13,12 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.contracts import Video
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
 from anystyle.methods.base import Method
 from anystyle.pipeline.encode import EncodedCapture
-from anystyle.pipeline.export import export_styles
+from anystyle.pipeline.export import export_styles, film
 from anystyle.pipeline.options import ExportOptions
 from anystyle.pipeline.provenance import MADE_OF, note, tables
 from anystyle.pipeline.restyle import Restyler
@@ -28,7 +26,7 @@ from anystyle.pipeline.scene_files import save_gaussians, write_cameras, write_c
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.registry.catalog import catalog
-from anystyle.types import Cameras, Gaussians, OnProgress, StyledScene, no_progress
+from anystyle.types import Cameras, Gaussians, OnProgress, Renders, StyledScene, no_progress
 from anystyle.vision.weights import BINDING, binding, license_lines, licenses
 
 VERSIONS = {name: version(name) for name in ("anystyle", "torch", "numpy")}
@@ -121,11 +119,12 @@ class Result:
             ply.recolor(original, gaussians.harmonics[0], written)
         save_gaussians(gaussians, folder / "scene.safetensors")
         renders = self._write_renders(folder / "renders", encoded.names, self.cameras)
-        followed = self.cameras
+        followed_names, followed = encoded.names, self.cameras
         if encoded.targets is not None:
-            names, followed = encoded.targets
-            self._write_renders(folder / "targets", names, followed)
-        self.results.video.write(gaussians, followed, self._render_until_given_up, folder)
+            followed_names, followed = encoded.targets
+            self._write_renders(folder / "targets", followed_names, followed)
+        film = StyledScene(((self.style.title, gaussians),), followed, tuple(followed_names))
+        self.results.video.write(film, folder / "video.mp4")
         write_cameras(folder / "cameras.json", encoded)
         if options.colmap != "none":
             write_colmap(folder / "sparse" / "0", gaussians, encoded, binary=options.colmap == "binary")
@@ -139,9 +138,6 @@ class Result:
             save_png(renders[-1], folder / f"{name}.png")
         return renders
 
-    def _render_until_given_up(self, cameras: Cameras) -> Iterator[Float[Tensor, "3 H W"]]:
-        return takewhile(lambda _: not self.results.given_up, self.render(cameras))
-
 
 class Results:
     """The results of several styles, each computed on access; none is kept in memory.
@@ -151,7 +147,7 @@ class Results:
         styles: The styles, at least one.
         method: How it takes a style.
         export: Which files a result has.
-        video: What is filmed.
+        video: Options of the film.
         provenance: What reports say of the model: weights, configuration, seed.
         stages: Times the work.
     """
@@ -163,7 +159,7 @@ class Results:
         *,
         method: Method,
         export: ExportOptions,
-        video: Video,
+        video: Mapping[str, object],
         provenance: Mapping[str, object],
         stages: Stages,
     ) -> None:
@@ -176,10 +172,16 @@ class Results:
             name: entry for name, entry in own.items() if entry["file"]
         }
         self._on_progress: OnProgress = no_progress
-        self.export, self.video = export, video
+        self.export = export
+        self.video = film(video, self._render_until_given_up)
         self.provenance, self.stages = provenance, stages
         self.given_up = False
         """Whether a film that is being written in a thread will not be needed."""
+
+    def _render_until_given_up(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        if self.given_up:
+            raise KeyboardInterrupt
+        return self.encoded.stylizer.render(gaussians, cameras)
 
     def __len__(self) -> int:
         return len(self.styles)

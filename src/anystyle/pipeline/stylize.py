@@ -9,14 +9,15 @@ from types import MappingProxyType
 from omegaconf import DictConfig
 from torch import Tensor
 
-from anystyle.contracts import Reconstruction, Video
+from anystyle.contracts import Reconstruction
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.methods.base import Method
 from anystyle.pipeline.controls import Controls
 from anystyle.pipeline.encode import EncodedCapture, encode
+from anystyle.pipeline.export import film
 from anystyle.pipeline.load import load_model
-from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, VideoOptions, ViewOptions
+from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
 from anystyle.pipeline.provenance import photographs
 from anystyle.pipeline.read import Inputs, paths_of, read, saved_path
 from anystyle.pipeline.save import Results
@@ -39,7 +40,7 @@ def stylize(
     controls: Controls | Sequence[Controls] = Controls(),
     out: str | Path | None = None,
     export: ExportOptions = ExportOptions(),
-    video: Video = VideoOptions(),
+    video: Mapping[str, object] = MappingProxyType({}),
     provenance: Mapping[str, object] = MappingProxyType({}),
     stages: Stages | None = None,
 ) -> Results:
@@ -63,7 +64,7 @@ def stylize(
         controls: How each style is applied; of several, each gives a result.
         out: A folder to write all results to; without one each is written when it is saved.
         export: Which files a result has.
-        video: What is filmed of a result; :func:`anystyle.build` makes plugins of that kind.
+        video: Options of the film of each result, such as ``{"path": "orbit"}``: those of the format ``mp4``.
         provenance: Entries for reports, such as the seed.
         stages: Times and reports the work.
 
@@ -83,6 +84,7 @@ def stylize(
     if not given or not applied:
         raise UserError("no style is given; give a text or an image, and leave controls out or give at least one")
     stages = stages or Stages()
+    film(video)  # refuses options that make no sense before the work
     with contextlib.nullcontext() if out is None else atomic_directory(out, export.folders) as folder:
         with stages("load", "the model"):
             loaded = load_model(model, reconstruction, method)

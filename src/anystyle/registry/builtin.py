@@ -41,8 +41,7 @@ KINDS: dict[str, Kind] = {
     "protocol": Kind(
         "anystyle.evaluation.base:Protocol", runtime=("stylizer", "method", "metrics", "scenes", "styles")
     ),
-    "format": Kind("anystyle.contracts:Format"),
-    "video": Kind("anystyle.contracts:Video"),
+    "format": Kind("anystyle.contracts:Format", runtime=("renderer",)),
     "command": Kind("anystyle.registry.socket:Command"),
 }
 

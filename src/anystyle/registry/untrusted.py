@@ -1,28 +1,52 @@
 """Configurations saved in weights, checkpoints and runs: untrusted data, checked before anything is built from them."""
 
+import tomllib
+import warnings
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 from anystyle.errors import UserError
 from anystyle.registry.catalog import catalog
 
+MOVED: dict[str, str] = tomllib.loads(Path(__file__).with_name("moved.toml").read_text(encoding="utf-8"))
+"""The beginnings of the paths of classes that have moved, and the present ones."""
 
-def check_saved(config: Mapping[str, Any], source: object) -> None:
-    """Refuse a saved configuration that names a class outside the catalog, or holds an interpolation.
+
+def check_saved(config: Mapping[str, Any], source: object) -> dict[str, Any]:
+    """A saved configuration with the present paths of classes that have moved.
 
     Args:
         config: Plain Python, as it was read.
-        source: The file it was read from, for the message.
+        source: The file it was read from, for messages.
+
+    Raises:
+        UserError: The configuration names a class outside the catalog, or holds an interpolation.
     """
-    _check(config, "", {plugin.path for plugin in catalog()}, source)
+    known = {plugin.path for plugin in catalog()}
+
+    def checked(node: Any, where: str) -> Any:
+        if isinstance(node, Mapping):
+            return {key: checked(value, f"{where}.{key}".lstrip(".")) for key, value in node.items()}
+        if isinstance(node, (list, tuple)):
+            return [checked(value, f"{where}.{index}") for index, value in enumerate(node)]
+        if where.rpartition(".")[2] == "_target_" and node not in known:
+            moved = _moved(str(node), source)
+            if moved not in known:
+                raise UserError(
+                    f"{source}: {where} is {node!r:.100}, which is not a registered plugin; it is not built"
+                )
+            return moved
+        if isinstance(node, str) and "${" in node:
+            raise UserError(f"{source}: {where} is {node!r:.100}; a saved configuration has no interpolations")
+        return node
+
+    return checked(config, "")
 
 
-def _check(node: Any, where: str, known: set[str], source: object) -> None:
-    items = node.items() if isinstance(node, Mapping) else enumerate(node) if isinstance(node, (list, tuple)) else ()
-    for key, value in items:
-        name = f"{where}.{key}".lstrip(".")
-        if key == "_target_" and value not in known:
-            raise UserError(f"{source}: {name} is {value!r:.100}, which no plugin of the catalog is; it is not built")
-        if isinstance(value, str) and "${" in value:
-            raise UserError(f"{source}: {name} is {value!r:.100}; a saved configuration has no interpolations")
-        _check(value, name, known, source)
+def _moved(path: str, source: object) -> str:
+    for old, new in MOVED.items():
+        if path.startswith(old):
+            warnings.warn(f"{source}: {path} is {new}{path[len(old) :]} now", DeprecationWarning, stacklevel=4)
+            return new + path[len(old) :]
+    return path

@@ -15,11 +15,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
-from anystyle.nn.aligner import Aligner
 from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import decayed_adamw
 from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Views
+from anystyle_backbones.aligner import Aligner
 from anystyle_tiny.training.matches import FeatureProbes, correlation_loss, feature_dims, patch_matches
 from anystyle_tiny.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
 
@@ -29,7 +29,7 @@ WEIGHTS = {
 }  # fmt: skip
 """Of the terms: depth; cameras by themselves and as points move; points; renders and their structure; then what each
 patch must predict: its match in the first view, the match's expected position, its own world point, its motion toward
-the first view; and the matches of an :class:`~anystyle.nn.aligner.Aligner`."""
+the first view; and the matches of an :class:`~anystyle_backbones.aligner.Aligner`."""
 
 
 class ReconstructionTraining(Training):

@@ -4,15 +4,14 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from anystyle.commands._compose import checked_seed
-from anystyle.commands._flags import is_override, split
+from anystyle.cli.arguments import is_override, split
+from anystyle.cli.launch import checked_seed
 from anystyle.commands.stylize import given_controls, given_styles, mixing_amounts, parser
-from anystyle.contracts import Video
 from anystyle.errors import UserError, unknown
 from anystyle.examples import PREFIX, examples, resolved
+from anystyle.pipeline.export import film
 from anystyle.pipeline.options import PoseOptions
 from anystyle.pipeline.styles import check_text
-from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import choices, compose, options
 from anystyle_viewer.start.library import Kind, Settings
@@ -113,7 +112,7 @@ def _check(words: Sequence[str]) -> None:
         catalog().find("format", name)
     for key in ("views", "splat", "export"):
         options(config, key)
-    build(Video, config.video)
+    film(config.video)
     PoseOptions(config.poses, config.poses_from)
     checked_seed(config.seed)
 

@@ -1,5 +1,0 @@
-"""AnySplat as an anystyle backbone: VGGT's transformer with heads for cameras, depth and Gaussians."""
-
-from anystyle_anysplat.backbone import AnySplat
-
-__all__ = ["AnySplat"]

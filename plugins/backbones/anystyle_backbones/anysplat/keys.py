@@ -1,0 +1,258 @@
+"""What published checkpoints call our parameters, what their shapes tell, and strict loading."""
+
+import logging
+import math
+import re
+from collections.abc import Iterable, Mapping
+from functools import partial
+from typing import Literal
+
+from torch import Tensor, nn
+
+from anystyle.errors import UserError
+from anystyle.injectors.zero_conv import ZeroConv
+from anystyle.io.checkpoint import fill
+from anystyle.published import Published
+from anystyle_backbones.published import checked_parts, dpt_rules, length, load_renamed, numbers, renamed
+
+_log = logging.getLogger(__name__)
+
+LAYOUT = "AnySplat and AnyStyle"
+PREFIXES = ("model.encoder.", "encoder.")
+GAUSSIANS = "gaussian_param_head."
+BACKBONE_PARTS = ("aggregator.", "camera_head.", "depth_head.", GAUSSIANS)
+VGGT_PARTS = ("point_head.", "track_head.")
+"""What VGGT's file holds and AnySplat drops."""
+BRANCH_PARTS = ("aggregator_injection.", "gaussian_param_head_style.")
+TEXT_ADAPTER = "text_adapter."
+UNUSED = ("aggregator.patch_embed.mask_token",)
+"""What the published network holds and never reads."""
+
+_RULES = (
+    (r"^embedder\.patches\.proj\.", "aggregator.patch_embed.patch_embed.proj."),
+    (r"^embedder\.patches\.conv\.", "aggregator.patch_embed.proj."),
+    (r"^embedder\.patches\.", "aggregator.patch_embed."),
+    (r"^embedder\.", "aggregator."),
+    (r"^geometry_head\.camera\.modulation\.", "camera_head.poseLN_modulation.1."),
+    (r"^geometry_head\.camera\.", "camera_head."),
+    (r"^geometry_head\.depth\.", "depth_head."),
+    (r"^gaussian_head\.dpt\.", "gaussian_param_head."),
+    (r"^gaussian_head\.direct\.", "gaussian_param_head.input_merger.0."),
+    *dpt_rules("depth_head|gaussian_param_head"),
+)
+_COPIES = {"aggregator": "aggregator_injection", "gaussian_param_head": "gaussian_param_head_style"}
+
+
+def backbone_names(keys: Iterable[str]) -> dict[str, str]:
+    """For each key of an :class:`~anystyle_backbones.anysplat.AnySplat`, its published name."""
+    return {key: renamed(key, _RULES) for key in keys}
+
+
+def branch_names(keys: Iterable[str]) -> dict[str, str]:
+    """For each key of a style branch on an AnySplat with ``zero_conv`` injectors, its published name.
+
+    Injectors of the aggregator are numbered in the order of their layers.
+    """
+    keys = list(keys)
+    layers = sorted({int(match[1]) for key in keys if (match := re.match(r"injectors\.aggregator/(\d+)\.", key))})
+    return {key: _branch_name(key, layers) for key in keys}
+
+
+def _branch_name(key: str, layers: list[int]) -> str:
+    if match := re.match(r"injectors\.aggregator/(\d+)\.(.*)", key):
+        return f"aggregator_injection.style_injector_aggregator.{layers.index(int(match[1]))}.{match[2]}"
+    if match := re.match(r"injectors\.head/tokens/(\d+)\.(.*)", key):
+        return f"gaussian_param_head_style.style_injector_aggregator.{match[1]}.{match[2]}"
+    if match := re.match(r"injectors\.head/direct\.(.*)", key):
+        return f"gaussian_param_head_style.style_injector_direct.{match[1]}"
+    part, _, rest = renamed(key, _RULES).partition(".")
+    return f"{_COPIES.get(part, part)}.{rest}"
+
+
+class Checkpoints(Published):
+    """AnySplat's file, AnyStyle's checkpoints and VGGT's file."""
+
+    def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
+        """The tensors under their publishers' names, without the prefixes of their file."""
+        bare: dict[str, Tensor] = {}
+        for key, tensor in state.items():
+            bare[next((key.removeprefix(prefix) for prefix in PREFIXES if key.startswith(prefix)), key)] = tensor
+        checked_parts(
+            bare,
+            (*BACKBONE_PARTS, *BRANCH_PARTS, *VGGT_PARTS, TEXT_ADAPTER),
+            publisher="AnySplat's or AnyStyle's",
+            advice="give the file of lhjiang/anysplat or a Lightning checkpoint of AnyStyle",
+        )
+        return bare
+
+    def config(self, state: Mapping[str, Tensor]) -> dict[str, object]:
+        names = self.without_prefix(state)
+        options = options_of(names)
+        config = {f"backbone.{name}": value for name, value in options.items()}
+        placement = _placement(names)
+        config |= {"placement": placement} if placement else {"branch.sh_degree": options.get("sh_degree", 0)}
+        if any(name.startswith(TEXT_ADAPTER) for name in names):
+            config["style_encoder.text_adapter"] = True
+        return config
+
+    def parts(self, state: Mapping[str, Tensor]) -> dict[str, bool]:
+        """VGGT's file lacks the Gaussian head; AnyStyle's add a text adapter to the style encoder."""
+        names = self.without_prefix(state)
+        parts = {"backbone": any(name.startswith(GAUSSIANS) for name in names)}
+        if _placement(names) is not None:
+            parts["branch"] = True
+        if any(name.startswith(TEXT_ADAPTER) for name in names):
+            parts["style_encoder"] = False
+        return parts
+
+    def load(self, part: str, module: nn.Module, state: Mapping[str, Tensor]) -> None:
+        """Load a part from any of the files.
+
+        Of VGGT's file, which is an initialisation, the Gaussian head stays as it is, and the log says so. A branch has
+        ``zero_conv`` injectors, which take the widths of the checkpoint's.
+        """
+        names = self.without_prefix(state)
+        if part == "backbone":
+            _load_backbone(module, names)
+        elif part == "branch":
+            _load_branch(module, names)
+        else:
+            _load_text_adapter(module, names)
+
+
+def _placement(names: Mapping[str, Tensor]) -> Literal["head", "full"] | None:
+    """The placement that a checkpoint's style branch was trained with; ``None`` if it holds no style branch."""
+    if any(name.startswith("aggregator_injection.") for name in names):
+        return "full"
+    return "head" if any(name.startswith("gaussian_param_head_style.") for name in names) else None
+
+
+def _load_backbone(backbone: nn.Module, state: Mapping[str, Tensor]) -> None:
+    names, what = backbone_names(backbone.state_dict()), "backbone"
+    given = {name: tensor for name, tensor in state.items() if name.startswith(BACKBONE_PARTS) and name not in UNUSED}
+    untouched: list[str] = []  # keys that stay as they are
+    if not any(name.startswith(GAUSSIANS) for name in state):
+        what = "backbone's part that VGGT initialises"
+        untouched = [key for key, name in names.items() if name.startswith(GAUSSIANS)]
+        names = {key: name for key, name in names.items() if key not in untouched}
+    load_renamed(backbone, given, names, what=what, layout=LAYOUT)
+    if untouched:
+        _log.warning(
+            "VGGT's file initialises %d of the backbone's %d tensors; left as they were: the %d of its Gaussian "
+            "head (%s, …)",
+            *(len(names), len(names) + len(untouched), len(untouched), ", ".join(untouched[:5])),
+        )
+
+
+def _load_branch(branch: nn.Module, state: Mapping[str, Tensor]) -> None:
+    names = branch_names(branch.state_dict())
+    given = {name: tensor for name, tensor in state.items() if name.startswith(BRANCH_PARTS)}
+    injectors = branch.get_submodule("injectors")
+    for site, injector in injectors.named_children():
+        weight = state.get(names.get(f"injectors.{site}.fc.0.weight", ""))
+        if isinstance(injector, ZeroConv) and weight is not None and weight.dim() == 2:
+            injectors.register_module(site, _with_hidden(injector, weight))
+    trained = _placement(state)
+    what = "style branch" if trained else "style branch, and holds none of its own"
+    layout = f"{LAYOUT}; it was trained with placement={trained}" if trained else LAYOUT
+    load_renamed(branch, given, names, what=what, layout=layout)
+
+
+def _with_hidden(injector: ZeroConv, weight: Tensor) -> ZeroConv:
+    """An injector of the same options whose first layer has the shape of ``weight``."""
+    first, projection = injector.get_submodule("fc.0").get_parameter("weight"), injector.zero_proj
+    hidden, style_dim = weight.shape
+    _check_style_dim(style_dim, first.shape[1])
+    if hidden == first.shape[0]:
+        return injector
+    with first.device:
+        resized = ZeroConv(
+            dim=projection.in_features,
+            style_dim=style_dim,
+            hidden=hidden,
+            gain=injector.gain,
+            special_tokens=injector.special_tokens,
+        )
+    return resized.to(first.dtype)
+
+
+def _check_style_dim(trained: int, given: int) -> None:
+    if trained != given:
+        raise UserError(
+            f"the style branch was trained with embeddings of {trained} numbers, and the style encoder's have {given}; "
+            "choose the encoder it was trained with (style_encoder=long_clip)"
+        )
+
+
+def _load_text_adapter(encoder: nn.Module, state: Mapping[str, Tensor]) -> None:
+    given = {name.removeprefix(TEXT_ADAPTER): state[name] for name in state if name.startswith(TEXT_ADAPTER)}
+    adapter = getattr(encoder, "adapter", None)
+    expected = adapter.state_dict() if isinstance(adapter, nn.Module) else {}
+    first = given.get("mlp.0.weight")
+    if first is not None:
+        _check_style_dim(first.shape[-1], getattr(encoder, "dim", 0))
+    if {key: tensor.shape for key, tensor in expected.items()} != {key: tensor.shape for key, tensor in given.items()}:
+        raise UserError(
+            f"the checkpoint's text adapter has the tensors {sorted(given) or 'none'}, and the style encoder's "
+            f"{sorted(expected) or 'none'}; choose style_encoder=long_clip "
+            f"style_encoder.text_adapter={str(bool(given)).lower()}"
+        )
+    if isinstance(adapter, nn.Module):
+        fill(adapter, given)
+
+
+_length = partial(length, publisher="AnySplat's or AnyStyle's")
+PUBLISHED_TAPS = (4, 11, 17, 23)
+PUBLISHED_DEPTH = 24
+
+
+def options_of(names: Mapping[str, Tensor]) -> dict[str, object]:
+    """Options of the :class:`~anystyle_backbones.anysplat.AnySplat` that a checkpoint fits.
+
+    Which layers heads read cannot be seen: they are taken at the published fraction of the depth, rounded up. Heads of
+    the camera head cannot either: there are as many as in the aggregator, as published.
+    """
+    dim = _length(names, "aggregator.camera_token", 3)
+    patches = "aggregator.patch_embed."
+    has_dino = any(name.startswith(f"{patches}blocks.") for name in names)
+    patch_size = _length(names, f"{patches}patch_embed.proj.weight" if has_dino else f"{patches}proj.weight", 3)
+    depth = _count(names, "aggregator.frame_blocks.")
+    heads = dim // _length(names, "aggregator.frame_blocks.0.attn.q_norm.weight", 0)
+    options: dict[str, object] = {
+        "patch_size": patch_size,
+        "embed": "dino" if has_dino else "conv",
+        "dim": dim,
+        "depth": depth,
+        "heads": heads,
+        "mlp_ratio": _length(names, "aggregator.frame_blocks.0.mlp.fc1.weight", 0) / dim,
+        "registers": _length(names, "aggregator.register_token", 2),
+        "taps": taps(depth),
+        "camera_depth": _count(names, "camera_head.trunk."),
+        "camera_heads": heads,
+        **_decoder(names, "depth_head.", "depth"),
+    }
+    if has_dino:
+        options["native_resolution"] = math.isqrt(_length(names, f"{patches}pos_embed", 1) - 1) * patch_size
+        options["embed_depth"] = _count(names, f"{patches}blocks.")
+    if "gaussian_param_head.norm.weight" in names:
+        options |= _decoder(names, "gaussian_param_head.", "gaussian")
+        outputs = _length(names, "gaussian_param_head.scratch.output_conv2.2.weight", 0)
+        options["sh_degree"] = math.isqrt((outputs - 9) // 3) - 1
+    return options
+
+
+def taps(depth: int) -> tuple[int, ...]:
+    """The published layers of 24, at the same fraction of another depth."""
+    return tuple(math.ceil(layer * (depth - 1) / (PUBLISHED_DEPTH - 1)) for layer in PUBLISHED_TAPS)
+
+
+def _decoder(names: Mapping[str, Tensor], part: str, option: str) -> dict[str, object]:
+    return {
+        f"{option}_features": _length(names, f"{part}scratch.layer1_rn.weight", 0),
+        f"{option}_channels": tuple(_length(names, f"{part}projects.{level}.weight", 0) for level in range(4)),
+        f"{option}_hidden": _length(names, f"{part}scratch.output_conv2.0.weight", 0),
+    }
+
+
+def _count(names: Mapping[str, Tensor], prefix: str) -> int:
+    return len(numbers(names, re.escape(prefix) + r"(\d+)\."))

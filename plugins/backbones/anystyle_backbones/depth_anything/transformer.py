@@ -1,0 +1,176 @@
+"""One transformer: an embedder of single views, and later blocks whose attention alternates."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle import contracts
+from anystyle.nn.attention import Block, run, start_as_dino
+from anystyle.nn.tokens import Rotary, grid_of, grid_positions, normalised, rotary
+from anystyle.types import Features, Inject, Site, Tokens, untouched
+from anystyle_backbones.reference_view import Strategy, is_reference, reference_view
+
+OFFSET = 0.1
+"""Added to the sides of a grid of patches where position embeddings are resampled, as DINOv2 was trained."""
+
+
+class Embedder(contracts.Embedder):
+    """DINOv2's blocks up to the first alternating one, reference-view selection and camera tokens.
+
+    Ahead of its last block the reference view is chosen. In the stem a camera token has taken the place of the class
+    token: the reference has one of its own, all other views share theirs.
+
+    Options are explained at :class:`~anystyle_backbones.depth_anything.DepthAnything`. ``grid`` is in patches.
+    """
+
+    def __init__(
+        self,
+        *,
+        dim: int,
+        depth: int,
+        heads: int,
+        ffn: Literal["mlp", "swiglu"],
+        mlp_ratio: float,
+        layer_scale: float,
+        patch_size: int,
+        grid: int,
+        reference: Strategy,
+    ) -> None:
+        super().__init__()
+        self.patch_size, self.grid = patch_size, grid
+        self.reference: Strategy = reference
+        self.proj = nn.Conv2d(3, dim, patch_size, stride=patch_size)
+        self.cls_token = nn.Parameter(torch.empty(1, 1, dim))
+        self.camera_token = nn.Parameter(torch.empty(1, 2, dim))
+        self.pos_embed = nn.Parameter(torch.empty(1, 1 + grid**2, dim))
+        self.blocks = nn.ModuleList(
+            Block(dim, heads, mlp_ratio=mlp_ratio, layer_scale=layer_scale, ffn=ffn, eps=1e-6) for _ in range(depth)
+        )
+        nn.init.normal_(self.cls_token, std=1e-6)
+        nn.init.normal_(self.camera_token, std=0.02)
+        nn.init.trunc_normal_(self.pos_embed, std=0.02)
+        start_as_dino(self.blocks)
+
+    def forward(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
+        """Embed sRGB images in [0, 1]."""
+        tokens = self.patches(images)
+        for block in self.blocks[:-1]:
+            tokens = self._local(block, tokens)
+        tokens = replace(tokens, reference=reference_view(images, tokens.data[:, :, 0], self.reference))
+        tokens = self._local(self.blocks[-1], tokens)
+        camera = self.camera_token[0][1 - is_reference(tokens).long()].to(tokens.data.dtype)
+        return tokens.with_data(torch.cat([camera[:, :, None], tokens.patches], dim=2))
+
+    def patches(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
+        """Class token and patches, with positions added."""
+        batch, views = images.shape[:2]
+        grid = grid_of(images, self.patch_size)
+        patches = self.proj(normalised(images.to(self.proj.weight.dtype)).flatten(0, 1)).flatten(2).mT
+        cls = self.cls_token.to(patches.dtype).expand(batch * views, -1, -1)
+        tokens = torch.cat([cls, patches], dim=1) + self.positions(grid).to(patches.dtype)
+        return Tokens(tokens.unflatten(0, (batch, views)), grid=grid, special=1)
+
+    def positions(self, grid: tuple[int, int]) -> Float[Tensor, "1 L C"]:
+        """Position embeddings of the class token and of a grid, resampled from the stored one where it differs."""
+        if grid == (self.grid, self.grid):
+            return self.pos_embed
+        stored = self.pos_embed[:, 1:].float().mT.unflatten(2, (self.grid, self.grid))
+        rows, columns = ((side + OFFSET) / self.grid for side in grid)
+        resampled = F.interpolate(stored, scale_factor=(rows, columns), mode="bicubic")
+        return torch.cat([self.pos_embed[:, :1].float(), resampled.flatten(2).mT], dim=1)
+
+    def _local(self, block: nn.Module, tokens: Tokens) -> Tokens:
+        views = tokens.data.shape[1]
+        return tokens.with_data(block(tokens.data.flatten(0, 1)).unflatten(0, (-1, views)))
+
+
+class Aggregator(contracts.Aggregator):
+    """Blocks that attend across all views where their index in the trunk is odd, and within each view where it is even.
+
+    Style may enter ahead of every block, on the residual stream. Marked as tapped are the first block and, for each
+    layer that heads read, the local block whose output is the first half of what they read, so that style is in both
+    halves. A tapped feature is the last local block's output and the normalised stream, side by side in the channels;
+    its leading token, which cameras are read off, is not normalised.
+
+    Options are explained at :class:`~anystyle_backbones.depth_anything.DepthAnything`; ``start`` is ``alternate_from``.
+    """
+
+    def __init__(
+        self,
+        *,
+        dim: int,
+        start: int,
+        depth: int,
+        heads: int,
+        ffn: Literal["mlp", "swiglu"],
+        mlp_ratio: float,
+        layer_scale: float,
+        rope_base: float,
+        taps: Sequence[int],
+        checkpointing: bool,
+    ) -> None:
+        super().__init__()
+        self.dim, self.head_dim = dim, dim // heads
+        self.start, self.depth = start, depth
+        self.taps = tuple(taps)
+        self.rope_base = rope_base
+        self.checkpointing = checkpointing
+        # By their index in the trunk, as checkpoints name them.
+        self.blocks = nn.ModuleDict(
+            {
+                str(layer): Block(
+                    dim, heads, mlp_ratio=mlp_ratio, layer_scale=layer_scale, ffn=ffn, qk_norm=True, eps=1e-6
+                )
+                for layer in range(start, depth)
+            }
+        )
+        self.norm = nn.LayerNorm(dim)
+        start_as_dino(self.blocks)
+
+    @property
+    def sites(self) -> tuple[Site, ...]:
+        """``aggregator/<block>``, ahead of every block."""
+        tapped = {self.start, *(max(self.start, layer - layer % 2) for layer in self.taps)}
+        return tuple(
+            Site(f"aggregator/{layer}", self.dim, tapped=layer in tapped) for layer in range(self.start, self.depth)
+        )
+
+    def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
+        """Turn the stem into tapped features."""
+        batch, views = stem.data.shape[:2]
+        within, across = (
+            rotary(positions(stem.grid), self.head_dim, base=self.rope_base, like=stem.data)
+            for positions in (grid_positions, flat_positions)
+        )
+        across = across.repeat(views)
+        tokens, local = stem, stem.data
+        features: dict[int, Tokens] = {}
+        for layer in range(self.start, self.depth):
+            tokens, block = inject(f"aggregator/{layer}", tokens), self.blocks[str(layer)]
+            if layer % 2:
+                joint = self._run(block, tokens.data.flatten(1, 2), across)  # B VP C
+                tokens = tokens.with_data(joint.unflatten(1, (views, -1)))
+            else:
+                local = self._run(block, tokens.data.flatten(0, 1), within).unflatten(0, (batch, views))
+                tokens = tokens.with_data(local)
+            if layer in self.taps:
+                features[layer] = self._tapped(local, tokens)
+        return features
+
+    def _tapped(self, local: Float[Tensor, "B V P C"], tokens: Tokens) -> Tokens:
+        leading = torch.cat([local[:, :, :1], tokens.data[:, :, :1]], dim=-1)
+        patches = torch.cat([local[:, :, 1:], self.norm(tokens.patches)], dim=-1)
+        return tokens.with_data(torch.cat([leading, patches], dim=2))
+
+    def _run(self, block: nn.Module, x: Float[Tensor, "M L C"], angles: Rotary) -> Float[Tensor, "M L C"]:
+        return run(block, x, angles, recompute=self.checkpointing and self.training)
+
+
+def flat_positions(grid: tuple[int, int]) -> Float[Tensor, "L 2"]:
+    """Positions across views, as published: the leading token at (0, 0), every patch at (1, 1)."""
+    return grid_positions(grid).clamp_max(1)

@@ -1,0 +1,160 @@
+"""Gaussian and geometry heads on a DPT decoder, and cameras of pose encodings; a backbone adds what is its own."""
+
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Generic, TypeVar
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.errors import UserError
+from anystyle.geometry.transforms import matrix_from_wxyz, wxyz_from_xyzw
+from anystyle.types import Attributes, Cameras, Features, Geometry, Inject, Site, Tokens, untouched
+from anystyle_backbones.aligner import Aligner
+from anystyle_backbones.dpt import Dpt, by_views
+
+
+class DptGaussians(nn.Module):
+    """One raw Gaussian a pixel: a DPT whose decoded map is joined by features of the image itself.
+
+    Args:
+        dpt: The decoder; the channels of its result are those that :meth:`attributes` reads.
+        sh_degree: Of the harmonics.
+        taps: The layers that the decoder reads, four, in rising order.
+        chunk: Views decoded at a time, which changes memory only.
+    """
+
+    def __init__(self, dpt: Dpt, *, sh_degree: int, taps: Sequence[int], chunk: int) -> None:
+        super().__init__()
+        self.dpt = dpt
+        self.coefficients = (sh_degree + 1) ** 2
+        self.taps = tuple(taps)
+        self.chunk = chunk
+
+    @abstractmethod
+    def image_features(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M p C"]:
+        """Features of every pixel of sRGB images in [0, 1], row by row."""
+
+    @abstractmethod
+    def attributes(self, raw: Float[Tensor, "B V H W F"]) -> Attributes:
+        """Name the channels of the decoder's result."""
+
+    @property
+    def sites(self) -> tuple[Site, ...]:
+        """``head/tokens/0..3``, normalised patch tokens of the levels; ``head/direct``, features of pixels."""
+        tokens = tuple(Site(f"head/tokens/{level}", self.dpt.dim) for level in range(len(self.taps)))
+        return (*tokens, Site("head/direct", self.dpt.width))
+
+    def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
+        batch, views = images.shape[:2]
+        raw = by_views(lambda chosen: self._raw(features, images, inject, chosen), views, max(1, self.chunk // batch))
+        return self.attributes(raw)
+
+    def _raw(
+        self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject, views: slice
+    ) -> Float[Tensor, "B v H W F"]:
+        images = images[:, views].to(self.dpt.dtype)
+        batch, count, _, height, width = images.shape
+        levels = []
+        for level, layer in enumerate(self.taps):
+            tokens = features[layer]
+            patches = self.dpt.norm(tokens.patches[:, views].to(self.dpt.dtype))
+            patches = inject(f"head/tokens/{level}", replace(tokens, data=patches, special=0)).data
+            levels.append(patches.flatten(0, 1))
+        decoded = self.dpt.decode(levels, features[self.taps[0]].grid, (height, width))
+        direct = self.image_features(images.flatten(0, 1)).unflatten(0, (batch, count))
+        direct = inject("head/direct", Tokens(direct, grid=(height, width))).data
+        direct = direct.flatten(0, 1).unflatten(1, (height, width)).movedim(-1, 1)
+        return self.dpt.predict_(decoded.add_(direct)).unflatten(0, (batch, count))
+
+
+Camera = TypeVar("Camera", bound=nn.Module)
+
+
+class DptGeometry(nn.Module, Generic[Camera]):
+    """Cameras from the last tap's leading token, and a DPT for depth; in the weights' precision throughout.
+
+    Args:
+        camera: Decodes pose encodings from tokens, for :meth:`cameras`.
+        depth: Predicts the logarithm of depth, and of confidence less one.
+        taps: The layers that the depth head reads, four, in rising order.
+        chunk: Views decoded at a time, which changes memory only.
+        aligner: Computes poses from matches instead of the regressed ones, whose focal lengths are kept.
+    """
+
+    def __init__(
+        self, camera: Camera, depth: Dpt, *, taps: Sequence[int], chunk: int, aligner: Aligner | None = None
+    ) -> None:
+        super().__init__()
+        self.camera: Camera = camera
+        self.depth = depth
+        self.taps = tuple(taps)
+        self.chunk = chunk
+        self.aligner = aligner
+
+    @abstractmethod
+    def cameras(self, tokens: Float[Tensor, "B V C"], size: tuple[int, int]) -> Cameras:
+        """Cameras of images of a size, in fp32, from one token a view."""
+
+    def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
+        """Predict geometry; depth is the distance along z."""
+        size, last = (images.shape[-2], images.shape[-1]), features[self.taps[-1]]
+        with torch.autocast(last.data.device.type, enabled=False):
+            # Cameras too: under autocast a product of matrices would leave poses with three digits.
+            cameras = self.cameras(last.data[:, :, 0].to(self.depth.dtype), size)
+            logs = self.decode(
+                features, lambda levels: self.depth.predict_(self.depth.decode(levels, last.grid, size))
+            )  # B V H W 2
+        depth, confidence = logs.float().exp().unbind(-1)
+        geometry = Geometry(cameras=cameras, depth=depth, confidence=1 + confidence)
+        return geometry if self.aligner is None else self.aligner.aligned(geometry, images, last.reference)
+
+    def decode(self, features: Features, decoder: Callable[[list[Tensor]], Tensor]) -> Float[Tensor, "B V *rest"]:
+        """Apply ``decoder`` to the normalised patch tokens of the four taps, a few views at a time."""
+        tokens = [features[layer] for layer in self.taps]
+        batch, views = tokens[0].data.shape[:2]
+
+        def decode_chunk(chosen: slice) -> Tensor:
+            patches = (level.patches[:, chosen].to(self.depth.dtype) for level in tokens)
+            return decoder([self.depth.norm(level).flatten(0, 1) for level in patches]).unflatten(0, (batch, -1))
+
+        return by_views(decode_chunk, views, max(1, self.chunk // batch))
+
+
+def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, depth: int, chunk: int) -> None:
+    """Refuse options of a backbone that contradict each other; heads read layers ``first`` to ``depth - 1``."""
+    if chunk < 1:
+        raise UserError(f"chunk is {chunk}; at least 1 view is decoded at a time")
+    if dim % (4 * heads):
+        raise UserError(f"dim {dim} with {heads} heads; the channels of a head must be a multiple of 4")
+    if len(taps) != 4 or list(taps) != sorted(set(taps)) or taps[0] < first or taps[-1] != depth - 1:
+        raise UserError(
+            f"taps are {list(taps)}; give four layers from {first} on in rising order, of which the last is "
+            f"depth - 1 = {depth - 1}"
+        )
+
+
+def rotation_of(encoding: Float[Tensor, "B V 9"]) -> Float[Tensor, "B V 3 3"]:
+    """The rotation of pose encodings: translation (3), quaternion xyzw (4), tangents or angles of the view (2)."""
+    return matrix_from_wxyz(wxyz_from_xyzw(encoding[..., 3:7]))
+
+
+def centred_cameras(
+    rotation: Float[Tensor, "B V 3 3"],
+    origin: Float[Tensor, "B V 3"],
+    tangent: Float[Tensor, "B V 2"],
+    size: tuple[int, int],
+) -> Cameras:
+    """Cameras with the principal point in the middle of images of ``size``, height and width.
+
+    ``rotation`` is world from camera; ``tangent`` that of half the vertical and half the horizontal field of view.
+    """
+    height, width = size
+    last = origin.new_tensor([0.0, 0.0, 0.0, 1.0]).expand(*origin.shape[:-1], 1, 4)
+    pose = torch.cat([torch.cat([rotation, origin[..., None]], dim=-1), last], dim=-2)
+    focal_y, focal_x = height / 2 / tangent[..., 0], width / 2 / tangent[..., 1]
+    zero, one = torch.zeros_like(focal_x), torch.ones_like(focal_x)
+    entries = [focal_x, zero, one * (width / 2), zero, focal_y, one * (height / 2), zero, zero, one]
+    return Cameras(pose, torch.stack(entries, dim=-1).unflatten(-1, (3, 3)), size)

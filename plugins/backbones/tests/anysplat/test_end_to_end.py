@@ -1,0 +1,280 @@
+"""The whole method, from pixels to styled Gaussians, against the published implementation."""
+
+import math
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import anysplat_reference as reference
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from anystyle.branch import StyleBranch
+from anystyle.injectors.zero_conv import ZeroConv
+from anystyle.placements.full import Full
+from anystyle.placements.head import Head
+from anystyle.types import Attributes, Gaussians, Scene, Site, StyleEmbedding, Tokens, Views
+from anystyle_backbones.anysplat import AnySplat, keys
+from oracle import assert_matches, fill_named, golden, smooth_image
+
+CHECKPOINTS = keys.Checkpoints()
+PLACEMENTS = {"head": Head(), "agg": Full()}
+STYLED = {
+    "none": ("color",),
+    "colors-rotations": ("rotation", "color"),
+    "no-pos": ("opacity", "scale", "rotation", "color"),
+}
+# Published tensors that our modules have no use for, with their shapes.
+TEXT_ADAPTER = {"text_adapter.mlp.0.weight": (512, 512), "text_adapter.mlp.0.bias": (512,)} | {
+    "text_adapter.mlp.2.weight": (512, 512),
+    "text_adapter.mlp.2.bias": (512,),
+}
+TINY = {
+    "native_resolution": 70,
+    "dim": 64,
+    "embed_depth": 2,
+    "depth": 6,
+    "heads": 4,
+    "taps": (1, 3, 4, 5),
+    "camera_depth": 2,
+    "camera_heads": 4,
+    "depth_features": 32,
+    "depth_channels": (8, 12, 16, 16),
+    "gaussian_channels": (8, 12, 16, 16),
+    "voxel_size": 0.04,
+}
+TINY_HIDDEN = {"head/direct": 16}
+FULL_HIDDEN = {"head/direct": 256}
+
+
+@dataclass(frozen=True)
+class Network:
+    """A backbone and a branch for each placement, with the golden's weights."""
+
+    golden: Mapping[str, Any]
+    backbone: AnySplat
+    branches: Mapping[str, StyleBranch]
+    state: Mapping[str, Tensor]
+    scenes: dict[str, Scene] = field(default_factory=dict)
+
+
+def build(
+    record: Mapping[str, Any], rules: Sequence[Any], options: Mapping[str, Any], hidden: Mapping[str, int], width: int
+) -> Network:
+    def injector(site: Site) -> ZeroConv:
+        return ZeroConv(dim=site.dim, style_dim=512, hidden=hidden.get(site.name, width))
+
+    with torch.device("meta"):
+        backbone = AnySplat(**options)
+        branches = {
+            name: StyleBranch(backbone, sites=placement.select(backbone.sites), make_injector=injector)
+            for name, placement in PLACEMENTS.items()
+        }
+    shapes = published(backbone.state_dict(), keys.backbone_names)
+    shapes |= published(branches["agg"].state_dict(), keys.branch_names)
+    unused = {"aggregator.patch_embed.mask_token": (1, backbone.aggregator.dim)} | TEXT_ADAPTER
+    shapes |= {name: torch.empty(shape, device="meta") for name, shape in unused.items()}
+    assert len(shapes) == record["n_keys"] and sum(map(Tensor.numel, shapes.values())) == record["n_params"]
+    state = fill_named(shapes, rules)
+    backbone.load_reference(state)
+    CHECKPOINTS.load("branch", branches["agg"], state)
+    head = {name: tensor for name, tensor in state.items() if not name.startswith("aggregator_injection.")}
+    CHECKPOINTS.load("branch", branches["head"], head)
+    return Network(record, backbone.freeze(), branches, state)
+
+
+def published(state: Mapping[str, Tensor], names: Any) -> dict[str, Tensor]:
+    return {name: state[key] for key, name in names(list(state)).items()}
+
+
+@pytest.fixture(scope="module")
+def tiny() -> Network:
+    file = golden("golden_e2e_tiny")
+    network = build(file["tiny"], file["fill"]["rules"], TINY, TINY_HIDDEN, 32)
+    assert set(network.state) == set(file["tiny"]["keys"])
+    return network
+
+
+def inputs(record: Mapping[str, Any]) -> tuple[Views, StyleEmbedding]:
+    index, shape = re.fullmatch(r"IMG\((\d+),\[(.*)\]\)", record["inputs"]["images"]).groups()
+    rows, dim = re.search(r"in\((\d+),\[(\d+),512\]", record["inputs"]["z"]).groups()
+    vector = reference.style_vector(int(rows), int(dim))
+    images = smooth_image(int(index), [int(length) for length in shape.split(",")])
+    return Views(images), StyleEmbedding(vector, vector)
+
+
+def check(actual: Tensor, record: Mapping[str, Any]) -> None:
+    assert_matches(actual.reshape(record["shape"]), record, atol=reference.scaled(record))
+
+
+def close(actual: Tensor, expected: Any) -> None:
+    torch.testing.assert_close(actual.flatten(), torch.tensor(expected).flatten(), rtol=0, atol=1e-4)
+
+
+def check_raw(attributes: Attributes, record: Mapping[str, Any], name: str) -> None:
+    raw = reference.raw_maps(attributes)
+    check(raw, record[name])
+    means = raw.double().mean((0, 1, 3, 4)).numpy()
+    np.testing.assert_allclose(means, record[f"{name}_channel_mean"], rtol=1e-4, atol=1e-5)
+
+
+def check_scene(network: Network, scene: Scene, record: Mapping[str, Any]) -> None:
+    check(scene.views.images, record["image"])
+    check(scene.stem.data, record["package_tokens"])
+    for tokens, layer in zip(scene.features.values(), record["layers"], strict=True):
+        check(tokens.data, layer)
+    with torch.no_grad():
+        passes = network.backbone.geometry_head.camera(list(scene.features.values())[-1].data[:, :, 0])
+    close(passes, record["pose_enc_iters"])
+    cameras = scene.cameras
+    close(cameras.world_from_camera, record["c2w"])
+    height, width = cameras.size
+    normalised = cameras.intrinsics / torch.tensor([width, height, 1.0])[:, None]
+    close(normalised, record["K_normalised"])
+    check(scene.geometry.depth, record["depth"])
+    check(scene.geometry.confidence, record["depth_conf"])
+    points = scene.geometry.points(pixel_center=0.0)
+    check(points, record["points"])
+    assert points.norm(dim=-1).mean().item() == pytest.approx(record["scene_scale"], rel=1e-4)
+    check_raw(scene.attributes, record, "raw_base")
+    assert scene.attributes.confidence is not None and scene.clusters is not None
+    check(scene.attributes.confidence, record["fusion_conf"])
+    ratio = scene.clusters.means.shape[1] / math.prod(scene.geometry.depth.shape[1:])
+    assert ratio == pytest.approx(record["voxelize_ratio"], rel=1e-3)
+
+
+def rows_of(scene: Scene, batch: int, cells: Sequence[Sequence[int]], voxel_size: float) -> list[int]:
+    """The Gaussians that stand for voxels."""
+    assert scene.clusters is not None
+    places = (scene.geometry.points(0.0)[batch].flatten(0, 2) / voxel_size).round().long()
+    return [int(scene.clusters.index[batch][(places == torch.tensor(cell)).all(-1)][0]) for cell in cells]
+
+
+def check_gaussians(
+    scene: Scene, gaussians: Gaussians, records: Sequence[Mapping[str, Any]], voxel_size: float
+) -> None:
+    assert scene.clusters is not None
+    for batch, record in enumerate(records):
+        valid = scene.clusters.valid[batch]
+        count = int(valid.sum())
+        assert count == pytest.approx(record["n_voxels"], rel=1e-3)
+        assert list(gaussians.harmonics[batch, valid].mT.shape[1:]) == record["harmonics_shape"][1:]
+        found = {
+            "means": gaussians.means[batch, valid],
+            "scales": gaussians.scales[batch, valid],
+            "rotations_xyzw": gaussians.rotations[batch, valid].roll(-1, -1),
+            "opacities": gaussians.opacities[batch, valid, None],
+            "harmonics_dc": gaussians.harmonics[batch, valid, 0],
+        }
+        for name, values in found.items():
+            for statistic, expected in record["stats"][name].items():
+                power = values.double().mean(0) if statistic == "mean" else values.double().square().mean(0).sqrt()
+                np.testing.assert_allclose(power.numpy(), expected, rtol=1e-4, atol=1e-4 * np.max(np.abs(expected)))
+        assert gaussians.harmonics[batch, valid].norm().item() == pytest.approx(
+            record["stats"]["harmonics_l2"], rel=1e-4
+        )
+        check_samples(
+            found, rows_of(scene, batch, [s["voxel"] for s in record["samples"]], voxel_size), record["samples"]
+        )
+
+
+def check_samples(found: Mapping[str, Tensor], rows: Sequence[int], samples: Sequence[Mapping[str, Any]]) -> None:
+    names = {"mean": "means", "scale": "scales", "rot_xyzw": "rotations_xyzw", "dc": "harmonics_dc"}
+    for row, sample in zip(rows, samples, strict=True):
+        for name, attribute in names.items():
+            np.testing.assert_allclose(found[attribute][row].numpy(), sample[name], rtol=1e-3, atol=2e-4, err_msg=name)
+        assert found["opacities"][row].item() == pytest.approx(sample["opacity"], abs=2e-4)
+
+
+def encoded(network: Network, case: str) -> Scene:
+    """The scene of a case, encoded once."""
+    if case not in network.scenes:
+        record = network.golden[case]
+        network.backbone.adapter.voxel_size = record["voxel_size"]
+        with torch.no_grad():
+            network.scenes[case] = network.backbone.encode(inputs(record)[0])
+    return network.scenes[case]
+
+
+def check_case(network: Network, case: str) -> None:
+    record = network.golden[case]
+    voxel_size = record["voxel_size"]
+    _, embedding = inputs(record)
+    scene = encoded(network, case)
+    with torch.no_grad():
+        check_scene(network, scene, record["base"])
+        unstyled = network.backbone.adapter(scene.attributes, scene.geometry, scene.clusters)
+        check_gaussians(scene, unstyled, record["unstyled"]["gaussians"], voxel_size)
+        for placement, branch in network.branches.items():
+            if branch.aggregator is not None:
+                features = branch.aggregator(scene.stem, injected(branch, embedding.vector))
+                for tokens, layer in zip(features.values(), record[f"{placement}/none"]["style_layers"], strict=True):
+                    check(tokens.data, layer)
+            check_styles(network, branch, scene, embedding, {k: record[f"{placement}/{k}"] for k in STYLED}, voxel_size)
+
+
+def injected(branch: StyleBranch, vector: Tensor) -> Any:
+    def inject(site: str, tokens: Tokens) -> Tokens:
+        return branch.injectors[site](tokens, vector) if site in branch.injectors else tokens
+
+    return inject
+
+
+def every_degree(branch: StyleBranch, scene: Scene, embedding: StyleEmbedding) -> Attributes:
+    """What the styled head predicts, with the harmonics that the branch drops."""
+    degree, branch.sh_degree = branch.sh_degree, 4
+    attributes = branch(scene, embedding)
+    branch.sh_degree = degree
+    return attributes
+
+
+def check_styles(
+    network: Network,
+    branch: StyleBranch,
+    scene: Scene,
+    embedding: StyleEmbedding,
+    records: Mapping[str, Any],
+    voxel_size: float,
+) -> None:
+    styled = every_degree(branch, scene, embedding)
+    check_raw(styled, records["none"], "raw_style")
+    styled = styled.with_degree(branch.sh_degree)
+    for name, attributes in STYLED.items():
+        mixed = scene.attributes.with_(styled, attributes)
+        gaussians = network.backbone.adapter(mixed, scene.geometry, scene.clusters)
+        check_gaussians(scene, gaussians, records[name]["gaussians"], voxel_size)
+
+
+@pytest.mark.parametrize("case", ["tiny_v3_56x84", "tiny_b2_v2_70x70"])
+def test_a_small_network(tiny: Network, case: str) -> None:
+    check_case(tiny, case)
+
+
+@pytest.mark.parametrize("placement", PLACEMENTS)
+def test_a_fresh_branch_changes_nothing(tiny: Network, placement: str) -> None:
+    record = tiny.golden["zero_proj_zero"][f"{placement}_copied_base_and_zero_proj"]
+    _, embedding = inputs(tiny.golden["tiny_v3_56x84"])
+    scene = encoded(tiny, "tiny_v3_56x84")
+    sites = PLACEMENTS[placement].select(tiny.backbone.sites)
+    branch = StyleBranch(tiny.backbone, sites=sites, make_injector=lambda site: ZeroConv(dim=site.dim, style_dim=512))
+    with torch.no_grad():
+        styled = branch(scene, embedding)
+        assert record["max_abs_raw_style_minus_raw_base"] == 0
+        for name in ("opacity", "scale", "rotation"):
+            assert torch.equal(getattr(styled, name), getattr(scene.attributes, name))
+        assert torch.equal(styled.color, scene.attributes.color[..., :1])
+        gaussians = tiny.backbone.adapter(styled, scene.geometry, scene.clusters)
+    colors = gaussians.harmonics[0, :, 0].double()
+    np.testing.assert_allclose(colors.mean(0).numpy(), record["dc"]["mean"], rtol=1e-4)
+    np.testing.assert_allclose(colors.square().mean(0).sqrt().numpy(), record["dc"]["rms"], rtol=1e-4)
+
+
+@pytest.mark.slow
+def test_the_published_network() -> None:
+    file = golden("golden_e2e")
+    network = build(file["full"], file["fill"]["rules"], {}, FULL_HIDDEN, 1024)
+    for case in ("full_v2_56x84", "full_v3_70x70"):
+        check_case(network, case)

@@ -1,0 +1,142 @@
+"""Published checkpoints: names, and strict loading."""
+
+import re
+from pathlib import Path
+
+import depth_anything_reference as reference
+import pytest
+import torch
+from safetensors.torch import save_file
+from torch import Tensor
+
+from anystyle.contracts import Backbone
+from anystyle.pipeline.weights import load_reference
+from anystyle.registry.build import build
+from anystyle.registry.compose import compose
+from anystyle.types import Views
+from anystyle_backbones.depth_anything import DepthAnything, keys
+from oracle import smooth_image
+
+# Keys and parameters of the published modules: trunk, depth decoder, camera decoder, and the one Gaussian head.
+PUBLISHED = {
+    "small": {"backbone": (207, 22_059_008), "head": (62, 2_932_706), "cam_dec": (10, 1_188_105)},
+    "base": {"backbone": (207, 86_583_296), "head": (62, 11_704_162), "cam_dec": (10, 4_735_497)},
+    "large": {"backbone": (407, 304_373_760), "head": (62, 32_654_562), "cam_dec": (10, 8_411_145)},
+    "giant": {
+        "backbone": (675, 1_136_489_216),
+        "head": (62, 35_540_194),
+        "cam_dec": (10, 18_908_169),
+        "gs_head": (66, 35_628_486),
+    },
+}
+CHECKPOINTS = keys.Checkpoints()
+
+
+def preset(name: str) -> DepthAnything:
+    with torch.device("meta"):
+        return build(Backbone, compose("stylize", [f"backbone=depth_anything_{name}"]).backbone)
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_presets_are_the_published_networks(name: str) -> None:
+    backbone = preset(name)
+    state = backbone.state_dict()
+    found: dict[str, tuple[int, int]] = {}
+    for key, published in keys.backbone_names(state).items():
+        part = published.partition(".")[0]
+        count, size = found.get(part, (0, 0))
+        found[part] = (count + 1, size + state[key].numel())
+    assert {part: found[part] for part in PUBLISHED[name]} == PUBLISHED[name]
+
+
+def fresh() -> DepthAnything:
+    torch.manual_seed(3)
+    return DepthAnything(**reference.TINY)
+
+
+@pytest.mark.parametrize("prefix", ["", "model.", "model.da3."])
+def test_checkpoints_load_with_any_prefix(prefix: str) -> None:
+    state = {prefix + name: tensor for name, tensor in reference.tiny_weights().items()}
+    if "da3" in prefix:
+        state["model.da3_metric.head.projects.0.weight"] = torch.zeros(1)
+    assert CHECKPOINTS.parts(state) == {"backbone": True}
+    backbone = fresh()
+    backbone.load_reference(state)
+    own = backbone.state_dict()
+    for key, name in keys.backbone_names(own).items():
+        assert torch.equal(own[key].flatten(), reference.tiny_weights()[name].flatten()), name
+
+
+def without_gaussians() -> dict[str, Tensor]:
+    return {name: tensor for name, tensor in reference.tiny_weights().items() if not name.startswith("gs_head.")}
+
+
+def test_without_a_gaussian_head_ours_stays_as_it_was() -> None:
+    backbone, before = fresh(), fresh()
+    assert CHECKPOINTS.parts(without_gaussians()) == {"backbone": False}
+    backbone.load_reference(without_gaussians())
+    for key, tensor in before.gaussian_head.state_dict().items():
+        assert torch.equal(backbone.gaussian_head.state_dict()[key], tensor), key
+    cls = reference.tiny_weights()["backbone.pretrained.cls_token"]
+    assert torch.equal(backbone.embedder.cls_token, cls)
+
+
+def test_half_a_gaussian_head_is_refused() -> None:
+    state = without_gaussians() | {"gs_head.projects.0.bias": torch.zeros(8)}
+    with pytest.raises(ValueError, match=r"65 missing \(gs_head\."):
+        fresh().load_reference(state)
+
+
+@pytest.mark.parametrize(
+    ("state", "message"),
+    [
+        ({"visual.proj": torch.zeros(1)}, r"1 keys that are not Depth Anything 3's \(visual\.proj\)"),
+        ({}, "0 keys that are not Depth Anything 3's"),
+        ({"model.backbone.pretrained.cls_token": torch.zeros(1, 1, 4)}, "sees one view alone"),
+    ],
+)
+def test_files_of_other_networks_are_told_as_such(state: dict[str, Tensor], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
+        fresh().load_reference(state)
+    assert "\n" not in str(caught.value)
+
+
+def shapes_of(backbone: DepthAnything, *, gaussians: bool) -> dict[str, Tensor]:
+    state = backbone.state_dict()
+    names = keys.backbone_names(state)
+    return {name: state[key] for key, name in names.items() if gaussians or not name.startswith("gs_head.")}
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_options_read_off_shapes_are_those_of_the_preset(name: str) -> None:
+    found = keys.options_of(shapes_of(preset(name), gaussians=name == "giant"))
+    node = compose("stylize", [f"backbone=depth_anything_{name}"]).backbone
+    for option, value in found.items():
+        chosen = getattr(node[option], "name", node[option])  # a choice is an enum in a typed configuration
+        assert chosen == (list(value) if isinstance(value, tuple) else value), option
+    assert {"dim", "depth", "heads", "alternate_from", "taps", "gaussian_channels"} <= set(found)
+
+
+def test_options_need_whole_files() -> None:
+    state = dict(reference.tiny_weights())
+    del state["backbone.pretrained.pos_embed"]
+    with pytest.raises(ValueError, match=re.escape("has no backbone.pretrained.pos_embed")):
+        CHECKPOINTS.config(state)
+    state = reference.tiny_weights() | {"backbone.pretrained.patch_embed.proj.weight": torch.zeros(4)}
+    with pytest.raises(ValueError, match=r"proj\.weight is \[4\]"):
+        CHECKPOINTS.config(state)
+
+
+@pytest.mark.parametrize("head", [True, False])
+def test_a_checkpoint_becomes_a_stylizer_by_one_call(tmp_path: Path, head: bool) -> None:
+    state = reference.tiny_weights() if head else without_gaussians()
+    file = tmp_path / "model.safetensors"
+    save_file({f"model.{name}": tensor for name, tensor in state.items()}, file)
+    # What shapes do not tell of a size that is not published.
+    own = ["backbone=depth_anything", "backbone.taps=[3,5,7,9]"]
+    stylizer = load_reference(file, overrides=[*own, "injector.hidden=8"])
+    assert torch.equal(stylizer.backbone.embedder.cls_token, state["backbone.pretrained.cls_token"])
+    assert not any(tensor.is_meta for tensor in stylizer.backbone.state_dict().values())
+    with torch.no_grad():
+        scene = stylizer.encode(Views(smooth_image(1, (1, 2, 3, 28, 42))))
+    assert bool(stylizer.unstyled(scene).means.isfinite().all())

@@ -1,1 +1,0 @@
-"""Brush strokes made of Gaussians."""

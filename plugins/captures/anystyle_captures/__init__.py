@@ -1,0 +1,1 @@
+"""Cameras and fitted Gaussians from photographs."""

@@ -1,0 +1,195 @@
+"""Small captures as each program writes them: photographs and their cameras, for checks."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64
+from PIL import Image
+from scipy.spatial.transform import Rotation
+
+from anystyle.io import colmap
+from anystyle_captures.camera_files.lens import Lens
+from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL
+
+Poses = Sequence[Float64[np.ndarray, "4 4"]]
+
+_XMP = """<x:xmpmeta xmlns:x="adobe:ns:meta/">
+  <rdf:RDF xmlns:rdf="http://www.w3.org/1999/02/22-rdf-syntax-ns#">
+    <rdf:Description xcr:Version="3" xcr:PosePrior="initial" xcr:Coordinates="absolute" xcr:DistortionModel="{model}"
+       xcr:FocalLength35mm="{focal!r}" xcr:Skew="0" xcr:AspectRatio="1" xcr:PrincipalPointU="{u!r}"
+       xcr:PrincipalPointV="{v!r}" xcr:CalibrationPrior="initial" xcr:CalibrationGroup="-1" xcr:DistortionGroup="-1"
+       xcr:InTexturing="1" xcr:InMeshing="1" xmlns:xcr="http://www.capturingreality.com/ns/xcr/1.1#">
+      <xcr:Rotation>{rotation}</xcr:Rotation>
+      <xcr:Position>{position}</xcr:Position>
+      <xcr:DistortionCoeficients>{terms}</xcr:DistortionCoeficients>
+    </rdf:Description>
+  </rdf:RDF>
+</x:xmpmeta>
+"""
+_METASHAPE = """<?xml version="1.0" encoding="UTF-8"?>
+<document version="2.0.0">
+  <chunk label="Chunk 1" enabled="true">
+    <sensors next_id="1">
+      <sensor id="0" label="unknown" type="{kind}">
+        <resolution width="{width}" height="{height}"/>
+        <property name="layer_index" value="0"/>
+        <calibration type="{kind}" class="adjusted">
+          <resolution width="{width}" height="{height}"/>
+{numbers}
+        </calibration>
+      </sensor>
+    </sensors>
+    <components next_id="1" active_id="0">
+      <component id="0" label="Component 1">
+        <transform>
+          <rotation>{rotation}</rotation>
+          <translation>{translation}</translation>
+          <scale>{scale!r}</scale>
+        </transform>
+      </component>
+    </components>
+    <cameras next_id="{count}" next_group_id="0">
+{cameras}
+    </cameras>
+  </chunk>
+</document>
+"""
+
+
+def write_photographs(folder: Path, size: tuple[int, int] = (48, 64), count: int = 3) -> list[Path]:
+    """Pictures of this height and width."""
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"view_{index}.png" for index in range(count)]
+    for index, path in enumerate(paths):
+        Image.linear_gradient("L").rotate(20 * index).resize((size[1], size[0])).convert("RGB").save(path)
+    return paths
+
+
+def poses(count: int = 3) -> list[Float64[np.ndarray, "4 4"]]:
+    """Cameras that look into various directions."""
+    matrices = [np.eye(4) for _ in range(count)]
+    for index, matrix in enumerate(matrices):
+        matrix[:3, :3] = Rotation.from_euler("xyz", [0.3 - 0.2 * index, 0.4 * index, 0.1 * index**2]).as_matrix()
+        matrix[:3, 3] = 0.5 * index, 0.1 * index**2, 1.0 - index
+    return matrices
+
+
+def pinhole(size: tuple[int, int] = (48, 64)) -> Lens:
+    """A lens without distortion."""
+    return Lens(size, (50.0, 50.0), (size[1] / 2 + 0.5, size[0] / 2 - 0.25))
+
+
+def _words(values: Sequence[float] | np.ndarray) -> str:
+    return " ".join(repr(float(value)) for value in values)
+
+
+def write_metashape(
+    path: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens, world_from_chunk: np.ndarray | None = None
+) -> None:
+    """Agisoft XML; ``world_from_chunk`` is a 4x4 similarity."""
+    (fx, f), (x, y), (p2, p1), (height, width) = lens.focal, lens.center, lens.tangential, lens.size
+    values = {"f": f, "cx": x - width / 2, "cy": y - height / 2, "b1": fx - f, "b2": lens.skew}
+    values |= dict(zip(("k1", "k2", "k3", "k4", "p1", "p2"), (*lens.radial, p1, p2), strict=True))
+    values = {name: float(value) for name, value in values.items()}
+    world = np.eye(4) if world_from_chunk is None else world_from_chunk
+    scale = float(np.cbrt(np.linalg.det(world[:3, :3])))
+    lines = []
+    for number, (image, pose) in enumerate(zip(images, world_from_camera, strict=True)):
+        matrix = np.linalg.inv(world) @ pose
+        matrix[:3, :3] *= scale
+        camera = f'<camera id="{number}" sensor_id="0" component_id="0" label="{image.stem}">'
+        lines.append(f"      {camera}\n        <transform>{_words(matrix.ravel())}</transform>\n      </camera>")
+    path.write_text(
+        _METASHAPE.format(
+            kind="fisheye" if lens.fisheye else "frame",
+            width=width,
+            height=height,
+            numbers="\n".join(f"          <{name}>{value!r}</{name}>" for name, value in values.items() if value),
+            rotation=_words(world[:3, :3].ravel() / scale),
+            translation=_words(world[:3, 3]),
+            scale=scale,
+            count=len(images),
+            cameras="\n".join(lines),
+        )
+    )
+
+
+def _on_film(lens: Lens) -> tuple[float, float, float, list[float]]:
+    """Focal length in millimetres of a film 36 mm wide, principal point, and the terms in RealityScan's order."""
+    (height, width), longer = lens.size, max(lens.size)
+    u, v = (lens.center[0] - width / 2) / longer, (lens.center[1] - height / 2) / longer
+    terms = [*lens.radial, lens.tangential[1], lens.tangential[0]]
+    return float(36 * lens.focal[0] / longer), float(u), float(v), terms
+
+
+def write_realityscan_table(path: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:
+    """The table of internal and external camera parameters."""
+    focal, u, v, terms = _on_film(lens)
+    rows = ["#name,x,y,alt,heading,pitch,roll,f,px,py,k1,k2,k3,k4,t1,t2"]
+    for image, pose in zip(images, world_from_camera, strict=True):
+        # Rows of the published matrix: (-cos p sin y, -cos p cos y, -sin p) is where the image's rows lead.
+        x, y, z = pose[:3, :3].T
+        pitch = np.arcsin(-y[2])
+        yaw, roll = np.arctan2(-y[0], -y[1]), np.arctan2(-x[2], -z[2])
+        values = [*pose[:3, 3], *np.rad2deg([yaw, pitch, roll]), focal, u, v, *terms]
+        rows.append(",".join([image.name, *(repr(float(value)) for value in values)]))
+    path.write_text("\n".join(rows) + "\n")
+
+
+def write_realityscan_sidecars(images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:
+    """An XMP file beside each photograph."""
+    focal, u, v, terms = _on_film(lens)
+    for image, pose in zip(images, world_from_camera, strict=True):
+        rotation, position = _words(pose[:3, :3].T.ravel()), _words(pose[:3, 3])
+        fields = {"rotation": rotation, "position": position, "terms": _words(terms)}
+        image.with_suffix(".xmp").write_text(_XMP.format(model="brown4t2", focal=focal, u=u, v=v, **fields))
+
+
+def write_polycam(folder: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:
+    """Cameras of keyframes, one file each."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for image, pose in zip(images, world_from_camera, strict=True):
+        stored = pose @ OPENCV_FROM_OPENGL
+        frame = {f"t_{row}{column}": float(stored[row, column]) for row in range(3) for column in range(4)}
+        frame |= {"fx": lens.focal[0], "fy": lens.focal[1], "cx": lens.center[0], "cy": lens.center[1]}
+        frame |= {"height": lens.size[0], "width": lens.size[1], "blur_score": 80.0, "timestamp": 1, "manual": False}
+        (folder / f"{image.stem}.json").write_text(json.dumps(dict(sorted(frame.items(), reverse=True))))
+
+
+def write_transforms(path: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:
+    """Nerfstudio's processed capture: intrinsics of every frame."""
+    numbers = {"fl_x": lens.focal[0], "fl_y": lens.focal[1], "cx": lens.center[0], "cy": lens.center[1]}
+    numbers |= {"h": lens.size[0], "w": lens.size[1], "p1": lens.tangential[0], "p2": lens.tangential[1]}
+    numbers |= {f"k{index}": value for index, value in enumerate(lens.radial, start=1)}
+    frames = []
+    for image, pose in zip(images, world_from_camera, strict=True):
+        matrix = (pose @ OPENCV_FROM_OPENGL).tolist()
+        frames.append({"file_path": f"images/{image.name}", "transform_matrix": matrix, **numbers})
+    names = [frame["file_path"] for frame in frames]
+    content = {"camera_model": "OPENCV_FISHEYE" if lens.fisheye else "OPENCV", "frames": frames}
+    content |= {"applied_transform": np.eye(4)[[0, 2, 1]].tolist(), "train_filenames": names[1:], "test_filenames": []}
+    path.write_text(json.dumps(content))
+
+
+def write_llff(path: Path, world_from_camera: Poses, lens: Lens) -> None:
+    """One row a photograph."""
+    rows = []
+    for pose in world_from_camera:
+        right, down, ahead, position = pose[:3].T
+        shape = np.array([lens.size[0], lens.size[1], lens.focal[0]])
+        rows.append([*np.stack([down, right, -ahead, position, shape], axis=1).ravel(), 1.0, 10.0])
+    np.save(path, np.array(rows))
+
+
+def write_colmap(folder: Path, images: Sequence[Path], world_from_camera: Poses, lens: Lens) -> None:
+    """A sparse model with an OPENCV camera."""
+    values = (*lens.focal, *lens.center, *lens.radial[:2], *lens.tangential)
+    photographs = {}
+    for number, (image, pose) in enumerate(zip(images, world_from_camera, strict=True), start=1):
+        matrix = np.linalg.inv(pose)
+        x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True).tolist()
+        tx, ty, tz = matrix[:3, 3].tolist()
+        photographs[number] = colmap.Photograph(image.name, 1, (w, x, y, z), (tx, ty, tz))
+    colmap.write(colmap.Model({1: colmap.Camera("OPENCV", lens.size, values)}, photographs), folder)

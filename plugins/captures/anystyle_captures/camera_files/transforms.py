@@ -1,0 +1,139 @@
+"""``transforms.json`` of nerfstudio, other NeRF tools and DL3DV, and ``poses_bounds.npy`` of LLFF."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path, PurePosixPath
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.errors import UserError
+from anystyle.io.arrays import read_array
+from anystyle.io.documents import Positive, read_json
+from anystyle_captures.camera_files import samples
+from anystyle_captures.camera_files.lens import MAX_SIDE, Lens
+from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL, camera, finished, rigid
+
+_WHAT = "transforms.json of cameras"
+_MODELS = ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
+_NUMBERS = (
+    "w", "h", "fl_x", "fl_y", "cx", "cy", "camera_angle_x", "k1", "k2", "k3", "k4", "p1", "p2", "camera_model"
+)  # fmt: skip
+
+
+class _Frame(msgspec.Struct):
+    """The fields in ``transforms.json`` of a frame, or of all of them."""
+
+    w: Annotated[float, msgspec.Meta(ge=1, le=MAX_SIDE)] | None = None
+    h: Annotated[float, msgspec.Meta(ge=1, le=MAX_SIDE)] | None = None
+    fl_x: Positive | None = None
+    fl_y: Positive | None = None
+    cx: float | None = None
+    cy: float | None = None
+    camera_angle_x: Annotated[float, msgspec.Meta(gt=0, lt=math.pi)] | None = None
+    k1: float | None = None
+    k2: float | None = None
+    k3: float | None = None
+    k4: float | None = None
+    p1: float | None = None
+    p2: float | None = None
+    camera_model: str | None = None
+    is_fisheye: bool = False
+    file_path: str = ""
+    transform_matrix: list[list[float]] = []
+
+    def camera(self, shared: "_Frame") -> StoredCamera:
+        """The camera of a frame; values that it leaves out are the shared ones."""
+        values = {name: getattr(shared if getattr(self, name) is None else self, name) for name in _NUMBERS}
+        w, h, fx, fy, cx, cy, angle = (values[name] for name in _NUMBERS[:7])
+        if w is None or h is None:
+            raise UserError("there is no w and h, the size of the images")
+        width, height = int(w), int(h)
+        if fx is None and angle is None:
+            raise UserError("there is no focal length: neither fl_x nor camera_angle_x")
+        fx = 0.5 * width / math.tan(0.5 * angle) if fx is None else fx
+        fy = fx if fy is None else fy
+        model = values["camera_model"] or "OPENCV"
+        if model not in _MODELS:
+            raise UserError(f"camera_model {model[:40]} is none of {', '.join(_MODELS)}; undistort the images first")
+        k1, k2, k3, k4, p1, p2 = (values[name] or 0.0 for name in _NUMBERS[7:13])
+        fisheye = model == "OPENCV_FISHEYE" or shared.is_fisheye
+        center = width / 2 if cx is None else cx, height / 2 if cy is None else cy
+        tangential = (0.0, 0.0) if fisheye else (p1, p2)
+        lens = Lens((height, width), (fx, fy), center, (k1, k2, k3, k4), tangential, fisheye=fisheye)
+        rows = self.transform_matrix
+        if len(rows) not in (3, 4) or any(len(row) != 4 for row in rows):
+            raise UserError(f"transform_matrix of {self.file_path[:80]!r} is no 4x4 matrix")
+        return camera(rigid(np.array(rows, np.float64)[:3] @ OPENCV_FROM_OPENGL), lens)
+
+
+class _Transforms(_Frame, kw_only=True):
+    frames: Annotated[list[_Frame], msgspec.Meta(max_length=100_000)]
+
+
+class Transforms(CameraReader):
+    """``transforms.json`` of nerfstudio, instant-ngp and DL3DV: cameras of frames, shared or their own intrinsics."""
+
+    expects = "transforms.json"
+    rank = 10
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        images = samples.write_photographs(folder / "images")
+        samples.write_transforms(folder / "transforms.json", images, samples.poses(), samples.pinhole())
+        return {}
+
+    def find(self, path: Path) -> Path | None:
+        file = path / "transforms.json" if path.is_dir() else path
+        return file if file.suffix == ".json" and file.is_file() else None
+
+    def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
+        content: _Transforms = read_json(path, _Transforms, what=_WHAT)
+        try:
+            return finished({_name(frame.file_path): frame.camera(content) for frame in content.frames}, images)
+        except ValueError as error:
+            raise UserError(f"{path} is no {_WHAT} ({error})") from None
+
+
+def _name(path: str) -> str:
+    return PurePosixPath(path.replace("\\", "/")).name
+
+
+class Llff(CameraReader):
+    """``poses_bounds.npy`` of LLFF: one row of numbers an image, in the order of their names."""
+
+    expects = "poses_bounds.npy"
+    rank = 20
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        samples.write_photographs(folder / "images")
+        samples.write_llff(folder / "poses_bounds.npy", samples.poses(), samples.pinhole())
+        return {}
+
+    def find(self, path: Path) -> Path | None:
+        file = path / "poses_bounds.npy" if path.is_dir() else path
+        return file if file.suffix == ".npy" and file.is_file() else None
+
+    def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
+        rows = read_array(path, what="array of poses, N x 17 numbers")
+        if rows.ndim != 2 or rows.shape[1] != 17:
+            raise UserError(f"{path} holds an array of shape {rows.shape}; N x 17 numbers are expected")
+        if images and len(rows) != len(images):
+            raise UserError(f"{path} has {len(rows)} poses for {len(images)} images; remove images without a pose")
+        cameras = {}
+        for image, row in zip(images, rows, strict=bool(images)):
+            matrix = row[:15].reshape(3, 5)
+            height, width, focal = matrix[:, 4]
+            if not (1 <= height <= MAX_SIDE and 1 <= width <= MAX_SIDE and focal > 0):
+                raise UserError(f"{path} has a camera of {width:g}x{height:g} pixels and focal length {focal:g}")
+            # Stored axes are down, right, back.
+            axes = np.stack([matrix[:, 1], matrix[:, 0], -matrix[:, 2], matrix[:, 3]], axis=1)
+            lens = Lens((round(height), round(width)), (focal, focal), (width / 2, height / 2))
+            try:
+                cameras[image.name] = camera(rigid(axes), lens)
+            except UserError as error:
+                raise UserError(f"{path}: the pose of {image.name} is none ({error})") from None
+        return cameras

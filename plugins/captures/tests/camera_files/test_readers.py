@@ -1,0 +1,206 @@
+"""What programs export is read as it was meant: published conventions, other readers, and back from what is written."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from anystyle.data.folder import read_views
+from anystyle.data.poses import read_poses
+from anystyle.pipeline.camera_files import from_files
+from anystyle_captures.camera_files import samples
+from anystyle_captures.camera_files.lens import Lens
+from anystyle_captures.camera_files.realityscan import world_from_camera
+
+SIZE = (48, 64)
+LENS = Lens(SIZE, (50.0, 50.0), (33.0, 23.5), (-0.1, 0.02, -0.003, 0.001), (0.004, -0.002))
+WIDE = Lens(SIZE, (30.0, 30.0), (32.0, 24.0), (0.02, -0.01, 0.0, 0.0), fisheye=True)
+
+
+def metashape(folder, images, lens, **options):
+    samples.write_metashape(folder / "anything.xml", images, samples.poses(), lens, **options)
+
+
+def table(folder, images, lens):
+    samples.write_realityscan_table(folder / "cameras.csv", images, samples.poses(), lens)
+
+
+def sidecars(folder, images, lens):
+    samples.write_realityscan_sidecars(images, samples.poses(), lens)
+
+
+def transforms(folder, images, lens):
+    samples.write_transforms(folder / "transforms.json", images, samples.poses(), lens)
+
+
+def model(folder, images, lens):
+    samples.write_colmap(folder / "sparse", images, samples.poses(), lens)
+
+
+def known(folder):
+    """Views, sources and cameras of a folder, at the photographs' own size."""
+    return from_files(*read_views([folder], short_side=48, multiple=16, max_views=8))
+
+
+BY_ALL = Lens(SIZE, (50.0, 50.0), (33.0, 23.5), (-0.1, 0.02, 0.0, 0.0), (0.004, -0.002))
+BY_BOTH = [(write, lens) for write in (metashape, transforms) for lens in (LENS, WIDE)]
+
+
+@pytest.mark.parametrize(("write", "lens"), [*BY_BOTH, (table, LENS), (sidecars, LENS), (model, BY_ALL)])
+def test_what_is_written_is_read(tmp_path, write, lens):
+    images = samples.write_photographs(tmp_path / "images", SIZE)
+    write(tmp_path, images, lens)
+    cameras = read_poses(tmp_path if write is not sidecars else tmp_path / "images", images)
+    for image, pose in zip(images, samples.poses(), strict=True):
+        np.testing.assert_allclose(cameras[image.name].world_from_camera, pose, atol=1e-6)
+        np.testing.assert_allclose(cameras[image.name].intrinsics, lens.matrix(), atol=1e-6)
+        assert cameras[image.name].undistortion.apply.args[0].radial == pytest.approx(lens.radial, abs=1e-9)
+        assert cameras[image.name].undistortion.apply.args[0].tangential == pytest.approx(lens.tangential, abs=1e-9)
+    views, sources, found = known(tmp_path)
+    undistorted = lens.undistortion().intrinsics
+    np.testing.assert_allclose(found.views.intrinsics[0, 0], undistorted, atol=1e-4)
+    # What is drawn on a photograph, such as a mask, is undistorted as the view was.
+    drawn = np.asarray(sources[0].of_view(Image.open(images[0])))
+    assert np.abs(drawn / 255 - views.images[0, 0].permute(1, 2, 0).numpy()).max() < 0.02
+
+
+def test_polycam_has_corrected_cameras_beside_those_of_the_phone(tmp_path):
+    """The photographs are found below the capture's folder, which holds a picture of its own."""
+    Image.new("RGB", (10, 10)).save(tmp_path / "thumbnail.jpg")
+    keyframes = tmp_path / "keyframes"
+    images, shifted = samples.write_photographs(keyframes / "images", SIZE), samples.poses()
+    samples.write_polycam(keyframes / "cameras", images, samples.poses(), samples.pinhole())
+    for matrix in shifted:
+        matrix[0, 3] += 7
+    _, sources, found = known(tmp_path)
+    assert [source.name for source in sources] == ["view_0", "view_1", "view_2"]
+    np.testing.assert_allclose(found.views.world_from_camera[0], samples.poses(), atol=1e-6)
+    samples.write_photographs(keyframes / "corrected_images", SIZE)
+    samples.write_polycam(keyframes / "corrected_cameras", images, shifted, samples.pinhole())
+    _, sources, found = known(tmp_path)
+    assert sources[0].path.parent.name == "corrected_images"
+    np.testing.assert_allclose(found.views.world_from_camera[0], shifted, atol=1e-6)
+    _, _, found = known(keyframes / "images")
+    np.testing.assert_allclose(found.views.world_from_camera[0], samples.poses(), atol=1e-6)
+    # ARKit's camera looks along -z with y up.
+    frame = json.loads((keyframes / "cameras" / "view_0.json").read_text())
+    np.testing.assert_allclose([-frame[f"t_{row}2"] for row in range(3)], samples.poses()[0][:3, 2], atol=1e-12)
+
+
+def test_realityscans_angles_are_the_published_ones():
+    """The vendor's formula for the rotation, and a camera that a user exported both ways."""
+    for heading, pitch, roll in np.random.default_rng(0).uniform(-180, 180, (20, 3)):
+        z, y, x = np.deg2rad([heading, pitch, roll])
+        (cx, cy, cz), (sx, sy, sz) = np.cos([x, y, z]), np.sin([x, y, z])
+        camera_from_world = [
+            [cx * cz + sx * sy * sz, -cx * sz + cz * sx * sy, -cy * sx],
+            [-cy * sz, -cy * cz, -sy],
+            [cx * sy * sz - cz * sx, cx * cz * sy + sx * sz, -cx * cy],
+        ]
+        np.testing.assert_allclose(world_from_camera(heading, pitch, roll).T, camera_from_world, atol=1e-12)
+    sidecar = [[0.982594073, 0.185426733, -0.011216689], [-0.032113633, 0.110081027, -0.993403685]]
+    angles = 163.736597399311, 83.4154313461628, 174.386496244756
+    np.testing.assert_allclose(world_from_camera(*angles).T[:2], sidecar, atol=1e-7)
+
+
+def test_metashapes_chunk_is_brought_into_the_world(tmp_path):
+    world = np.diag([2.5, 2.5, 2.5, 1.0])
+    world[:3, :3] = 2.5 * samples.poses()[2][:3, :3]
+    world[:3, 3] = [4.0, -3.0, 1.0]
+    images = samples.write_photographs(tmp_path, SIZE)
+    metashape(tmp_path, images, LENS, world_from_chunk=world)
+    cameras = read_poses(tmp_path, images)
+    for image, pose in zip(images, samples.poses(), strict=True):
+        np.testing.assert_allclose(cameras[image.name].world_from_camera, pose, atol=1e-6)
+    # A place on the globe, in metres: 32-bit numbers would lose a decimetre.
+    world[:3, 3] = [-2499366.43, -4256836.52, 4029217.97]
+    far = samples.poses()
+    for matrix in far:
+        matrix[:3, 3] += world[:3, 3]
+    samples.write_metashape(tmp_path / "anything.xml", images, far, LENS, world)
+    cameras = read_poses(tmp_path, images)
+    positions = np.stack([cameras[image.name].world_from_camera[:3, 3] for image in images])
+    wanted = np.stack([matrix[:3, 3] for matrix in samples.poses()])
+    np.testing.assert_allclose(positions - positions[0], wanted - wanted[0], atol=1e-5)
+    assert np.abs(positions).max() < 10
+
+
+@pytest.mark.parametrize("orientation", [6, 8])
+def test_photographs_that_lie_on_a_side_get_upright_cameras(tmp_path, orientation):
+    """A point is seen at the same place of the picture, whichever way it is held."""
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    pixels = np.random.default_rng(0).integers(0, 255, (*SIZE, 3), dtype=np.uint8)
+    (tmp_path / "images").mkdir()
+    images = [tmp_path / "images" / f"{number}.png" for number in range(3)]
+    for image in images:
+        Image.fromarray(pixels).save(image, exif=exif)
+    model(tmp_path, images, LENS)
+    camera = read_poses(tmp_path, images)["1.png"]
+    point = samples.poses()[1] @ [0.2, -0.1, 1.0, 1.0]
+    column, row = (LENS.matrix() @ [0.2, -0.1, 1.0])[:2]
+    wanted = (SIZE[0] - row, column) if orientation == 6 else (row, SIZE[1] - column)
+    x, y, z, _ = np.linalg.inv(camera.world_from_camera) @ point
+    np.testing.assert_allclose((camera.intrinsics @ [x / z, y / z, 1])[:2], wanted, atol=1e-9)
+    assert camera.size == (64, 48)
+    views, _, _ = known(tmp_path)
+    lying = np.asarray(LENS.undistortion().apply(Image.fromarray(pixels)))
+    seen = (views.images[0, 0].permute(1, 2, 0).numpy() * 255).round()
+    radial_only = np.rot90(lying, -1 if orientation == 6 else 1)
+    assert np.abs(seen - radial_only).mean() < 3
+
+
+DAMAGE = {
+    "metashape": [
+        ('<?xml version="1.0" encoding="UTF-8"?>', '<!DOCTYPE a [<!ENTITY b "c">]>', "declares a document type"),
+        ('type="frame"', 'type="spherical"', "is of type spherical"),
+        ("<f>", "<fx>", "cannot be read|is no file"),
+        ('sensor_id="0" component', 'sensor_id="4" component', "sensor of view_0 is not there"),
+        ("<k1>", "<p3>0.1</p3><k1>", "p3 and p4"),
+        ("<scale>1.0", "<scale>0.0", "has the scale 0"),
+        ("<rotation>", "<rotation>x ", "could not convert"),
+        ("</document>", "", "is no file of Metashape cameras"),
+    ],
+    "sidecars": [
+        ("brown4t2", "division", "distortion model is division.*align with a Brown model"),
+        ('xcr:Skew="0"', 'xcr:Skew="0.1"', "skewed"),
+        ('"absolute"', '"relative"', "of a rig"),
+        ("<xcr:Position>", "<xcr:Position>nan ", "the position has 4 numbers"),
+        ('FocalLength35mm="28', 'FocalLength35mm="-28', "focal lengths"),
+    ],
+    "table": [(",0.0", ",x", "cannot be read"), ("view_0.png,", "view_0.png,1,", "a row of 17 values for 16 columns")],
+    "transforms": [('"OPENCV"', '"EQUIRECTANGULAR"', "camera_model EQUIRECTANGULAR is none of")],
+}
+
+
+@pytest.mark.parametrize(
+    ("write", "old", "new", "words"), [(key, *case) for key, cases in DAMAGE.items() for case in cases]
+)
+def test_what_cannot_be_read_ends_in_one_line(tmp_path, write, old, new, words):
+    images = samples.write_photographs(tmp_path, SIZE)
+    {"metashape": metashape, "sidecars": sidecars, "table": table, "transforms": transforms}[write](
+        tmp_path, images, LENS
+    )
+    [file, *_] = sorted(path for path in tmp_path.iterdir() if path not in images)
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+    with pytest.raises(ValueError, match=words) as caught:
+        read_poses(tmp_path, images)
+    assert "\n" not in str(caught.value)
+
+
+def test_other_files_beside_photographs_are_left_alone(tmp_path):
+    images = samples.write_photographs(tmp_path, SIZE)
+    (tmp_path / "notes.csv").write_text("name,price\nview_0.png,3\n")
+    (tmp_path / "view_0.xmp").write_text('<x:xmpmeta xmlns:x="adobe:ns:meta/"/>')
+    (tmp_path / "a.xml").write_text("<document><page/></document>")
+    (tmp_path / "cameras").mkdir()
+    assert read_poses(tmp_path, images) == {}
+    # Columns of another version, and a line with the number of cameras.
+    table(tmp_path, images, LENS)
+    text = (tmp_path / "cameras.csv").read_text()
+    header = "#name,x,y,alt,yaw,pitch,roll,f_35mm,px_norm,py_norm,k1,k2,k3,k4,t1,t2"
+    (tmp_path / "cameras.csv").write_text("#cameras 3\n" + header + "\n" + text.partition("\n")[2])
+    assert len(read_poses(tmp_path, images)) == 3

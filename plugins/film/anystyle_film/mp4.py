@@ -1,0 +1,149 @@
+"""A film of a scene as MP4: frames along a path, in a projection, one at a time."""
+
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.contracts import Format, Renderer
+from anystyle.errors import UserError, did_you_mean
+from anystyle.io.sheet import to_pil
+from anystyle.io.video import write_video
+from anystyle.pipeline.load import default_device
+from anystyle.registry.build import build
+from anystyle.types import StyledScene
+from anystyle_film.equirectangular import Equirectangular, Vr180
+from anystyle_film.keyframes import Keyframes
+from anystyle_film.metadata import mark_video, save_still
+from anystyle_film.paths import CameraPath, orbit, smooth, spiral
+from anystyle_film.pinhole import Pinhole, Stereo
+from anystyle_film.projection import Projection
+from anystyle_film.scene import FilmedScene
+
+FRAMES = 72
+MAX_FRAMES, MAX_FPS, MAX_STILLS = 100_000, 1000, 1000
+MAX_HEIGHT = 4320
+MAX_TURNS = 100.0
+STILLS = "stills"
+PATHS = ("smooth", "orbit", "spiral")
+
+
+class Mp4(Format):
+    """A film along a path: as a photograph, in stereo, or all around; and stills of it.
+
+    Args:
+        renderer: Renders the frames; ``None`` takes the fastest one that runs here.
+        kind: ``pinhole``, ``stereo`` (side by side), ``equirectangular`` (360 degrees) or ``vr180`` (180 degrees in
+            stereo).
+        path: ``smooth`` (through the cameras), ``orbit`` or ``spiral``; or a JSON file of keyframes.
+        frames: How many frames; ``None`` is 72, or what a file of keyframes lasts.
+        fps: Frames per second.
+        scale: Size of a frame relative to the input views.
+        height: Of a frame in pixels, instead of the scale; 1920 is 4K in panoramas.
+        stills: How many frames are also written as JPEG into the folder ``stills``, evenly spaced.
+        turns: Whole circles of ``orbit`` (default 1) and ``spiral`` (default 2); less than 1 is a part of a circle, and
+            below 0 is the other way.
+        baseline: Between the eyes in scene units; ``None`` is a thirtieth of the distance to what the cameras see.
+    """
+
+    needs_cameras = True
+
+    def __init__(
+        self,
+        *,
+        renderer: Renderer | None = None,
+        kind: Literal["pinhole", "stereo", "equirectangular", "vr180"] = "pinhole",
+        path: str = "smooth",
+        frames: int | None = None,
+        fps: int = 24,
+        scale: float = 1.0,
+        height: int | None = None,
+        stills: int = 0,
+        turns: float | None = None,
+        baseline: float | None = None,
+    ) -> None:
+        self.renderer, self.fps, self.scale, self.height, self.stills = renderer, fps, scale, height, stills
+        _between("frames", frames, 1, MAX_FRAMES)
+        _between("fps", fps, 1, MAX_FPS)
+        _between("scale", scale, 0.01, 8)
+        _between("height", height, 2, MAX_HEIGHT)
+        _between("stills", stills, 0, MAX_STILLS)
+        self.projection = _projection(kind, baseline)
+        keyframes = None if path in PATHS else _keyframes(path)
+        self.path: CameraPath = keyframes or _path(path, turns)
+        if turns is not None and path not in ("orbit", "spiral"):
+            raise UserError(f"video.turns={turns:g} has no meaning with video.path={path}; leave it out")
+        seconds = None if keyframes is None else keyframes.seconds
+        duration = None if seconds is None else max(2, round(seconds * fps) + 1)
+        _between("frames", duration, 1, MAX_FRAMES)
+        self.frames = frames or duration or FRAMES
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        return {"frames": 2}
+
+    def write(self, scene: StyledScene, path: Path) -> None:
+        if not scene.names:
+            raise UserError(f"{path}: a film needs the cameras of the scene, and there are none in it or beside it")
+        gaussians = scene.styles[-1][1].to(default_device())
+        filmed = FilmedScene(gaussians, scene.cameras.to(default_device()))
+        size = self.projection.size(filmed.cameras, self.scale, self.height)
+        count = min(self.stills, self.frames)
+        kept = {int((index + 0.5) * self.frames / count) for index in range(count)}
+
+        def frames() -> Iterator[Float[Tensor, "3 H W"]]:
+            for index, frame in enumerate(self._frames(filmed, size)):
+                if index in kept:
+                    still = path.parent / STILLS / f"frame_{index:05d}.jpg"
+                    save_still(to_pil(frame), still, self.projection.layout)
+                yield frame
+
+        write_video(frames(), path, fps=self.fps)
+        mark_video(path, self.projection.layout)
+
+    @torch.no_grad()
+    def _frames(self, scene: FilmedScene, size: tuple[int, int]) -> Iterator[Float[Tensor, "3 H W"]]:
+        renderer = self.renderer or build(Renderer, "auto")
+        path = self.path(scene, self.frames)
+        for index in range(path.intrinsics.shape[1]):
+            views = self.projection.views(scene, path.select([index]), size)
+            images = [
+                renderer(scene.gaussians, views.select([view])).color[0, 0].cpu()
+                for view in range(views.intrinsics.shape[1])
+            ]
+            yield self.projection.frame(torch.stack(images), size)
+
+
+def _path(name: str, turns: float | None) -> CameraPath:
+    if name == "smooth":
+        return smooth
+    turns = turns if turns is not None else 1.0 if name == "orbit" else 2.0
+    if not 0 < abs(turns) <= MAX_TURNS:
+        raise UserError(f"video.turns={turns:g}; give turns of at most {MAX_TURNS:g} either way, and not 0")
+    return partial(orbit if name == "orbit" else spiral, turns=turns)
+
+
+def _keyframes(path: str) -> Keyframes:
+    if Path(path).suffix.lower() != ".json":
+        near = did_you_mean(path, PATHS)
+        raise UserError(f"video.path={path}; give {', '.join(PATHS)} or a .json file of keyframes.{near}")
+    return Keyframes(path)
+
+
+def _projection(kind: str, baseline: float | None) -> Projection:
+    if kind in ("stereo", "vr180"):
+        if baseline is not None and not 0 < baseline < float("inf"):
+            raise UserError(f"video.baseline={baseline:g}; give the distance between the eyes in scene units, above 0")
+        return Stereo(baseline) if kind == "stereo" else Vr180(baseline)
+    if baseline is not None:
+        raise UserError(f"video.baseline={baseline:g} has no meaning with video.kind={kind}; leave it out")
+    return Equirectangular() if kind == "equirectangular" else Pinhole()
+
+
+def _between(option: str, value: float | None, low: float, high: float) -> None:
+    if value is not None and not low <= value <= high:
+        raise UserError(f"video.{option}={value}; give a number from {low} to {high}")

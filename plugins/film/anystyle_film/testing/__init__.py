@@ -1,1 +1,0 @@
-"""The contracts of the kinds that this package declares."""

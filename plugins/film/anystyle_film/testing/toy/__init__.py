@@ -1,1 +1,0 @@
-"""The smallest plugin of each kind that this package declares."""

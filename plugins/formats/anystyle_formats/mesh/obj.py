@@ -1,0 +1,65 @@
+"""Wavefront OBJ: a mesh with colours at its vertices, fused from what the scene's cameras see of it."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import torch
+
+from anystyle.contracts import Format, Renderer
+from anystyle.errors import UserError
+from anystyle.io.atomic import atomic_path
+from anystyle.pipeline.load import default_device
+from anystyle.registry.build import build
+from anystyle.types import Cameras, StyledScene
+from anystyle_formats.mesh.depth import DepthViews, render_depth
+from anystyle_formats.mesh.fusion import fused
+
+MAX_VIEWS, LONG_SIDE = 64, 640
+"""Cameras, evenly spaced of more, and the longer side in pixels, that depth is rendered for."""
+AGREEMENT = 0.2
+"""Of the surfaces, the smallest part that other cameras have to see at the same depth."""
+
+
+class Obj(Format):
+    """A mesh in Wavefront's OBJ, with a colour at each vertex; of scenes on whose depth their cameras agree."""
+
+    up = "y"
+    has_notes = needs_cameras = True
+
+    def __init__(self) -> None:
+        if find_spec("skimage") is None:
+            raise ImportError('meshes need scikit-image: pip install "anystyle[mesh]"')
+
+    def write(self, scene: StyledScene, path: Path) -> None:
+        mesh = fused(_views(scene))
+        lines = [f"# {note}" for note in scene.notes]
+        rows = zip(mesh.vertices.tolist(), mesh.colors.tolist(), strict=True)
+        lines += ["v {:.6g} {:.6g} {:.6g} {:.4f} {:.4f} {:.4f}".format(*point, *color) for point, color in rows]
+        lines += ["f {} {} {}".format(*face) for face in (mesh.faces + 1).tolist()]
+        with atomic_path(path) as temporary:
+            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _views(scene: StyledScene) -> DepthViews:
+    """What the cameras see, where they agree on enough of it."""
+    count = scene.cameras.intrinsics.shape[1]
+    if count < 2:
+        raise UserError(
+            f"a mesh is made from two cameras or more, and this scene has {count or 'none'}; export the folder of "
+            "anystyle stylize, or put cameras.json, transforms.json or a COLMAP model beside the file"
+        )
+    views = render_depth(scene.styles[-1][1].to(default_device()), _cameras(scene.cameras), build(Renderer, "auto"))
+    if views.agreement < AGREEMENT:
+        raise UserError(
+            f"of what the cameras see {views.agreement:.0%} is at the same depth for others, and a mesh needs "
+            f"{AGREEMENT:.0%}; photograph from more places, or fit with reconstruction.quality=best"
+        )
+    return views
+
+
+def _cameras(cameras: Cameras) -> Cameras:
+    count, (height, width) = cameras.intrinsics.shape[1], cameras.size
+    kept = torch.linspace(0, count - 1, min(count, MAX_VIEWS)).round().long()
+    scale = min(1.0, LONG_SIDE / max(height, width))
+    size = max(1, round(height * scale)), max(1, round(width * scale))
+    return cameras.select(kept).resized(size).to(default_device())

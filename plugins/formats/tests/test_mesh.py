@@ -1,0 +1,110 @@
+"""Meshes of Gaussians that lie on known surfaces."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+import torch.nn.functional as F
+
+from anystyle.commands.export import export, parser
+from anystyle.contracts import Format, Renderer
+from anystyle.errors import UserError
+from anystyle.geometry.cameras import look_at
+from anystyle.geometry.harmonics import constant_from_rgb
+from anystyle.geometry.transforms import wxyz_from_matrix
+from anystyle.pipeline.export import export_styles
+from anystyle.registry.build import build
+from anystyle.types import Cameras, Gaussians, StyledScene
+from anystyle_formats.mesh.depth import render_depth
+from anystyle_formats.mesh.fusion import fused
+
+trimesh = pytest.importorskip("trimesh", reason="trimesh, which opens OBJ files, is not installed")
+pytest.importorskip("skimage", reason="the extra `mesh` is not installed")
+RADIUS = 0.8
+
+
+def cover(means, normals, spacing):
+    """Flat Gaussians on a surface; the colour of each is that of its normal."""
+    number = len(means)
+    aside = F.normalize(torch.linalg.cross(normals, normals.roll(1, 1) + 0.1), dim=1)
+    frames = torch.stack([aside, torch.linalg.cross(normals, aside), normals], dim=2)
+    return Gaussians(
+        means[None],
+        wxyz_from_matrix(frames)[None],
+        (torch.tensor([0.6, 0.6, 0.02]) * spacing).expand(1, number, 3),
+        torch.full((1, number), 0.95),
+        constant_from_rgb(0.5 + 0.4 * normals)[None, :, None],
+    )
+
+
+def sphere(number=8000):
+    height = 1 - 2 * (torch.arange(number) + 0.5) / number
+    turn = torch.arange(number) * math.pi * (3 - math.sqrt(5))
+    flat = (1 - height.square()).sqrt()
+    normals = torch.stack([flat * turn.cos(), height, flat * turn.sin()], dim=1)
+    return cover(RADIUS * normals, normals, RADIUS * math.sqrt(4 * math.pi / number))
+
+
+def around(number=14, size=(120, 120)):
+    turn = 2 * math.pi * torch.arange(number) / number
+    rise = torch.where(torch.arange(number) % 2 == 0, 0.6, -0.6)
+    eyes = 3 * torch.stack([turn.cos() * rise.cos(), rise.sin(), turn.sin() * rise.cos()], dim=1)
+    intrinsics = torch.tensor([[1.6 * size[1], 0, size[1] / 2], [0, 1.6 * size[0], size[0] / 2], [0, 0, 1]])
+    return Cameras(look_at(eyes, torch.zeros_like(eyes))[None], intrinsics.repeat(1, number, 1, 1), size)
+
+
+def test_a_sphere_comes_back_within_a_voxel():
+    views = render_depth(sphere(), around(), build(Renderer, "auto"))
+    assert views.agreement > 0.8
+    mesh = fused(views, resolution=48)
+    voxel = 2 * RADIUS / 48
+    surface = trimesh.Trimesh(mesh.vertices, mesh.faces)
+    distances = np.abs(np.linalg.norm(surface.vertices, axis=1) - RADIUS)
+    assert distances.mean() < 0.3 * voxel and np.quantile(distances, 0.99) < voxel
+    # It faces outwards, is one piece, and has the colours of the Gaussians.
+    outward = (surface.face_normals * surface.triangles_center).sum(1) / np.linalg.norm(
+        surface.triangles_center, axis=1
+    )
+    assert np.quantile(outward, 0.02) > 0.7
+    assert surface.area == pytest.approx(4 * math.pi * RADIUS**2, rel=0.15)
+    error = np.abs(mesh.colors - (0.5 + 0.4 * mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)))
+    assert error.mean() < 0.03
+
+
+def test_what_cannot_be_meshed_says_so(tmp_path):
+    gaussians, path = sphere(500), tmp_path / "mesh.obj"
+    with pytest.raises(UserError, match="two cameras or more, and this scene has none"):
+        export_styles(StyledScene((("x", gaussians),)), path, "obj")
+    fog = Gaussians(
+        torch.randn(1, 3000, 3, generator=torch.Generator().manual_seed(0)),
+        torch.tensor([[1.0, 0, 0, 0]]).expand(1, 3000, 4),
+        torch.full((1, 3000, 3), 0.2),
+        torch.full((1, 3000), 0.05),
+        torch.zeros(1, 3000, 1, 3),
+    )
+    with pytest.raises(UserError, match="is at the same depth for others") as raised:
+        export_styles(StyledScene((("x", fog),), around(14, (60, 60)), tuple("abcdefghijklmn")), path, "obj")
+    assert len(str(raised.value).splitlines()) == 1 and not path.exists()
+
+
+def test_the_command_finds_cameras_beside_a_file_and_writes_what_trimesh_opens(tmp_path, capsys):
+    cameras = around(14, (60, 60))
+    build(Format, "ply").write(StyledScene((("ball", sphere(2000)),), notes=("of clay",)), tmp_path / "scene.ply")
+    words = [str(tmp_path / "scene.ply"), "--to", "obj", "--out", str(tmp_path / "ball.obj")]
+    with pytest.raises(UserError, match=r"put cameras\.json, transforms\.json or a COLMAP model beside the file"):
+        export(parser().parse_args(words))
+    rows = enumerate(zip(cameras.intrinsics[0].tolist(), cameras.world_from_camera[0].tolist(), strict=True))
+    views = [
+        {"name": str(index), "height": 60, "width": 60, "intrinsics": matrix, "world_from_camera": pose}
+        for index, (matrix, pose) in rows
+    ]
+    (tmp_path / "cameras.json").write_text(json.dumps({"convention": "", "views": views}))
+    export(parser().parse_args(words))
+    assert "ball.obj" in capsys.readouterr().out and not list(tmp_path.glob("*.txt"))
+    mesh = trimesh.load(tmp_path / "ball.obj", process=False)
+    assert mesh.visual.kind == "vertex" and "# of clay\n" in (tmp_path / "ball.obj").read_text()
+    turned = mesh.vertices * [1, -1, -1]  # the file is y up
+    expected = 0.5 + 0.4 * turned / np.linalg.norm(turned, axis=1, keepdims=True)
+    assert np.abs(mesh.visual.vertex_colors[:, :3] / 255 - expected).mean() < 0.06

@@ -1,0 +1,231 @@
+"""A fitted scene repainted with strokes that are Gaussians."""
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from kornia.geometry.conversions import rotation_matrix_to_quaternion
+from scipy.spatial import KDTree
+from torch import Tensor
+from torch.nn.functional import interpolate, normalize, pad
+
+from anystyle.contracts import Renderer
+from anystyle.errors import UserError
+from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
+from anystyle.methods.base import Method
+from anystyle.methods.colors import fit_colors
+from anystyle.stylizer import Stylizer
+from anystyle.types import Cameras, Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
+from anystyle_methods.flow import blur, flow, structure_tensor
+
+
+class Layer(NamedTuple):
+    """Strokes of one size, in pixels of a picture whose shorter side is :data:`SHORT_SIDE`."""
+
+    spacing: float
+    width: float
+    length: float
+    detail: float  # of the photograph, as a mean absolute difference from its blur, above which no stroke is painted
+    bristles: int
+
+
+SHORT_SIDE = 384
+LAYERS = (Layer(14.6, 5.5, 20, 0.035, 3), Layer(7.1, 3, 11, 0.05, 2), Layer(3.5, 1.5, 6, torch.inf, 1))
+"""Large strokes where little is to be seen, small ones everywhere, nearer to the viewer."""
+OPACITY = 0.92
+LIFT = 0.012
+"""Of the depth, by which a stroke lies in front of the surface."""
+PAINTING = 0.35
+"""Weight of the painting's own flow beside the scene's, which decides where a surface has no direction."""
+NEIGHBORS = 12
+"""Gaussians whose centres make a surface's normal."""
+MIN_PIXELS, MIN_OPACITY = 1.0, 0.2
+"""Of a Gaussian that a stroke may be painted at."""
+
+
+class Brush(Method):
+    """Brush strokes on the surfaces of a scene, in the colours that the style branch paints.
+
+    The scene takes these colours as it does in the single pass. Strokes lie on it, each a few flat, long Gaussians side
+    by side: they follow the flow of the photographs (Litwinowicz 1997), and that of the painting where these have none;
+    large ones first, smaller ones where there is detail (Hertzmann 1998). They are part of the scene, and the same from
+    wherever it is seen.
+
+    Args:
+        size: Of strokes, 1 for those of 5, 3 and 1.5 pixels of 384.
+        jitter: How much the lightness of strokes varies, in standard deviations of the painting's.
+        seed: Of where strokes lie, and of their lightness.
+
+    Raises:
+        UserError: A number is out of range.
+    """
+
+    def __init__(self, *, size: float = 1.0, jitter: float = 0.5, seed: int = 0) -> None:
+        if not 0.1 <= size <= 10 or jitter < 0:
+            raise UserError(f"method.size={size} method.jitter={jitter}; give a size of 0.1 to 10 and no less than 0")
+        self.size, self.jitter, self.seed = size, jitter, seed
+
+    @torch.no_grad()
+    def __call__(
+        self,
+        stylizer: Stylizer,
+        scene: Scene,
+        style: Style,
+        embedding: StyleEmbedding,
+        *,
+        on_progress: OnProgress = no_progress,
+    ) -> Gaussians:
+        gaussians, renderer = scene.gaussians or stylizer.unstyled(scene), stylizer.renderer
+        painted = rgb_from_constant(stylizer.branch(scene, embedding).color[0, ..., 0])
+        painted = painted.clamp(0, 1).movedim(-1, 1).float()  # V 3 H W
+        with torch.enable_grad():
+            if scene.gaussians is None:
+                base = stylizer.restyle(scene, embedding).detach()
+            else:
+                base = fit_colors(gaussians, scene.cameras, painted, renderer, steps=2, largest=True).detach()
+            pixels = pixels_shown(gaussians, scene.cameras, renderer)
+        canvas = _Canvas.of(scene, gaussians, pixels)
+        photographs = rgb_from_constant(scene.attributes.color[0, ..., 0]).movedim(-1, 1).float()
+        picture = painted if style.image is None else style.image.to(painted)
+        unit = self.size * embedding.scale * min(painted.shape[-2:]) / SHORT_SIDE
+        generator = torch.Generator().manual_seed(self.seed)
+        own = structure_tensor(picture, 1.5, 5.0)
+        own = interpolate(
+            own.mean(0, keepdim=True) if style.image is None else own, painted.shape[-2:], mode="bilinear"
+        )
+        spread = self.jitter * float(picture.mean(1).std())
+        layers = [base]
+        for depth, layer in enumerate(LAYERS, start=1):
+            sized = layer._replace(spacing=layer.spacing * unit, width=layer.width * unit, length=layer.length * unit)
+            tensor = structure_tensor(photographs, 1.5, 1.2 * sized.width) + PAINTING * own
+            detail = (photographs - blur(photographs, sized.width)).abs().mean(1, keepdim=True)
+            chosen = canvas.choose(sized, blur(detail, 0.7 * sized.width)[:, 0], generator)
+            colors = blur(painted, 0.5 * sized.width)
+            layers.append(canvas.strokes(chosen, sized, tensor, colors, LIFT * (1 + depth) / 2, spread, generator))
+        missing = base.harmonics.shape[2] - 1
+        layers[1:] = [replace(one, harmonics=pad(one.harmonics, (0, 0, 0, missing))) for one in layers[1:]]
+        return Gaussians.cat(layers, dim=1)
+
+
+def pixels_shown(gaussians: Gaussians, cameras: Cameras, renderer: Renderer) -> Float[Tensor, "V N"]:
+    """How many pixels of each view each Gaussian makes."""
+    rgb = torch.full_like(gaussians.means[0], 0.5).requires_grad_()
+    harmonics = constant_from_rgb(rgb)[None, :, None]
+    shown = []
+    for view in range(cameras.intrinsics.shape[1]):
+        render = renderer(replace(gaussians.detach(), harmonics=harmonics), cameras.select([view])).color
+        shown.append(torch.autograd.grad(render[..., 0, :, :].sum(), rgb, retain_graph=True)[0][:, 0])
+    return torch.stack(shown)
+
+
+@dataclass(frozen=True)
+class _Canvas:
+    """Where strokes can be painted: places on surfaces, each with the view that shows it largest.
+
+    Args:
+        points: In world space.
+        normals: Towards that view.
+        rays: Unit vectors from its camera.
+        views: That view.
+        pixels: Column and row there.
+        scales: World units a pixel: of the nearest view that shows the place, so that no stroke looks too large.
+        depths: In that view.
+        density: Points a unit of area.
+        cameras: Of all views.
+    """
+
+    points: Float[Tensor, "N 3"]
+    normals: Float[Tensor, "N 3"]
+    rays: Float[Tensor, "N 3"]
+    views: Int[Tensor, " N"]
+    pixels: Int[Tensor, "N 2"]
+    scales: Float[Tensor, " N"]
+    depths: Float[Tensor, " N"]
+    density: Float[Tensor, " N"]
+    cameras: Cameras
+
+    @classmethod
+    def of(cls, scene: Scene, gaussians: Gaussians, shown: Float[Tensor, "V N"]) -> "_Canvas":
+        """The centres of Gaussians that views show enough of."""
+        cameras, (height, width) = scene.cameras, scene.cameras.size
+        seen = (shown.sum(0) >= MIN_PIXELS) & (gaussians.opacities[0] >= MIN_OPACITY)
+        points, shown = gaussians.means[0, seen], shown[:, seen]
+        views = shown.argmax(0)
+        homogeneous = torch.cat([points, torch.ones_like(points[:, :1])], dim=1)
+        local = torch.einsum("vij,nj->vni", cameras.camera_from_world[0, :, :3], homogeneous)
+        depth = local[..., 2].clamp_min(1e-6)  # V N
+        focal = cameras.intrinsics[0].diagonal(dim1=1, dim2=2)[:, :2].mean(1)
+        scale = depth / focal[:, None]
+        pixels = torch.einsum("vij,vnj->vni", cameras.intrinsics[0, :, :2], local / depth[..., None])
+        size = torch.tensor([width, height]).to(pixels)
+        visible = (shown > 0.05 * shown.amax(0)) & ((pixels >= 0) & (pixels < size)).all(-1)
+        own = views[None]
+        best = scale.gather(0, own)[0]
+        nearest = scale.masked_fill(~visible, torch.inf).amin(0).minimum(best).maximum(0.4 * best)
+        place = pixels.gather(0, own[..., None].expand(-1, -1, 2))[0]
+        inside = visible.gather(0, own)[0]
+        tree = KDTree(points.cpu().numpy())
+        distances, index = tree.query(points.cpu().numpy(), k=min(NEIGHBORS + 1, len(points)))
+        around = points[torch.from_numpy(index).to(points.device)]
+        normals = torch.linalg.eigh(torch.einsum("nki,nkj->nij", *2 * (around - around.mean(1, keepdim=True),)))[1][
+            ..., 0
+        ]
+        rays = normalize(points - cameras.world_from_camera[0, views, :3, 3], dim=1)
+        towards = -(normals * rays).sum(1, keepdim=True)
+        normals = normals * towards.sign()
+        normals = normalize(torch.where(towards.abs() < 0.4, normals - rays, normals), dim=1)  # grazing, hence unsure
+        radius = torch.from_numpy(distances[:, -1]).to(points)
+        density = distances.shape[1] / (torch.pi * radius.square().clamp_min(1e-20))
+        fields = points, normals, rays, views, place.long(), nearest, depth.gather(0, own)[0], density
+        return cls(*(field[inside] for field in fields), cameras=cameras)
+
+    def choose(self, layer: Layer, detail: Float[Tensor, "V H W"], generator: torch.Generator) -> Int[Tensor, " M"]:
+        """Places for the strokes of a layer: as far apart as it says on average, where there is no more detail."""
+        x, y = self.pixels.unbind(1)
+        share = 1 / ((layer.spacing * self.scales).square() * self.density)
+        wanted = torch.rand(len(share), generator=generator).to(share) < share
+        return (wanted & (detail[self.views, y, x] < layer.detail)).nonzero()[:, 0]
+
+    def strokes(
+        self,
+        chosen: Int[Tensor, " M"],
+        layer: Layer,
+        tensor: Float[Tensor, "V 3 H W"],
+        colors: Float[Tensor, "V 3 H W"],
+        lift: float,
+        spread: float,
+        generator: torch.Generator,
+    ) -> Gaussians:
+        """Strokes at these places, each of some bristles side by side, a Gaussian each."""
+        direction, clarity = flow(tensor)
+        views, (x, y) = self.views[chosen], self.pixels[chosen].unbind(1)
+        rays, normals, scales = self.rays[chosen], self.normals[chosen], self.scales[chosen]
+        focal = self.cameras.intrinsics[0, views].diagonal(dim1=1, dim2=2)[:, :2]
+        in_image = torch.cat([direction[views, :, y, x] / focal, torch.zeros_like(focal[:, :1])], dim=1)
+        in_world = torch.einsum("nij,nj->ni", self.cameras.world_from_camera[0, views, :3, :3], in_image)
+        # Along the ray onto the surface.
+        along = in_world - (in_world * normals).sum(1, keepdim=True) / (rays * normals).sum(1, keepdim=True) * rays
+        along = normalize(along, dim=1)
+        across = torch.linalg.cross(normals, along)
+        lengths, widths = layer.length * scales * (0.6 + 0.8 * clarity[views, y, x]), layer.width * scales
+        centers = self.points[chosen] - rays * (lift * self.depths[chosen])[:, None]
+        color = colors[views, :, y, x] + spread * self._noise(chosen, generator)
+        rotation = rotation_matrix_to_quaternion(torch.stack([along, across, normals], dim=2))
+        bristles = []
+        for number in range(layer.bristles):
+            aside = (2.2 * number - 1.1 * (layer.bristles - 1)) / layer.bristles * widths
+            ahead = 0.15 * lengths[:, None] * self._noise(chosen, generator)
+            sizes = torch.stack([0.5 * lengths, 0.55 / layer.bristles * widths, 0.08 * widths], dim=1)
+            shade = (color + 0.5 * spread * self._noise(chosen, generator)).clamp(0, 1)
+            means = centers + across * aside[:, None] + along * ahead
+            opacities = torch.full_like(widths, OPACITY)
+            bristles.append(
+                Gaussians(
+                    *(field[None] for field in (means, rotation, sizes, opacities, constant_from_rgb(shade)[:, None]))
+                )
+            )
+        return Gaussians.cat(bristles, dim=1)
+
+    def _noise(self, chosen: Int[Tensor, " M"], generator: torch.Generator) -> Float[Tensor, "M 1"]:
+        return torch.randn(len(chosen), 1, generator=generator).to(self.points)

@@ -1,0 +1,85 @@
+"""Optimal transport: match features of a render with those of the style image, none of them too often."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.errors import UserError
+from anystyle_methods.nnfm import NNFM
+
+
+class OptimalTransport(NNFM):
+    """Bring features of a render near those that optimal transport of limited capacity matches them with.
+
+    ``min_P sum_ij P_ij (1 - cos(F_i, F_j^style)) - epsilon H(P)`` over plans ``P`` that move ``1 / N`` from each of N
+    features of a render and at most ``capacity / M`` to each of M features of the style image, averaged over views
+    whose style has an image. The limit keeps many places from taking one patch of the painting, as nearest neighbours
+    let them: without one, and at ``epsilon`` of 0, this is NNFM. The gradient takes the plan as fixed.
+
+    Args:
+        layers: Of one resolution.
+        weight: In the objective.
+        capacity: How often a feature of the style image is used, relative to its equal share: 1 or more. At 1 the plan
+            is balanced, and all features are used alike.
+        epsilon: Weight of the entropy, in units of ``1 - cos``.
+        iterations: Of Sinkhorn's algorithm.
+        num_samples: Features of a view and of the style image that are drawn at random each time.
+
+    Raises:
+        UserError: A number is out of range.
+    """
+
+    def __init__(
+        self,
+        *,
+        network: str = "vgg19",
+        layers: Sequence[str] = ("relu3_1", "relu3_2", "relu3_3"),
+        size: int | None = 224,
+        weight: float = 1.0,
+        capacity: float = 2.0,
+        epsilon: float = 0.01,
+        iterations: int = 50,
+        num_samples: int = 1024,
+    ) -> None:
+        if capacity < 1 or epsilon <= 0 or iterations < 1 or num_samples < 1:
+            raise UserError(
+                f"capacity={capacity} epsilon={epsilon} iterations={iterations} num_samples={num_samples}; "
+                "give a capacity of 1 or more, epsilon above 0, and counts of 1 or more"
+            )
+        super().__init__(network=network, layers=layers, size=size, weight=weight)
+        self.capacity, self.epsilon, self.iterations, self.num_samples = capacity, epsilon, iterations, num_samples
+
+    @classmethod
+    def example(cls, folder: Path) -> dict[str, object]:
+        return {**super().example(folder), "num_samples": 64, "iterations": 5}
+
+    def distance(self, features: Float[Tensor, "C S"], target: Float[Tensor, "C T"]) -> Float[Tensor, ""]:
+        cost = 1 - self._drawn(features).mT @ self._drawn(target)
+        return (transport_plan(cost.detach(), self.capacity, self.epsilon, self.iterations) * cost).sum()
+
+    def _drawn(self, features: Float[Tensor, "C S"]) -> Float[Tensor, "C N"]:
+        if features.shape[1] <= self.num_samples:
+            return features
+        return features[:, torch.randperm(features.shape[1])[: self.num_samples].to(features.device)]
+
+
+def transport_plan(
+    cost: Float[Tensor, "N M"], capacity: float, epsilon: float, iterations: int
+) -> Float[Tensor, "N M"]:
+    """The plan of least cost that moves ``1 / N`` from each row and at most ``capacity / M`` to each column.
+
+    Sinkhorn's algorithm in the logarithmic domain: rows are scaled to their sums, columns where they exceed their limit
+    (Benamou et al. 2015, section 5). Rows have their exact sums.
+    """
+    (rows, columns), kernel = cost.shape, -cost / epsilon
+    log_mass, log_limit = -math.log(rows), math.log(capacity / columns)
+    column = cost.new_zeros(columns)
+    for _ in range(iterations):
+        row = log_mass - (kernel + column).logsumexp(1)
+        column = (log_limit - (kernel + row[:, None]).logsumexp(0)).clamp_max(0)
+    row = log_mass - (kernel + column).logsumexp(1)
+    return (kernel + row[:, None] + column).exp()

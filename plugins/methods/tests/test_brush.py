@@ -1,0 +1,112 @@
+"""Strokes lie where they should, the way they should, whatever views they are seen from."""
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import pytest
+import torch
+
+import anystyle
+from anystyle.errors import UserError
+from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
+from anystyle.methods.colors import colors_alone
+from anystyle.types import Cameras, Gaussians, Style, Views
+from anystyle_cpu_renderer.renderer import CpuRenderer
+from anystyle_methods.brush import LAYERS, Brush, pixels_shown
+from anystyle_methods.flow import flow, structure_tensor
+
+SIDE = 96
+
+
+def stripes(angle: float) -> torch.Tensor:
+    """A wave whose crests run at an angle to the x axis."""
+    y, x = torch.meshgrid(torch.arange(SIDE) + 0.5, torch.arange(SIDE) + 0.5, indexing="ij")
+    across = -math.sin(angle) * x + math.cos(angle) * y
+    return (0.5 + 0.4 * torch.sin(0.8 * across)).expand(1, 3, SIDE, SIDE)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, 1.2, -0.9])
+def test_a_picture_flows_along_its_stripes(angle):
+    direction, clarity = flow(structure_tensor(stripes(angle), 1.0, 4.0))
+    inner = direction[0, :, 16:-16, 16:-16]
+    along = (inner[0] * math.cos(angle) + inner[1] * math.sin(angle)).abs()
+    assert along.min() > 0.99 and clarity[0, 16:-16, 16:-16].min() > 0.9
+
+
+@pytest.fixture(scope="module")
+def wall():
+    """A wall of Gaussians at depth 2, seen by two cameras that are beside each other, with slanted stripes on it."""
+    generator = torch.Generator().manual_seed(0)
+    x, y = torch.meshgrid(torch.linspace(-1.2, 1.2, 40), torch.linspace(-1.2, 1.2, 40), indexing="ij")
+    means = torch.stack([x.flatten(), y.flatten(), torch.full((1600,), 2.0)], dim=1)
+    gray = constant_from_rgb(torch.full((1600, 3), 0.5) + 0.05 * torch.randn(1600, 1, generator=generator))
+    gaussians = Gaussians(
+        means[None], torch.eye(4)[0].repeat(1, 1600, 1), torch.full((1, 1600, 3), 0.04), torch.full((1, 1600), 0.9),
+        gray[None, :, None],
+    )  # fmt: skip
+    poses = torch.eye(4).repeat(1, 2, 1, 1)
+    poses[0, 1, 0, 3] = 0.2
+    intrinsics = torch.tensor([[96.0, 0, 48], [0, 96.0, 48], [0, 0, 1]]).repeat(1, 2, 1, 1)
+    cameras = Cameras(poses, intrinsics, (SIDE, SIDE))
+    views = Views(stripes(0.6).expand(2, 3, SIDE, SIDE)[None], cameras, names=("a", "b"))
+    return replace(colors_alone(views), gaussians=gaussians)
+
+
+def test_pixels_shown_add_up_to_what_is_covered(wall):
+    renderer = CpuRenderer()
+    shown = pixels_shown(wall.gaussians, wall.cameras, renderer)
+    alpha = renderer(wall.gaussians, wall.cameras).alpha[0].sum((1, 2))
+    torch.testing.assert_close(shown.sum(1), alpha, rtol=1e-4, atol=1e-2)
+
+
+def painted(wall, **options):
+    stylizer = anystyle.load("painter")
+    painting = stripes(-0.4) * torch.tensor([1.0, 0.5, 0.2])[:, None, None]
+    embedding = stylizer.embed(image=painting)
+    return Brush(**options)(stylizer, wall, Style(image=painting), embedding)
+
+
+def test_strokes_lie_on_the_wall_along_its_stripes(wall):
+    result = painted(wall)
+    number = wall.gaussians.means.shape[1]
+    strokes = result.map(lambda tensor: tensor[:, number:])
+    assert torch.equal(result.means[:, :number], wall.gaussians.means)  # what was there stays where it is
+    assert strokes.means.shape[1] > 200
+    depth = strokes.means[0, :, 2]
+    assert depth.min() > 1.9 and depth.max() < 2.0  # a little in front
+    q = strokes.rotations[0]
+    along = torch.stack(  # the first column of the rotation
+        [1 - 2 * (q[:, 2] ** 2 + q[:, 3] ** 2), 2 * (q[:, 1] * q[:, 2] + q[:, 0] * q[:, 3])], dim=1
+    )
+    middle = strokes.means[0, :, :2].abs().amax(1) < 0.7
+    agreement = (along @ torch.tensor([math.cos(0.6), math.sin(0.6)])).abs()[middle]
+    assert agreement.median() > 0.9
+    assert (strokes.scales[0, :, 0] > strokes.scales[0, :, 1]).all()  # longer than wide, and thin
+    assert (strokes.scales[0, :, 2] < strokes.scales[0, :, 1]).all()
+    rgb = rgb_from_constant(strokes.harmonics[0, :, 0])
+    assert rgb.min() >= 0 and rgb.max() <= 1
+
+
+def test_size_scales_strokes_and_the_seed_decides(wall):
+    small, large, again = painted(wall), painted(wall, size=2.0), painted(wall)
+    number = wall.gaussians.means.shape[1]
+    assert torch.equal(small.means, again.means)
+    assert not torch.equal(small.means[:, number : number + 50], painted(wall, seed=1).means[:, number : number + 50])
+    assert large.means.shape[1] < small.means.shape[1]
+    assert large.scales[0, number:, 0].min() > 1.5 * small.scales[0, number:, 0].min()
+
+
+def test_scenes_of_the_single_pass_are_painted_on_too(wall):
+    stylizer = anystyle.load("painter")
+    scene = stylizer.encode(Views(wall.views.images[..., :56, :56]))
+    result = Brush()(stylizer, scene, Style(text=("charcoal",)), stylizer.embed(text="charcoal"))
+    number = stylizer.unstyled(scene).means.shape[1]
+    assert result.means.shape[1] > number + 20
+    assert all(tensor.isfinite().all() for tensor in vars(result).values())
+
+
+def test_options_are_checked():
+    with pytest.raises(UserError, match=r"method\.size"):
+        Brush(size=0.0)
+    assert all(first.width > second.width for first, second in pairwise(LAYERS))

@@ -1,0 +1,1 @@
+"""Further metrics as plugins of kind ``metric``, and optical flow as correspondences."""

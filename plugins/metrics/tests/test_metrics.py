@@ -1,0 +1,283 @@
+"""The benchmark's metrics against numpy, SciPy, torch's own transformer and scenes that are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.ndimage import gaussian_filter, map_coordinates
+from scipy.spatial.distance import cdist
+from scipy.spatial.transform import Rotation
+from torch import nn
+
+from anystyle.correspondences.rendered_depth import RenderedDepth
+from anystyle.data.images import read_square
+from anystyle.errors import UserError
+from anystyle.geometry.cameras import look_at
+from anystyle.types import Cameras, Comparison, Frames, Style
+from anystyle_cpu_renderer.renderer import CpuRenderer
+from anystyle_metrics import dino
+from anystyle_metrics.color_histogram import ColorHistogram, rgb_histogram
+from anystyle_metrics.csd import CSD
+from anystyle_metrics.geometry_survival import GeometrySurvival, pose_error
+from anystyle_metrics.met3r import Met3rDepth
+from anystyle_metrics.sharpness import Sharpness
+from anystyle_metrics.structure_distance import StructureDistance
+from known_scene import photographed_wall, wall
+from oracle import smooth_image
+from real_data import real
+
+
+def figures(metric, content, stylized, style=None, **known):
+    given = None if style is None else Style(image=style[None])
+    return {
+        name: float(value) for name, value in metric(Comparison(content[None], stylized[None], given, **known)).items()
+    }
+
+
+def noise_like(images):
+    return torch.rand(images.shape, generator=torch.Generator().manual_seed(1))
+
+
+def theirs(network):
+    """The same network of torch's own layers."""
+    layers = []
+    for block in network.blocks:
+        dim = block.norm1.weight.shape[0]
+        layer = nn.TransformerEncoderLayer(
+            dim, dim // 64, 4 * dim, activation="gelu", layer_norm_eps=1e-6, batch_first=True, norm_first=True
+        )
+        weights = {
+            "self_attn.in_proj": block.attn.qkv,
+            "self_attn.out_proj": block.attn.proj,
+            "linear1": block.mlp.fc1,
+            "linear2": block.mlp.fc2,
+            "norm1": block.norm1,
+            "norm2": block.norm2,
+        }
+        state = {}
+        for name, part in weights.items():
+            joint = "_" if name.endswith("in_proj") else "."
+            state |= {f"{name}{joint}{key}": tensor for key, tensor in part.state_dict().items()}
+        layer.load_state_dict(state)
+        layers.append(layer.train())  # in eval they take another path; there is no dropout
+        layer.dropout.p = layer.dropout1.p = layer.dropout2.p = layer.self_attn.dropout = 0.0
+    return layers
+
+
+@torch.no_grad()
+def test_dino_is_torchs_own_transformer():
+    torch.manual_seed(0)
+    network = dino.Dino(128, 16, depth=3)
+    for parameter in network.parameters():
+        nn.init.normal_(parameter, std=0.2)
+    for block in network.blocks:
+        block.ls1.gamma.fill_(1), block.ls2.gamma.fill_(1)
+    images = smooth_image(1, [2, 3, 224, 224])
+    mean, std = torch.tensor([0.485, 0.456, 0.406]), torch.tensor([0.229, 0.224, 0.225])
+    patches = ((images - mean[:, None, None]) / std[:, None, None]).unfold(2, 16, 16).unfold(3, 16, 16)
+    patches = torch.einsum("bcijuv,dcuv->bijd", patches, network.patch_embed["proj"].weight).flatten(1, 2)
+    x = torch.cat([network.cls_token.expand(2, -1, -1), patches + network.patch_embed["proj"].bias], 1)
+    x = x + network.pos_embed
+    *first, last = theirs(network)
+    for layer in first:
+        x = layer(x)
+    keys = nn.functional.linear(last.norm1(x), last.self_attn.in_proj_weight, last.self_attn.in_proj_bias)[..., 128:256]
+    torch.testing.assert_close(network.keys(images), keys, rtol=1e-4, atol=1e-4)
+    tokens = network.norm(last(x))[:, 1:].mT.unflatten(2, (14, 14))
+    torch.testing.assert_close(network.maps(images), tokens, rtol=1e-4, atol=1e-4)
+
+
+def test_published_files_are_loaded_and_named(tmp_path, monkeypatch):
+    network = dino.Dino(*dino.SIZES["dino_vits16"])
+    state = {key: tensor for key, tensor in network.state_dict().items() if ".ls" not in key}
+    torch.save(state, tmp_path / "dino_deitsmall16_pretrain.pth")
+    monkeypatch.setenv("ANYSTYLE_WEIGHTS", str(tmp_path))
+    loaded, source = dino.load("dino_vits16", "published")
+    images = smooth_image(2, [1, 3, 64, 112])
+    torch.testing.assert_close(loaded.maps(images), network.eval().maps(images))
+    assert loaded.maps(images).shape == (1, 384, 4, 7)
+    assert source.stand_in is None
+    metric = Met3rDepth(weights="published")
+    assert metric.stand_ins == {} and list(metric.weights) == ["dino_deitsmall16_pretrain.pth"]
+    assert StructureDistance().stand_ins == {"structure_distance": "efficientnet_lite0"}
+
+
+def test_structure_distance_is_scipys_cosines():
+    content, stylized = smooth_image(3, [2, 3, 224, 288]), smooth_image(4, [2, 3, 224, 288])
+    metric = StructureDistance(weights="stand_in")
+    similarities = [
+        [1 - cdist(keys, keys, "cosine") for keys in metric.network.keys(images).double().numpy()]
+        for images in (content, stylized)
+    ]
+    expected = np.square(np.subtract(*similarities)).mean()
+    np.testing.assert_allclose(figures(metric, content, stylized)["structure_distance"], expected, rtol=1e-4)
+
+
+def test_structure_distance_puts_real_pictures_where_a_person_would():
+    photo, painting = (read_square(real(path), 224) for path in ("photos/photo_00.jpg", "styles/style_00.jpg"))
+    blurred = torch.from_numpy(gaussian_filter(photo.numpy(), (0, 0, 2, 2)))
+    rows = [photo, photo.flip(1), blurred, painting, noise_like(photo)]
+    same, recoloured, soft, pasted, noise = (
+        figures(StructureDistance(weights="stand_in"), photo, row)["structure_distance"] for row in rows
+    )
+    assert same == 0 < recoloured < pasted < noise and 0 < soft < pasted
+
+
+@torch.no_grad()
+def test_met3r_warps_features_as_scipy_does():
+    images, cameras, depth = photographed_wall(3)
+    metric = Met3rDepth(weights="stand_in")
+    maps = metric._features(images).double().numpy()
+    poses, matrices = (each[0].double().numpy() for each in (cameras.world_from_camera, cameras.intrinsics))
+    height, width = depth.shape[-2:]
+    rows, columns = np.meshgrid(np.arange(2, height, 4), np.arange(2, width, 4), indexing="ij")
+
+    def sampled(features, x, y):
+        places = [y * features.shape[1] / height - 0.5, x * features.shape[2] / width - 0.5]
+        return np.stack([map_coordinates(channel, places, order=1, mode="nearest") for channel in features])
+
+    frames = Frames(images, depth, cameras.world_from_camera[0], cameras.intrinsics[0])
+    pairs = []
+    for first, second in ((0, 1), (1, 0), (1, 2), (2, 1)):
+        pixels = np.stack([columns + 0.5, rows + 0.5, np.ones(rows.shape)])
+        rays = np.einsum("ij,jhw->ihw", np.linalg.inv(matrices[first]), pixels)
+        points = rays * depth[first].double().numpy()[rows, columns]
+        motion = np.linalg.inv(poses[second]) @ poses[first]
+        x, y, z = np.einsum(
+            "ij,jhw->ihw",
+            matrices[second],
+            np.einsum("ij,jhw->ihw", motion[:3, :3], points) + motion[:3, 3, None, None],
+        )
+        one, other = sampled(maps[first], pixels[0], pixels[1]), sampled(maps[second], x / z, y / z)
+        cosines = (one * other).sum(0) / np.linalg.norm(one, axis=0) / np.linalg.norm(other, axis=0)
+        views = [frames.map(lambda tensor, view=view: tensor[view : view + 1]) for view in (first, second)]
+        pairs.append(cosines[RenderedDepth()(*views).visible[0].numpy()[rows, columns]].mean())
+    found = figures(metric, images, images, cameras=cameras, depth=depth[None])["met3r_depth"]
+    np.testing.assert_allclose(found, 1 - np.mean(pairs), rtol=1e-3)
+
+
+def test_met3r_prefers_views_of_one_scene():
+    images, cameras, depth = photographed_wall(4)
+    known = {"cameras": cameras, "depth": depth[None]}
+    pasted = images[:1].expand_as(images)
+    scene, other, noise = (
+        figures(Met3rDepth(weights="stand_in"), images, row, **known)["met3r_depth"]
+        for row in (images, pasted, noise_like(images))
+    )
+    assert scene < 0.9 * other < other < noise
+
+
+def test_met3r_needs_geometry():
+    images = smooth_image(5, [2, 3, 64, 64])
+    with pytest.warns(UserWarning, match="no two views with depth and cameras"):
+        assert np.isnan(figures(Met3rDepth(weights="stand_in"), images, images)["met3r_depth"])
+
+
+def test_color_histogram_is_numpys():
+    first, second = torch.rand(2, 3, 40, 50), smooth_image(6, [3, 60, 30])
+    pixels = [image.flatten(1).T.double().numpy() for image in (*first, second)]
+    shares = [np.histogramdd(values, bins=8, range=[(0, 1)] * 3)[0] / len(values) for values in pixels]
+    np.testing.assert_allclose(rgb_histogram(first).numpy(), np.stack(shares[:2]).reshape(2, -1), atol=1e-12)
+    expected = np.mean([np.abs(share - shares[2]).sum() / 2 for share in shares[:2]])
+    found = figures(ColorHistogram(), first, first, second)["color_histogram"]
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def test_color_histogram_has_its_bounds():
+    black, white = torch.zeros(1, 3, 8, 8), torch.ones(1, 3, 8, 8)
+    assert figures(ColorHistogram(), black, white, white[0])["color_histogram"] == 0
+    assert figures(ColorHistogram(), black, black, white[0])["color_histogram"] == 1
+
+
+def test_sharpness_is_a_ratio_of_steps():
+    images = torch.rand(3, 3, 20, 30, generator=torch.Generator().manual_seed(0))
+    blurred = torch.from_numpy(gaussian_filter(images.numpy(), (0, 0, 1, 1)))
+    steps = [
+        np.concatenate([np.abs(np.diff(each.numpy(), axis=axis)).ravel() for axis in (2, 3)]).mean()
+        for each in (blurred, images)
+    ]
+    np.testing.assert_allclose(figures(Sharpness(), images, blurred)["sharpness"], steps[0] / steps[1], rtol=1e-5)
+    assert figures(Sharpness(), images, 0.5 * images)["sharpness"] == pytest.approx(0.5)
+    with pytest.warns(UserWarning, match="no image that can be judged"):
+        assert np.isnan(figures(Sharpness(), torch.zeros_like(images), images)["sharpness"])
+
+
+def test_errors_of_motions_are_scipys():
+    known, found = np.eye(4), np.zeros((3, 4))
+    known[:3, :3], known[:3, 3] = Rotation.random(random_state=1).as_matrix(), [0.2, 0.0, 0.0]
+    found[:, :3], found[:, 3] = Rotation.from_rotvec([0, 0.1, 0]).as_matrix() @ known[:3, :3], [3.0, 0.1, 0.0]
+    assert pose_error(found, known) == pytest.approx(np.degrees(0.1))
+    found[:, 3] = [0.0, 0.0, -2.0]
+    assert pose_error(found, known) == pytest.approx(90)
+    known[:3, 3] = 0
+    assert pose_error(found, known) == pytest.approx(np.degrees(0.1))
+
+
+def test_geometry_of_a_known_scene_survives_and_that_of_noise_does_not():
+    angle = torch.linspace(-0.15, 0.15, 3)
+    eyes = 3 * torch.stack([angle.sin(), torch.zeros(3), -angle.cos()], 1)
+    size = (192, 256)
+    intrinsics = torch.tensor([[260.0, 0, 128], [0, 260.0, 96], [0, 0, 1]]).repeat(1, 3, 1, 1)
+    cameras = Cameras(look_at(eyes, torch.zeros(3, 3))[None], intrinsics, size)
+    scene = replace(wall(), scales=torch.full_like(wall().scales, 0.03))
+    with torch.no_grad():
+        images = CpuRenderer(background=(0.0, 0.0, 0.0))(scene, cameras).color[0]
+    metric, pasted_views = GeometrySurvival(), images[:1].expand_as(images)
+    found, again, pasted, noise = (
+        figures(metric, images, row, cameras=cameras) for row in (images, images, pasted_views, noise_like(images))
+    )
+    assert found["registered"] == 1 and found["camera_error"] < 6 and found["pose_auc"] > 0.7
+    assert pasted["pose_auc"] < 0.1 and noise["pose_auc"] == noise["registered"] == 0
+    assert np.isnan(noise["camera_error"])
+    assert again == found  # views that are the same are not matched twice, and others are
+
+
+def test_csd_is_the_cosine_of_the_style_heads_outputs(tmp_path):
+    torch.manual_seed(0)
+    options = CSD.example(tmp_path)
+    saved = torch.load(options["file"])["model_state_dict"]
+    state = {key.removeprefix("module.").removeprefix("backbone."): tensor for key, tensor in saved.items()}
+    layer = nn.TransformerEncoderLayer(
+        64, 1, 256, activation=lambda x: x * torch.sigmoid(1.702 * x), batch_first=True, norm_first=True
+    ).eval()
+    names = {"attn": "self_attn", "mlp.c_fc": "linear1", "mlp.c_proj": "linear2", "ln_1": "norm1", "ln_2": "norm2"}
+    block = {key.removeprefix("transformer.resblocks.0."): tensor for key, tensor in state.items() if "resbl" in key}
+    layer.load_state_dict(
+        {
+            name + key.removeprefix(own): block[key]
+            for own, name in names.items()
+            for key in block
+            if key.startswith(own)
+        }
+    )
+
+    def described(images):
+        mean, std = (
+            torch.tensor(each).view(3, 1, 1)
+            for each in ((0.48145466, 0.4578275, 0.40821073), (0.26862954, 0.26130258, 0.27577711))
+        )
+        patches = nn.functional.conv2d((images - mean) / std, state["conv1.weight"], stride=56).flatten(2).mT
+        tokens = (
+            torch.cat([state["class_embedding"].expand(len(images), 1, -1), patches], 1) + state["positional_embedding"]
+        )
+        normed = nn.functional.layer_norm(tokens, (64,), state["ln_pre.weight"], state["ln_pre.bias"])
+        last = nn.functional.layer_norm(layer(normed)[:, 0], (64,), state["ln_post.weight"], state["ln_post.bias"])
+        return nn.functional.normalize(last @ state["last_layer_style"], dim=-1)
+
+    views, style = torch.rand(2, 3, 224, 224), torch.rand(3, 224, 224)
+    with torch.no_grad():
+        expected = (described(views) @ described(style[None])[0]).mean()
+    metric = CSD(**options)
+    assert figures(metric, views, views, style)["csd"] == pytest.approx(float(expected), abs=1e-5)
+    assert figures(metric, views, style.expand_as(views), style)["csd"] == pytest.approx(1)
+    assert set(metric.weights) == {"csd.pth"}
+
+
+def test_csd_needs_its_own_weights(tmp_path):
+    views = torch.rand(1, 3, 32, 32)
+    with pytest.raises(UserError, match=r"csd_vit_l.*CSD-ViT-L"):
+        figures(CSD(), views, views, views[0])
+    torch.save({"model_state_dict": {"module.last_layer_style": torch.zeros(1, 1)}}, tmp_path / "other.pth")
+    with pytest.raises(UserError, match="does not fit"):
+        figures(CSD(file=str(tmp_path / "other.pth")), views, views, views[0])

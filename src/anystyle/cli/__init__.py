@@ -1,0 +1,1 @@
+"""For programs on the command line: arguments, composed configurations, progress, and errors in one line."""

@@ -1,0 +1,166 @@
+"""Running a command on a configuration composed by Hydra: once, or once for each combination of a multirun."""
+
+import argparse
+import contextlib
+import functools
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.types import RunMode
+from omegaconf import DictConfig
+
+from anystyle import paths
+from anystyle.cli.arguments import EPILOG, MODES, new_parser, split
+from anystyle.cli.run import run, wants_traceback, words_of
+from anystyle.errors import UserError
+from anystyle.registry.compose import VERSION_BASE, check_words, choices, override
+from anystyle.registry.packages import groups
+from anystyle.registry.source import register
+
+
+def main(
+    config_name: str,
+    function: Callable[..., Any],
+    parser: argparse.ArgumentParser | None = None,
+    words: Sequence[str] | None = None,
+) -> None:
+    """Run a command: parse its words, compose the configuration, call ``function``; user errors end in one line.
+
+    Args:
+        config_name: The configuration's root in ``conf/``.
+        function: Called with the configuration; with the flags as a second argument where there is a parser.
+        parser: The command's ordinary flags; every other word goes to Hydra.
+        words: Instead of the process's arguments.
+    """
+
+    def command() -> None:
+        flags = parser or new_parser(config_name)
+        describe(flags)
+        arguments, rest = split(flags, words_of(words))
+        task = functools.partial(function, arguments=arguments) if parser else function
+        launch(config_name, functools.update_wrapper(lambda config: task(config), function), rest)
+
+    run(command)
+
+
+def describe(parser: argparse.ArgumentParser) -> None:
+    """Add Hydra's syntax and the configuration groups with their choices to a parser's help."""
+    listing = "".join(f"  {group}: {', '.join(choices(group))}\n" for group in groups())
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = "\n".join(filter(None, [parser.epilog, EPILOG, f"Groups:\n{listing}"]))
+
+
+def launch(
+    config_name: str, function: Callable[[DictConfig], Any], words: Sequence[str], folder: Path | None = None
+) -> None:
+    """Hand words to Hydra, which composes what is in ``folder`` (``conf/``) and calls ``function``, for each job."""
+    register()
+    check_words(words)
+    if len({word.partition("=")[0] for word in words} & {*MODES}) > 1:
+        raise UserError(f"give only one of {', '.join(MODES)}")
+    failures: list[Exception] = []
+
+    @functools.wraps(function)
+    def task(config: DictConfig) -> Any:
+        if HydraConfig.get().mode is RunMode.MULTIRUN:
+            return function(config)  # Hydra reports which job failed
+        try:
+            return function(config)
+        except Exception as error:
+            failures.append(error)
+            return None
+
+    with _arguments(words), _raising():
+        hydra.main(version_base=VERSION_BASE, config_path=str(folder or paths.CONF), config_name=config_name)(task)()
+    if failures:
+        raise failures[0]
+
+
+def with_sweep(parser: argparse.ArgumentParser, words: Sequence[str], *further: str) -> list[str]:
+    """The words, and for a multirun those that make it write into ``--out``, and further ones."""
+    with contextlib.suppress(UserError):  # raised again where the words are read for good
+        arguments, rest = split(parser, words)
+        if {"-m", "--multirun"} & set(rest):
+            return [*words, override("hydra.sweep.dir", arguments.out or "evaluation"), *further]
+    return list(words)
+
+
+def job_folder(out: str) -> Path:
+    """Where results go: ``--out``, and in a multirun a folder of each job's own in it."""
+    if not HydraConfig.initialized() or HydraConfig.get().mode is not RunMode.MULTIRUN:
+        return Path(out)
+    return Path(HydraConfig.get().runtime.output_dir)
+
+
+def checked_seed(seed: object) -> int:
+    """The configured seed."""
+    if not isinstance(seed, int) or not 0 <= seed < 1 << 63:
+        raise UserError(f"seed={seed}; give an integer of at least 0")
+    return seed
+
+
+@contextmanager
+def _arguments(words: Sequence[str]) -> Iterator[None]:
+    """Hydra reads the process's arguments, and so does whatever starts this process again for more devices."""
+    before = sys.argv
+    sys.argv = [before[0], *words]
+    try:
+        yield
+    finally:
+        sys.argv = before
+
+
+@contextmanager
+def _raising() -> Iterator[None]:
+    """Let Hydra raise instead of printing an error and leaving with status 1.
+
+    The processes that a training starts inherit both variables.
+    """
+    variables = {"HYDRA_FULL_ERROR": "1"} | ({} if wants_traceback() else {"ANYSTYLE_TRACEBACK": "0"})
+    before = {name: os.environ.get(name) for name in variables}
+    os.environ.update(variables)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+_LINE = "COMP_LINE"
+
+
+def complete(commands: Iterable[str], words: Sequence[str]) -> None:
+    """Answer a shell: print its installation script, or the words that may come next.
+
+    Args:
+        commands: All commands.
+        words: As Hydra takes them: ``install=bash``, ``uninstall=bash`` or ``query=bash``, with the line that is being
+            typed in ``COMP_LINE``; likewise for zsh and fish.
+    """
+    names = list(commands)
+    if any(word.startswith("query=") for word in words):
+        typed = os.environ.get(_LINE, "").split(" ")[1:]
+        command = typed[0] if typed else ""
+        if len(typed) < 2:
+            print(" ".join(name for name in names if name.startswith(command)))
+            return
+        if command not in names or not (paths.CONF / f"{command}.yaml").is_file():
+            return
+        os.environ[_LINE] = " ".join(typed)
+        launch(command, _nothing, ["-sc", *words])
+    else:
+        configured = [name for name in names if (paths.CONF / f"{name}.yaml").is_file()]
+        launch(configured[0], _nothing, ["-sc", *words])
+
+
+def _nothing(config: object) -> None:
+    """Stands for the command, which completing does not run."""
