@@ -2,7 +2,6 @@
 
 import re
 import unicodedata
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
@@ -50,7 +49,7 @@ def splits(stem: str, separators: str = "_") -> list[tuple[str, str]]:
 def sequence(names: Sequence[str]) -> tuple[int, ...]:
     """The number of each frame in its sequence, from 0, from the names of all its frames in order.
 
-    Where the numbers at the end of otherwise equal names mostly follow in one step, a larger step skips frames.
+    Where at least half of the numbers at the end of otherwise equal names follow in one step, larger steps skip frames.
     Otherwise each frame follows the one before it.
 
     Example:
@@ -64,7 +63,7 @@ def sequence(names: Sequence[str]) -> tuple[int, ...]:
         return places
     numbers = [int(part[2]) for part in found]
     steps = [second - first for first, second in pairwise(numbers)]
-    step, count = Counter(steps).most_common(1)[0] if steps else (1, 0)
-    if step < 1 or 2 * count <= len(steps) or any(one < 1 or one % step for one in steps):
+    step = min(steps, default=0)
+    if step < 1 or 2 * steps.count(step) < len(steps) or any(one % step for one in steps):
         return places
     return tuple((number - numbers[0]) // step for number in numbers)

@@ -110,7 +110,7 @@ class Pairing:
                 whole[f"style {gap.style}"] += gap.expected
             else:
                 parts.append(str(gap))
-        named = [*(f"{name} (all {number})" for name, number in whole.items()), *parts]
+        named = [*(f"{name} (all {whole[name]})" for name in sorted(whole, key=natural)), *parts]
         return f"{count} of {expected} stylized images are missing: {listing(named, 8)}"
 
     def _geometry(self) -> str:

@@ -76,10 +76,11 @@ class PaperFolder:
             folder, content = (_scene_folder(root, scene) for root in (self.methods[method], self.root / "content"))
             by_style = images_by_style(folder, styles) if folder else {}
             photographs = [path.stem for path in _images(content)] if content else []
+            frames = sorted({frame for images in by_style.values() for frame in images}, key=natural)
+            places = dict(zip(frames, _places(frames, photographs), strict=True))
             for style in styles:
-                images = by_style.get(style, {})
-                places = zip(_places(list(images), photographs), images.values(), strict=True)
-                by_cell[scene, style] = {place: path for place, path in places if place < self.frames}
+                images = {places[frame]: path for frame, path in by_style.get(style, {}).items()}
+                by_cell[scene, style] = {place: path for place, path in images.items() if place < self.frames}
         return by_cell
 
     def gaps(self, method: str) -> list[Gap]:

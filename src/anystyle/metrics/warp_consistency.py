@@ -102,7 +102,7 @@ class WarpConsistency(NetworkMetric):
         for index, (name, gap) in enumerate(RANGES.items()):
             if int(self.rows[index]) == 0:
                 warnings.warn(
-                    f"warp_consistency: no scene with two frames, {gap} apart, that see each other; "
+                    f"warp_consistency: no scene with {gap + 1} frames of which the first and the last see each other; "
                     f"the {name} range's figures are nan",
                     stacklevel=2,
                 )
