@@ -109,7 +109,7 @@ def test_inputs_that_do_not_exist_are_told_before_networks_are_built(tmp_path, c
     cases = {
         "there is no stylized folder": flags(content, style, tmp_path / "absent"),
         "1 of 12 stylized images are missing": flags(content, style, stylized),
-        "absent/content/Train: 0 photographs": ["protocol=table2", f"root={tmp_path}/absent"],
+        "absent: content/Train: 0 photographs": ["protocol=table2", f"root={tmp_path}/absent"],
         "root is not given": ["protocol=table2"],
         "there is no such folder": ["protocol=paper_image", "scenes=folder", f"scenes.root={tmp_path}/absent"],
         "absent: there is no such": ["scenes=procedural", "styles=folder", f"styles.root={tmp_path}/absent"],

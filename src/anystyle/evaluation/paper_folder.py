@@ -116,17 +116,16 @@ class PaperFolder:
                 lines.append(f"methods/{method}: there is no such folder")
             elif missing == "refuse" and (gaps := self.gaps(method)):
                 short = [f"{gap.scene} in {gap.style} lacks {len(gap.frames)} of {gap.expected}" for gap in gaps]
-                lines.append(f"methods/{method}: {len(gaps)} scenes lack images: {listing(short, 4)}")
+                lines.append(
+                    f"methods/{method}: {len(gaps)} scenes lack images: {listing(short, 4)} (missing=allow judges the others)"
+                )
         return lines
 
     def require(self, *, texts: bool, methods: Sequence[str] | None, missing: MissingImages = "refuse") -> None:
         """Raise a UserError that says what is missing."""
         if lines := self.problems(texts=texts, methods=methods, missing=missing):
             more = f" and {len(lines) - 3} more" if len(lines) > 3 else ""
-            raise UserError(
-                f"root={self.root}: {'; '.join(lines[:3])}{more}; {_DESCRIPTION}; missing=allow judges methods by the "
-                "images that are there"
-            )
+            raise UserError(f"root={self.root}: {'; '.join(lines[:3])}{more}; {_DESCRIPTION}")
 
 
 def _folders(folder: Path) -> list[Path]:
