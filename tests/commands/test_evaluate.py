@@ -76,6 +76,51 @@ def test_folders_of_any_method(tmp_path, capsys):
         assert sheet.width > 4 * 160
 
 
+def test_missing_images_are_refused_or_said_in_every_table(tmp_path, capsys):
+    content, style, stylized = folders(tmp_path / "in")
+    picture(style / "c.png", 0)
+    (stylized / "one" / "a_1.png").unlink()
+    given = [*flags(content, style, stylized), *TOY, "--out", "out"]
+    told = "7 of 18 stylized images are missing: style c (all 6), one/a (1 of 3: 001)"
+    assert f"{told}; add them, or missing=allow to judge what is there" in fails(capsys, *given)
+    run(*given, "missing=allow")
+    shown = capsys.readouterr()
+    assert told in shown.out
+    assert "| figure   | all (7 missing) | one (4 missing) | two (3 missing) |" in shown.out
+    assert "n = 11 of 18" in shown.out
+    known = metrics("out")["provenance"]
+    assert known["missing"][0] == {"scene": "one", "style": "a", "n": 2, "missing": 1}
+    rows = list(csv.DictReader(Path("out/metrics.csv").read_text().splitlines()))
+    assert [f"{row['n']} and {row['missing']}" for row in rows[:3]] == ["2 and 1", "3 and 0", "0 and 3"]
+    assert rows[2]["change"] == ""
+    (style / "c.png").unlink()
+    picture(stylized / "one" / "a_1.png", 1)
+    run(*given)  # in the same folder
+    assert metrics("out")["provenance"]["n"] == 12
+
+
+def test_inputs_that_do_not_exist_are_told_before_networks_are_built(tmp_path, capsys, monkeypatch):
+    def built(*_):
+        pytest.fail("a network is built")
+
+    monkeypatch.setattr(command, "make_parts", built)
+    content, style, stylized = folders(tmp_path / "in")
+    (stylized / "one" / "a_1.png").unlink()
+    cases = {
+        "there is no stylized folder": flags(content, style, tmp_path / "absent"),
+        "1 of 12 stylized images are missing": flags(content, style, stylized),
+        "absent: content/Train: 0 photographs": ["protocol=table2", f"root={tmp_path}/absent"],
+        "root is not given": ["protocol=table2"],
+        "there is no such folder": ["protocol=paper_image", "scenes=folder", f"scenes.root={tmp_path}/absent"],
+        "absent: there is no such": ["scenes=procedural", "styles=folder", f"styles.root={tmp_path}/absent"],
+        "this protocol needs styles": ["scenes=procedural"],
+        "scene_names: there is no scene 'x'": ["scenes=procedural", "protocol.scene_names=[x]"],
+        "there is no run": ["--run", tmp_path / "absent"],
+    }
+    for told, words in cases.items():
+        assert told in fails(capsys, *words, *TOY, "--out", "out"), told
+
+
 def test_a_model_on_a_protocol_resumes_and_is_bound_to_its_configuration(tmp_path, capsys):
     words = [
         "protocol=paper_image", "protocol.num_styles=2", "protocol.num_scenes=1", "protocol.frames=2",
@@ -90,6 +135,10 @@ def test_a_model_on_a_protocol_resumes_and_is_bound_to_its_configuration(tmp_pat
     (scene,) = Path("out/images/stylized").iterdir()
     kept = sorted(path for path in scene.iterdir() if path.suffix == ".jpg")
     assert [path.stem for path in kept] == ["00_000", "00_001", "01_000", "01_001"]
+    (Path("out/images/depth") / scene.name / "000.npy").unlink()
+    kept[2].unlink()
+    run(*words, "--out", "out")
+    assert metrics("out")["provenance"]["n"] == 4 and kept[2].is_file()
     times = [path.stat().st_mtime_ns for path in kept]
     run(*words, "--out", "out")
     assert [path.stat().st_mtime_ns for path in kept] == times

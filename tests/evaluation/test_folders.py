@@ -1,11 +1,13 @@
 """Which photograph and style an image belongs to, and what is said where there is none."""
 
-import logging
+import unicodedata
+from itertools import product
 
 import numpy as np
 import pytest
 import torch
 
+from anystyle.errors import UserError
 from anystyle.evaluation.comparisons import Reader, write_cameras
 from anystyle.evaluation.pairing import pair
 from anystyle.testing.inputs import cameras
@@ -21,7 +23,7 @@ def test_scenes_styles_and_frames(tmp_path):
     assert cell.frames == tuple(str(frame) for frame in range(11))
     assert [path.name for path in cell.content] == [f"{frame:03d}.png" for frame in range(11)]
     assert cell.reference.name == "a.png"
-    assert pairing.unused == ()
+    assert pairing.lacking() == ""
     read = Reader()(cell)
     assert read.content.shape == read.stylized.shape == (1, 11, 3, 8, 12)
     torch.testing.assert_close(read.stylized[0, :, 0, 0, 0] * 255, 60.0 + torch.arange(11.0))
@@ -62,14 +64,106 @@ def test_what_has_no_partner_is_listed(tmp_path):
     assert "\n" not in told
 
 
-def test_what_belongs_to_nothing_is_told(tmp_path, caplog):
+def test_what_is_missing_is_refused_by_name_or_left_out_by_number(tmp_path):
+    content, style, stylized = folders(tmp_path, scenes=("one", "two", "three"), styles=("a", "b", "c"), frames=11)
+    for name in ("one/a_3", "one/a_5", "one/a_7", "one/c_0"):
+        (stylized / f"{name}.png").unlink()
+    for path in {*(stylized / "two").iterdir(), *stylized.glob("*/b_*")}:
+        path.unlink()
+    with pytest.raises(UserError) as caught:
+        pair(content, style, stylized)
+    assert str(caught.value) == (
+        "59 of 99 stylized images are missing: scene two (all 33), style b (all 22), one/a (3 of 11: 003, 005, 007), "
+        "one/c (1 of 11: 000); add them, or missing=allow to judge what is there"
+    )
+    pairing = pair(content, style, stylized, missing="allow")
+    assert [(cell.scene, cell.style, len(cell.frames)) for cell in pairing.cells] == [
+        ("one", "a", 8), ("one", "c", 10), ("three", "a", 11), ("three", "c", 11)
+    ]  # fmt: skip
+    assert pairing.cells[0].numbers == (0, 1, 2, 4, 6, 8, 9, 10)
+    # Frame 1 and frame 2 follow each other, 2 and 4 do not.
+    assert Reader()(pairing.cells[0]).neighbours() == [(0, 1), (1, 2), (5, 6), (6, 7)]
+
+
+@pytest.mark.parametrize("layout", ["{scene}/{style}/{frame}", "{scene}/{style}_{frame}"])
+@pytest.mark.parametrize(
+    ("scene", "style", "frame"),
+    [
+        ("wave", "van_gogh", "frame_{:05d}"),
+        ("my scene.v2", "a.b", "IMG_{:04d}"),
+        ("scène", "日本_画", "v1.5_{:d}"),
+        ("a_b", "a", "b_{:d}"),
+        ("00", "00", "{:03d}"),
+    ],
+)
+def test_names_are_found_whole(tmp_path, layout, scene, style, frame):
+    for number in (2, 10, 1):
+        content = picture(tmp_path / "content" / unicodedata.normalize("NFC", scene) / f"{frame.format(number)}.png", 1)
+        name = layout.format(scene=unicodedata.normalize("NFD", scene), style=style, frame=frame.format(number))
+        picture(tmp_path / "stylized" / f"{name}.png", 2)
+    for name in (style, f"{style}_2", "other"):
+        picture(tmp_path / "style" / f"{name}.png", 3)
+    (cell,) = pair(tmp_path / "content", tmp_path / "style", tmp_path / "stylized", missing="allow").cells
+    assert (cell.scene, cell.style) == (content.parent.name, style)
+    assert [path.stem for path in cell.content] == [frame.format(number) for number in (1, 2, 10)]
+
+
+@pytest.mark.parametrize("name", ["wave/frame_00001", "wave_frame_00001", "Wave/frame_1"])
+@pytest.mark.parametrize("scene", ["", "one/"])
+def test_one_scene_needs_no_folder(tmp_path, name, scene):
+    picture(tmp_path / "content" / scene / "frame_00001.png", 1)
+    picture(tmp_path / "stylized" / f"{name}.png", 2)
+    picture(tmp_path / "style" / "wave.jpg", 3)
+    (cell,) = pair(tmp_path / "content", tmp_path / "style", tmp_path / "stylized").cells
+    assert (cell.scene, cell.style, cell.content[0].stem) == (scene.rstrip("/"), "wave", "frame_00001")
+
+
+def test_two_readings_are_told_with_what_to_type(tmp_path):
+    for name in ("content/one/1", "content/one/b_1", "style/a", "style/a_b", "stylized/one/a_b_1"):
+        picture(tmp_path / f"{name}.png", 0)
+    with pytest.raises(UserError) as caught:
+        pair(tmp_path / "content", tmp_path / "style", tmp_path / "stylized", missing="allow")
+    assert str(caught.value) == (
+        "one/a_b_1 may be b_1.png in style a.png or 1.png in style a_b.png; name it one/a/b_1 or one/a_b/1"
+    )
+
+
+@pytest.mark.parametrize(
+    ("layout", "told"),
+    [
+        ("{style}/{scene}/{frame}", "these look like STYLE/SCENE/FRAME.png: arrange them as SCENE/STYLE/FRAME.png"),
+        ("{style}/{scene}_{frame}", "these look like STYLE/SCENE_FRAME.png: arrange"),
+        ("{scene}_{style}/{frame}", "these look like SCENE_STYLE/FRAME.png: arrange"),
+        ("{scene}/{frame}/{style}", "these look like SCENE/FRAME/STYLE.png: arrange"),
+        ("{scene}/{frame}_{style}", "these look like SCENE/FRAME_STYLE.png: arrange"),
+        ("{scene}/{style}-{frame}", "these look like SCENE/STYLE-FRAME.png: arrange"),
+        ("{scene}_{style}_{frame}", "these look like SCENE_STYLE_FRAME.png: arrange"),
+        (
+            "nnfm/{scene}/{style}/{frame}",
+            "look like FOLDER/SCENE/STYLE/FRAME.png: give --stylized one folder, such",
+        ),
+        ("{scene}/{style}/rgb/{frame}", "these look like SCENE/STYLE/FOLDER/FRAME.png: arrange"),
+        ("{style}/{frame}", "these look like STYLE/FRAME.png of one scene, and --content holds several (one, two)"),
+        (
+            "{scene}/x{style}/{frame}",
+            "expected SCENE/STYLE/FRAME.png, with frames named like 'f_0' and styles like",
+        ),
+    ],
+)
+def test_the_layout_that_was_found_is_told(tmp_path, layout, told):
+    for scene, style, frame in product(("one", "two"), ("a_b", "c"), ("f_0", "f_1")):
+        picture(tmp_path / "content" / scene / f"{frame}.png", 0)
+        picture(tmp_path / "style" / f"{style}.png", 0)
+        picture(tmp_path / "stylized" / f"{layout.format(scene=scene, style=style, frame=frame)}.png", 0)
+    with pytest.raises(UserError) as caught:
+        pair(tmp_path / "content", tmp_path / "style", tmp_path / "stylized")
+    assert told in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_photographs_of_one_scene_are_not_those_of_two(tmp_path):
     content, style, stylized = folders(tmp_path)
-    picture(content / "one" / "999.png", 0)
-    picture(style / "unused.png", 0)
-    with caplog.at_level(logging.WARNING):
-        pairing = pair(content, style, stylized)
-    assert pairing.unused == ("content/one/999.png", "style/unused.png")
-    assert "2 images belong to no stylized image" in caplog.text
+    with pytest.raises(UserError, match=r"of one scene, and the stylized images of 2 \(one, two\); give --content"):
+        pair(content / "one", style, stylized)
 
 
 def test_folders_that_cannot_be_judged(tmp_path):
@@ -125,3 +219,6 @@ def test_depth_and_cameras(tmp_path):
     (tmp_path / "depth" / "one" / "1.npy").unlink()
     with pytest.raises(ValueError, match=r"2 of 6 .*one/a_1 \(no depth 1\)"):
         pair(*known, tmp_path / "depth")
+    pairing = pair(*known, tmp_path / "depth", missing="allow")
+    assert pairing.lacking() == "depth is missing of one/1"
+    torch.testing.assert_close(Reader()(pairing.cells[0]).depth[0, :, 0, 0], torch.tensor([1.0, 0.0, 3.0]))

@@ -1,6 +1,7 @@
 """The paper's protocol in one word: a folder that is held against its layout, and methods side by side."""
 
 import shutil
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -9,10 +10,11 @@ from anystyle.cli.run import run
 from anystyle.commands import report
 from anystyle.data.style_folder import FolderStyles
 from anystyle.errors import UserError
-from anystyle.evaluation import published_figures, record
+from anystyle.evaluation import published_figures, record, run_table
 from anystyle.evaluation.pairing import pair
 from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle.evaluation.protocols.tables import Tables
+from anystyle.evaluation.runs import find
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
 from anystyle.testing.protocol import runtime
@@ -20,6 +22,8 @@ from anystyle_datasets.command import Data
 from evaluation_cases import Mean, picture
 
 TEXTS = "".join(f'{{"image": "{style:02d}.png", "text": "style {style}"}}\n' for style in range(NUM_STYLES))
+
+OPTIONS = {"scene_names": ["Train", "Garden"], "num_styles": 2, "frames": 3, "size": 16}
 
 
 def silent(stage, done, total):
@@ -48,8 +52,7 @@ def root(tmp_path):
 def tables(folder, **options):
     parts = {name: part for name, part in runtime().items() if name == "stylizer"} | {"metrics": {"mean": Mean()}}
     parts |= {"metrics": options.pop("metrics")} if "metrics" in options else {}
-    known = {"scene_names": ["Train", "Garden"], "num_styles": 2, "frames": 3, "size": 16}
-    return Tables(**parts, **known | {"root": str(folder)} | options)
+    return Tables(**parts, **OPTIONS | {"root": str(folder)} | options)
 
 
 def test_every_method_is_a_row_beside_the_model_and_the_photographs(root, tmp_path):
@@ -63,6 +66,39 @@ def test_every_method_is_a_row_beside_the_model_and_the_photographs(root, tmp_pa
     assert found.times["time_s"] > 0
     stored = record.read(tmp_path / "out" / "methods" / "Stylos")
     assert stored.n == 2 * 2 * 3 and set(stored.scenes) == {"Train", "Garden"}
+
+
+@pytest.mark.parametrize("name", ["{:03d}", "{:05d}", "frame_{:d}"])
+def test_images_that_a_method_lacks_are_named_and_others_keep_their_photographs(root, tmp_path, name):
+    folder = root / "methods" / "Styl3R" / "Train"
+    for path in folder.iterdir():
+        path.unlink()
+    for style in ("00", "01"):
+        for frame in (0, 1, 2, 3):
+            picture(folder / f"{style}_{name.format(frame)}.png", 100 + frame, (8, 8))
+    (folder / f"00_{name.format(1)}.png").unlink()
+    with pytest.raises(UserError, match="methods/Styl3R: 1 scenes lack images: Train in 00 lacks 1 of 3"):
+        Tables.check(**OPTIONS, root=str(root), guides=[], methods=None, missing="refuse")
+    found = tables(root, guides=[], missing="allow").run(tmp_path / "out", silent)
+    stored = record.read(tmp_path / "out" / "methods" / "Styl3R")
+    assert (stored.n, stored.size, stored.missing("Train"), stored.missing("Garden")) == (11, "11 of 12", 1, 0)
+    assert stored.scenes["Train"]["mean"] == pytest.approx((100 + 102 + 100 + 101 + 102) / 5 / 255, abs=1e-6)
+    assert found.missing("Styl3R") == found.missing() == 1
+    (line,), _ = run_table.lines_of(find(tmp_path / "out" / "methods" / "Styl3R"))
+    assert line.title == "Styl3R (1 images missing)"
+
+
+def test_names_of_a_methods_images_are_read_whole(root):
+    for scene in ("Train", "Garden"):
+        for style, frame in product(("van_gogh", "wave"), range(3)):
+            picture(root / "methods" / "mine" / scene / f"{style}_frame_{frame:05d}.png", 100, (8, 8))
+    for style in ("van_gogh", "wave"):
+        picture(root / "styles" / f"{style}.png", 90)
+    layout = PaperFolder(root, ("Train", "Garden"), 4, 3)
+    assert [gap.style for gap in layout.gaps("mine")] == ["00", "01", "00", "01"]
+    assert [path.stem for path in layout.renders("mine")["Train", "van_gogh"].values()] == [
+        f"van_gogh_frame_{frame:05d}" for frame in range(3)
+    ]
 
 
 def test_rows_of_a_table_are_reported_beside_the_papers(root, tmp_path, capsys):
@@ -133,6 +169,8 @@ def test_the_defaults_are_the_papers():
 
 
 def test_renders_in_a_folder_for_each_style_are_paired(root):
+    (root / "content" / "Train" / "00003.png").unlink()
+    (root / "content" / "Garden" / "00003.png").unlink()
     cells = pair(root / "content", root / "styles", root / "methods" / "Styl3R").cells
     for path in (root / "methods" / "Styl3R").glob("*/*_*.png"):
         style, _, frame = path.stem.rpartition("_")

@@ -215,6 +215,24 @@ def test_the_photographs_flow_is_searched_once_for_all_styles(monkeypatch):
         assert len(searched) == times
 
 
+def test_frames_are_neighbours_by_their_numbers():
+    given = pictures(styles=1, frames=4, side=40)
+
+    def found(*views: int, numbers: tuple[int, ...] = ()) -> dict[str, float]:
+        metric = WarpConsistency(correspondence=Raft(weights="stand_in"), weights="stand_in")
+        rows = given.content[:, list(views)], given.stylized[:, list(views)]
+        metric.update(Comparison(*rows, numbers=numbers))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of a range without pairs
+            return {name: float(value) for name, value in metric.compute().items()}
+
+    some, one, other = found(0, 1, 2, 3, numbers=(0, 1, 3, 7)), found(0, 1), found(0, 3)
+    assert some["warp_rmse_short"] == pytest.approx(one["warp_rmse_short"], rel=1e-6)
+    assert some["warp_rmse_long"] == pytest.approx(other["warp_rmse_short"], rel=1e-6)
+    with pytest.raises(ValueError, match="2 views have 1 numbers"):
+        found(0, 1, numbers=(0,))
+
+
 def test_a_style_that_hides_all_motion_does_not_hide_it_from_the_corrected_variant():
     """Stylized frames without any texture give the flow nothing to hold on to; the photographs do."""
     wide = smooth_image(5, [1, 3, 42, 60]) * 0.5 + 0.5 * smooth_image(6, [1, 3, 42, 60])

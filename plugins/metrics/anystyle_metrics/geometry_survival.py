@@ -2,8 +2,7 @@
 
 import tempfile
 import warnings
-from collections.abc import Mapping
-from itertools import pairwise
+from collections.abc import Mapping, Sequence
 from math import acos, degrees, inf, nan
 from pathlib import Path
 from typing import ClassVar
@@ -61,7 +60,7 @@ class GeometrySurvival(Metric):
 
     @torch.no_grad()
     def update(self, comparison: Comparison) -> None:
-        if checked(comparison).cameras is None or comparison.stylized.shape[1] < 2:
+        if checked(comparison).cameras is None or not comparison.neighbours():
             return
         for row in range(len(comparison.stylized)):
             one = comparison.row(row)
@@ -75,9 +74,10 @@ class GeometrySurvival(Metric):
     def _errors(self, row: Comparison) -> Float64[np.ndarray, " pairs"]:
         """Of a row's pairs; the last row's where views are the same, as those of a method that ignores its style."""
         assert row.cameras is not None
-        views = row.stylized, row.cameras.world_from_camera, row.cameras.intrinsics
+        neighbours = row.neighbours()
+        views = row.stylized, row.cameras.world_from_camera, row.cameras.intrinsics, torch.tensor(neighbours)
         if self._last is None or not all(map(torch.equal, self._last[0], views)):
-            self._last = views, np.array(pose_errors(row.stylized[0], row.cameras, self.min_side))
+            self._last = views, np.array(pose_errors(row.stylized[0], row.cameras, neighbours, self.min_side))
         return self._last[1]
 
     def compute(self) -> dict[str, Tensor]:
@@ -86,8 +86,10 @@ class GeometrySurvival(Metric):
         return dict(zip(FIGURES, (self.totals / self.rows).float(), strict=True))  # nan where there is no row
 
 
-def pose_errors(views: Float[Tensor, "V 3 H W"], cameras: Cameras, min_side: int = 512) -> list[float]:
-    """The error in degrees of the motion from each view to the next; infinite where none is found."""
+def pose_errors(
+    views: Float[Tensor, "V 3 H W"], cameras: Cameras, pairs: Sequence[tuple[int, int]], min_side: int = 512
+) -> list[float]:
+    """The error in degrees of the motion between the views of each pair; infinite where none is found."""
     catalog().find("pose_estimator", "sfm").load()  # where its package is not installed, this makes it importable
     from anystyle_captures.sfm.colmap import match, motion
     from anystyle_captures.sfm.model import Photograph, SearchOptions
@@ -99,13 +101,13 @@ def pose_errors(views: Float[Tensor, "V 3 H W"], cameras: Cameras, min_side: int
         for index, (image, focal) in enumerate(zip(pixels, intrinsics[:, 0, 0].tolist(), strict=True))
     ]
     with tempfile.TemporaryDirectory() as folder:
-        graph = match(Path(folder), photographs, SearchOptions(min_side), pairs=[*pairwise(range(len(photographs)))])
-    errors = [inf] * (len(photographs) - 1)
+        graph = match(Path(folder), photographs, SearchOptions(min_side), pairs=[*pairs])
+    errors = dict.fromkeys(pairs, inf)
     for pair in graph.pairs:
         found = motion(graph, pair, [intrinsics[pair.first], intrinsics[pair.second]], cameras.size)
         if found is not None:
-            errors[pair.first] = pose_error(found, np.linalg.solve(poses[pair.second], poses[pair.first]))
-    return errors
+            errors[pair.first, pair.second] = pose_error(found, np.linalg.solve(poses[pair.second], poses[pair.first]))
+    return [*errors.values()]
 
 
 def pose_error(found: Float64[np.ndarray, "3 4"], known: Float64[np.ndarray, "4 4"]) -> float:

@@ -34,9 +34,10 @@ class Met3rDepth(NetworkMetric, RowMean):
 
     ``1 - (S(a, b) + S(b, a)) / 2`` in [0, 2] (arXiv 2501.06336, section 3): ``S(a, b)`` is the mean cosine of the
     features of ``a`` and of those of ``b`` warped into it, over the pixels of ``a`` that ``b`` sees. Views are paired
-    with the next. Two things differ from the publication, so that figures cannot be compared with it: pixels correspond
-    by the comparison's depth and cameras and not by DUSt3R, and DINO's features (ViT-S/16, last layer) are interpolated
-    bilinearly and not by FeatUp. Rows without depth or cameras, or with one view, are left out.
+    with the next of their sequence. Two things differ from the publication, so that figures cannot be compared with it:
+    pixels correspond by the comparison's depth and cameras and not by DUSt3R, and DINO's features (ViT-S/16, last
+    layer) are interpolated bilinearly and not by FeatUp. Rows without depth or cameras, or without two views that
+    follow each other, are left out.
 
     The stand-in has the activations of EfficientNet-Lite0's block 5.
 
@@ -58,17 +59,18 @@ class Met3rDepth(NetworkMetric, RowMean):
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:
         """The mean of each row's pairs; ``nan`` where no view sees what the next one shows."""
         depth, cameras = comparison.depth, comparison.cameras
-        if depth is None or cameras is None or depth.shape[1] < 2:
+        neighbours = comparison.neighbours()
+        if depth is None or cameras is None or not neighbours:
             return torch.zeros(0, dtype=torch.float64, device=comparison.stylized.device)
         rows = zip(comparison.stylized, depth, cameras.world_from_camera, cameras.intrinsics, strict=True)
-        return torch.stack([self._of_row(Frames(*row)) for row in rows])
+        return torch.stack([self._of_row(Frames(*row), *map(list, zip(*neighbours, strict=True))) for row in rows])
 
-    def _of_row(self, frames: Frames) -> Float[Tensor, ""]:
+    def _of_row(self, frames: Frames, first: list[int], second: list[int]) -> Float[Tensor, ""]:
         features = self._features(frames.images)
-        forward, backward = self._both_ways(frames)
+        forward, backward = self._both_ways(frames, first, second)
         similarities = [
-            similarity(features[:-1], features[1:], forward),
-            similarity(features[1:], features[:-1], backward),
+            similarity(features[first], features[second], forward),
+            similarity(features[second], features[first], backward),
         ]
         return 1 - torch.stack(similarities).double().mean(0).nanmean()
 
@@ -78,13 +80,13 @@ class Met3rDepth(NetworkMetric, RowMean):
         images = F.interpolate(images, size=size, mode="bicubic", antialias=True).clamp(0, 1)
         return torch.cat([self.network.maps(batch) for batch in images.split(batch_size(images))])
 
-    def _both_ways(self, frames: Frames) -> list[Matches]:
+    def _both_ways(self, frames: Frames, first: list[int], second: list[int]) -> list[Matches]:
         known = (frames.depth, frames.world_from_camera, frames.intrinsics)
-        key = [digest for tensor in known if tensor is not None for digest in digests(tensor)]
+        key = [str((first, second)), *(digest for tensor in known if tensor is not None for digest in digests(tensor))]
         if key != self._matches[0]:
-            first: Frames = frames.map(lambda tensor: tensor[:-1])
-            second: Frames = frames.map(lambda tensor: tensor[1:])
-            self._matches = (key, [self._match(first, second), self._match(second, first)])
+            source: Frames = frames.map(lambda tensor: tensor[first])
+            target: Frames = frames.map(lambda tensor: tensor[second])
+            self._matches = (key, [self._match(source, target), self._match(target, source)])
         return self._matches[1]
 
     def _match(self, source: Frames, target: Frames) -> Matches:

@@ -168,6 +168,22 @@ def test_met3r_prefers_views_of_one_scene():
     assert scene < 0.9 * other < other < noise
 
 
+def test_views_are_neighbours_by_their_numbers():
+    images, cameras, depth = photographed_wall(4)
+
+    def found(metric, views, numbers=()):
+        known = {"cameras": cameras.select(views), "depth": depth[None, views], "numbers": numbers}
+        return figures(metric, images[views], images[views], **known)
+
+    some = found(Met3rDepth(weights="stand_in"), [0, 1, 2, 3], (0, 1, 3, 4))["met3r_depth"]
+    pairs = [found(Met3rDepth(weights="stand_in"), views)["met3r_depth"] for views in ([0, 1], [2, 3])]
+    assert some == pytest.approx(np.mean(pairs), rel=1e-5)
+    with pytest.warns(UserWarning, match="no two views"):
+        assert np.isnan(found(Met3rDepth(weights="stand_in"), [0, 1], (0, 2))["met3r_depth"])
+    poses = [found(GeometrySurvival(min_side=128), *given) for given in (([0, 2, 3], (0, 2, 3)), ([2, 3],))]
+    np.testing.assert_equal(*poses)
+
+
 def test_met3r_needs_geometry():
     images = smooth_image(5, [2, 3, 64, 64])
     with pytest.warns(UserWarning, match="no two views with depth and cameras"):

@@ -13,6 +13,7 @@ import numpy as np
 from PIL import Image, ImageOps
 
 from anystyle.errors import UserError
+from anystyle.evaluation.names import folded
 from anystyle.evaluation.tables import Table, escape_markdown
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.documents import read_text
@@ -126,7 +127,8 @@ def _images(
 ) -> tuple[list[list[Image.Image]], list[str]]:
     """Views of ours, of the other method and of the photographs in one size, and the names of those cropped to fit."""
     frames = pictures.matching_frames(results, plan.views)
-    named = [frame for frame in contents if frame.stem in {frame.stem for frame in frames[0]}]
+    shown = {folded(frame.stem) for frame in frames[0]}
+    named = [frame for frame in contents if folded(frame.stem) in shown]
     frames.append(named if len(named) == plan.views else pictures.spread(contents, plan.views))
     shape = pictures.read_picture(frames[0][0]).size
     size = pictures.fitted_size(shape, plan.image_size)

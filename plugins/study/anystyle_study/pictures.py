@@ -1,5 +1,6 @@
 """Results, photographs and styles in folders, and their pictures in one size."""
 
+import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -8,8 +9,11 @@ import av
 from PIL import Image, ImageOps
 
 from anystyle.errors import UserError
+from anystyle.evaluation.names import folded
 from anystyle.io.images import decodable, opened
+from anystyle.paths import natural
 
+log = logging.getLogger(__name__)
 _T = TypeVar("_T")
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
@@ -24,7 +28,8 @@ def frames_in(path: Path) -> list[Path]:
     if path.is_file():
         return [path] if path.suffix.lower() in SUFFIXES else []
     inner = next((path / name for name in ("renders", "images") if (path / name).is_dir()), path)
-    return sorted(file for file in inner.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
+    files = (file for file in inner.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
+    return sorted(files, key=lambda file: natural(file.name))
 
 
 def _frames(folder: Path, kind: str) -> dict[str, list[Path]]:
@@ -64,10 +69,14 @@ def matching_frames(groups: Sequence[Sequence[Path]], count: int) -> list[list[P
     few = min(groups, key=len)
     if len(few) < count:
         raise UserError(f"{few[0].parent} has {len(few)} view(s) where {count} are planned; add some or plan fewer")
-    common = sorted(set.intersection(*({frame.stem for frame in group} for group in groups)))
+    named = [{folded(frame.stem): frame for frame in group} for group in groups]
+    common = [name for name in named[0] if all(name in frames for frames in named)]
     if len(common) >= count:
         names = spread(common, count)
-        return [[frame for frame in group if frame.stem in names] for group in groups]
+        return [[frames[name] for name in names] for frames in named]
+    if len({len(group) for group in groups}) > 1:
+        numbers = ", ".join(f"{len(group)} in {group[0].parent}" for group in groups)
+        log.warning("views have different names and numbers (%s): they are matched by their places", numbers)
     return [spread(group, count) for group in groups]
 
 

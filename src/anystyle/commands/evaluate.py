@@ -24,7 +24,7 @@ from anystyle.evaluation.config_lock import bind
 from anystyle.evaluation.runs import job_order
 from anystyle.io.checkpoint import read_header
 from anystyle.io.documents import read_json
-from anystyle.registry.build import build, build_all
+from anystyle.registry.build import build, build_all, plugin_of
 from anystyle.registry.catalog import catalog
 from anystyle.registry.schema import runtime_arguments
 from anystyle.registry.untrusted import check_saved
@@ -40,11 +40,11 @@ def parser() -> argparse.ArgumentParser:
     flags = new_parser(
         "evaluate",
         "Judge a model on a protocol (protocol=paper_image scenes=folder scenes.root=DIR styles=folder "
-        "styles.root=DIR), or any method's images (--content, --style, --stylized).",
+        "styles.root=DIR), or any method's images (--content, --style, --stylized; missing=allow if some are absent).",
     )
     flags.add_argument("--content", metavar="DIR", help="photographs: SCENE/FRAME.png")
     flags.add_argument("--style", metavar="DIR", help="style images: STYLE.png")
-    flags.add_argument("--stylized", metavar="DIR", help="results: SCENE/STYLE_FRAME.png or SCENE/STYLE/FRAME.png")
+    flags.add_argument("--stylized", metavar="DIR", help="results: SCENE/STYLE/FRAME.png or SCENE/STYLE_FRAME.png")
     flags.add_argument("--depth", metavar="DIR", help="depth: SCENE/FRAME.npy, and SCENE/cameras.npz if known")
     flags.add_argument("--run", metavar="DIR", dest="trained", help="judge what a training run, or multirun, made")
     flags.add_argument("--out", default=None, help="where the results go (default: evaluation, or in the run)")
@@ -81,9 +81,12 @@ def evaluate(config: DictConfig, out: Path) -> Evaluation:
     """Run the protocol of a composed configuration, and write its result; an evaluation in ``out`` is resumed."""
     start = time.perf_counter()
     torch.manual_seed(checked_seed(config.seed))
-    plugin = catalog().owner("protocol", str(config.protocol.get("_target_")))
+    plugin, options = plugin_of(Protocol, config.protocol)
     named = runtime_arguments(plugin)
+    sources = make_sources(config, named)
+    plugin.load().check(**options, **sources)
     parts, weights = make_parts(config, named)
+    parts |= sources
     protocol = build(Protocol, config.protocol, **parts)
     judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
     with bind(config, weights, out, named):
@@ -104,7 +107,7 @@ def evaluate(config: DictConfig, out: Path) -> Evaluation:
         table = record.write(evaluation, out, provenance)
     plots.examples(evaluation, out / "examples.png")
     try:
-        plots.spread(evaluation, out / "spread.png", caption=f"{plugin.name}, {config.variant}; n = {evaluation.n}")
+        plots.spread(evaluation, out / "spread.png", caption=f"{plugin.name}, {config.variant}; n = {evaluation.size}")
     except ImportError as error:
         print(f"no plot: {error}", file=sys.stderr)
     print(table.markdown(), end="")
@@ -113,7 +116,7 @@ def evaluate(config: DictConfig, out: Path) -> Evaluation:
 
 
 def make_parts(config: DictConfig, named: Mapping[str, bool]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The parts that a protocol's constructor names, and the weights that were loaded for them."""
+    """The networks that a protocol's constructor names, and the weights that were loaded for them."""
     parts: dict[str, Any] = {}
     weights: dict[str, Any] = {}
     device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
@@ -128,10 +131,17 @@ def make_parts(config: DictConfig, named: Mapping[str, bool]) -> tuple[dict[str,
             parts["method"] = make_method(config, encoder)
     if "metrics" in named:
         parts["metrics"] = {name: metric.to(device) for name, metric in make_metrics(config, encoder, device).items()}
-    for name, base in (("scenes", SceneSource), ("styles", StyleSource)):
-        if name in named:
-            parts[name] = None if config.get(name) is None else build(base, config[name])
     return parts, weights
+
+
+def make_sources(config: DictConfig, named: Mapping[str, bool]) -> dict[str, Any]:
+    """The scenes and styles that a protocol's constructor names."""
+    bases = {"scenes": SceneSource, "styles": StyleSource}
+    return {
+        name: None if config.get(name) is None else build(base, config[name])
+        for name, base in bases.items()
+        if name in named
+    }
 
 
 def make_metrics(config: DictConfig, encoder: StyleEncoder | None, device: torch.device) -> dict[str, Metric]:
@@ -174,6 +184,8 @@ def main(words: Sequence[str] | None = None) -> None:
         describe(flags)
         given = with_sweep(flags, words_of(words), "hydra.output_subdir=.hydra")
         arguments, rest = split(flags, given)
+        # The protocol's option, named without it.
+        rest = [f"protocol.{word}" if word.startswith("missing=") else word for word in rest]
         rest = [*folder_words(arguments), *rest]
         if arguments.trained is None:
             rest = [*subject_words(rest), *rest]

@@ -27,12 +27,16 @@ class Row:
         style: Its name; empty where a row stands for a scene over all styles.
         figures: Value by name; ``nan`` where there were too few images.
         pictures: Images to show, by kind (``photograph``, ``style``, ``result``).
+        n: Number of images, where they were counted.
+        missing: Number of images that there should be besides.
     """
 
     scene: str
     style: str
     figures: Mapping[str, float]
     pictures: Mapping[str, Path] = field(default_factory=dict)
+    n: int | None = None
+    missing: int = 0
 
 
 @dataclass(frozen=True)
@@ -66,6 +70,17 @@ class Evaluation:
         names = self.provenance.get("scenes", [])
         return scenes or ({str(names[0]): self.figures} if len(names) == 1 and names[0] else {})
 
+    @property
+    def size(self) -> str:
+        """How many samples, and of how many if some are missing."""
+        return f"{self.n} of {self.n + missing}" if (missing := self.missing()) else str(self.n)
+
+    def missing(self, group: str = "") -> int:
+        """How many images are missing, of everything or of one group, such as a scene."""
+        name = group.removeprefix(SCENE)
+        gaps: list[dict[str, Any]] = self.provenance.get("missing", [])
+        return sum(gap["missing"] for gap in gaps if name in ("", gap["scene"]) or gap["scene"].startswith(f"{name}/"))
+
     def with_facts(self, **facts: Any) -> "Evaluation":
         """This evaluation with more provenance."""
         return replace(self, provenance={**self.provenance, **facts})
@@ -78,6 +93,14 @@ class Protocol(Socket, ABC):
     scenes take styles), ``metrics`` (by name), ``scenes`` and ``styles``, which the framework passes, and further
     options. A source that is not configured is ``None``.
     """
+
+    @classmethod
+    def check(cls, **given: Any) -> None:
+        """Raise a :class:`UserError` if inputs are missing; called before any network is built.
+
+        Args:
+            given: The constructor's arguments without ``stylizer``, ``method`` and ``metrics``.
+        """
 
     @abstractmethod
     def run(self, out: Path, progress: Progress) -> Evaluation:

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from anystyle.data.images import image_size, open_image, to_tensor
 from anystyle.errors import UserError
+from anystyle.evaluation.names import Names
 from anystyle.evaluation.pairing import Cell
 from anystyle.io.arrays import read_array, read_arrays
 from anystyle.io.documents import read_json
@@ -52,10 +53,11 @@ class Reader:
             content=content,
             stylized=stylized,
             style=Style(image=self._reference(cell.reference)[None], names=(cell.style,)),
-            depth=self._depth(cell.depth) if cell.depth else None,
+            depth=self._depth(cell.depth) if any(cell.depth) else None,
             cameras=_read_cameras(cell, (stylized.shape[-2], stylized.shape[-1])),
             scenes=(cell.scene,),
             styles=(cell.style,),
+            numbers=cell.numbers,
             seconds=torch.tensor([read_seconds(seconds)]) if seconds.is_file() else None,
         )
 
@@ -76,12 +78,15 @@ def _read_stack(paths: tuple[Path, ...]) -> Float[Tensor, "1 V 3 H W"]:
     return torch.stack(images)[None]
 
 
-def _read_depths(paths: tuple[Path, ...]) -> Float[Tensor, "1 V H W"]:
-    maps = [torch.from_numpy(read_array(path, what="array of finite depth of shape [H, W]")).float() for path in paths]
-    for path, values in zip(paths, maps, strict=True):
-        if values.ndim != 2 or values.shape != maps[0].shape:
+def _read_depths(paths: tuple[Path | None, ...]) -> Float[Tensor, "1 V H W"]:
+    """Depth maps; 0, as where there is no depth, for a path that is ``None``."""
+    what = "array of finite depth of shape [H, W]"
+    maps = {path: torch.from_numpy(read_array(path, what=what)).float() for path in paths if path is not None}
+    first = next(iter(maps.values()))
+    for path, values in maps.items():
+        if values.ndim != 2 or values.shape != first.shape:
             raise UserError(f"{path} has shape {list(values.shape)}; the depth of one scene needs one shape [H, W]")
-    return torch.stack(maps)[None]
+    return torch.stack([torch.zeros_like(first) if path is None else maps[path] for path in paths])[None]
 
 
 def _read_cameras(cell: Cell, size: tuple[int, int]) -> Cameras | None:
@@ -92,9 +97,12 @@ def _read_cameras(cell: Cell, size: tuple[int, int]) -> Cameras | None:
     shapes = (poses.shape, intrinsics.shape, arrays["size"].shape)
     if shapes != ((len(names), 4, 4), (len(names), 3, 3), (2,)) or not (arrays["size"] >= 1).all():
         raise UserError(f"{cell.cameras} is no {_CAMERAS}")
-    if absent := [frame for frame in cell.frames if frame not in names]:
+    named = Names(names)
+    stems = dict(zip(cell.frames, (path.stem for path in cell.content), strict=True))
+    found = {frame: named.find(frame) or named.find(stem) for frame, stem in stems.items()}
+    if absent := [frame for frame, alike in found.items() if len(alike) != 1]:
         raise UserError(f"{cell.cameras} does not hold the cameras of {cell.scene}: {absent[0]!r} is not in it")
-    indices = [names.index(frame) for frame in cell.frames]
+    indices = [names.index(alike[0]) for alike in found.values()]
     height, width = (int(side) for side in arrays["size"])
     poses, intrinsics = (torch.from_numpy(values[indices]).float()[None] for values in (poses, intrinsics))
     return Cameras(poses, intrinsics, (height, width)).resized(size)

@@ -29,6 +29,7 @@ def bind(config: DictConfig, weights: Mapping[str, Any], out: Path, parts: Colle
     names += ("method", "loss") if "method" in parts else ()
     plain: Any = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
     images = {name: plain.get(name) for name in names}
+    images["protocol"].pop("missing", None)  # no image depends on it
     images["weights"] = {part: row["sha256"] for part, row in weights.items()}
     images = json.loads(json.dumps(images))
     path = out / FILE

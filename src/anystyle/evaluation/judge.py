@@ -16,6 +16,7 @@ from anystyle.errors import UserError
 from anystyle.evaluation.base import SCENE, Evaluation, Progress, Row
 from anystyle.evaluation.comparisons import Reader
 from anystyle.evaluation.pairing import Cell, Pairing
+from anystyle.paths import natural
 from anystyle.types import Comparison
 from anystyle.vision.preprocess import checked
 
@@ -57,6 +58,8 @@ def judge_pairing(
     """The figures of paired image files."""
     if not metrics:
         raise UserError("no metric is chosen; add metric=[NAME,...] (`anystyle plugins metric` lists them)")
+    if not pairing.cells:
+        raise UserError("there is nothing to judge; give at least one stylized image with its photograph")
     reader, steps, total = Reader(), count(), len(pairing.cells)
 
     def comparisons(cells: Sequence[Cell]) -> Iterator[Comparison]:
@@ -64,12 +67,26 @@ def judge_pairing(
             progress(stage, next(steps), total)
             yield reader(cell)
 
+    notes = [*pairing.notes, *filter(None, [pairing.lacking()])]
+    for note in notes:
+        log.warning("%s", note)
     scenes = {scene: judge_scene(metrics, comparisons(cells)) for scene, cells in pairing.scenes().items()}
     progress(stage, total, total)
     evaluation = aggregate(scenes, n=sum(len(cell.frames) for cell in pairing.cells))
-    pictures = {(cell.scene, cell.style): cell.pictures() for cell in pairing.cells}
-    rows = (replace(row, pictures=pictures[row.scene, row.style]) for row in evaluation.rows)
-    return replace(evaluation, rows=tuple(rows))
+    judged = {(cell.scene, cell.style): cell for cell in pairing.cells}
+    missing = {(gap.scene, gap.style): len(gap.frames) for gap in pairing.missing}
+    rows = [
+        replace(row, pictures=cell.pictures(), n=len(cell.frames), missing=missing.get((row.scene, row.style), 0))
+        for row in evaluation.rows
+        for cell in [judged[row.scene, row.style]]
+    ]
+    rows += [Row(*key, {}, n=0, missing=count) for key, count in missing.items() if key not in judged]
+    rows.sort(key=lambda row: [natural(row.scene), natural(row.style)])
+    gaps = ({"scene": row.scene, "style": row.style, "n": row.n, "missing": row.missing} for row in rows)
+    return replace(evaluation, rows=tuple(rows)).with_facts(
+        missing=[gap for gap in gaps if gap["missing"]],
+        warnings=[*notes, *evaluation.provenance["warnings"]],
+    )
 
 
 @torch.no_grad()

@@ -5,7 +5,7 @@ import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -69,25 +69,26 @@ class ModelRenders(Protocol):
         self.guide, self.frames, self.square = guide, frames, square
         self.variant: Variant = variant
         self.suffix = suffix_of(variant)
-        known = {self.scenes.name(index): index for index in range(len(self.scenes))}
-        if absent := [name for name in scene_names if name not in known]:
-            there = ", ".join(list(known)[:8])
-            raise UserError(f"scene_names: there is no scene {absent[0]!r} in this source, which has {there}")
+        known = _indices(self.scenes, scene_names)
         # Scenes and styles: index by file name.
         self.planned_scenes = {name.replace("/", "-"): known[name] for name in list(scene_names or known)[:num_scenes]}
         count = min(len(self.styles), num_styles or len(self.styles))
         width = max(2, len(str(count - 1)))
         self.planned_styles = {f"{index:0{width}d}": index for index in range(count)}
 
+    @classmethod
+    def check(cls, **given: Any) -> None:
+        _indices(required(given["scenes"], "scenes"), given["scene_names"])
+        required(given["styles"], "styles")
+
     def run(self, out: Path, progress: Progress) -> Evaluation:
         images = out / "images"
         self._render(images, progress)
-        pairing = pair(images / "content", images / "style", images / "stylized", images / "depth")
+        folders = (images / name for name in ("content", "style", "stylized", "depth"))
         # The folder may hold a larger evaluation.
-        chosen = tuple(
-            cell for cell in pairing.cells if cell.scene in self.planned_scenes and cell.style in self.planned_styles
-        )
-        evaluation = judge_pairing(self.metrics, replace(pairing, cells=chosen), progress)
+        pairing = pair(*folders, missing="allow").chosen(self.planned_scenes, self.planned_styles)
+        pairing.require()
+        evaluation = judge_pairing(self.metrics, pairing, progress)
         files = [[seconds_file(images / "stylized" / scene, style) for style in self.planned_styles]
                  for scene in self.planned_scenes]  # fmt: skip
         seconds = np.array([[read_seconds(file) for file in row] for row in files])  # S T
@@ -111,13 +112,21 @@ class ModelRenders(Protocol):
                 write_picture(path, self._style(index)[0][0], self.variant)
         for scene_name, number in self.planned_scenes.items():
             folder = images / "stylized" / scene_name
-            missing = [name for name in self.planned_styles if not seconds_file(folder, name).is_file()]
+            frames = [f"{index:03d}" for index in range(min(self._num_inputs(number), self.frames))]
+            photographs = [images / "content" / scene_name / f"{frame}{self.suffix}" for frame in frames]
+            depth = [images / "depth" / scene_name / name for name in (*(f"{frame}.npy" for frame in frames), CAMERAS)]
+            whole = all(path.is_file() for path in (*photographs, *depth))
+            missing = [
+                name
+                for name in self.planned_styles
+                if not (whole and seconds_file(folder, name).is_file())
+                or any(not (folder / f"{name}_{frame}{self.suffix}").is_file() for frame in frames)
+            ]
             done += len(self.planned_styles) - len(missing)
             if not missing:
                 continue
             progress("render", done, total)
             scene, encoding = self._encode(number)
-            frames = [f"{index:03d}" for index in range(min(self._num_inputs(number), self.frames))]
             self._write_content(images, scene_name, scene, frames)
             for name in missing:
                 seconds = encoding + self._stylize(scene, frames, folder, name)
@@ -191,6 +200,15 @@ class ModelRenders(Protocol):
         """How many views of a scene the model sees."""
         count = self.scenes.num_views(number)
         return count if self.variant == "reference" else min(count, self.frames)
+
+
+def _indices(scenes: SceneSource, chosen: Sequence[str]) -> dict[str, int]:
+    """The places of scenes by name; a UserError if a chosen one is not among them."""
+    known = {scenes.name(index): index for index in range(len(scenes))}
+    if absent := [name for name in chosen if name not in known]:
+        there = ", ".join(list(known)[:8])
+        raise UserError(f"scene_names: there is no scene {absent[0]!r} in this source, which has {there}")
+    return known
 
 
 def suffix_of(variant: Variant) -> str:

@@ -16,6 +16,11 @@ from anystyle.io.documents import Count, Figure, as_number, fit, read_json
 FILE = "metrics.json"
 
 
+class _Gap(msgspec.Struct):
+    scene: str
+    missing: Count
+
+
 class _Facts(msgspec.Struct):
     """The part of an evaluation's provenance that is read back."""
 
@@ -23,6 +28,7 @@ class _Facts(msgspec.Struct):
     better: dict[str, Literal["higher", "lower"]] = {}
     stand_ins: dict[str, str] = {}
     scenes: list[str] = []
+    missing: list[_Gap] = []
 
 
 def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> Table:
@@ -74,10 +80,11 @@ def read(folder: Path) -> Evaluation | None:
 def summary(evaluation: Evaluation) -> Table:
     """The table of one evaluation: a row for each figure, a column for all scenes and for each group."""
     provenance, groups = evaluation.provenance, evaluation.groups
-    columns = {provenance.get("title", "all" if groups else "value"): evaluation.figures}
-    columns |= {name.removeprefix(SCENE): group for name, group in groups.items()}
+    title = provenance.get("title", "")
+    columns = {_lacking(title or ("all" if groups else "value"), evaluation.missing(title)): evaluation.figures}
+    columns |= {_lacking(name.removeprefix(SCENE), evaluation.missing(name)): group for name, group in groups.items()}
     machine = provenance.get("machine", "an unknown machine")
-    notes = [f"n = {evaluation.n}, {provenance.get('seconds', 0):.0f} s on {machine}."]
+    notes = [f"n = {evaluation.size}, {provenance.get('seconds', 0):.0f} s on {machine}."]
     if any(name.startswith(SCENE) for name in groups):
         notes.append("“all” is the mean of the scenes, each judged on its own.")
     if evaluation.stand_ins:
@@ -97,13 +104,24 @@ def summary(evaluation: Evaluation) -> Table:
     return Table(("figure", *columns, *(["note"] if noted else [])), tuple(rows), caption, tuple(notes))
 
 
+def _lacking(title: str, missing: int) -> str:
+    return f"{title} ({missing} missing)" if missing else title
+
+
 def rows_table(rows: Sequence[Row], stand_ins: Mapping[str, str]) -> Table:
-    """A row for each scene in each style; the last column names the figures of stand-in networks, if there are any."""
+    """A row for each scene in each style, with the number of its images and of those missing where they were counted.
+
+    The last column names the figures of stand-in networks, if there are any.
+    """
     names = list(dict.fromkeys(name for row in rows for name in row.figures))
     from_stand_ins = [name for name in names if name in stand_ins]
     note = [f"{STAND_IN}: {' '.join(from_stand_ins)}"] if from_stand_ins else []
+    counted = any(row.n is not None for row in rows)
     cells: list[tuple[str, ...]] = []
     for row in rows:
+        counts = [str(row.n), str(row.missing)] if counted else []
         values = [row.figures.get(name, math.nan) for name in names]
-        cells.append((row.scene, row.style, *("" if math.isnan(value) else repr(value) for value in values), *note))
-    return Table(("scene", "style", *names, *(["note"] if note else [])), tuple(cells))
+        figures = ("" if math.isnan(value) else repr(value) for value in values)
+        cells.append((row.scene, row.style, *counts, *figures, *note))
+    heads = ["n", "missing"] if counted else []
+    return Table(("scene", "style", *heads, *names, *(["note"] if note else [])), tuple(cells))

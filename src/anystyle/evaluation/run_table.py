@@ -88,7 +88,10 @@ def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
         title += f" ({len(members) - len(finished)} of {len(members)} seeds {states})" if states else ""
         samples: dict[Column, tuple[float, ...]] = {}
         stand_ins: set[str] = set()
-        for record in [run.record() for run in finished]:
+        records = [run.record() for run in finished]
+        missing = sum(record.missing() for record in records)
+        title += f" ({missing} images missing)" if missing else ""
+        for record in records:
             better.update(record.better)
             stand_ins |= record.stand_ins.keys()
             for folder, figures in {ALL: record.figures, **record.scenes}.items():
@@ -246,7 +249,10 @@ def _opened(path: Path | None, otherwise: str) -> Cell:
 
 def _stylized(line: Line) -> dict[str, Path]:
     """For each style the middle frame of the first scene, of the first run that has any."""
-    folders = (run.evaluation / "images" / "stylized" for run in line.runs if run.evaluation)
-    scenes = next((found for folder in folders if (found := list(folder.glob("[!.]*")))), [])
-    by_style = images_by_style(min(scenes, key=lambda path: natural(path.name))) if scenes else {}
-    return {style: paths[len(paths) // 2] for style, paths in by_style.items()}
+    folders = (run.evaluation / "images" for run in line.runs if run.evaluation)
+    scenes = next((found for folder in folders if (found := list(folder.glob("stylized/[!.]*")))), [])
+    if not scenes:
+        return {}
+    scene = min(scenes, key=lambda path: natural(path.name))
+    by_style = images_by_style(scene, [path.stem for path in image_files(scene.parents[1] / "style")])
+    return {style: [*frames.values()][len(frames) // 2] for style, frames in by_style.items()}

@@ -27,6 +27,9 @@ MIN_WEIGHT = 0.5
 """Of a corrected splat: the weight that a pixel must receive to count."""
 
 
+Neighbours = list[tuple[int, int]]
+"""The places of the frames of pairs."""
+
 Flows = list[tuple[Tensor, Tensor | None]]
 """Displacement and visibility of pairs, batch by batch; no visibility where the metric has no use for it."""
 
@@ -42,6 +45,7 @@ class Warped(NamedTuple):
 class WarpConsistency(NetworkMetric):
     """Masked RMSE and LPIPS of neighbouring frames (t, t+1) and distant ones (t, t+7), as Stylos and StyleGaussian do.
 
+    Frames are counted in their sequence, also where some are missing.
     A frame is warped along the flow by softmax splatting and compared with the frame that the flow leads to. Each row
     counts as the mean of its pairs; rows are averaged.
 
@@ -88,7 +92,7 @@ class WarpConsistency(NetworkMetric):
         checked(comparison)
         for index, gap in enumerate(RANGES.values()):
             for row, preds in enumerate(comparison.stylized):
-                means = self._row_means(preds, gap, self._flows(comparison, row, gap))
+                means = self._row_means(preds, comparison.neighbours(gap), self._flows(comparison, row, gap))
                 if means is not None:
                     self.totals[index] += means
                     self.rows[index] += 1
@@ -98,7 +102,7 @@ class WarpConsistency(NetworkMetric):
         for index, (name, gap) in enumerate(RANGES.items()):
             if int(self.rows[index]) == 0:
                 warnings.warn(
-                    f"warp_consistency: no scene with {gap + 1} frames that see each other; "
+                    f"warp_consistency: no scene with {gap + 1} frames of which the first and the last see each other; "
                     f"the {name} range's figures are nan",
                     stacklevel=2,
                 )
@@ -111,17 +115,18 @@ class WarpConsistency(NetworkMetric):
         """The flows of the pairs of one row; those of photographs are kept for the next style of the scene."""
         images = (comparison.stylized if self.flow_from == "stylized" else comparison.content)[row]
         frames = _frames(comparison, row, preprocess.eight_bit(images) if self.reference else images)
+        neighbours = comparison.neighbours(gap)
         if self.flow_from == "stylized":
-            return self._searched(frames, gap)
+            return self._searched(frames, neighbours)
         parts = (frames.images, frames.depth, frames.world_from_camera, frames.intrinsics)
-        key = [digest for tensor in parts if tensor is not None for digest in digests(tensor)]
+        key = [str(neighbours), *(digest for tensor in parts if tensor is not None for digest in digests(tensor))]
         if gap not in self._content_flows or self._content_flows[gap][0] != key:
-            self._content_flows[gap] = (key, self._searched(frames, gap))
+            self._content_flows[gap] = (key, self._searched(frames, neighbours))
         return self._content_flows[gap][1]
 
-    def _searched(self, frames: Frames, gap: int) -> Flows:
+    def _searched(self, frames: Frames, neighbours: Neighbours) -> Flows:
         flows: Flows = []
-        for first, second in _batches(frames.images, gap):
+        for first, second in _batches(frames.images, neighbours):
             source: Frames = frames.map(lambda tensor, batch=first: tensor[batch])
             target: Frames = frames.map(lambda tensor, batch=second: tensor[batch])
             flow = None if self.reference else self.correspondence(source, target)
@@ -130,11 +135,13 @@ class WarpConsistency(NetworkMetric):
             )
         return flows
 
-    def _row_means(self, images: Float[Tensor, "V 3 H W"], gap: int, flows: Flows) -> Float[Tensor, "3"] | None:
+    def _row_means(
+        self, images: Float[Tensor, "V 3 H W"], neighbours: Neighbours, flows: Flows
+    ) -> Float[Tensor, "3"] | None:
         """RMSE, LPIPS and coverage averaged over the pairs of one row; ``None`` where no pair sees anything."""
         images = preprocess.eight_bit(images) if self.reference else images
         values: list[Tensor] = []
-        for (first, second), (displacement, visible) in zip(_batches(images, gap), flows, strict=True):
+        for (first, second), (displacement, visible) in zip(_batches(images, neighbours), flows, strict=True):
             source, target = images[first], images[second]
             if visible is None:
                 warped = reference_warp(source, target, displacement)
@@ -186,10 +193,10 @@ def _logits(source: Tensor, target: Tensor, displacement: Tensor) -> Float[Tenso
     return (-MAX_LOGIT * difference).clamp(-MAX_LOGIT, MAX_LOGIT)
 
 
-def _batches(images: Float[Tensor, "V 3 H W"], gap: int) -> list[tuple[Tensor, Tensor]]:
+def _batches(images: Float[Tensor, "V 3 H W"], neighbours: Neighbours) -> list[tuple[Tensor, Tensor]]:
     """The indices of first and second frames of all pairs, in batches."""
-    first = torch.arange(max(0, images.shape[0] - gap), device=images.device).split(batch_size(images))
-    return [(batch, batch + gap) for batch in first if len(batch)]
+    pairs = torch.tensor(neighbours, dtype=torch.long, device=images.device).reshape(-1, 2)
+    return [(batch[:, 0], batch[:, 1]) for batch in pairs.split(batch_size(images)) if len(batch)]
 
 
 def _frames(comparison: Comparison, row: int, images: Float[Tensor, "V 3 H W"]) -> Frames:

@@ -49,13 +49,7 @@ def build(base: type[T], config: "DictConfig | Mapping[str, Any] | str", /, **ru
     kind = kind_of(base)
     strange = [name for name in runtime if name not in kind_named(kind).runtime]
     assert not strange, f"{strange[0]!r} is not a runtime argument of a {kind}"
-    if isinstance(config, str):
-        plugin = catalog().find(kind, config)
-        given: dict[str, Any] = {}
-    else:
-        given = _container(config)
-        plugin = catalog().owner(kind, str(given.pop("_target_", None)))
-    values = _checked(plugin, given)
+    plugin, values = plugin_of(base, config)
     named = runtime_arguments(plugin)
     for name, required in named.items():
         if required and name not in runtime:
@@ -63,6 +57,16 @@ def build(base: type[T], config: "DictConfig | Mapping[str, Any] | str", /, **ru
     # Checked above against the constructor itself, which the contract's signature does not show.
     constructor: Any = plugin.load()
     return constructor(**values, **{name: runtime[name] for name in named if name in runtime})
+
+
+def plugin_of(base: type, config: "DictConfig | Mapping[str, Any] | str") -> tuple[Plugin, dict[str, Any]]:
+    """The plugin that a configuration node describes, and all its options as :func:`build` passes them."""
+    if isinstance(config, str):
+        plugin = catalog().find(kind_of(base), config)
+        return plugin, _checked(plugin, {})
+    given = _container(config)
+    plugin = catalog().owner(kind_of(base), str(given.pop("_target_", None)))
+    return plugin, _checked(plugin, given)
 
 
 def build_all(base: type[T], configs: "Mapping[str, Any] | None", /, **runtime: Any) -> dict[str, T]:

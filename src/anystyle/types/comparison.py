@@ -22,6 +22,7 @@ class Comparison(Value):
         depth: Distance along z in each view, where known; 0 where there is none.
         scenes: One name a row of the batch.
         styles: One name a row of the batch.
+        numbers: Of the views in the sequence that they were taken from, ascending; they follow each other if empty.
         seconds: That each row took, from the style to the rendered views, where known.
     """
 
@@ -33,6 +34,19 @@ class Comparison(Value):
     scenes: tuple[str, ...] = ()
     styles: tuple[str, ...] = ()
     seconds: Float[Tensor, " B"] | None = None
+    numbers: tuple[int, ...] = ()
+
+    def neighbours(self, gap: int = 1) -> list[tuple[int, int]]:
+        """The places of every view and of the one that is ``gap`` later in the sequence, where both are there.
+
+        Example:
+            >>> import torch
+            >>> views = torch.zeros(1, 3, 3, 8, 8)
+            >>> Comparison(views, views, numbers=(0, 1, 3)).neighbours()
+            [(0, 1)]
+        """
+        places = {number: place for place, number in enumerate(self.numbers or range(self.stylized.shape[1]))}
+        return [(place, places[number + gap]) for number, place in places.items() if number + gap in places]
 
 
 @dataclass(frozen=True)

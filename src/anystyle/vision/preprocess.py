@@ -79,6 +79,8 @@ def checked(comparison: Comparison) -> Comparison:
             for rows, views, _, height, width in (content.shape, stylized.shape)
         )
         raise UserError(f"{where}photographs are {photographs} and stylized images {others}; give as many of one size")
+    if len(comparison.numbers) not in (0, stylized.shape[1]):
+        raise UserError(f"{where}{stylized.shape[1]} views have {len(comparison.numbers)} numbers; give one each")
     finite(content[:1] if content.stride(0) == 0 else content, f"{where}the photographs")
     finite(stylized, f"{where}the stylized images")
     return comparison

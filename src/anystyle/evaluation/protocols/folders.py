@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, Literal
 
 from PIL import Image, ImageEnhance
 
@@ -14,21 +15,35 @@ from anystyle.evaluation.pairing import pair
 class Folders(Protocol):
     """Judge stylized images of any method against their photographs and styles.
 
-    Stylized images are ``SCENE/STYLE_FRAME.png`` or, for one scene, ``STYLE_FRAME.png``; photographs are
-    ``SCENE/FRAME.png``, styles ``STYLE.png``; or all three have the same names.
+    Stylized images are ``SCENE/STYLE/FRAME.png`` or ``SCENE/STYLE_FRAME.png``, of one scene also without its folder;
+    photographs are ``SCENE/FRAME.png``, styles ``STYLE.png``; or all three have the same names.
 
     Args:
         content: A folder of photographs.
         style: A folder of style images.
         stylized: A folder of results.
         depth: A folder of depth maps ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` where cameras are known.
+        missing: ``refuse`` judges nothing until every photograph has an image in every style; ``allow`` judges those
+            that are there, and says what is missing.
     """
 
     def __init__(
-        self, *, metrics: Mapping[str, Metric], content: str, style: str, stylized: str, depth: str | None = None
+        self,
+        *,
+        metrics: Mapping[str, Metric],
+        content: str,
+        style: str,
+        stylized: str,
+        depth: str | None = None,
+        missing: Literal["refuse", "allow"] = "refuse",
     ) -> None:
         self.metrics = metrics
-        self.pairing = pair(Path(content), Path(style), Path(stylized), None if depth is None else Path(depth))
+        folders = Path(content), Path(style), Path(stylized), None if depth is None else Path(depth)
+        self.pairing = pair(*folders, missing=missing)
+
+    @classmethod
+    def check(cls, **given: Any) -> None:
+        cls(metrics={}, **given)
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -46,5 +61,4 @@ class Folders(Protocol):
         return {kind: str(folder / kind) for kind in ("content", "style", "stylized")}
 
     def run(self, out: Path, progress: Progress) -> Evaluation:
-        evaluation = judge_pairing(self.metrics, self.pairing, progress)
-        return evaluation.with_facts(unused=list(self.pairing.unused))
+        return judge_pairing(self.metrics, self.pairing, progress)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from PIL import Image
 
@@ -45,6 +45,7 @@ class Tables(Protocol):
         num_styles: How many styles, from the first.
         frames: How many frames of each scene are judged, from its first.
         size: Sides of the square views in pixels.
+        missing: ``refuse`` judges nothing until methods have all images; ``allow`` judges those that are there.
     """
 
     def __init__(
@@ -63,15 +64,13 @@ class Tables(Protocol):
         num_styles: int = NUM_STYLES,
         frames: int = NUM_FRAMES,
         size: int = 448,
+        missing: Literal["refuse", "allow"] = "refuse",
     ) -> None:
-        if root is None:
-            raise UserError("root is not given; add root=FOLDER, which holds content, styles and methods")
-        for name, value in (("num_styles", num_styles), ("frames", frames), ("size", size)):
-            if value < 1:
-                raise UserError(f"{name}={value}: give at least 1")
+        if size < 1:
+            raise UserError(f"size={size}: give at least 1")
         self.stylizer, self.method = stylizer, method
         self.metrics = _metrics_of(metrics, table)
-        self.folder = PaperFolder(Path(root).expanduser(), tuple(scene_names), num_styles, frames)
+        self.folder = _complete_folder(root, scene_names, num_styles, frames, guides, methods, missing)
         self.guides = tuple(guides)
         self.methods = tuple(self.folder.methods if methods is None else methods)
         self.photographs = min(photographs, num_styles)
@@ -79,7 +78,11 @@ class Tables(Protocol):
         self.size = size
         if not (self.guides or self.methods or self.photographs):
             raise UserError("nothing is to be judged: name guides or methods, or give photographs=1")
-        self.folder.require(texts="text" in self.guides, methods=self.methods)
+
+    @classmethod
+    def check(cls, **given: Any) -> None:
+        names = ("root", "scene_names", "num_styles", "frames", "guides", "methods", "missing")
+        _complete_folder(*(given[name] for name in names))
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
@@ -99,29 +102,18 @@ class Tables(Protocol):
             (name := f"model_{guide}"): self._model(guide).run(out / "methods" / name, progress)
             for guide in self.guides
         }
-        renders: dict[str, Mapping[tuple[str, str], Sequence[Path]]] = {
-            name: self.folder.renders(name) for name in self.methods
-        }
+        renders = {name: self.folder.renders(name) for name in self.methods}
         if self.photographs:
             styles = [path.stem for path in self.folder.style_files[: self.photographs]]
             renders[PHOTOGRAPHS] = {
-                (scene, style): self._content(out, scene, (self.size, self.size))
+                (scene, style): dict(enumerate(self._content(out, scene, (self.size, self.size))))
                 for scene in self.folder.scene_names
                 for style in styles
             }
         for name, images in renders.items():
-            cells = [
-                Cell(
-                    scene=scene,
-                    style=style,
-                    frames=tuple(f"{index:03d}" for index in range(len(paths))),
-                    content=self._content(out, scene, image_size(paths[0])),
-                    stylized=tuple(paths),
-                    reference=self._style(out, style),
-                )
-                for (scene, style), paths in images.items()
-            ]
-            rows[name] = judge_pairing(self.metrics, Pairing(tuple(cells)), progress, stage=name)
+            gaps = self.folder.gaps(name) if name in self.methods else ()
+            cells = tuple(self._cell(out, scene, style, images) for (scene, style), images in images.items() if images)
+            rows[name] = judge_pairing(self.metrics, Pairing(cells, tuple(gaps)), progress, stage=name)
         for name, row in rows.items():
             folder = out / "methods" / name
             folder.mkdir(parents=True, exist_ok=True)
@@ -144,6 +136,20 @@ class Tables(Protocol):
             num_styles=self.folder.num_styles,
             frames=self.folder.frames,
             method=self.method,
+        )
+
+    def _cell(self, out: Path, scene: str, style: str, images: Mapping[int, Path]) -> Cell:
+        """Images of a scene in a style, by the places of their photographs."""
+        places = sorted(images)
+        content = self._content(out, scene, image_size(images[places[0]]))
+        return Cell(
+            scene=scene,
+            style=style,
+            frames=tuple(f"{place:03d}" for place in places),
+            content=tuple(content[place] for place in places),
+            stylized=tuple(images[place] for place in places),
+            reference=self._style(out, style),
+            numbers=tuple(places),
         )
 
     def _content(self, out: Path, scene: str, size: tuple[int, int]) -> tuple[Path, ...]:
@@ -181,8 +187,33 @@ class Tables(Protocol):
                 "methods": list(rows),
                 "title": name,
                 "warnings": list(dict.fromkeys(warnings)),
+                "missing": [
+                    {**gap, "scene": f"{method}/{gap['scene']}"}
+                    for method, row in rows.items()
+                    for gap in row.provenance["missing"]
+                ],
             },
         )
+
+
+def _complete_folder(
+    root: str | None,
+    scene_names: Sequence[str],
+    num_styles: int,
+    frames: int,
+    guides: Sequence[str],
+    methods: Sequence[str] | None,
+    missing: Literal["refuse", "allow"],
+) -> PaperFolder:
+    """The folder; a UserError if something in it is missing."""
+    if root is None:
+        raise UserError("root is not given; add root=FOLDER, which holds content, styles and methods")
+    for name, value in (("num_styles", num_styles), ("frames", frames)):
+        if value < 1:
+            raise UserError(f"{name}={value}: give at least 1")
+    folder = PaperFolder(Path(root).expanduser(), tuple(scene_names), num_styles, frames)
+    folder.require(texts="text" in guides, methods=methods, missing=missing)
+    return folder
 
 
 def _metrics_of(metrics: Mapping[str, Metric], table: str | None) -> dict[str, Metric]:
