@@ -56,6 +56,8 @@ class _Frame(msgspec.Struct):
         fx = 0.5 * width / math.tan(0.5 * angle) if fx is None else fx
         fy = fx if fy is None else fy
         model = values["camera_model"] or "OPENCV"
+        if model == "EQUIRECTANGULAR":
+            raise UserError("the images are panoramas (EQUIRECTANGULAR); cut them into views first")
         if model not in _MODELS:
             raise UserError(f"camera_model {model[:40]} is none of {', '.join(_MODELS)}; undistort the images first")
         k1, k2, k3, k4, p1, p2 = (values[name] or 0.0 for name in _NUMBERS[7:13])
@@ -94,7 +96,7 @@ class Transforms(CameraReader):
         try:
             cameras = [(frame.file_path, frame.camera(content)) for frame in content.frames]
         except ValueError as error:
-            raise UserError(f"{path} is no {_WHAT} ({error})") from None
+            raise UserError(f"{path}: {error}") from None
         return finished(by_name(cameras, path), images)
 
 

@@ -224,7 +224,10 @@ DAMAGE = {
         ('FocalLength35mm="28', 'FocalLength35mm="-28', "focal lengths"),
     ],
     "table": [(",0.0", ",x", "cannot be read"), ("view_0.png,", "view_0.png,1,", "a row of 17 values for 16 columns")],
-    "transforms": [('"OPENCV"', '"EQUIRECTANGULAR"', "camera_model EQUIRECTANGULAR is none of")],
+    "transforms": [
+        ('"OPENCV"', '"EQUIRECTANGULAR"', "panoramas .* cut them into views"),
+        ('"OPENCV"', '"FOV"', "camera_model FOV is none of"),
+    ],
 }
 
 

@@ -13,7 +13,7 @@ from safetensors import SafetensorError, safe_open
 
 from anystyle.contracts import Format
 from anystyle.data.camera_reader import StoredCamera
-from anystyle.data.names import short_names
+from anystyle.data.names import distinct, short_names
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError
 from anystyle.io.documents import Count, read_json, read_text, regular
@@ -140,7 +140,7 @@ def read_gaussians(path: Path) -> Gaussians:
 def saved_cameras(saved: StyledScene) -> dict[str, StoredCamera]:
     """The cameras of a saved scene by the name of their view."""
     poses, intrinsics = saved.cameras.world_from_camera[0].double(), saved.cameras.intrinsics[0].double()
-    stored = zip(saved.names, poses.numpy(), intrinsics.numpy(), strict=True)
+    stored = zip(distinct(saved.names), poses.numpy(), intrinsics.numpy(), strict=True)
     return {name: StoredCamera(pose, matrix, saved.cameras.size) for name, pose, matrix in stored}
 
 
