@@ -100,7 +100,23 @@ def test_equal_names_are_told_apart(tmp_path):
         (tmp_path / folder).mkdir()
         save(tmp_path / folder / "1.png")
     save(tmp_path / "b" / "1.jpg")
-    assert read(tmp_path / "a", tmp_path / "b")[0].names == ("1", "1_2", "1_3")
+    assert read(tmp_path / "a", tmp_path / "b")[0].names == ("a_1", "b_1", "b_1_2")
+
+
+def test_folders_in_a_folder_are_read(tmp_path, caplog):
+    """A rig's photographs; masks and reduced copies are none, and those below a folder that has its own are told."""
+    for name in ("cam10/1.png", "cam2/1.png", "cam2/2.png", "masks/1.png", ".hidden/1.png"):
+        (tmp_path / "images" / name).parent.mkdir(parents=True, exist_ok=True)
+        save(tmp_path / "images" / name)
+    (tmp_path / "images_2" / "cam2").mkdir(parents=True)
+    save(tmp_path / "images_2" / "cam2" / "1.png")
+    views, sources = read(tmp_path)
+    assert views.names == ("cam2_1", "cam2_2", "cam10_1")
+    assert sources[0].path == tmp_path / "images" / "cam2" / "1.png"
+    assert "are those in cam2, cam10" in caplog.text
+    save(tmp_path / "images" / "0.png")
+    assert read(tmp_path)[0].names == ("0",)
+    assert "those in cam2, cam10 are left out" in caplog.text
 
 
 def test_many_photographs_are_thinned_evenly(tmp_path):

@@ -56,6 +56,18 @@ def test_scenes_are_folders_in_natural_order_each_with_its_aspect(capture):
     assert source(capture / "b9").name(0) == "b9"
 
 
+def test_a_rigs_photographs_of_one_name_are_told_apart(capture):
+    frames = json.loads((capture / "b10" / "transforms.json").read_text())["frames"]
+    for number, name in enumerate(("cam0/f.png", "cam1/f.png")):
+        save(capture / "rig" / "images" / name)
+        frames[number]["file_path"] = f"images/{name}"
+    content = {"w": 120, "h": 80, "fl_x": 100, "frames": frames[:2][::-1]}
+    (capture / "rig" / "transforms.json").write_text(json.dumps(content))
+    views = source(capture).read(2, [0, 1])
+    assert views.names == ("cam0_f", "cam1_f")
+    torch.testing.assert_close(views.cameras.world_from_camera[0, :, 0, 3], torch.tensor([1.0, 2.0]))
+
+
 def test_opengl_cameras_become_opencv_cameras_of_the_view(capture):
     views = source(capture).read(1, [0, 2])
     assert views.names == ("f_1", "f_10")

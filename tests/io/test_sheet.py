@@ -1,3 +1,6 @@
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 import torch
@@ -47,3 +50,14 @@ def test_png_files_hold_every_pixel(tmp_path):
 def test_ragged_rows_are_refused():
     with pytest.raises(ValueError, match="rows of one length"):
         contact_sheet([[None], [None, None]])
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="symbols of libraries do not mix elsewhere")
+def test_pycolmap_before_pillow_is_refused_before_it_ends_the_process(tmp_path):
+    pytest.importorskip("pycolmap")
+    lines = "import pycolmap; from PIL import Image; from anystyle.io.sheet import save_png; "
+    program = [sys.executable, "-c", lines + "save_png(Image.new('RGB', (64, 64)), 'a.png')"]
+    ended = subprocess.run(program, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ended.returncode == 1
+    assert "UserError: pycolmap was imported before Pillow" in ended.stderr
+    assert not (tmp_path / "a.png").exists()

@@ -14,11 +14,11 @@ import anystyle
 from anystyle import Controls, ViewOptions
 from anystyle.cli.launch import main
 from anystyle.commands.stylize import command, given_controls, given_styles, parser
-from anystyle.data.folder import Original, covering
+from anystyle.data.folder import Original, covering, read_views
 from anystyle.data.images import to_tensor
 from anystyle.geometry.harmonics import colors, constant_from_rgb
 from anystyle.pipeline.controls import LUMA, SeenScene, blended, rescaled, with_colors_of
-from anystyle.pipeline.masks import Alike, Box, Photographs, Sphere, inside, parsed
+from anystyle.pipeline.masks import Alike, Box, Photographs, Sphere, inside, mask_files, parsed
 from anystyle.pipeline.poses import PosedViews
 from anystyle.registry.compose import compose
 from anystyle.renderers.torch import TorchRenderer
@@ -275,3 +275,16 @@ def test_a_style_on_the_command_line_has_a_place(tmp_path, monkeypatch):
         given_styles(parser().parse_args(["photos", "--image", "b.jpg@ball:1"]), config, [])
     with pytest.raises(ValueError, match="--mix"):
         given_styles(parser().parse_args(words[:3]), config, [0.5])
+
+
+def test_masks_lie_in_the_folders_of_photographs_or_are_named_as_views(tmp_path):
+    for name in ("photos/cam0/1.png", "photos/cam1/1.png", "masks/cam0/1.png", "masks/cam1/1.png"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (64, 48)).save(tmp_path / name)
+    _, sources = read_views([tmp_path / "photos"], short_side=48, multiple=16, max_views=8)
+    assert mask_files(tmp_path / "masks", sources) == [tmp_path / "masks" / f"cam{n}" / "1.png" for n in (0, 1)]
+    for number in (0, 1):
+        Image.new("RGB", (64, 48)).save(tmp_path / f"cam{number}_1.jpg")
+    assert mask_files(tmp_path, sources) == [tmp_path / f"cam{number}_1.jpg" for number in (0, 1)]
+    with pytest.raises(ValueError, match="may be"):
+        mask_files(tmp_path / "masks" / "cam0", [replace(source, name="x") for source in sources])

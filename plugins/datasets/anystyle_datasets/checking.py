@@ -17,6 +17,7 @@ from PIL import Image
 from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
 from anystyle.data.images import SUFFIXES, image_size, listing, open_image
+from anystyle.data.names import matched
 from anystyle.data.poses import read_poses, stored_cameras
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.errors import UserError
@@ -165,13 +166,13 @@ def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_v
     except ValueError as error:
         report.problems.append(str(error))
         return
-    known = [path for path in good if not stored or path.name in stored]
+    known = [path for path in good if not stored or path in stored]
     if len(known) < len(good):
         report.problems.append(f"{folder}: {len(good) - len(known)} photographs have no camera")
     file = folder / (cameras or "transforms.json")
     listed = list(stored_cameras(file)) if file.is_file() else []
-    names = {path.name for path in paths} | {path.stem for path in paths}
-    absent = [name for name in listed if name not in names]
+    present = set(matched(listed, paths).values())
+    absent = [name for name in listed if name not in present]
     if absent:
         report.problems.append(
             f"{folder}: {file.name} names {listing(absent, 5)}: {len(absent)} of {len(listed)} are not in {inside.name}"

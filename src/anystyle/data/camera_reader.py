@@ -56,7 +56,7 @@ class CameraReader(Socket, ABC):
 
     @abstractmethod
     def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
-        """The cameras by the names of image files, with or without a suffix.
+        """The cameras by the names of image files as the program stores them: with folders and suffix, or without.
 
         Args:
             path: What :meth:`find` returned.

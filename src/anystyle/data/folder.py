@@ -2,10 +2,11 @@
 
 import glob
 import logging
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, count
+from itertools import chain
 from math import sqrt
 from pathlib import Path
 from typing import NamedTuple, NoReturn, TypeVar
@@ -17,6 +18,7 @@ from torch import Tensor
 
 from anystyle.data import images
 from anystyle.data.camera_reader import readers
+from anystyle.data.names import short_names
 from anystyle.errors import UserError
 from anystyle.examples import resolved
 from anystyle.io import video
@@ -27,6 +29,9 @@ from anystyle.types import Cameras, Views
 
 MAX_ASPECT = 3.0
 """Longer panoramas lose their ends."""
+
+OTHER = frozenset({"depth", "depths", "mask", "masks", "normals", "thumbnails"})
+"""Folders beside photographs whose images are none."""
 
 PIXELS = 160_000_000
 """Of all originals together: half a gigabyte, held twice while cameras are sought."""
@@ -182,14 +187,19 @@ def image_files(folder: Path) -> list[Path]:
     return sorted(files, key=lambda path: natural(path.name))
 
 
-def distinct(names: Sequence[str], separator: str = "_") -> list[str]:
-    """The same names, with a number behind those that occurred before, upper or lower case: ``1``, ``1_2``, ``1_3``."""
-    taken: dict[str, str] = {}
-    for name in names:
-        numbered = (f"{name}{separator}{number}" for number in count(2))
-        candidate = next(one for one in chain([name], numbered) if one.casefold() not in taken)
-        taken[candidate.casefold()] = candidate
-    return list(taken.values())
+def nested_image_files(folder: Path, depth: int = 3) -> list[Path]:
+    """The image files of a folder, or where it has none, those of the folders in it, such as a rig's ``cam0``."""
+    files = image_files(folder) if folder.is_dir() else []
+    inside = folders_of_photographs(folder) if depth and not files else ()
+    return files or [file for each in inside for file in nested_image_files(each, depth - 1)]
+
+
+def folders_of_photographs(folder: Path) -> list[Path]:
+    """The folders in a folder that may hold photographs; of reduced copies the largest."""
+    inside = [path for path in folder.glob("[!.]*") if path.is_dir() and path.name.lower() not in OTHER]
+    inside.sort(key=lambda path: natural(path.name))
+    copies = [path for path in inside if re.fullmatch(r"images_\d+", path.name)]
+    return [path for path in inside if path not in copies[1:]]
 
 
 def evenly(items: Sequence[Path], count: int) -> list[Path]:
@@ -240,8 +250,9 @@ def files_of(item: Path) -> list[Path]:
         # Captures with cameras keep their photographs in a folder of that name, or where their program puts them.
         found = ((reader, reader.find(item)) for reader in readers())
         places = [reader.photographs(path) for reader, path in found if path is not None]
-        folders = [*places, item, item / "images"]
-        inside = next(filter(None, (image_files(folder) for folder in folders if folder and folder.is_dir())), [])
+        direct = (image_files(folder) for folder in (*places, item, item / "images") if folder and folder.is_dir())
+        nested = (nested_image_files(folder) for folder in (item / "images", item))
+        inside = next(filter(None, chain(direct, nested)), [])
         if not inside:
             raise UserError(f"there are no images in the folder {item}")
         return inside
@@ -269,6 +280,8 @@ def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[st
     paths = evenly(found, max_views)
     if len(paths) < len(found):
         _log.warning("%d of %d photographs are taken, evenly spaced; views.take sets how many", max_views, len(found))
+    for item in filter(Path.is_dir, map(resolved, inputs)):
+        _tell_folders(item, list(dict.fromkeys(path.parent for path in found if item in path.parents)))
     shots: list[_Shot] = []
     problems: list[str] = []
     frames_each = max(1, max_views // max(1, sum(path.suffix.lower() in video.SUFFIXES for path in paths)))
@@ -284,10 +297,19 @@ def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[st
     return shots or _nothing(problems), problems
 
 
+def _tell_folders(item: Path, folders: Sequence[Path]) -> None:
+    """Say which folders in a given one are read as photographs, or are not."""
+    if len(folders) > 1:
+        _log.warning("the photographs of %s are those in %s", item, images.listing([each.name for each in folders]))
+    for folder in folders if len(folders) == 1 else ():
+        if left := [each.name for each in folders_of_photographs(folder) if image_files(each)]:
+            _log.warning("%s has photographs of its own; those in %s are left out", folder, images.listing(left))
+
+
 def _each(shots: Sequence[_Shot], problems: list[str], read: Callable[[str, _Shot], _Read]) -> list[_Read]:
     """The result of ``read`` for each photograph and its name; unreadable ones are logged and left out."""
     results: list[_Read] = []
-    for name, shot in zip(distinct([shot.name for shot in shots]), shots, strict=True):
+    for name, shot in zip(short_names([shot.path.parent / shot.name for shot in shots]), shots, strict=True):
         try:
             results.append(read(name, shot))
         except ValueError as error:

@@ -1,14 +1,18 @@
 """Cameras stored beside photographs."""
 
+import logging
 from collections.abc import Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import torch
 
 from anystyle.data.camera_reader import StoredCamera, readers
 from anystyle.data.folder import SourceImage
+from anystyle.data.names import differences, matched
 from anystyle.errors import UserError
 from anystyle.types import Cameras
+
+_log = logging.getLogger(__name__)
 
 
 def view_camera(camera: StoredCamera, source: SourceImage) -> Cameras:
@@ -18,8 +22,8 @@ def view_camera(camera: StoredCamera, source: SourceImage) -> Cameras:
     return Cameras(pose.float()[None, None], intrinsics.float()[None, None], source.view_size)
 
 
-def read_poses(folder: Path, images: Sequence[Path], stored_in: str | None = None) -> dict[str, StoredCamera]:
-    """The cameras of a scene's images by file name; empty where none are stored.
+def read_poses(folder: Path, images: Sequence[Path], stored_in: str | None = None) -> dict[Path, StoredCamera]:
+    """The cameras of a scene's images; empty where none are stored.
 
     Images may lie in another folder than the one that the cameras name, and in another resolution. ``stored_in`` is
     the file or folder with the cameras, below ``folder``; ``None`` looks for one.
@@ -28,17 +32,18 @@ def read_poses(folder: Path, images: Sequence[Path], stored_in: str | None = Non
     for reader in readers():
         if (path := reader.find(target)) is not None:
             stored = reader.read(path, images)
-            # Some programs leave the suffix out.
-            pairs = [(one.name, stored.get(one.name, stored.get(PurePosixPath(one.name).stem))) for one in images]
-            if known := {name: camera for name, camera in pairs if camera is not None}:
-                return known
-            raise UserError(f"{path} names none of the photographs beside it")
+            names = matched(stored, images)
+            if not names:
+                raise UserError(f"{path} names none of the photographs beside it")
+            if told := differences(names):
+                _log.warning("%s: %s", path, told)
+            return {image: stored[name] for image, name in names.items()}
     if stored_in is None:
         return {}
     raise UserError(f"{target} is not there, or holds no cameras; cameras= is relative to each scene's folder")
 
 
 def stored_cameras(folder: Path) -> dict[str, StoredCamera]:
-    """All cameras that are stored in a folder, by the names of images; empty where none are."""
+    """All cameras that are stored in a folder, by the names of images as they are stored; empty where none are."""
     found = ((reader, reader.find(folder)) for reader in readers())
     return next((dict(reader.read(path, ())) for reader, path in found if path is not None), {})

@@ -11,8 +11,9 @@ from PIL import Image
 
 from anystyle.contracts import SceneSource
 from anystyle.data.camera_reader import StoredCamera
-from anystyle.data.folder import as_views, common_size, image_files, read_picture, room_for_views
+from anystyle.data.folder import as_views, common_size, image_files, nested_image_files, read_picture, room_for_views
 from anystyle.data.images import image_size, readable
+from anystyle.data.names import short_names
 from anystyle.data.poses import read_poses, view_camera
 from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
@@ -27,6 +28,7 @@ class Shots(NamedTuple):
     """The images of a scene that can be used, with a camera each or none at all, and the views' height and width."""
 
     paths: Sequence[Path]
+    names: Sequence[str]
     cameras: Sequence[StoredCamera]
     size: tuple[int, int]
 
@@ -34,7 +36,8 @@ class Shots(NamedTuple):
 class FolderScenes(SceneSource):
     """Folders of photographs: one scene a folder, or ``root`` itself; also DL3DV-10K, ScanNet++ and LLFF captures.
 
-    A scene's photographs lie in its folder or in its sub-folder ``images``, and are taken in natural order. Cameras
+    A scene's photographs lie in its folder or in its sub-folder ``images``, where there may be a folder for each camera
+    of a rig, and are taken in natural order. Cameras
     come from what a plugin of kind ``cameras`` reads, such as ``transforms.json`` or COLMAP's model, where there is
     one; photographs without a camera are then left out, and so are files that are no images; a damaged one is found out
     when it is decoded, and raises then. Every scene keeps its own aspect. The distortion of lenses is not undone, as in
@@ -101,7 +104,7 @@ class FolderScenes(SceneSource):
         if not views or not all(0 <= view < len(shots.paths) for view in views):
             raise UserError(f"views {views} of {self.name(scene)}: give at least one of 0 to {len(shots.paths) - 1}")
         room_for_views(len(views), shots.size)
-        pictures = [read_picture(shots.paths[view], shots.paths[view].stem, shots.size) for view in views]
+        pictures = [read_picture(shots.paths[view], shots.names[view], shots.size) for view in views]
         if not shots.cameras:
             return as_views(pictures)
         cameras = [view_camera(shots.cameras[view], source) for view, (_, source) in zip(views, pictures, strict=True)]
@@ -132,7 +135,7 @@ class FolderScenes(SceneSource):
         return present
 
     def _photographs(self, folder: Path) -> list[Path]:
-        return image_files(folder / self.images if (folder / self.images).is_dir() else folder)
+        return nested_image_files(folder / self.images) if (folder / self.images).is_dir() else image_files(folder)
 
     def _shots(self, scene: int) -> Shots:
         return self._cache.get(scene, lambda: self._read_shots(self._folder(scene)))
@@ -143,7 +146,7 @@ class FolderScenes(SceneSource):
             raise UserError(f"there are no photographs in the scene {folder}")
         stored = read_poses(folder, paths, self.cameras)
         if stored:
-            known = [path for path in paths if path.name in stored]
+            known = [path for path in paths if path in stored]
             if len(known) < len(paths):
                 logger.warning("%d photographs of %s have no camera", len(paths) - len(known), folder)
             paths = known
@@ -152,4 +155,5 @@ class FolderScenes(SceneSource):
             raise UserError(f"none of the photographs of the scene {folder} can be read")
         sizes = [image_size(path) for path in paths]
         size = common_size(sizes, short_side=self.short_side, multiple=self.multiple)
-        return Shots(paths, [stored[path.name] for path in paths] if stored else [], size)
+        names = short_names([path.with_suffix("") for path in paths])
+        return Shots(paths, names, [stored[path] for path in paths] if stored else [], size)

@@ -19,6 +19,8 @@ from anystyle.io.atomic import atomic_path
 NUM_PARAMETERS: Mapping[str, int] = {
     "SIMPLE_PINHOLE": 3, "PINHOLE": 4, "SIMPLE_RADIAL": 4, "RADIAL": 5, "OPENCV": 8, "OPENCV_FISHEYE": 8,
     "FULL_OPENCV": 12, "FOV": 5, "SIMPLE_RADIAL_FISHEYE": 4, "RADIAL_FISHEYE": 5, "THIN_PRISM_FISHEYE": 12,
+    "RAD_TAN_THIN_PRISM_FISHEYE": 16, "SIMPLE_DIVISION": 4, "DIVISION": 5, "SIMPLE_FISHEYE": 3, "FISHEYE": 4, "EUCM": 6,
+    "EQUIRECTANGULAR": 2,
 }  # fmt: skip
 """How many parameters each camera model has, in the order of the models' numbers in binary files."""
 MODELS = tuple(NUM_PARAMETERS)
@@ -93,7 +95,7 @@ def _as_bytes(model: Model) -> Iterator[bytes]:
     images = [struct.pack("<Q", len(model.photographs))]
     for number, photograph in model.photographs.items():
         images.append(struct.pack("<i7di", number, *photograph.rotation, *photograph.translation, photograph.camera))
-        images.append(photograph.name.encode() + b"\0" + struct.pack("<Q", 0))
+        images.append(photograph.name.encode("utf-8", "surrogateescape") + b"\0" + struct.pack("<Q", 0))
     record = [("number", "<u8"), ("position", "<f8", 3), ("color", "u1", 3), ("error", "<f8"), ("track", "<u8")]
     points = np.zeros(len(model.points), dtype=record)
     points["number"] = np.arange(1, len(points) + 1)
@@ -114,4 +116,4 @@ def _as_text(model: Model) -> Iterator[bytes]:
     points = ["# POINT3D_ID, X, Y, Z, R, G, B, ERROR, TRACK[] as (IMAGE_ID, POINT2D_IDX)\n"]
     for number, (position, color) in enumerate(zip(model.points.tolist(), model.colors.tolist(), strict=True), start=1):
         points.append(row(number, *position, *color, 0.0))
-    yield from (cameras.encode(), images.encode(), "".join(points).encode())
+    yield from (cameras.encode(), images.encode("utf-8", "surrogateescape"), "".join(points).encode())

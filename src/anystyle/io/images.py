@@ -1,6 +1,7 @@
 """Opening image files: which formats are decoded, and how large they may be."""
 
 import io
+import sys
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -23,9 +24,20 @@ Picture = Path | bytes
 """An image file, or the content of one."""
 
 
+def check_pillow() -> None:
+    """Refuse a process in which pycolmap was imported first: its zlib then serves Pillow, and ends the process."""
+    order = [name for name in sys.modules if name in ("pycolmap._core", "PIL._imaging")]
+    if sys.platform == "linux" and order[0] == "pycolmap._core":
+        raise UserError(
+            "pycolmap was imported before Pillow, and would end the process at the first PNG file that is written; "
+            "write `import PIL.Image` above `import pycolmap`"
+        )
+
+
 @cache
 def formats() -> tuple[str, ...]:
     """The formats that are decoded: of all that Pillow has, the decoder of EPS would start Ghostscript on a file."""
+    check_pillow()
     Image.init()
     with suppress(ImportError):
         from pillow_heif import register_heif_opener

@@ -11,6 +11,8 @@ from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 from torch import Tensor
 
+from anystyle.io.images import check_pillow
+
 INK = (28, 28, 30)
 FAINT = (120, 120, 128)
 CARD = (242, 242, 246)
@@ -102,6 +104,7 @@ def style_sheet(photographs: Sequence[Image.Image], columns: Sequence[tuple[str,
 
 def save_png(image: Image.Image, path: Path) -> None:
     """Write an image as a PNG file."""
+    check_pillow()
     # Of a painted view: 2 % larger than by the default of zlib, in a fifth of the time.
     image.save(path, compress_level=1, compress_type=zlib.Z_RLE)
 

@@ -1,12 +1,13 @@
 """Cameras stored beside photographs, matched with the views."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from anystyle.data.camera_reader import StoredCamera, readers
 from anystyle.data.folder import SourceImage, covering, image_files, read_picture
 from anystyle.data.images import to_tensor
+from anystyle.data.names import short_names
 from anystyle.data.poses import read_poses, view_camera
 from anystyle.errors import UserError
 from anystyle.pipeline.cameras import KnownCameras
@@ -26,9 +27,7 @@ def from_files(
         sources: The photographs, read from files.
         folder: Holds the cameras; the photographs' own folders and the ones above unless it is given.
     """
-    stored: dict[Path, StoredCamera] = {}
-    for parent in dict.fromkeys(source.path.parent for source in sources if source.path is not None):
-        stored |= _stored(parent, [folder] if folder is not None else [parent, parent.absolute().parent])
+    stored = _stored({source.path.parent: None for source in sources if source.path is not None}, folder)
     if not stored:
         searched = f"in {folder}" if folder is not None else "beside the photographs"
         expected = ", ".join(reader.expects for reader in readers())
@@ -58,18 +57,20 @@ def from_files(
         views=Cameras.cat([view_camera(_check(camera, source), source) for _, source, camera in matched], dim=1),
         indices=tuple(index for index, _, _ in matched),
         targets=Cameras.cat(targets, dim=1),
-        names=tuple(path.stem for path in stored),
+        names=tuple(short_names([path.with_suffix("") for path in stored])),
     )
     return replace(views, images=images), tuple(undistorted), known
 
 
-def _stored(photographs: Path, folders: Sequence[Path]) -> dict[Path, StoredCamera]:
-    """The cameras of a folder's photographs, from the first of some folders that holds any."""
-    images = image_files(photographs)
-    for folder in folders:
-        if cameras := read_poses(folder, images):
-            return {path: cameras[path.name] for path in images if path.name in cameras}
-    return {}
+def _stored(photographs: Iterable[Path], given: Path | None) -> dict[Path, StoredCamera]:
+    """The cameras of the photographs in some folders, each from the first folder from it upwards that holds any."""
+    images: dict[Path, list[Path]] = {}
+    for folder in photographs:
+        above = (folder, *folder.absolute().parents[:2]) if given is None else (given,)
+        place = next((each for each in above if any(reader.find(each) for reader in readers())), None)
+        if place is not None:
+            images.setdefault(place.absolute(), []).extend(image_files(folder))
+    return {path: camera for place, files in images.items() for path, camera in read_poses(place, files).items()}
 
 
 def _check(camera: StoredCamera, source: SourceImage) -> StoredCamera:

@@ -11,7 +11,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Reconstruction
-from anystyle.data.folder import SourceImage, distinct
+from anystyle.data.folder import SourceImage
+from anystyle.data.names import distinct
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
 from anystyle.methods.colors import colors_alone

@@ -1,5 +1,6 @@
 """Where style enters: masks of photographs, or a box, a sphere or a region of similar colour in the scene."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -8,8 +9,9 @@ from jaxtyping import Float
 from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
-from anystyle.data.folder import SourceImage
-from anystyle.data.images import SUFFIXES, open_image, to_tensor
+from anystyle.data.folder import SourceImage, nested_image_files
+from anystyle.data.images import open_image, to_tensor
+from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.methods.colors import fit_colors
@@ -108,7 +110,9 @@ class Photographs(Mask):
 
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """The masks through the renderer."""
-        masks = torch.stack([self._of(source) for source in seen.sources]).to(gaussians.means)
+        files = mask_files(self.folder, seen.sources)
+        masks = [to_tensor(source.of_view(open_image(file))) for source, file in zip(seen.sources, files, strict=True)]
+        masks = torch.stack(masks).to(gaussians.means)
         if self.soft > 0:
             sigma = self.soft * min(masks.shape[-2:])
             width = 2 * int(3 * sigma + 1) + 1
@@ -119,13 +123,17 @@ class Photographs(Mask):
             lifted = fit_colors(replace(gaussians, harmonics=dark), seen.cameras, masks, seen.renderer, steps=0)
         return rgb_from_constant(lifted.harmonics[:, :, 0]).mean(-1).clamp(0, 1).detach()
 
-    def _of(self, source: SourceImage) -> Float[Tensor, "3 H W"]:
-        stem = source.name if source.path is None else source.path.stem
-        files = [self.folder / f"{stem}{suffix}" for suffix in sorted(SUFFIXES)]
-        file = next((file for file in files if file.is_file()), None)
-        if file is None:
-            raise UserError(f"{self.folder} has no mask for the photograph {stem}; expected an image of its name")
-        return to_tensor(source.of_view(open_image(file)))
+
+def mask_files(folder: Path, sources: Sequence[SourceImage]) -> list[Path]:
+    """The image in a folder that is named as each photograph, in the same folders below, or else as its view."""
+    masks = {file.relative_to(folder).as_posix(): file for file in nested_image_files(folder)}
+    files = [source.path or Path(source.name) for source in sources]
+    found = matched(masks, files)
+    views = {Path(source.name): file for source, file in zip(sources, files, strict=True) if file not in found}
+    found |= {views[view]: name for view, name in matched(masks, list(views)).items()}
+    if absent := [file.stem for file in files if file not in found]:
+        raise UserError(f"{folder} has no mask for the photograph {absent[0]}; expected an image of its name")
+    return [masks[found[file]] for file in files]
 
 
 def inside(distance: Float[Tensor, "*batch"], soft: float) -> Float[Tensor, "*batch"]:

@@ -11,6 +11,7 @@ from typing import Any
 from omegaconf import DictConfig, OmegaConf
 
 from anystyle.data.folder import SourceImage, files_of
+from anystyle.data.names import short_names
 from anystyle.examples import FOLDER, examples
 from anystyle.io import video
 from anystyle.io.checkpoint import sha256
@@ -25,10 +26,11 @@ MADE_OF = "made of "
 def note(kind: str, files: Sequence[Path] = (), /, **facts: object) -> str:
     """A note on one or several files or a text; the hash of several is that of the lines of ``sha256sum``."""
     if files:
-        lines = [f"{sha256(file)}  {file.name}\n" for file in files]
+        names = short_names(files)
+        lines = [f"{sha256(file)}  {name}\n" for file, name in zip(files, names, strict=True)]
         digest = lines[0][:64] if len(files) == 1 else hashlib.sha256("".join(lines).encode()).hexdigest()
         known = next((one for one in examples().values() if files[0].is_relative_to(FOLDER / one.file)), None)
-        facts |= {"names": [file.name for file in files], "sha256": digest}
+        facts |= {"names": names, "sha256": digest}
         if known is not None:
             facts |= {"title": known.title, "author": known.author, "year": known.year}
             facts |= {"license": known.license, "source": known.provenance}

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated
 
 import numpy as np
@@ -13,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 
 from anystyle.contracts import Format
 from anystyle.data.camera_reader import StoredCamera
+from anystyle.data.names import distinct, short_names
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError
 from anystyle.io.documents import Count, read_json, read_text, regular
@@ -85,7 +86,11 @@ def with_stored_cameras(scene: StyledScene, path: Path) -> StyledScene:
             alike = {name: camera for name, camera in stored.items() if camera.size == size}
             matrices = ([getattr(c, part) for c in alike.values()] for part in ("world_from_camera", "intrinsics"))
             poses, intrinsics = (torch.from_numpy(np.stack(each)).float()[None] for each in matrices)
-            return replace(scene, cameras=Cameras(poses, intrinsics, size), names=tuple(alike))
+            return replace(
+                scene,
+                cameras=Cameras(poses, intrinsics, size),
+                names=tuple(short_names([PurePosixPath(name) for name in alike])),
+            )
     return scene
 
 
@@ -135,7 +140,7 @@ def read_gaussians(path: Path) -> Gaussians:
 def saved_cameras(saved: StyledScene) -> dict[str, StoredCamera]:
     """The cameras of a saved scene by the name of their view."""
     poses, intrinsics = saved.cameras.world_from_camera[0].double(), saved.cameras.intrinsics[0].double()
-    stored = zip(saved.names, poses.numpy(), intrinsics.numpy(), strict=True)
+    stored = zip(distinct(saved.names), poses.numpy(), intrinsics.numpy(), strict=True)
     return {name: StoredCamera(pose, matrix, saved.cameras.size) for name, pose, matrix in stored}
 
 

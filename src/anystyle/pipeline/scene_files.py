@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.data.names import names_below
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.io import colmap
 from anystyle.io.atomic import write_json
@@ -63,8 +64,10 @@ def write_colmap(folder: Path, gaussians: Gaussians, encoded: EncodedCapture, *,
     most_opaque = opacities.argsort(descending=True, stable=True)[: min(MAX_POINTS, int((opacities > 0).sum()))]
     rgb = rgb_from_constant(gaussians.harmonics[0, :, 0].cpu()[most_opaque])
     cameras = encoded.cameras.to("cpu").to(torch.float64)
+    paths = [source.path for source in encoded.sources if source.path is not None]
+    files = dict(zip(paths, names_below(paths), strict=True))
     model = colmap.pinhole_model(
-        [f"{source.name}.png" if source.path is None else source.path.name for source in encoded.sources],
+        [f"{source.name}.png" if source.path is None else files[source.path] for source in encoded.sources],
         [source.size for source in encoded.sources],
         _source_intrinsics(encoded, cameras.intrinsics[0]).numpy(),
         cameras.camera_from_world[0].numpy(),

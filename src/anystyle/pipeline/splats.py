@@ -3,7 +3,7 @@
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import torch
 from jaxtyping import Float
@@ -11,6 +11,7 @@ from torch import Tensor
 
 from anystyle.data.camera_reader import StoredCamera
 from anystyle.data.folder import SourceImage, covering
+from anystyle.data.names import short_names
 from anystyle.data.poses import stored_cameras, view_camera
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
@@ -100,7 +101,8 @@ def cameras_of(
     chosen = torch.linspace(0, len(names) - 1, min(len(names), options.cameras)).round().int().unique().tolist()
     first = stored[names[chosen[0]]]
     size = common_shape(first, side, multiple)
-    sources = tuple(covering(Path(names[index]).stem, stored[names[index]].size, size) for index in chosen)
+    called = short_names([path.parent / path.stem for path in map(PurePosixPath, names)])
+    sources = tuple(covering(called[index], stored[names[index]].size, size) for index in chosen)
     cameras = [view_camera(stored[names[index]], source) for index, source in zip(chosen, sources, strict=True)]
     return Cameras.cat(cameras, dim=1), sources, "stored beside it"
 

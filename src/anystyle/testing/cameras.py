@@ -10,6 +10,7 @@ from PIL import Image
 
 from anystyle.data.camera_reader import CameraReader, StoredCamera
 from anystyle.data.folder import image_files
+from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.testing.subject import Subject
 
@@ -20,11 +21,12 @@ def test_reads_its_example(plugin: Plugin) -> None:
     """Of the folder that ``example`` writes it reads a camera for each photograph: rigid, finite, of its aspect."""
     with _example(plugin) as (path, images):
         cameras = plugin.instance.read(path, images)
+        names = matched(cameras, images)
         again = plugin.instance.read(path, images)
         assert images, "`example` writes no photographs where `photographs` says, into the folder or `images`"
         for image in images:
-            camera = cameras.get(image.name, cameras.get(image.stem))
-            assert camera is not None, f"{image.name} has no camera among {sorted(cameras)}"
+            assert image in names, f"{image.name} has no camera among {sorted(cameras)}"
+            camera = cameras[names[image]]
             rotation, height = camera.world_from_camera[:3, :3], camera.size[0]
             assert np.allclose(rotation @ rotation.T, np.eye(3)) and np.linalg.det(rotation) > 0, f"{rotation}"
             assert (camera.intrinsics[[0, 1], [0, 1]] > 0).all() and (camera.intrinsics[2] == [0, 0, 1]).all()

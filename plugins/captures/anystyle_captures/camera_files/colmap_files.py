@@ -3,6 +3,7 @@
 The layout is the one that COLMAP documents under "Output Format"; see :mod:`anystyle.io.colmap`.
 """
 
+import codecs
 import struct
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -15,8 +16,13 @@ from anystyle.io.colmap import MODELS, NUM_PARAMETERS, Camera, Model, Photograph
 from anystyle.io.documents import read_bytes
 from anystyle_captures.camera_files.lens import MAX_SIDE
 
-ONE_FOCAL = frozenset({"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE"})
+ONE_FOCAL = frozenset(
+    {"SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE", "SIMPLE_DIVISION"}
+) | {"SIMPLE_FISHEYE"}
 """Models whose parameters begin with ``f, cx, cy``; those of the others begin with ``fx, fy, cx, cy``."""
+UNDISTORT = (
+    "undistort the photographs first: colmap image_undistorter --image_path IMAGES --input_path MODEL --output_path OUT"
+)
 MAX_BYTES = 1 << 30
 """The largest file of a model that is read."""
 
@@ -36,9 +42,18 @@ def _suffix(folder: Path) -> str | None:
 
 
 def find(folder: Path) -> Path | None:
-    """The folder of a capture's sparse model: the given one, or one below it where COLMAP and its users put it."""
-    candidates = (folder / inside for inside in ("", "sparse/0", "sparse", "colmap/sparse/0", "0"))
-    return next((candidate for candidate in candidates if _suffix(candidate)), None)
+    """The folder of a capture's sparse model or models: the given one, or one below it where they are put."""
+    candidates = (folder / inside for inside in ("", "sparse", "colmap/sparse"))
+    found = next((candidate for candidate in candidates if models(candidate)), None)
+    return models(found)[0] if found is not None and len(models(found)) == 1 else found
+
+
+def models(folder: Path) -> list[Path]:
+    """The folders of models that do not connect, which COLMAP numbers, and a folder itself where that is one."""
+    numbered = sorted(
+        (path for path in folder.glob("[0-9]*") if path.name.isdecimal()), key=lambda path: int(path.name)
+    )
+    return [path for path in (*numbered, folder) if _suffix(path)]
 
 
 def read(folder: Path) -> Model:
@@ -52,6 +67,8 @@ def read(folder: Path) -> Model:
         cameras = {number: _camera(*fields) for number, *fields in readers[0](read_bytes(path, most=MAX_BYTES))}
         path = folder / f"images.{suffix}"
         photographs = {number: _photograph(*fields) for number, *fields in readers[1](read_bytes(path, most=MAX_BYTES))}
+    except _UnknownModel as error:
+        raise UserError(f"{path} has cameras of the model {error}, which is not known; {UNDISTORT}") from None
     except (struct.error, ValueError, KeyError, IndexError) as error:
         raise UserError(f"{path} is damaged or no file of COLMAP's ({str(error).splitlines()[0]})") from None
     for photograph in photographs.values():
@@ -60,10 +77,17 @@ def read(folder: Path) -> Model:
     return Model(cameras, photographs)
 
 
+class _UnknownModel(LookupError):
+    """A camera model of a later version of COLMAP."""
+
+
 def _camera(model: str, width: int, height: int, parameters: Sequence[float]) -> Camera:
+    if model not in NUM_PARAMETERS:
+        raise _UnknownModel(model[:40])
     camera = Camera(model, (height, width), tuple(parameters))
     sizes = 0 < width < MAX_SIDE and 0 < height < MAX_SIDE and len(parameters) == NUM_PARAMETERS[model]
-    if not (sizes and np.isfinite(parameters).all() and min(split(camera)[0][:2]) > 0):
+    lens = model == "EQUIRECTANGULAR" or (sizes and min(split(camera)[0][:2]) > 0)
+    if not (sizes and lens and np.isfinite(parameters).all()):
         raise UserError(f"a camera {model} of {width}x{height} pixels with the parameters {camera.parameters[:12]}")
     return camera
 
@@ -74,6 +98,11 @@ def _photograph(pose: Sequence[float], camera: int, name: str) -> Photograph:
         raise UserError(f"the pose of {name[:80]} is no rotation and translation")
     w, x, y, z = (value / norm for value in pose[:4])
     return Photograph(name, camera, (w, x, y, z), (pose[4], pose[5], pose[6]))
+
+
+def _text(data: bytes) -> str:
+    """Names may be in another encoding than UTF-8, which is found out when they are matched with files."""
+    return data.removeprefix(codecs.BOM_UTF8).decode("utf-8", "surrogateescape")
 
 
 class _Records:
@@ -96,16 +125,16 @@ class _Records:
 
     def text(self) -> str:
         end = self.data.index(b"\0", self.offset, self.offset + 4096)
-        name, self.offset = self.data[self.offset : end].decode("utf-8"), end + 1
+        name, self.offset = _text(self.data[self.offset : end]), end + 1
         return name
 
 
 def _binary_cameras(data: bytes) -> Iterator[tuple[Any, ...]]:
     records = _Records(data)
-    for _ in range(records.count(48)):
+    for _ in range(records.count(40)):
         number, index, width, height = records.take("iiQQ")
         if not 0 <= index < len(MODELS):
-            raise UserError(f"camera model {index} is unknown")
+            raise _UnknownModel(f"number {index}")
         yield number, MODELS[index], width, height, records.take(f"{NUM_PARAMETERS[MODELS[index]]}d")
 
 
@@ -119,14 +148,14 @@ def _binary_images(data: bytes) -> Iterator[tuple[Any, ...]]:
 
 
 def _text_cameras(data: bytes) -> Iterator[tuple[Any, ...]]:
-    for line in data.decode("utf-8").splitlines():
+    for line in _text(data).splitlines():
         if line.strip() and not line.startswith("#"):
             number, model, width, height, *parameters = line.split()
             yield int(number), model, int(width), int(height), tuple(map(float, parameters))
 
 
 def _text_images(data: bytes) -> Iterator[tuple[Any, ...]]:
-    lines = (line.strip() for line in data.decode("utf-8").splitlines() if not line.startswith("#"))
+    lines = (line.strip() for line in _text(data).splitlines() if not line.startswith("#"))
     for line in lines:
         if line:  # blank lines may lie between records; the line of points, which may be blank too, is skipped below
             number, *pose, camera, name = line.split(maxsplit=9)

@@ -1,6 +1,8 @@
 """Lenses with radial and tangential distortion, and photographs without it."""
 
 import math
+import signal
+import threading
 from dataclasses import dataclass
 from functools import cache, partial
 
@@ -13,6 +15,7 @@ from torch import Tensor
 
 from anystyle.data.camera_reader import Undistortion
 from anystyle.errors import UserError
+from anystyle.io.colmap import Camera
 
 MAX_SIDE = 1 << 20
 """Pixels that an image may be wide or high for a camera of it to be believed."""
@@ -37,6 +40,7 @@ class Lens:
         tangential: p1 and p2: x gains ``2 p1 x y + p2 (r² + 2 x²)``, y ``p1 (r² + 2 y²) + 2 p2 x y``.
         skew: In pixels.
         fisheye: Whether the radius is the angle from the axis.
+        colmap: A camera of a model that the terms do not cover; pycolmap projects by it.
     """
 
     size: tuple[int, int]
@@ -46,6 +50,7 @@ class Lens:
     tangential: tuple[float, float] = (0.0, 0.0)
     skew: float = 0.0
     fisheye: bool = False
+    colmap: Camera | None = None
 
     def __post_init__(self) -> None:
         values = (*self.size, *self.focal, *self.center, *self.radial, *self.tangential, self.skew)
@@ -60,7 +65,9 @@ class Lens:
         return np.array([[scale * fx, 0.0, cx], [0.0, scale * fy, cy], [0.0, 0.0, 1.0]])
 
     def pixels(self, rays: Float[Tensor, "*N 2"]) -> Float[Tensor, "*N 2"]:
-        """Where rays (x, y) at z = 1 are seen, in pixels."""
+        """Where rays (x, y) at z = 1 are seen, in pixels; not a number where they are not."""
+        if self.colmap is not None:
+            return _projected(self.colmap, rays)
         if self.fisheye:
             slope = rays.norm(dim=-1, keepdim=True).clamp_min(1e-12)
             rays = rays * (slope.atan() / slope)
@@ -90,6 +97,24 @@ class Lens:
     def _rays(self, pixels: Float[Tensor, "*N 2"], scale: float) -> Float[Tensor, "*N 2"]:
         """Rays of pixels of the pinhole camera whose focal lengths are ``scale`` times the lens's."""
         return (pixels - pixels.new_tensor(self.center)) / (scale * pixels.new_tensor(self.focal))
+
+
+def _projected(camera: Camera, rays: Float[Tensor, "*N 2"]) -> Float[Tensor, "*N 2"]:
+    try:
+        import pycolmap  # after Pillow, whose zlib it would replace
+    except ImportError:
+        raise UserError(
+            f"cameras of the model {camera.model} are read with pycolmap: pip install pycolmap, or undistort the "
+            "photographs first (colmap image_undistorter)"
+        ) from None
+    if threading.current_thread() is threading.main_thread():
+        # Importing pycolmap replaces signal handlers to print a native stack; restore Python's own.
+        for number in (signal.SIGTERM, signal.SIGINT):
+            signal.signal(number, signal.getsignal(number) or signal.SIG_DFL)
+    height, width = camera.size
+    lens = pycolmap.Camera(model=camera.model, width=width, height=height, params=list(camera.parameters))
+    points = F.pad(rays.reshape(-1, 2).double(), (0, 1), value=1.0)
+    return torch.from_numpy(lens.img_from_cam(points.numpy())).reshape(rays.shape).to(rays)
 
 
 @cache

@@ -3,7 +3,7 @@
 import logging
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -12,7 +12,7 @@ from anystyle.data.camera_reader import CameraReader, StoredCamera
 from anystyle.errors import UserError
 from anystyle_captures.camera_files import samples
 from anystyle_captures.camera_files.lens import Lens
-from anystyle_captures.camera_files.poses import camera, finished, rigid
+from anystyle_captures.camera_files.poses import by_name, camera, finished, rigid
 from anystyle_captures.camera_files.xml import number, numbers, read_xml, starts_with
 
 _log = logging.getLogger(__name__)
@@ -45,12 +45,13 @@ class Metashape(CameraReader):
     def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
         root = read_xml(path, _WHAT)
         try:
-            return finished(_cameras(root), images)
+            cameras = _cameras(root)
         except (ValueError, TypeError) as error:
             raise UserError(f"{path} is no {_WHAT} that can be read: {error}") from None
+        return finished(by_name(cameras, path), images)
 
 
-def _cameras(root: Element) -> dict[str, StoredCamera]:
+def _cameras(root: Element) -> list[tuple[str, StoredCamera]]:
     chunks = [chunk for chunk in root.iter("chunk") if any(_aligned(chunk))]
     if len(chunks) != 1:
         raise UserError(f"it has {len(chunks)} chunks with aligned cameras; export one")
@@ -67,10 +68,13 @@ def _cameras(root: Element) -> dict[str, StoredCamera]:
         assert len(aligned) == count
     lenses: dict[str | None, Lens] = {}
     sensors = {sensor.get("id"): sensor for sensor in chunk.iter("sensor")}
-    cameras = {}
+    # A label is the name of a file without its folder, which groups of cameras may stand for.
+    groups = {each: f"{group.get('label', '')}/" for group in chunk.iter("group") for each in group.iter("camera")}
+    labels = Counter(each.get("label") for each in aligned)
+    cameras = []
     for each in aligned:
-        sensor = each.get("sensor_id")
-        label = PurePosixPath((each.get("label") or "").replace("\\", "/")).name
+        sensor, label = each.get("sensor_id"), each.get("label") or ""
+        label = groups.get(each, "") + label if labels[label] > 1 else label
         if sensor not in sensors:
             raise UserError(f"the sensor of {label} is not there")
         lenses[sensor] = lenses.get(sensor) or _lens(sensors[sensor])
@@ -81,7 +85,7 @@ def _cameras(root: Element) -> dict[str, StoredCamera]:
         if world_from_chunk is not None:
             pose = world_from_chunk @ pose
             pose[:3, :3] /= np.cbrt(np.linalg.det(world_from_chunk[:3, :3]))
-        cameras[label] = camera(rigid(pose), lenses[sensor])
+        cameras.append((label, camera(rigid(pose), lenses[sensor])))
     return cameras
 
 

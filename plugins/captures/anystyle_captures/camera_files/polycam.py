@@ -8,6 +8,7 @@ import msgspec
 import numpy as np
 
 from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.io.documents import Positive, read_json
 from anystyle_captures.camera_files import samples
@@ -73,16 +74,15 @@ class Polycam(CameraReader):
         return next((folder for folder in folders if folder.is_dir()), None)
 
     def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
-        files = [path / f"{image.stem}.json" for image in images] if images else sorted(path.glob("*.json"))
+        files = {file.stem: file for file in sorted(path.glob("*.json"))}
         cameras = {}
-        for file in files:
-            if not file.is_file():
-                continue
+        for name in matched(files, images).values() if images else files:
+            file = files[name]
             frame: _Keyframe = read_json(file, _Keyframe, what="camera of Polycam")
             rows = [[getattr(frame, f"t_{row}{column}") for column in range(4)] for row in range(3)]
             try:
                 lens = Lens((round(frame.height), round(frame.width)), (frame.fx, frame.fy), (frame.cx, frame.cy))
-                cameras[file.stem] = camera(rigid(np.array(rows) @ OPENCV_FROM_OPENGL), lens)
+                cameras[name] = camera(rigid(np.array(rows) @ OPENCV_FROM_OPENGL), lens)
             except UserError as error:
                 raise UserError(f"{file} is no camera of Polycam ({error})") from None
         return finished(cameras, images)

@@ -1,7 +1,7 @@
 """Poses and photographs as programs store them, as the core's cameras."""
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +10,7 @@ from jaxtyping import Float64
 from PIL import ExifTags, Image
 
 from anystyle.data.camera_reader import StoredCamera, Undistortion
+from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.io.images import opened
 from anystyle_captures.camera_files.lens import Lens
@@ -40,10 +41,21 @@ def camera(world_from_camera: np.ndarray, lens: Lens) -> StoredCamera:
     return StoredCamera(world_from_camera, lens.matrix(), lens.size, lens.undistortion())
 
 
+def by_name(cameras: Iterable[tuple[str, StoredCamera]], path: Path) -> dict[str, StoredCamera]:
+    """Cameras by the names that a file has for them, once each."""
+    found: dict[str, StoredCamera] = {}
+    for name, one in cameras:
+        if name in found:
+            raise UserError(f"{path} has two cameras of the name {name}; give photographs names of their own")
+        found[name] = one
+    return found
+
+
 def finished(cameras: Mapping[str, StoredCamera], images: Sequence[Path]) -> dict[str, StoredCamera]:
     """Cameras near the origin, and for upright photographs where theirs are stored lying on a side."""
-    by_name = {name: image for image in images for name in (image.stem, image.name)}
-    found = {name: _upright(one, by_name[name]) if name in by_name else one for name, one in cameras.items()}
+    found = dict(cameras)
+    for image, name in matched(found, images).items():
+        found[name] = _upright(found[name], image)
     positions = np.array([one.world_from_camera[:3, 3] for one in found.values()]).reshape(-1, 3)
     if not len(positions):
         return found

@@ -9,17 +9,18 @@ from scipy.spatial.transform import Rotation
 
 from anystyle.data.camera_reader import CameraReader, StoredCamera
 from anystyle.data.images import image_size
+from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.io.documents import read_text
 from anystyle_captures.camera_files import samples
 from anystyle_captures.camera_files.lens import Lens
-from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL, camera, finished, rigid
+from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL, by_name, camera, finished, rigid
 from anystyle_captures.camera_files.xml import numbers, read_xml, starts_with
 
 _COLUMNS = {"z": "alt", "yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}
 """Names of columns in one version, by those in others."""
 _REQUIRED = {"name", "x", "y", "alt", "heading", "pitch", "roll", "f"}
-_OPTIONAL = {"px", "py", "k1", "k2", "k3", "k4", "t1", "t2"}
+_NUMBERS = _REQUIRED - {"name"} | {"px", "py", "k1", "k2", "k3", "k4", "t1", "t2"}
 _XCR = "http://www.capturingreality.com/ns/xcr/1.1#"
 _DESCRIPTION = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}Description"
 _BROWN = ("perspective", "brown3", "brown3t2", "brown4", "brown4t2")
@@ -81,36 +82,33 @@ def _from_table(path: Path, images: Sequence[Path]) -> dict[str, StoredCamera]:
     names = _header(path)
     assert names is not None
     lines = read_text(path, what="table of cameras").splitlines()
-    by_name = {name.casefold(): image for image in images for name in (image.stem, image.name)}
-    cameras = {}
+    rows: list[dict[str, str]] = []
     for row in csv.reader(line for line in lines if line.strip() and not line.startswith("#")):
         if len(row) != len(names):
             raise UserError(f"{path} has a row of {len(row)} values for {len(names)} columns: {','.join(row)[:80]}")
-        fields = dict(zip(names, row, strict=True))
-        name = fields.pop("name").replace("\\", "/").rpartition("/")[2].strip()
-        image = by_name.get(name.casefold(), by_name.get(Path(name).stem.casefold()))
-        if image is None:
-            continue
+        rows.append(dict(zip(names, map(str.strip, row), strict=True)))
+    by_row = {name: image for image, name in matched([fields["name"] for fields in rows], images).items()}
+    cameras = []
+    for fields in (each for each in rows if each["name"] in by_row):
+        name, image = fields["name"], by_row[fields["name"]]
         try:
-            values = {key: float(text) for key, text in fields.items() if key in _REQUIRED | _OPTIONAL}
+            values = {key: float(text) for key, text in fields.items() if key in _NUMBERS}
             pose = np.eye(4)
             pose[:3, :3] = world_from_camera(values["heading"], values["pitch"], values["roll"])
             pose[:3, 3] = values["x"], values["y"], values["alt"]
             terms = [values.get(term, 0.0) for term in ("k1", "k2", "k3", "k4", "t1", "t2")]
             point = values.get("px", 0.0), values.get("py", 0.0)
-            cameras[image.name] = camera(rigid(pose), _lens(image, values["f"], point, terms))
+            cameras.append((name, camera(rigid(pose), _lens(image, values["f"], point, terms))))
         except ValueError as error:
             raise UserError(f"{path}: the camera of {name} cannot be read ({error})") from None
-    return cameras
+    return by_name(cameras, path)
 
 
 def _from_sidecars(folder: Path, images: Sequence[Path]) -> dict[str, StoredCamera]:
     cameras = {}
-    for image in images:
-        sidecars = (folder / f"{image.stem}.xmp", folder / f"{image.name}.xmp")
-        path = next((file for file in sidecars if file.is_file() and starts_with(file, _XCR)), None)
-        if path is None:
-            continue
+    sidecars = {path.name: path for path in sorted(folder.glob("*.xmp")) if starts_with(path, _XCR)}
+    for image, name in matched(sidecars, images).items():
+        path = sidecars[name]
         description = next(read_xml(path, "sidecar of RealityScan").iter(_DESCRIPTION), None)
         texts: dict[str, str] = {}
         if description is not None:
@@ -119,7 +117,7 @@ def _from_sidecars(folder: Path, images: Sequence[Path]) -> dict[str, StoredCame
         if "Rotation" not in texts or "Position" not in texts:
             continue  # a photograph without a pose
         try:
-            cameras[image.name] = _of_sidecar(texts, image)
+            cameras[str(image)] = _of_sidecar(texts, image)
         except ValueError as error:
             raise UserError(f"{path}: the camera cannot be read ({error})") from None
     return cameras

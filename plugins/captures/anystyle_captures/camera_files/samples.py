@@ -9,6 +9,7 @@ from jaxtyping import Float64
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from anystyle.data.names import names_below
 from anystyle.io import colmap
 from anystyle_captures.camera_files.lens import Lens
 from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL
@@ -164,9 +165,9 @@ def write_transforms(path: Path, images: Sequence[Path], world_from_camera: Pose
     numbers |= {"h": lens.size[0], "w": lens.size[1], "p1": lens.tangential[0], "p2": lens.tangential[1]}
     numbers |= {f"k{index}": value for index, value in enumerate(lens.radial, start=1)}
     frames = []
-    for image, pose in zip(images, world_from_camera, strict=True):
+    for name, pose in zip(names_below(images), world_from_camera, strict=True):
         matrix = (pose @ OPENCV_FROM_OPENGL).tolist()
-        frames.append({"file_path": f"images/{image.name}", "transform_matrix": matrix, **numbers})
+        frames.append({"file_path": f"images/{name}", "transform_matrix": matrix, **numbers})
     names = [frame["file_path"] for frame in frames]
     content = {"camera_model": "OPENCV_FISHEYE" if lens.fisheye else "OPENCV", "frames": frames}
     content |= {"applied_transform": np.eye(4)[[0, 2, 1]].tolist(), "train_filenames": names[1:], "test_filenames": []}
@@ -187,9 +188,9 @@ def write_colmap(folder: Path, images: Sequence[Path], world_from_camera: Poses,
     """A sparse model with an OPENCV camera."""
     values = (*lens.focal, *lens.center, *lens.radial[:2], *lens.tangential)
     photographs = {}
-    for number, (image, pose) in enumerate(zip(images, world_from_camera, strict=True), start=1):
+    for number, (name, pose) in enumerate(zip(names_below(images), world_from_camera, strict=True), start=1):
         matrix = np.linalg.inv(pose)
         x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True).tolist()
         tx, ty, tz = matrix[:3, 3].tolist()
-        photographs[number] = colmap.Photograph(image.name, 1, (w, x, y, z), (tx, ty, tz))
+        photographs[number] = colmap.Photograph(name, 1, (w, x, y, z), (tx, ty, tz))
     colmap.write(colmap.Model({1: colmap.Camera("OPENCV", lens.size, values)}, photographs), folder)

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -14,7 +14,7 @@ from anystyle.io.arrays import read_array
 from anystyle.io.documents import Positive, read_json
 from anystyle_captures.camera_files import samples
 from anystyle_captures.camera_files.lens import MAX_SIDE, Lens
-from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL, camera, finished, rigid
+from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL, by_name, camera, finished, rigid
 
 _WHAT = "transforms.json of cameras"
 _MODELS = ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")
@@ -56,6 +56,8 @@ class _Frame(msgspec.Struct):
         fx = 0.5 * width / math.tan(0.5 * angle) if fx is None else fx
         fy = fx if fy is None else fy
         model = values["camera_model"] or "OPENCV"
+        if model == "EQUIRECTANGULAR":
+            raise UserError("the images are panoramas (EQUIRECTANGULAR); cut them into views first")
         if model not in _MODELS:
             raise UserError(f"camera_model {model[:40]} is none of {', '.join(_MODELS)}; undistort the images first")
         k1, k2, k3, k4, p1, p2 = (values[name] or 0.0 for name in _NUMBERS[7:13])
@@ -92,17 +94,14 @@ class Transforms(CameraReader):
     def read(self, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
         content: _Transforms = read_json(path, _Transforms, what=_WHAT)
         try:
-            return finished({_name(frame.file_path): frame.camera(content) for frame in content.frames}, images)
+            cameras = [(frame.file_path, frame.camera(content)) for frame in content.frames]
         except ValueError as error:
-            raise UserError(f"{path} is no {_WHAT} ({error})") from None
-
-
-def _name(path: str) -> str:
-    return PurePosixPath(path.replace("\\", "/")).name
+            raise UserError(f"{path}: {error}") from None
+        return finished(by_name(cameras, path), images)
 
 
 class Llff(CameraReader):
-    """``poses_bounds.npy`` of LLFF: one row of numbers an image, in the order of their names."""
+    """``poses_bounds.npy`` of LLFF: one row of numbers an image, in the alphabetical order of their names."""
 
     expects = "poses_bounds.npy"
     rank = 20
@@ -124,7 +123,7 @@ class Llff(CameraReader):
         if images and len(rows) != len(images):
             raise UserError(f"{path} has {len(rows)} poses for {len(images)} images; remove images without a pose")
         cameras = {}
-        for image, row in zip(images, rows, strict=bool(images)):
+        for image, row in zip(sorted(images), rows, strict=bool(images)):  # not in natural order: 10 before 2
             matrix = row[:15].reshape(3, 5)
             height, width, focal = matrix[:, 4]
             if not (1 <= height <= MAX_SIDE and 1 <= width <= MAX_SIDE and focal > 0):
@@ -133,7 +132,7 @@ class Llff(CameraReader):
             axes = np.stack([matrix[:, 1], matrix[:, 0], -matrix[:, 2], matrix[:, 3]], axis=1)
             lens = Lens((round(height), round(width)), (focal, focal), (width / 2, height / 2))
             try:
-                cameras[image.name] = camera(rigid(axes), lens)
+                cameras[str(image)] = camera(rigid(axes), lens)
             except UserError as error:
                 raise UserError(f"{path}: the pose of {image.name} is none ({error})") from None
         return cameras

@@ -1,5 +1,6 @@
 """COLMAP's models are read by the layout that COLMAP documents."""
 
+import re
 import struct
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from anystyle.data.poses import read_poses
+from anystyle.data.poses import read_poses, stored_cameras
 from anystyle.io import colmap
 from anystyle_captures.camera_files import colmap_files
 
@@ -33,8 +34,8 @@ def test_cameras_beside_photographs(tmp_path, binary):
         Image.new("RGB", (64, 48)).save(tmp_path / "images" / name)
     colmap.write(model(), tmp_path / "sparse" / "0", binary=binary)
     known = read_poses(tmp_path, [tmp_path / "images" / name for name in ("a.png", "b.png", "c.png")])
-    assert sorted(known) == ["a.png", "b.png"]
-    camera, stored = known["b.png"], model().photographs[7]
+    assert sorted(path.name for path in known) == ["a.png", "b.png"]
+    camera, stored = known[tmp_path / "images" / "b.png"], model().photographs[7]
     w, x, y, z = stored.rotation
     motion = np.linalg.inv(camera.world_from_camera)
     np.testing.assert_allclose(motion[:3, :3], Rotation.from_quat([x, y, z, w]).as_matrix(), atol=1e-12)
@@ -68,11 +69,61 @@ def test_damaged_files_are_refused(tmp_path):
         colmap_files.read(tmp_path)
 
 
-def test_lenses_without_an_undistortion_and_other_peoples_poses_are_refused(tmp_path):
-    lens = colmap.Camera("FOV", (48, 64), (50.0, 51.0, 32.0, 24.0, 0.9))
-    colmap.write(colmap.Model({1: lens}, model().photographs), tmp_path / "sparse")
-    with pytest.raises(ValueError, match="undistort"):
+@pytest.mark.parametrize("binary", [True, False])
+def test_panoramas_and_unknown_models_are_refused_by_name(tmp_path, binary):
+    lens = colmap.Camera("EQUIRECTANGULAR", (32, 64), (64.0, 32.0))
+    colmap.write(colmap.Model({1: lens}, model().photographs), tmp_path / "sparse", binary=binary)
+    with pytest.raises(ValueError, match="EQUIRECTANGULAR cameras, whose images are panoramas; cut them into views"):
         read_poses(tmp_path, [tmp_path / "a.png"])
+    file = tmp_path / "sparse" / ("cameras.bin" if binary else "cameras.txt")
+    old, new = (struct.pack("<ii", 1, 17), struct.pack("<ii", 1, 18)) if binary else (b"EQUIRECTANGULAR", b"NEWEST")
+    file.write_bytes(file.read_bytes().replace(old, new))
+    with pytest.raises(ValueError, match=r"(number 18|NEWEST), which is not known; .*colmap image_undistorter"):
+        read_poses(tmp_path, [tmp_path / "a.png"])
+
+
+@pytest.mark.parametrize("binary", [True, False])
+@pytest.mark.parametrize(("name", "encoding"), [("照片1.png", "gbk"), ("été.png", "latin-1")])
+def test_names_in_other_encodings_are_those_of_the_files(tmp_path, caplog, name, encoding, binary):
+    photographs = {1: colmap.Photograph("N", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))}
+    colmap.write(colmap.Model(model().cameras, photographs), tmp_path, binary=binary)
+    file = tmp_path / ("images.bin" if binary else "images.txt")
+    old, new = (b"N\0", name.encode(encoding) + b"\0") if binary else (b" N\n", b" " + name.encode(encoding) + b"\n")
+    file.write_bytes(file.read_bytes().replace(old, new))
+    assert list(read_poses(tmp_path, [tmp_path / name])) == [tmp_path / name]
+    assert "differ in their encoding" in caplog.text
+
+
+def test_of_several_models_the_one_of_most_photographs_is_read(tmp_path, caplog):
+    whole, images = model(), [tmp_path / "a.png", tmp_path / "b.png"]
+    part = colmap.Model(whole.cameras, {3: whole.photographs[3]})
+    other = colmap.Model(
+        whole.cameras, {n: colmap.Photograph(f"{n}.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) for n in range(9)}
+    )
+    for number, each in enumerate((part, whole, other)):
+        colmap.write(each, tmp_path / "sparse" / str(number))
+    assert list(read_poses(tmp_path, images)) == images
+    assert re.search(r"sparse/1 is read, with 2 of 2 .*left out: .*sparse/0 with 1, .*sparse/2 with 0", caplog.text)
+    assert list(read_poses(tmp_path, images[:1], "sparse/0")) == images[:1]
+    assert len(stored_cameras(tmp_path)) == 9  # without photographs, the largest
+
+
+def test_models_of_rigs_are_read(tmp_path):
+    """As the installed version writes them, with rigs and frames beside."""
+    pycolmap = pytest.importorskip("pycolmap")
+    options = pycolmap.SyntheticDatasetOptions(num_rigs=1, num_cameras_per_rig=2, num_frames_per_rig=3, num_points3D=9)
+    whole = pycolmap.synthesize_dataset(options)
+    for suffix, write in (("bin", whole.write_binary), ("txt", whole.write_text)):
+        (tmp_path / suffix).mkdir()
+        write(tmp_path / suffix)
+        assert (tmp_path / suffix / f"rigs.{suffix}").is_file()
+        cameras = stored_cameras(tmp_path / suffix)
+        for image in whole.images.values():
+            pose = cameras[image.name].world_from_camera
+            np.testing.assert_allclose(pose[:3], image.cam_from_world().inverse().matrix(), atol=1e-9)
+
+
+def test_other_peoples_poses_are_refused(tmp_path):
     colmap.write(model(), tmp_path / "sparse")
     with pytest.raises(ValueError, match="names none of the photographs"):
         read_poses(tmp_path, [tmp_path / "elsewhere.png"])

@@ -5,6 +5,8 @@ import pytest
 import torch
 from PIL import Image
 
+from anystyle.data.poses import stored_cameras
+from anystyle_captures.camera_files import colmap_files
 from anystyle_captures.camera_files.lens import Lens
 
 SIZE = (480, 640)
@@ -61,6 +63,46 @@ def test_a_photograph_is_undistorted_and_filled(lens):
         expected = 127.5 + 100 * wanted
         inside = (expected > 2) & (expected < 253)
         assert np.abs(shown[..., channel] - expected)[inside].max() < 2.5
+
+
+PARAMETERS = {
+    "FULL_OPENCV": (-0.1, 0.02, 0.002, -0.001, 0.003, 0.05, -0.01, 0.002),
+    "FOV": (0.8,),
+    "SIMPLE_FISHEYE": (),
+    "FISHEYE": (),
+    "SIMPLE_RADIAL_FISHEYE": (0.03,),
+    "RADIAL_FISHEYE": (0.03, -0.01),
+    "THIN_PRISM_FISHEYE": (0.02, -0.01, 0.001, -0.002, 0.003, 0.0, 0.001, -0.001),
+    "RAD_TAN_THIN_PRISM_FISHEYE": (0.02, -0.01, 0.003, 0.0, 0.0, 0.0, 0.001, -0.001, 0.001, 0.0, -0.001, 0.0),
+    "SIMPLE_DIVISION": (-0.1,),
+    "DIVISION": (-0.1,),
+    "EUCM": (0.6, 1.1),
+}
+
+
+@pytest.mark.parametrize("name", PARAMETERS)
+@pytest.mark.parametrize("binary", [True, False])
+def test_a_photograph_is_undistorted_as_colmap_sees_it(tmp_path, name, binary):
+    """Of every model: what pycolmap writes is read, and a photograph of its rays becomes a pinhole camera's."""
+    pycolmap = pytest.importorskip("pycolmap")
+    focal = [130.0] if name in colmap_files.ONE_FOCAL else [130.0, 128.0]
+    camera = pycolmap.Camera(
+        model=name, width=160, height=120, params=[*focal, 81.0, 59.0, *PARAMETERS[name]], camera_id=1
+    )
+    whole = pycolmap.Reconstruction()
+    whole.add_camera_with_trivial_rig(camera)
+    image = pycolmap.Image(name="a.png", camera_id=1, image_id=1)
+    whole.add_image_with_trivial_frame(image, pycolmap.Rigid3d())
+    (whole.write_binary if binary else whole.write_text)(tmp_path)
+    stored = stored_cameras(tmp_path)["a.png"]
+
+    v, u = np.meshgrid(np.arange(120) + 0.5, np.arange(160) + 0.5, indexing="ij")
+    rays = camera.cam_from_img(np.stack([u, v], -1).reshape(-1, 2)).reshape(120, 160, 2)
+    colours = (127.5 + 100 * rays).clip(0, 255).round().astype(np.uint8)
+    picture = stored.undistortion.apply(Image.fromarray(np.dstack([colours, colours[..., :1]])))
+    matrix = stored.undistortion.intrinsics
+    wanted = np.stack([(u - matrix[0, 2]) / matrix[0, 0], (v - matrix[1, 2]) / matrix[1, 1]], -1)
+    assert np.abs(np.asarray(picture)[..., :2] - (127.5 + 100 * wanted)).max() < 2.5
 
 
 def test_a_lens_without_distortion_leaves_photographs_alone():

@@ -9,7 +9,7 @@ import torch
 
 from anystyle.cli.arguments import new_parser, parse, split, subcommand
 from anystyle.contracts import Renderer
-from anystyle.data.folder import distinct
+from anystyle.data.names import distinct
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.pipeline.export import in_axes

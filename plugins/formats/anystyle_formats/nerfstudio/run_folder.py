@@ -8,7 +8,7 @@ OpenGL's there; a model's z axis is up.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any
 
 import msgspec
@@ -17,6 +17,7 @@ import torch
 import yaml
 from numpy.typing import NDArray
 
+from anystyle.data.names import short_names
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError, one_line
 from anystyle.geometry.transforms import Similarity
@@ -107,7 +108,8 @@ def _cameras(data: Path | None) -> tuple[Cameras, tuple[str, ...]]:
         torch.from_numpy(np.stack([getattr(camera, name) for camera in alike.values()])).float()[None]
         for name in ("world_from_camera", "intrinsics")
     )
-    return Cameras(poses, intrinsics, sizes[0]), tuple(alike)
+    names = short_names([PurePosixPath(name) for name in alike])
+    return Cameras(poses, intrinsics, sizes[0]), tuple(names)
 
 
 def _data_folder(folder: Path) -> Path | None:

@@ -11,7 +11,7 @@ from typing import BinaryIO, Literal
 from PIL import Image
 
 from anystyle.data import images
-from anystyle.data.folder import distinct
+from anystyle.data.names import distinct
 from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.io.atomic import atomic_path
