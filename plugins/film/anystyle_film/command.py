@@ -17,6 +17,7 @@ from anystyle.io.atomic import atomic_directory
 from anystyle.pipeline.load import default_device
 from anystyle.pipeline.saved import read_saved, with_stored_cameras
 from anystyle.registry.build import build
+from anystyle.registry.compose import options
 from anystyle.registry.socket import Command
 from anystyle.types import Cameras, Gaussians
 
@@ -48,7 +49,9 @@ class FilmCommand(Command):
 def film(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Film what the arguments name as a configuration says."""
     video, renderer = build(Video, config.video), build(Renderer, config.renderer)
-    saved = with_stored_cameras(read_saved(arguments.scene), arguments.scene)
+    splat = options(config, "splat")
+    saved = read_saved(arguments.scene, splat.up, activated=splat.activated)
+    saved = with_stored_cameras(saved, arguments.scene, splat.folder)
     if not saved.names:
         raise UserError(f"{arguments.scene} has no cameras in it or beside it, and a path begins with cameras")
     titles = [title for title, _ in saved.styles]

@@ -41,7 +41,7 @@ KINDS: dict[str, Kind] = {
     "protocol": Kind(
         "anystyle.evaluation.base:Protocol", runtime=("stylizer", "method", "metrics", "scenes", "styles")
     ),
-    "format": Kind("anystyle.contracts:Format"),
+    "format": Kind("anystyle.contracts:Format", runtime=("activated",)),
     "video": Kind("anystyle.contracts:Video"),
     "command": Kind("anystyle.registry.socket:Command"),
 }
