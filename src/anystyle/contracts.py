@@ -411,6 +411,8 @@ class Format(Socket, ABC):
     """Whether a file is made from cameras; those beside a scene's file are found."""
     has_notes: ClassVar[bool] = False
     """Whether a file has room for :attr:`~anystyle.types.StyledScene.notes`."""
+    has_offset: ClassVar[bool] = False
+    """Whether a file has room for :attr:`~anystyle.types.StyledScene.offset`."""
 
     many_styles: ClassVar[bool] = False
     """Whether a file has room for several styles."""

@@ -50,7 +50,8 @@ class Scene:
         """The scene as files hold it."""
         notes = (self.title, *self.encoded.notes, *license_lines(licenses(self.weights)))
         names = tuple(self.encoded.names)
-        return StyledScene(((self.title, self.gaussians),), self.encoded.cameras, names, notes, self.title)
+        styles, encoded = ((self.title, self.gaussians),), self.encoded
+        return StyledScene(styles, encoded.cameras, names, notes, self.title, offset=encoded.offset)
 
 
 def image_from_renders(renders: list[Float[Tensor, "3 H W"]]) -> Float[Tensor, "B H W 3"]:

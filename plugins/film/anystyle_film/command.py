@@ -14,6 +14,7 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.pipeline.saved import read_saved, with_stored_cameras
 from anystyle.registry.build import build
+from anystyle.registry.compose import options
 from anystyle.registry.socket import Command
 
 CONF = Path(__file__).parent / "conf"
@@ -43,8 +44,9 @@ class FilmCommand(Command):
 
 def film(config: DictConfig, arguments: argparse.Namespace) -> None:
     """Film what the arguments name as a configuration says."""
-    video = build(Format, config.video, renderer=build(Renderer, config.renderer))
-    saved = with_stored_cameras(read_saved(arguments.scene), arguments.scene)
+    video, splat = build(Format, config.video, renderer=build(Renderer, config.renderer)), options(config, "splat")
+    saved = read_saved(arguments.scene, splat.up, activated=splat.activated)
+    saved = with_stored_cameras(saved, arguments.scene, splat.folder)
     titles = [title for title, _ in saved.styles]
     if arguments.style not in (None, *titles):
         raise UserError(f"--style {arguments.style!r}: there are {', '.join(map(repr, titles))}")

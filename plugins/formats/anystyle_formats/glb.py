@@ -25,12 +25,13 @@ from anystyle.contracts import Format
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import parse_json
-from anystyle.io.ply import MAX_DEGREE, Splats
+from anystyle.io.ply import MAX_DEGREE
+from anystyle.io.splats import Remarks, Splats
 from anystyle.pipeline.provenance import tables
 from anystyle.types import Gaussians, StyledScene
 from anystyle_formats import spz
 from anystyle_formats.provenance import XMP, joined_notes, lines_of, xmp_packet
-from anystyle_formats.reading import gaussians, joined, moved, reading, room_for
+from anystyle_formats.reading import Placed, gaussians, joined, offset_of_parts, reading, room_for
 
 NAME, PACKED = "KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"
 _FLOAT, _UNSIGNED_BYTE, _POINTS, _ARRAY_BUFFER = 5126, 5121, 0, 34962
@@ -43,7 +44,7 @@ class Glb(Format):
     """Binary glTF 2.0 with the extension ``KHR_gaussian_splatting``; each style is a scene of it."""
 
     up = "y"
-    has_notes = many_styles = reads = True
+    has_notes = has_offset = many_styles = reads = True
 
     def write(self, scene: StyledScene, path: Path) -> None:
         accessors: list[dict[str, object]] = []
@@ -85,13 +86,14 @@ class Glb(Format):
         packet = xmp_packet(scene, "model/gltf-binary")
         if packet is not None:
             asset |= {"extensions": {XMP: {"packet": 0}}, "extras": {"provenance": tables(scene.notes)}}
+        moved = {"translation": list(scene.offset)} if any(scene.offset) else {}
         document = {
             "asset": asset,
             "extensionsUsed": [NAME, *([XMP] if packet else [])],
             **({"extensions": {XMP: {"packets": [packet]}}} if packet else {}),
             "scene": len(titles) - 1,
             "scenes": [{"name": title, "nodes": [style]} for style, title in enumerate(titles)],
-            "nodes": [{"name": title, "mesh": style} for style, title in enumerate(titles)],
+            "nodes": [{"name": title, "mesh": style} | moved for style, title in enumerate(titles)],
             "meshes": meshes,
             "buffers": [{"byteLength": len(binary)}],
             "bufferViews": views,
@@ -107,20 +109,22 @@ class Glb(Format):
             )  # fmt: skip
 
     def read(self, path: Path) -> StyledScene:
-        with reading(path, "GLB file"):
+        with reading(path, "GLB file") as remarks:
             chunks = dict(_chunks(path.read_bytes()))
             document = parse_json(chunks[_JSON], _Document, source=str(path), what="GLB file")
-            file = _File(path, document, chunks.get(_BIN, b""))
+            file = _File(remarks, document, chunks.get(_BIN, b""))
             shown = document.scene if document.scene is not None else 0
             order = [index for index in range(len(document.scenes)) if index != shown]
             scenes = {index: file.scene(index) for index in [*order, shown]}
-            styles = [(document.scenes[index].name or path.stem, scene) for index, scene in scenes.items() if scene]
-            if not styles or scenes[shown] is None:
+            if not scenes[shown]:
                 raise ValueError(f"what it shows has no primitive with the extension {NAME}")
+            offset = offset_of_parts(scenes[shown], remarks)
+            found = {index: joined(parts, offset) for index, parts in scenes.items() if parts}
+            styles = [(document.scenes[index].name or path.stem, scene) for index, scene in found.items()]
         alike = tuple(style for style in styles if style[1].means.shape == styles[-1][1].means.shape)
         extras = document.asset.extras if isinstance(document.asset.extras, dict) else {}
         notes = joined_notes(document.asset.copyright.splitlines(), extras.get("provenance"))
-        return StyledScene(alike, notes=notes, up=self.up)
+        return StyledScene(alike, notes=notes, up=self.up, offset=offset)
 
 
 def _attributes(splats: Splats) -> dict[str, NDArray[Any]]:
@@ -219,22 +223,15 @@ class _Document:
 
 @dataclass(frozen=True)
 class _File:
-    path: Path
+    remarks: Remarks
     document: _Document
     binary: bytes
 
-    def scene(self, index: int) -> Gaussians | None:
-        """All Gaussians of a scene of the file, where it has some."""
-        found = [
-            moved(part, world)
-            for root in self.document.scenes[index].nodes
-            for part, world in self._below(root, np.eye(4), 0)
-        ]
-        return joined(found) if found else None
+    def scene(self, index: int) -> list[Placed]:
+        """All Gaussians of a scene of the file."""
+        return [part for root in self.document.scenes[index].nodes for part in self._below(root, np.eye(4), 0)]
 
-    def _below(
-        self, index: int, parent: NDArray[np.float64], depth: int
-    ) -> Iterator[tuple[Gaussians, NDArray[np.float64]]]:
+    def _below(self, index: int, parent: NDArray[np.float64], depth: int) -> Iterator[Placed]:
         if depth > len(self.document.nodes):
             raise ValueError("its nodes are their own children")
         node = self.document.nodes[index]
@@ -250,11 +247,12 @@ class _File:
             raise ValueError(f"kernel {how.get('kernel')!r} in {how.get('colorSpace')!r}; ellipses in sRGB are read")
         if PACKED in how.get("extensions", {}):
             view = self.document.bufferViews[how["extensions"][PACKED]["bufferView"]]
-            return spz.decoded(self.binary[view.byteOffset : view.byteOffset + view.byteLength], self.path)
+            return spz.decoded(self.binary[view.byteOffset : view.byteOffset + view.byteLength], self.remarks)
         given = primitive.attributes
         degrees = [degree for degree in range(MAX_DEGREE + 1) if f"{NAME}:SH_DEGREE_{degree}_COEF_0" in given]
         names = [f"{NAME}:SH_DEGREE_{degree}_COEF_{order}" for degree in degrees for order in range(2 * degree + 1)]
         return gaussians(
+            self.remarks,
             self._column(given["POSITION"]),
             self._column(given[f"{NAME}:ROTATION"])[:, [3, 0, 1, 2]],
             self._column(given[f"{NAME}:SCALE"]),
@@ -271,7 +269,7 @@ class _File:
         kind = np.dtype(_COMPONENTS[entry.componentType])
         data = self.binary[view.byteOffset : view.byteOffset + view.byteLength]
         strides = (view.byteStride or width * kind.itemsize, kind.itemsize)
-        shape = (room_for(self.path, entry.count), width)
+        shape = (room_for(self.remarks.path, entry.count), width)
         values = np.ndarray(shape, kind, data, entry.byteOffset, strides).astype(np.float64)
         return values / np.iinfo(kind).max if entry.normalized else values
 

@@ -20,7 +20,7 @@ from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.io.atomic import atomic_path
-from anystyle.io.ply import Splats
+from anystyle.io.splats import Splats
 from anystyle.types import Cameras, StyledScene
 from anystyle_formats.packing import morton_order, smallest_three
 from anystyle_formats.provenance import json_ld, readable

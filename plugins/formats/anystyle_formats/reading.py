@@ -1,6 +1,6 @@
 """What readers share: a file that is damaged, or none of the format, ends in one line."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from anystyle.errors import UserError, one_line
 from anystyle.geometry.transforms import Similarity
 from anystyle.io.documents import regular
 from anystyle.io.limits import require
+from anystyle.io.splats import Offset, Remarks, Splats, offset_of, visible
 from anystyle.types import Gaussians
 
 BYTES = 480
@@ -22,12 +23,14 @@ BYTES = 480
 
 
 @contextmanager
-def reading(path: Path, what: str) -> Iterator[Path]:
-    """Check that a path is a file; errors of parsers become a UserError that names it."""
+def reading(path: Path, what: str) -> Iterator[Remarks]:
+    """Check that a path is a file, and tell what was remarked of it; errors of parsers become a UserError."""
     regular(path, most=None, what=what)
     require(4 * path.stat().st_size, str(path), "a scene of fewer Gaussians, or another machine")
+    remarks = Remarks(path)
     try:
-        yield path
+        with np.errstate(all="ignore"):  # numbers that are infinite or none are looked for
+            yield remarks
     except (UserError, ImportError, MemoryError):
         raise
     except Exception as error:  # parsers of damaged files raise nearly anything
@@ -35,6 +38,7 @@ def reading(path: Path, what: str) -> Iterator[Path]:
         with suppress(UnicodeError):  # libraries in C++ quote bytes of the file
             reason = one_line(error)[:200] or reason
         raise UserError(f"{path} is no {what} that can be read ({reason})") from None
+    remarks.tell()
 
 
 def room_for(path: Path, count: int) -> int:
@@ -46,25 +50,43 @@ def room_for(path: Path, count: int) -> int:
 
 
 def gaussians(
+    remarks: Remarks,
     means: Shaped[np.ndarray, "N 3"],
     wxyz: Shaped[np.ndarray, "N 4"],
     scales: Shaped[np.ndarray, "N 3"],
     opacities: Shaped[np.ndarray, " N"],
     harmonics: Shaped[np.ndarray, "N K 3"],
 ) -> Gaussians:
-    """A batch of one scene in float32; ValueError where numbers are infinite, none, or out of range."""
+    """A batch of one scene in float32, without Gaussians that show nothing."""
     columns = (means, wxyz, scales, opacities, harmonics)
-    tensors = [torch.from_numpy(np.array(column, np.float32))[None] for column in columns]
-    if not len(means) or not all(bool(tensor.isfinite().all()) for tensor in tensors):
-        raise ValueError("Gaussians are missing, or have properties that are infinite or no numbers")
-    if bool((tensors[2] < 0).any()):
-        raise ValueError("Gaussians have negative scales")
-    tensors[3] = tensors[3].clamp(0, 1)
-    return Gaussians(*tensors)
+    rows = Splats(*(torch.from_numpy(np.array(column, np.float32)) for column in columns))
+    return Gaussians(*(column[None] for column in visible(rows, remarks)[0]))
 
 
-def moved(part: Gaussians, world: NDArray[np.float64]) -> Gaussians:
-    """Gaussians under a transformation that turns, moves and scales evenly."""
+Placed = tuple[Gaussians, NDArray[np.float64]]
+"""Gaussians, and the transformation from their coordinates to the world's."""
+
+
+def joined(found: Iterable[Placed], offset: Offset) -> Gaussians:
+    """Several parts as one scene, without an offset; colours of lower degrees get coefficients of 0."""
+    parts = [_moved(part, world, offset) for part, world in found]
+    most = max(part.harmonics.shape[2] for part in parts)
+    colors = [F.pad(part.harmonics, (0, 0, 0, most - part.harmonics.shape[2])) for part in parts]
+    padded = [replace(part, harmonics=color) for part, color in zip(parts, colors, strict=True)]
+    return Gaussians(**{name: torch.cat([vars(part)[name] for part in padded], 1) for name in vars(parts[0])})
+
+
+def offset_of_parts(found: Sequence[Placed], remarks: Remarks) -> Offset:
+    """What is to be taken off the positions of parts that are placed far away."""
+    if not found:
+        raise ValueError("it shows no Gaussians")
+    return offset_of(np.array([world[:3, 3] for _, world in found]), remarks)
+
+
+def _moved(part: Gaussians, world: NDArray[np.float64], offset: Offset) -> Gaussians:
+    """Gaussians under a transformation that turns, moves and scales evenly, without an offset."""
+    world = world.copy()
+    world[:3, 3] -= offset
     if np.array_equal(world, np.eye(4)):
         return part
     scale = np.cbrt(np.linalg.det(world[:3, :3]))
@@ -73,14 +95,3 @@ def moved(part: Gaussians, world: NDArray[np.float64]) -> Gaussians:
         raise ValueError("nodes that mirror, shear or scale unevenly are not read")
     columns = (torch.from_numpy(np.array(values, np.float32)) for values in (scale, turn, world[:3, 3]))
     return Similarity(*columns).gaussians(part)
-
-
-def joined(parts: Iterable[Gaussians]) -> Gaussians:
-    """Several scenes as one; colours of lower degrees get coefficients of 0."""
-    found = list(parts)
-    if not found:
-        raise ValueError("it shows no Gaussians")
-    most = max(part.harmonics.shape[2] for part in found)
-    colors = [F.pad(part.harmonics, (0, 0, 0, most - part.harmonics.shape[2])) for part in found]
-    padded = [replace(part, harmonics=color) for part, color in zip(found, colors, strict=True)]
-    return Gaussians(**{name: torch.cat([vars(part)[name] for part in padded], 1) for name in vars(found[0])})

@@ -23,6 +23,7 @@ from anystyle.io.documents import parse_json
 from anystyle.io.images import decodable, opened
 from anystyle.io.limits import require
 from anystyle.io.ply import MAX_DEGREE, from_smallest_three
+from anystyle.io.splats import near
 from anystyle.pipeline.provenance import tables
 from anystyle.types import StyledScene
 from anystyle_formats.packing import morton_order, smallest_three
@@ -90,7 +91,7 @@ class Sog(Format):
                 archive.writestr(zipfile.ZipInfo(name), data)
 
     def read(self, path: Path) -> StyledScene:
-        with reading(path, "SOG file"), zipfile.ZipFile(path) as archive:
+        with reading(path, "SOG file") as remarks, zipfile.ZipFile(path) as archive:
             meta = parse_json(_member(archive, "meta.json"), _Meta, source=str(path), what="SOG file")
             count = room_for(path, meta.count or meta.means.shape[0])
 
@@ -119,9 +120,10 @@ class Sog(Format):
                 centroids = meta.shN.decoded(book[:, :3]).reshape(-1, columns, 3)
                 harmonics = np.concatenate([harmonics, centroids[label[:, 0] | label[:, 1] << 8]], 1)
             scales = np.exp(meta.scales.decoded(bytes_of(meta.scales.files[0])[:, :3]))
-            scene = gaussians(np.sign(far) * np.expm1(np.abs(far)), wxyz, scales, alpha, harmonics)
+            means, offset = near(np.sign(far) * np.expm1(np.abs(far)), remarks)
+            scene = gaussians(remarks, means, wxyz, scales, alpha, harmonics)
         notes = joined_notes(str(meta.asset.get("copyright", "")).splitlines(), meta.asset.get("provenance"))
-        return StyledScene(((path.stem, scene),), notes=notes)
+        return StyledScene(((path.stem, scene),), notes=notes, offset=offset)
 
 
 @dataclass(frozen=True)

@@ -33,10 +33,10 @@ class Splat(Format):
             temporary.write_bytes(rows[order].tobytes())
 
     def read(self, path: Path) -> StyledScene:
-        with reading(path, ".splat file"):
+        with reading(path, ".splat file") as remarks:
             rows = np.frombuffer(path.read_bytes(), ROW)
             color = rows["color"] / 255
             harmonics = (color[:, None, :3] - 0.5) / _CONSTANT
             turns = (rows["rotation"].astype(np.float64) - 128) / 128
-            scene = gaussians(rows["position"], turns, rows["scale"], color[:, 3], harmonics)
+            scene = gaussians(remarks, rows["position"], turns, rows["scale"], color[:, 3], harmonics)
         return StyledScene(((path.stem, scene),))

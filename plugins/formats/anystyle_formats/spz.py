@@ -17,6 +17,7 @@ from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.io.ply import MAX_DEGREE, from_smallest_three
+from anystyle.io.splats import Remarks
 from anystyle.types import Gaussians, StyledScene
 from anystyle_formats.packing import smallest_three
 from anystyle_formats.reading import gaussians, reading, room_for
@@ -58,9 +59,9 @@ class Spz(Format):
             temporary.write_bytes(gzip.compress(header + b"".join(column.tobytes() for column in columns), mtime=0))
 
     def read(self, path: Path) -> StyledScene:
-        with reading(path, "SPZ file"):
+        with reading(path, "SPZ file") as remarks:
             data = path.read_bytes()
-            scene, up = decoded(data, path), _said(data) or self.up
+            scene, up = decoded(data, remarks), _said(data) or self.up
         return StyledScene(((path.stem, scene),), up=up)
 
 
@@ -81,8 +82,8 @@ def _is_zstd(data: bytes) -> bool:
     return data[:4] == MAGIC.to_bytes(4, "little")
 
 
-def decoded(data: bytes, path: Path) -> Gaussians:
-    """The Gaussians of a file's content; the path is for messages."""
+def decoded(data: bytes, remarks: Remarks) -> Gaussians:
+    """The Gaussians of a file's content."""
     packed = _is_zstd(data)
     stream = zlib.decompressobj(31)
     header = data if packed else stream.decompress(data, 16)
@@ -91,7 +92,7 @@ def decoded(data: bytes, path: Path) -> Gaussians:
         raise ValueError(
             f"version {version} with harmonics of degree {degree}; versions 1 to 4 and degrees 0 to 4 exist"
         )
-    count, higher = room_for(path, count), (degree + 1) ** 2 - 1
+    count, higher = room_for(remarks.path, count), (degree + 1) ** 2 - 1
     widths = [6 if version == _HALVES else 9, 1, 3, 3, 3 if version <= _FIRST_THREE else 4, 3 * higher]
     parts = (
         _zstd(data, streams, count * sum(widths))
@@ -108,6 +109,7 @@ def decoded(data: bytes, path: Path) -> Gaussians:
     harmonics = (rest.reshape(count, higher, 3) - 128.0) / 128
     constant = (color[:, None] / 255 - 0.5) / _COLOR_SCALE
     return gaussians(
+        remarks,
         position.view("<f2") if version == _HALVES else _fixed(position) / 2**bits,
         (_first_three(turn) if version <= _FIRST_THREE else _smallest_three(turn.view("<u4")[:, 0]))[:, [3, 0, 1, 2]],
         np.exp(scale / 16 - 10),

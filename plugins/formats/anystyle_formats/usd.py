@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from anystyle.contracts import Format
 from anystyle.io.atomic import atomic_path
-from anystyle.io.ply import Splats
+from anystyle.io.splats import Offset, Remarks, Splats
 from anystyle.pipeline.provenance import tables
 from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle_formats.provenance import joined_notes, lines_of, readable
-from anystyle_formats.reading import gaussians, joined, moved, reading, room_for
+from anystyle_formats.reading import Placed, gaussians, joined, offset_of_parts, reading, room_for
 
 SET = "style"
 _FOCAL = 24.0
@@ -52,7 +52,7 @@ class Usd(Format):
     """OpenUSD: ``usd`` and ``usdc`` are binary, ``usda`` is text, ``usdz`` a package; each style is a variant."""
 
     up = "y"
-    has_notes = many_styles = reads = True
+    has_notes = has_offset = many_styles = reads = True
 
     def __init__(self) -> None:
         if find_spec("pxr") is None or tuple(pxr.Usd.GetVersion()) < (0, 26, 3):
@@ -72,11 +72,11 @@ class Usd(Format):
             shutil.copyfile(layer, temporary)
 
     def read(self, path: Path) -> StyledScene:
-        with reading(path, "USD file"), tempfile.TemporaryDirectory() as folder:
+        with reading(path, "USD file") as remarks, tempfile.TemporaryDirectory() as folder:
             stage = _opened(_known(path, Path(folder)))
             data = stage.GetRootLayer().customLayerData
             titles = dict(zip(data.get("variants", ()), data.get("styles", ()), strict=True))
-            styles: list[tuple[str, Gaussians]] = []
+            styles: list[tuple[str, list[Placed]]] = []
             root = stage.GetDefaultPrim()
             variants = root.GetVariantSet(SET).GetVariantNames() if root else []
             if variants:
@@ -86,13 +86,15 @@ class Usd(Format):
                 rest = sorted(set(variants) - {*known, chosen})
                 for name in [*known, *rest, *([chosen] if chosen in variants else [])]:
                     root.GetVariantSet(SET).SetVariantSelection(name)
-                    styles.append((str(titles.get(name, name)), joined(_found(stage, path))))
+                    styles.append((str(titles.get(name, name)), _found(stage, remarks)))
             else:
-                styles.append((path.stem, joined(_found(stage, path))))
-            cameras, names = _read_cameras(stage)
+                styles.append((path.stem, _found(stage, remarks)))
+            offset = offset_of_parts(styles[-1][1], remarks)
+            named = tuple((title, joined(parts, offset)) for title, parts in styles)
+            cameras, names = _read_cameras(stage, offset)
             up = "z" if pxr.UsdGeom.GetStageUpAxis(stage) == pxr.UsdGeom.Tokens.z else "y"
             notes = joined_notes(list(data.get("notes", ())), json.loads(data.get("provenance", "[]")))
-        return StyledScene(tuple(styles), cameras, names, notes, up=up)
+        return StyledScene(named, cameras, names, notes, up=up, offset=offset)
 
 
 def _opened(path: Path) -> Any:
@@ -122,6 +124,8 @@ def _stage(scene: StyledScene) -> Any:
     root.GetPrim().SetDisplayName(scene.title or "Scene")
     if scene.up == "opencv":  # no axes of a stage: half a turn about x stands the scene upright
         root.AddRotateXOp().Set(180.0)
+    if any(scene.offset):
+        root.AddTranslateOp().Set(pxr.Gf.Vec3d(*scene.offset))
     field = pxr.UsdVol.ParticleField3DGaussianSplat.Define(stage, "/Scene/Gaussians")
     styles = [_attributes(scene.splats(index)) for index in range(len(scene.styles))]
     shared = [name for name in styles[0] if all(np.array_equal(style[name], styles[0][name]) for style in styles)]
@@ -207,18 +211,19 @@ def _identifiers(titles: Iterable[str]) -> list[str]:
     return names
 
 
-def _found(stage: Any, path: Path) -> Iterator[Gaussians]:
+def _found(stage: Any, remarks: Remarks) -> list[Placed]:
     """All Gaussians that the stage shows, in its own axes."""
-    transforms = pxr.UsdGeom.XformCache()
+    transforms, found = pxr.UsdGeom.XformCache(), []
     for prim in stage.Traverse():
         shown = pxr.UsdGeom.Imageable(prim).ComputeVisibility() != pxr.UsdGeom.Tokens.invisible
         if shown and prim.IsA(pxr.UsdVol.ParticleField3DGaussianSplat):
-            yield moved(_splats(prim, path), np.array(transforms.GetLocalToWorldTransform(prim)).T)
+            found.append((_splats(prim, remarks), np.array(transforms.GetLocalToWorldTransform(prim)).T))
+    return found
 
 
-def _splats(prim: Any, path: Path) -> Gaussians:
+def _splats(prim: Any, remarks: Remarks) -> Gaussians:
     positions = _array(prim, "positions")
-    count = room_for(path, 0 if positions is None else len(positions))
+    count = room_for(remarks.path, 0 if positions is None else len(positions))
     orientations, scales, opacities, coefficients = (
         _array(prim, name) for name in ("orientations", "scales", "opacities", _HARMONICS)
     )
@@ -226,6 +231,7 @@ def _splats(prim: Any, path: Path) -> Gaussians:
     rows = (degree + 1) ** 2
     # What is absent is what the schema says: no rotation, a size of 1, opaque, middle grey.
     return gaussians(
+        remarks,
         np.asarray(positions),
         np.tile([1.0, 0, 0, 0], (count, 1)) if orientations is None else orientations[:, [3, 0, 1, 2]],
         np.ones((count, 3)) if scales is None else scales,
@@ -243,8 +249,8 @@ def _array(prim: Any, name: str) -> NDArray[Any] | None:
     return None
 
 
-def _read_cameras(stage: Any) -> tuple[Cameras, tuple[str, ...]]:
-    """The cameras of a stage, of one size of images; USD knows that of ours alone, and else only its aspect."""
+def _read_cameras(stage: Any, offset: Offset) -> tuple[Cameras, tuple[str, ...]]:
+    """The cameras of a stage without an offset, of one size; of stages of other programs only its aspect is known."""
     names: list[str] = []
     poses: list[NDArray[np.float64]] = []
     matrices: list[list[list[float]]] = []
@@ -259,6 +265,7 @@ def _read_cameras(stage: Any) -> tuple[Cameras, tuple[str, ...]]:
             width = int(data.get("width", 1024))
             height = int(data.get("height", round(width * down / across)))
             world = np.array(transforms.GetLocalToWorldTransform(prim)).T
+            world[:3, 3] -= offset
             world[:3, :3] /= np.linalg.norm(world[:3, :3], axis=0)
             center = (
                 width * (0.5 - view.horizontalApertureOffset / across),

@@ -390,3 +390,30 @@ def test_a_sog_of_vast_images_is_refused(tmp_path):
                 archive.writestr(name, data)
         with pytest.raises(UserError, match=r"vast\.sog"):
             read_saved(tmp_path / "vast.sog")
+
+
+# Rows that show nothing, and nodes far away
+
+
+@pytest.mark.parametrize("name", ["splat", "glb"])
+def test_rows_that_show_nothing_are_left_out(name, tmp_path, caplog):
+    gaussians = scene(1)
+    export(gaussians, tmp_path / f"clean.{name}", name)
+    expected = read_saved(tmp_path / f"clean.{name}").styles[0][1]
+    gaussians.means[0, 7, 1], gaussians.scales[0, 9, 0] = np.nan, np.inf
+    build(Format, name).write(in_axes(build(Format, name).up, StyledScene((("", gaussians),))), tmp_path / f"a.{name}")
+    found = read_saved(tmp_path / f"a.{name}").styles[0][1]
+    assert found.means.shape == (1, 398, 3) and found.means[0].unique(dim=0).isin(expected.means).all()
+    (line,) = caplog.messages
+    assert "2 of 400 Gaussians are left out (1 without a position, 1 with an infinite" in line
+
+
+def test_nodes_of_a_glb_at_coordinates_of_utm_keep_their_gaussians_apart(tmp_path, caplog):
+    export(scene(4), tmp_path / "scene.glb", "glb")
+    document, binary = parts(tmp_path / "scene.glb")
+    document["nodes"][0]["translation"] = [4.5e6, 100.25, -5.4e5]
+    packed_glb(tmp_path / "far.glb", document, binary)
+    found = read_saved(tmp_path / "far.glb")
+    assert found.offset == (4.5e6, 0, 5.4e5) and len(caplog.messages) == 1
+    near = read_saved(tmp_path / "scene.glb").styles[0][1]
+    torch.testing.assert_close(found.styles[0][1].means, near.means + torch.tensor([0, -100.25, 0]), rtol=0, atol=1e-4)

@@ -20,7 +20,7 @@ from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import UNSTYLED, read_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.stylize import encode_inputs
-from anystyle.registry.compose import compose, options
+from anystyle.registry.compose import compose, only_options, options
 from anystyle.registry.socket import Command
 from anystyle.vision.weights import license_lines, licenses
 from anystyle_viewer.session import CACHE_SIZE, Session
@@ -80,7 +80,7 @@ class View(Command):
     def __call__(self, words: Sequence[str]) -> None:
         arguments, overrides = split(parser(), words)
         if arguments.html is not None:
-            _write_page(arguments)
+            _write_page(arguments, overrides)
             return
         if arguments.no_provenance:
             raise UserError("--no-provenance is of the page that --html writes; add --html FILE")
@@ -90,10 +90,11 @@ class View(Command):
             _serve_scene(arguments, overrides)
 
 
-def _write_page(arguments: argparse.Namespace) -> None:
+def _write_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
     if arguments.input is None:
         raise UserError("--html writes a scene that is given; name a folder of results or a file of Gaussians")
-    saved = read_saved(arguments.input)
+    splat = only_options("splat", overrides)
+    saved = read_saved(arguments.input, splat.up, activated=splat.activated)
     saved = replace(saved, title=arguments.input.resolve().stem)
     export_styles(anonymous(saved) if arguments.no_provenance else saved, arguments.html, "html")
     size = arguments.html.stat().st_size / 1e6

@@ -265,7 +265,9 @@ class Viewer(contextlib.AbstractContextManager["Viewer"]):
             cameras, names = self.encoded.cameras, tuple(self.encoded.names)
             page_title = Path(self._command_words[0]).stem
             notes = session.notes_on(session.styles())
-            export_styles(StyledScene(tuple(styles.items()), cameras, names, notes, page_title), path, "html")
+            scene = StyledScene(tuple(styles.items()), cameras, names, notes, page_title, offset=self.encoded.offset)
+            export_styles(scene, path, "html")
         else:
             notes = session.notes_on(session.current.styles)
-            export(session.gaussians, path, name, notes="\n".join((title, *notes)))
+            lines = "\n".join((title, *notes))
+            export(session.gaussians, path, name, notes=lines, offset=self.encoded.offset)

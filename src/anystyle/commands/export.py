@@ -1,17 +1,19 @@
 """A scene as a file that other programs read, or as one page for a browser."""
 
 import argparse
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from anystyle.cli.arguments import new_parser, parse
+from anystyle.cli.arguments import new_parser, split
 from anystyle.cli.run import run, words_of
 from anystyle.errors import UserError
 
 
 def parser() -> argparse.ArgumentParser:
     """The words of ``anystyle export``."""
-    words = new_parser("export", "Write a scene in another format.")
+    more = "splat.activated=true reads a file with scales as lengths and opacities in 0 to 1."
+    words = new_parser("export", "Write a scene in another format.", more)
     add, axes = words.add_argument, ("opencv", "y", "z")
     add("scene", type=Path, help="a file of Gaussians, or a folder of anystyle stylize")
     add("--to", help="the format, one of `anystyle plugins format` (default: the suffix of --out)")
@@ -22,12 +24,14 @@ def parser() -> argparse.ArgumentParser:
     return words
 
 
-def export(arguments: argparse.Namespace) -> None:
-    """Run the command."""
+def export(arguments: argparse.Namespace, overrides: Sequence[str] = ()) -> None:
+    """Run the command; overrides are of the options ``splat``."""
     from anystyle.pipeline.export import export_styles
+    from anystyle.pipeline.options import SplatOptions
     from anystyle.pipeline.provenance import anonymous
     from anystyle.pipeline.saved import read_saved, with_stored_cameras
     from anystyle.registry.catalog import catalog
+    from anystyle.registry.compose import only_options
 
     name = arguments.to or arguments.out.suffix.lstrip(".").lower()
     formats = catalog().names("format")
@@ -35,11 +39,14 @@ def export(arguments: argparse.Namespace) -> None:
         raise UserError(f"no format is named; give --to with one of {', '.join(formats)}")
     if arguments.out.exists() and arguments.scene.exists() and arguments.out.samefile(arguments.scene):
         raise UserError(f"{arguments.out} is the scene itself; name another file with --out")
-    if arguments.scene.is_dir() and arguments.from_up is not None:
-        raise UserError("a folder of results is in OpenCV's axes; --from-up is for files of others")
-    saved = read_saved(arguments.scene, arguments.from_up)
+    if arguments.scene.is_dir() and (arguments.from_up or overrides):
+        raise UserError(
+            "a folder of results is in OpenCV's axes; --from-up and splat.KEY=VALUE are for files of others"
+        )
+    splat = only_options("splat", overrides) if overrides else SplatOptions()
+    saved = read_saved(arguments.scene, arguments.from_up or splat.up, activated=splat.activated)
     if catalog().find("format", name).load().needs_cameras:
-        saved = with_stored_cameras(saved, arguments.scene)
+        saved = with_stored_cameras(saved, arguments.scene, splat.folder)
     saved = replace(saved, title=arguments.scene.resolve().stem)
     saved = anonymous(saved) if arguments.no_provenance else saved
     export_styles(saved, arguments.out, name, up=arguments.up)
@@ -47,4 +54,4 @@ def export(arguments: argparse.Namespace) -> None:
 
 
 if __name__ == "__main__":
-    run(lambda: export(parse(parser(), words_of(None))))
+    run(lambda: export(*split(parser(), words_of(None))))

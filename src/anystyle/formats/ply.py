@@ -8,25 +8,40 @@ from anystyle.io import ply
 from anystyle.types import Gaussians, StyledScene
 
 _UP = {"opencv": (0.0, -1.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 
 
 class Ply(Format):
-    """The PLY layout of 3DGS, which most viewers open, with a comment on the axes as Brush writes it."""
+    """The PLY layout of 3DGS, which most viewers open.
 
-    has_notes = reads = True
+    Comments name the axes as Brush does, and an offset as DJI Terra does.
+
+    Args:
+        activated: Whether files that are read hold lengths and opacities in [0, 1] in place of logarithms and logits.
+    """
+
+    has_notes = has_offset = reads = True
+
+    def __init__(self, *, activated: bool = False) -> None:
+        self.activated = activated
 
     def write(self, scene: StyledScene, path: Path) -> None:
-        axis = "Vertical axis: " + " ".join(f"{part:g}" for part in _UP[scene.up])
-        ply.write(scene.splats(), path, "\n".join([*scene.notes, axis]))
+        lines = [*scene.notes, "Vertical axis: " + " ".join(f"{part:g}" for part in _UP[scene.up])]
+        if any(scene.offset):
+            lines += [f"offset{axis} {value:.17g}" for axis, value in zip("xyz", scene.offset, strict=True)]
+        ply.write(scene.splats(), path, "\n".join(lines))
 
     def read(self, path: Path) -> StyledScene:
-        gaussians = Gaussians.load(path)
-        with path.open("rb") as file:
-            header = file.read(1 << 16).partition(b"end_header")[0].decode("ascii", "replace")
-        notes = re.findall(r"^comment +(.*\S)", header, re.MULTILINE)
-        said = [note for note in notes if note.lower().startswith("vertical axis:")]
-        others = tuple(note for note in notes if note not in said)
-        return StyledScene(((path.stem, gaussians),), notes=others, up=_axes(said[-1] if said else ""))
+        loaded, notes = ply.load(path, activated=self.activated), ply.comments(path)
+        axes = [note for note in notes if note.lower().startswith("vertical axis:")]
+        offsets = {note: match for note in notes if (match := re.fullmatch(rf"offset([xyz])\s+({_NUMBER})", note))}
+        said = {match[1]: float(match[2]) for match in offsets.values()}
+        x, y, z = (moved + said.get(axis, 0.0) for axis, moved in zip("xyz", loaded.offset, strict=True))
+        others = tuple(note for note in notes if note not in axes and note not in offsets)
+        gaussians = Gaussians(*(tensor[None] for tensor in loaded.splats))
+        return StyledScene(
+            ((path.stem, gaussians),), notes=others, up=_axes(axes[-1] if axes else ""), offset=(x, y, z)
+        )
 
 
 def _axes(comment: str) -> str:
@@ -35,7 +50,7 @@ def _axes(comment: str) -> str:
     Brush and this program name the direction that is up, such as ``0 0 1``. Where Brush does not know it, it says
     ``y`` and means 3DGS's axes; nerfstudio says ``z``.
     """
-    parts = [float(part) for part in re.findall(r"[-+.\d]+(?:e[-+]?\d+)?", comment)[:3]] if comment else []
+    parts = [float(part) for part in re.findall(_NUMBER, comment)[:3]]
     if len(parts) == 3:
         return max(_UP, key=lambda name: sum(a * b for a, b in zip(_UP[name], parts, strict=True)))
     return "z" if comment.lower().endswith(": z") else "opencv"

@@ -1,12 +1,15 @@
 """3DGS PLY files, as SuperSplat, viser and the original viewer read them."""
 
+import io
+import re
+from collections.abc import Mapping
 from math import isqrt, sqrt
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from numpy.typing import NDArray
 from plyfile import PlyData, PlyElement, PlyParseError
 from torch import Tensor
@@ -15,19 +18,32 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import regular
 from anystyle.io.limits import require
+from anystyle.io.splats import Offset, Remarks, Splats, near, visible
 
 MAX_DEGREE = 3
 """The highest degree of harmonics that viewers read; higher coefficients are not written."""
 
 
-class Splats(NamedTuple):
-    """The tensors of one scene, with the meaning that :class:`anystyle.types.Gaussians` gives them."""
+_CONSTANT = 0.5 / sqrt(np.pi)
+"""The constant spherical harmonic."""
+_RGB = ("red", "green", "blue")
+_HEADER = 1 << 16
+"""Bytes that are searched for the end of a header."""
+_ASCII = bytes(value if value < 128 else ord("?") for value in range(256))
 
-    means: Float[Tensor, "N 3"]
-    rotations: Float[Tensor, "N 4"]
-    scales: Float[Tensor, "N 3"]
-    opacities: Float[Tensor, " N"]
-    harmonics: Float[Tensor, "N K 3"]
+
+class Loaded(NamedTuple):
+    """What a file holds.
+
+    Args:
+        splats: Its Gaussians, without those that show nothing.
+        kept: Which of its rows they are.
+        offset: What was taken off its positions.
+    """
+
+    splats: Splats
+    kept: Bool[Tensor, " N"]
+    offset: Offset
 
 
 def write(splats: Splats, path: Path, notes: str = "") -> None:
@@ -61,22 +77,29 @@ def write(splats: Splats, path: Path, notes: str = "") -> None:
 
 
 def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool:
-    """Copy a file with other colours, without properties of higher degrees; False for a compressed file.
+    """Copy the Gaussians of a file with other colours, without properties of higher degrees; False if compressed.
 
-    Comments are those of the file that is replaced, where there is one.
+    All other properties keep their bits, but for positions from which :func:`load` takes an offset off. Comments are
+    those of the file that is replaced, where there is one.
     """
-    data = PlyData.read(source)
+    data = _parsed(source)
     if "chunk" in data:
         return False
-    before = data["vertex"].data
+    loaded = _decoded(data, Remarks(source), activated=False)
+    before = data["vertex"].data[loaded.kept.numpy()]
     colors = np.concatenate([harmonics[:, 0].cpu(), harmonics[:, 1:].mT.flatten(1).cpu()], axis=1)  # N 3*K
     names = [f"f_dc_{index}" for index in range(3)] + [f"f_rest_{index}" for index in range(colors.shape[1] - 3)]
-    kept = [name for name in before.dtype.names if not name.startswith("f_rest_") or name in names]
-    after = np.empty(len(before), dtype=[(name, before.dtype[name]) for name in kept])
-    for name in kept:
+    given = {name: before.dtype[name] for name in before.dtype.names or ()}
+    kept = {name: kind for name, kind in given.items() if name in names or not name.startswith(("f_rest_", *_RGB))}
+    kinds = kept | {name: given.get(name, np.dtype(np.float32)) for name in names}
+    after = np.empty(len(before), dtype=list(kinds.items()))
+    for name in kinds:
         after[name] = colors[:, names.index(name)] if name in names else before[name]
+    for axis, moved in zip("xyz", loaded.offset, strict=True):
+        if moved:
+            after[axis] -= moved
     elements = [element for element in data.elements if element.name != "vertex"]
-    comments = (PlyData.read(path) if path.exists() else data).comments
+    comments = _parsed(path).comments if path.exists() else data.comments
     with atomic_path(path) as temporary:
         PlyData([PlyElement.describe(after, "vertex"), *elements], text=data.text, comments=comments).write(temporary)
     return True
@@ -84,34 +107,108 @@ def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool
 
 def read(path: Path) -> Splats:
     """Read a file of any degree of harmonics, as trainers write it, or compressed, as SuperSplat does."""
+    return load(path).splats
+
+
+def load(path: Path, *, activated: bool = False) -> Loaded:
+    """Read a file, and tell what is left out or guessed.
+
+    Args:
+        path: The file; of 2DGS, too, whose scales are two, or with the colours ``red green blue``.
+        activated: Whether it holds lengths and opacities in [0, 1] in place of logarithms and logits.
+    """
+    remarks = Remarks(path)
+    loaded = _decoded(_parsed(path), remarks, activated=activated)
+    remarks.tell()
+    return loaded
+
+
+def comments(path: Path) -> list[str]:
+    """The comments of a header, in UTF-8 or else Latin-1."""
+    lines = re.findall(rb"^comment +(.*\S)", _header(path).replace(b"\r", b"\n"), re.MULTILINE)
+    return [_text(line) for line in lines]
+
+
+def _header(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(_HEADER).partition(b"end_header")[0]
+
+
+def _text(line: bytes) -> str:
+    try:
+        return line.decode()
+    except UnicodeDecodeError:
+        return line.decode("latin-1")
+
+
+class _AsciiHeader(io.BufferedReader):
+    """A binary file whose header is ASCII, as plyfile expects: other bytes, of comments, are question marks."""
+
+    def __init__(self, path: Path, end: int) -> None:
+        super().__init__(io.FileIO(path))
+        self._end = end
+
+    def read(self, size: int | None = -1) -> bytes:
+        start, data = self.tell(), super().read(size)
+        return data.translate(_ASCII) if start < self._end else data
+
+
+def _parsed(path: Path) -> PlyData:
     regular(path, most=None, what="PLY file of Gaussians")
     require(3 * path.stat().st_size, str(path), "a scene of fewer Gaussians, or another machine")
+    header = _header(path)
+    text = re.search(rb"^format +ascii", header, re.MULTILINE)
     try:
-        data = PlyData.read(path)
-        vertices = data["vertex"].data
-        columns = unpack(data) if "chunk" in data else {}
-    except (PlyParseError, KeyError, ValueError) as error:
+        with path.open(encoding="ascii", errors="ignore") if text else _AsciiHeader(path, len(header)) as stream:
+            data = PlyData.read(stream)
+        if "vertex" not in data:
+            raise ValueError("it has no vertices")
+    except (PlyParseError, ValueError) as error:
         raise UserError(f"{path} is no PLY file of Gaussians ({error})") from None
-    columns = columns or {name: vertices[name] for name in vertices.dtype.names or ()}
-    present = columns.keys()
-    rest = sum(name.startswith("f_rest_") for name in present)
+    return data
+
+
+def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
+    path, vertices = remarks.path, data["vertex"].data
+    try:
+        columns = unpack(data) if "chunk" in data else {name: vertices[name] for name in vertices.dtype.names or ()}
+    except (KeyError, ValueError) as error:
+        if isinstance(error, UserError):
+            raise
+        raise UserError(f"{path} is no PLY file of Gaussians ({error})") from None
+    columns = _with_constant(columns, remarks)
+    rest = sum(name.startswith("f_rest_") for name in columns)
     if rest % 3:
         raise UserError(f"{path} has {rest} properties f_rest_*; a multiple of three is expected")
-    names = [name for name in _properties(_degree(rest // 3 + 1)) if name not in ("nx", "ny", "nz")]
-    missing = [name for name in names if name not in present]
+    names = [name for name in _properties(_degree(rest // 3 + 1)) if name not in ("x", "y", "z", "nx", "ny", "nz")]
+    if {"scale_0", "scale_1"} <= columns.keys() and "scale_2" not in columns:
+        names.remove("scale_2")
+        remarks.guesses.append("without scale_2, its Gaussians are flat discs, as 2DGS writes them")
+    missing = [name for name in ("x", "y", "z", *names) if name not in columns]
     if missing:
         raise UserError(f"{path} is a PLY file without the properties {', '.join(missing[:5])} of Gaussians")
-    values = torch.from_numpy(np.stack([columns[name].astype(np.float32) for name in names], axis=1))
-    if not bool(values.isfinite().all()):
-        raise UserError(f"{path} has properties that are infinite or no numbers; export it again")
-    means, constant, higher, opacity, scales, rotations = values.split([3, 3, rest, 1, 3, 4], dim=1)
-    return Splats(
-        means=means,
-        rotations=rotations,
-        scales=scales.exp(),
-        opacities=opacity[:, 0].sigmoid(),
-        harmonics=torch.cat([constant[:, None], higher.unflatten(1, (3, rest // 3)).mT], dim=1),
-    )
+    means, offset = near(np.stack([columns[axis] for axis in "xyz"], axis=1), remarks)
+    with np.errstate(over="ignore"):
+        values = torch.from_numpy(np.stack([columns[name].astype(np.float32) for name in names], axis=1))
+    constant, higher, opacity, scales, rotations = values.split([3, rest, 1, len(names) - 8 - rest, 4], dim=1)
+    harmonics = torch.cat([constant[:, None], higher.unflatten(1, (3, rest // 3)).mT], dim=1)
+    rows = Splats(torch.from_numpy(means), rotations, scales, opacity[:, 0], harmonics)
+    return Loaded(*visible(rows, remarks, logarithmic=True, activated=activated), offset)
+
+
+def _with_constant(columns: Mapping[str, NDArray[Any]], remarks: Remarks) -> dict[str, NDArray[Any]]:
+    """The columns, with ``f_dc_*`` of ``red green blue`` where they have only these."""
+    names = [f"f_dc_{index}" for index in range(3)]
+    if any(name in columns for name in names) or not all(name in columns for name in _RGB):
+        return dict(columns)
+    colors = [columns[name] for name in _RGB]
+    if all(np.issubdtype(color.dtype, np.integer) for color in colors):
+        top = float(np.iinfo(colors[0].dtype).max)
+    else:
+        top = 255.0 if max(np.nanmax(color, initial=0.0) for color in colors) > 1 else 1.0
+        remarks.guesses.append(f"red, green and blue are read as numbers from 0 to {top:g}")
+    constants = ((color.astype(np.float64) / top - 0.5) / _CONSTANT for color in colors)
+    return {**columns, **dict(zip(names, constants, strict=True))}
 
 
 def _degree(coefficients: int) -> int:
@@ -136,7 +233,7 @@ CHUNK = 256
 """Gaussians that share a row of bounds in a compressed file."""
 
 
-def unpack(data: PlyData) -> dict[str, Float[np.ndarray, " N"]]:
+def unpack(data: PlyData) -> dict[str, NDArray[Any]]:
     """The properties of a compressed file by their names in an uncompressed one."""
     vertex, chunk = data["vertex"].data, data["chunk"].data
     if len(chunk) * CHUNK < len(vertex):
@@ -147,7 +244,7 @@ def unpack(data: PlyData) -> dict[str, Float[np.ndarray, " N"]]:
         low, high = (chunk[f"{bound}_{name}"][rows].astype(np.float64) for bound in ("min", "max"))
         return low + (high - low) * values
 
-    columns: dict[str, NDArray[np.float64]] = {}
+    columns: dict[str, NDArray[Any]] = {}
     for index, axis in enumerate("xyz"):
         shift, top = ((21, 2047), (11, 1023), (0, 2047))[index]  # 11, 10 and 11 bits
         columns[axis] = between((vertex["packed_position"] >> shift & top) / top, axis)
@@ -157,7 +254,7 @@ def unpack(data: PlyData) -> dict[str, Float[np.ndarray, " N"]]:
     *colors, alpha = ((vertex["packed_color"] >> shift & 255) / 255 for shift in (24, 16, 8, 0))
     for index, (channel, values) in enumerate(zip("rgb", colors, strict=True)):
         bounded = between(values, channel) if f"min_{channel}" in (chunk.dtype.names or ()) else values
-        columns[f"f_dc_{index}"] = (bounded - 0.5) / (0.5 / sqrt(np.pi))
+        columns[f"f_dc_{index}"] = (bounded - 0.5) / _CONSTANT
     opacity = alpha.clip(1e-6, 1 - 1e-6)
     columns["opacity"] = np.log(opacity / (1 - opacity))
     if "sh" in data:
@@ -166,7 +263,7 @@ def unpack(data: PlyData) -> dict[str, Float[np.ndarray, " N"]]:
             packed = data["sh"].data[name]
             middle = (packed.astype(np.float64) + 0.5) / 256
             columns[name] = 8 * (np.select([packed == 0, packed == 255], [0.0, 1.0], middle) - 0.5)
-    return {name: values.astype(np.float32) for name, values in columns.items()}
+    return columns
 
 
 def smallest_three_to_wxyz(packed: NDArray[np.uint32]) -> Float[np.ndarray, "N 4"]:

@@ -15,6 +15,7 @@ from anystyle.data.folder import SourceImage
 from anystyle.data.names import distinct
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
+from anystyle.io.splats import NEAR, Offset
 from anystyle.methods.colors import colors_alone
 from anystyle.pipeline import memory
 from anystyle.pipeline.cameras import with_cameras
@@ -46,6 +47,7 @@ class EncodedCapture:
         scene_from_known: From the frame of stored or estimated cameras to the capture's, where they differ.
         splat: The file of the scene, where Gaussians were given.
         notes: Provenance of the scene, without styles and networks.
+        offset: What was taken off the positions of given Gaussians.
     """
 
     stylizer: Stylizer
@@ -57,6 +59,7 @@ class EncodedCapture:
     scene_from_known: Similarity | None = None
     splat: Path | None = None
     notes: tuple[str, ...] = ()
+    offset: Offset = NEAR
 
     @property
     def cameras(self) -> Cameras:

@@ -1,5 +1,6 @@
 """A scene as a file of any format, in the axes that its readers expect."""
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -11,11 +12,13 @@ from torch import Tensor
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
+from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.options import AXES
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, Renders, StyledScene
 
+_log = logging.getLogger(__name__)
 _FROM_OPENCV = {
     "opencv": ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)),
     "y": ((1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 0.0, -1.0)),
@@ -23,9 +26,12 @@ _FROM_OPENCV = {
 }
 
 
-def export(gaussians: Gaussians, path: Path, name: str, *, up: str | None = None, notes: str = "") -> None:
+def export(
+    gaussians: Gaussians, path: Path, name: str, *, up: str | None = None, notes: str = "", offset: Offset = NEAR
+) -> None:
     """Write one scene in one style, without cameras."""
-    export_styles(StyledScene(((path.stem, gaussians),), notes=tuple(notes.splitlines())), path, name, up=up)
+    scene = StyledScene(((path.stem, gaussians),), notes=tuple(notes.splitlines()), offset=offset)
+    export_styles(scene, path, name, up=up)
 
 
 def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None = None) -> None:
@@ -46,7 +52,14 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
     if not bool(visible.any()):
         raise UserError("the scene has no Gaussians that are visible; there is nothing to export")
     styles = tuple((title, gaussians.map(lambda tensor: tensor[:, visible])) for title, gaussians in scene.styles)
-    writer.write(in_axes(up or writer.up, replace(scene, styles=styles)), path)
+    turned = in_axes(up or writer.up, replace(scene, styles=styles))
+    if any(scene.offset) and not writer.has_offset:
+        _log.warning(
+            "%s: the format has no room for the offset %s, which its positions lack",
+            path,
+            " ".join(f"{each:.17g}" for each in turned.offset),
+        )
+    writer.write(turned, path)
     if not writer.has_notes:
         beside = path.with_suffix(path.suffix + ".txt")
         beside.unlink(missing_ok=True)  # an earlier scene's
@@ -68,7 +81,9 @@ def in_axes(up: str, scene: StyledScene) -> StyledScene:
     turn = _from_opencv(up, like).after(_from_opencv(scene.up, like).inverse())
     styles = tuple((title, turn.gaussians(gaussians)) for title, gaussians in scene.styles)
     poses = turn.poses(scene.cameras.world_from_camera.to(like))
-    return replace(scene, styles=styles, cameras=replace(scene.cameras, world_from_camera=poses), up=up)
+    x, y, z = (turn.rotation.double().cpu() @ torch.tensor(scene.offset, dtype=torch.float64) + 0.0).tolist()
+    cameras = replace(scene.cameras, world_from_camera=poses)
+    return replace(scene, styles=styles, cameras=cameras, up=up, offset=(x, y, z))
 
 
 def _from_opencv(up: str, like: Tensor) -> Similarity:

@@ -106,18 +106,20 @@ class ExportOptions:
 
 @dataclass(frozen=True)
 class SplatOptions:
-    """Where a scene that is given as Gaussians is seen from.
+    """How a scene that is given as Gaussians is read, and where it is seen from.
 
     Args:
         cameras: The most views.
         folder: Where cameras are stored, if not beside the file or one folder above.
         up: Axes of the file: ``opencv``, which 3DGS has, ``y`` or ``z`` up; ``None`` is what the file says, or else its
             format. Results are in OpenCV's.
+        activated: Whether a file holds lengths and opacities in [0, 1] where its format has logarithms and logits.
     """
 
     cameras: int = 24
     folder: str | None = None
     up: str | None = None
+    activated: bool = False
 
     def __post_init__(self) -> None:
         _expect("splat.up", str(self.up), ("None", *AXES))

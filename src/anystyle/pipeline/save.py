@@ -79,6 +79,7 @@ class Result:
             **results.provenance,
             "licenses": licenses(results.networks),
             "notes": [line for line in encoded.notes if not line.startswith(MADE_OF)],
+            **({"offset": encoded.offset} if any(encoded.offset) else {}),
             "provenance": tables(results.notes([self.style])),
             "versions": VERSIONS,
         }
@@ -262,7 +263,8 @@ class Results:
     ) -> StyledScene:
         """The scene in styles, as files hold it."""
         notes, names = self.notes(embedded), tuple(self.encoded.names)
-        return StyledScene(tuple(styles), self.encoded.cameras, names, (title, *notes) if title else notes, title)
+        lines, encoded = (title, *notes) if title else notes, self.encoded
+        return StyledScene(tuple(styles), encoded.cameras, names, lines, title, offset=encoded.offset)
 
     def write_sheet(self, folder: Path, columns: Sequence[Column]) -> None:
         """Write ``sheet.png``: photographs, the unstyled scene and the columns of some styles."""

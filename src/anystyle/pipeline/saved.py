@@ -17,6 +17,7 @@ from anystyle.data.names import distinct, short_names
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError
 from anystyle.io.documents import Count, read_json, read_text, regular
+from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.provenance import MADE_OF, note
 from anystyle.registry.build import build
@@ -57,6 +58,7 @@ class SavedReport:
     views: Count = 0
     licenses: dict[str, dict[str, str]] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    offset: Offset = NEAR
     provenance: list[dict[str, object]] = field(default_factory=list)
 
 
@@ -70,18 +72,19 @@ def is_scene_file(path: Path) -> bool:
     return path.suffix[1:].lower() in catalog().names("format")
 
 
-def read_saved(path: Path, up: str | None = None) -> StyledScene:
+def read_saved(path: Path, up: str | None = None, *, activated: bool = False) -> StyledScene:
     """Read a folder of results, or a file of Gaussians by the plugin of its suffix, and turn it to OpenCV's axes."""
-    return in_axes("opencv", read_unturned(path, up))
+    return in_axes("opencv", read_unturned(path, up, activated=activated))
 
 
-def with_stored_cameras(scene: StyledScene, path: Path) -> StyledScene:
+def with_stored_cameras(scene: StyledScene, path: Path, stored_in: str | None = None) -> StyledScene:
     """A scene with the cameras beside its file or one folder above, those of one size, where it has none of its own."""
-    for folder in () if scene.names else (path.parent, path.parent.parent):
+    folders = (path.parent, path.parent.parent) if stored_in is None else (Path(stored_in),)
+    for folder in () if scene.names else folders:
         if (file := folder / "cameras.json").is_file():
             cameras, names = _cameras(file)
             return replace(scene, cameras=cameras, names=names)
-        if stored := stored_cameras(folder):
+        if stored := cameras_beside(folder, scene.offset):
             size = next(iter(stored.values())).size
             alike = {name: camera for name, camera in stored.items() if camera.size == size}
             matrices = ([getattr(c, part) for c in alike.values()] for part in ("world_from_camera", "intrinsics"))
@@ -94,15 +97,28 @@ def with_stored_cameras(scene: StyledScene, path: Path) -> StyledScene:
     return scene
 
 
-def read_unturned(path: Path, up: str | None) -> StyledScene:
+def cameras_beside(folder: Path, offset: Offset) -> dict[str, StoredCamera]:
+    """The cameras that are stored in a folder, without the offset of the scene where they have it."""
+    stored = stored_cameras(folder)
+    shift = np.zeros((4, 4))
+    shift[:3, 3] = offset
+    centers = np.array([camera.world_from_camera[:3, 3] for camera in stored.values()]).reshape(-1, 3)
+    if np.abs(centers - offset).sum() >= np.abs(centers).sum():
+        return stored
+    moved = {name: camera.world_from_camera - shift for name, camera in stored.items()}
+    return {name: replace(camera, world_from_camera=moved[name]) for name, camera in stored.items()}
+
+
+def read_unturned(path: Path, up: str | None, *, activated: bool = False) -> StyledScene:
     """Read a folder of results, or a file of Gaussians as it is.
 
     Args:
         path: The folder or the file.
         up: The axes of a file, one of :data:`~anystyle.pipeline.options.AXES`; ``None`` is what it says.
+        activated: Whether a file holds lengths and opacities in [0, 1] where its format has logarithms and logits.
     """
     if path.is_file() and is_scene_file(path):
-        scene = build(Format, path.suffix[1:].lower()).read(path)
+        scene = build(Format, path.suffix[1:].lower(), activated=activated).read(path)
         notes, beside = scene.notes, path.with_suffix(path.suffix + ".txt")
         notes = notes or (tuple(read_text(beside).splitlines()) if beside.is_file() else ())
         if not any(line.startswith(MADE_OF) for line in notes):
@@ -125,7 +141,7 @@ def read_unturned(path: Path, up: str | None) -> StyledScene:
     if unstyled.is_file():
         styles.insert(0, (UNSTYLED, read_gaussians(unstyled)))
     cameras, names = _cameras(folders[0] / "cameras.json")
-    return StyledScene(tuple(styles), cameras, names, tuple(_notes(reports[0], whole)))
+    return StyledScene(tuple(styles), cameras, names, tuple(_notes(reports[0], whole)), offset=whole.offset)
 
 
 def read_gaussians(path: Path) -> Gaussians:

@@ -47,6 +47,8 @@ def write_cameras(path: Path, encoded: EncodedCapture) -> None:
         for source, intrinsics, pose in rows
     ]
     content: dict[str, object] = {"convention": CONVENTION, "views": views}
+    if any(encoded.offset):
+        content["offset"] = {"meaning": "to add to all positions", "xyz": encoded.offset}
     if encoded.scene_from_known is not None:
         scale, rotation, translation = encoded.scene_from_known
         content["scene_from_known"] = {

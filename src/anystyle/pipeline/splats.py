@@ -12,7 +12,7 @@ from torch import Tensor
 from anystyle.data.camera_reader import StoredCamera
 from anystyle.data.folder import SourceImage, covering
 from anystyle.data.names import short_names
-from anystyle.data.poses import stored_cameras, view_camera
+from anystyle.data.poses import view_camera
 from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb
@@ -22,7 +22,7 @@ from anystyle.pipeline.encode import EncodedCapture, encoder, scene_report
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.groups import Capture
 from anystyle.pipeline.options import SplatOptions, ViewOptions
-from anystyle.pipeline.saved import read_unturned, saved_cameras, unstyled_of
+from anystyle.pipeline.saved import cameras_beside, read_unturned, saved_cameras, unstyled_of
 from anystyle.pipeline.stages import Stages
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, Geometry, Renders, Scene, StyledScene, Views
@@ -51,7 +51,7 @@ def encode_saved(
     """
     start, patch = time.perf_counter(), stylizer.backbone.patch_size
     with stages("read", "the Gaussians"):
-        given = read_unturned(path, options.up)
+        given = read_unturned(path, options.up, activated=options.activated)
         saved = in_axes("opencv", given)
         gaussians = unstyled_of(saved).to(stylizer.device)
         cameras, sources, origin = cameras_of(path, saved, views, options, patch, stylizer.backbone.resolution)
@@ -61,8 +61,10 @@ def encode_saved(
     capture = Capture.of(scene)
     report = scene_report("given", capture, time.perf_counter() - start, {}) | {"cameras": origin}
     seen = replace(scene.views, names=tuple(source.name for source in sources)).to("cpu")
-    original = path if path.is_file() and given.up == "opencv" else None
-    return EncodedCapture(stylizer, seen, sources, capture, report, splat=original, notes=given.notes)
+    original = path if path.is_file() and given.up == "opencv" and not options.activated else None
+    return EncodedCapture(
+        stylizer, seen, sources, capture, report, splat=original, notes=given.notes, offset=saved.offset
+    )
 
 
 def memory_needed(num_gaussians: int, num_views: int) -> int:
@@ -92,7 +94,7 @@ def cameras_of(
     side = max(multiple, round((views.short_side or resolution) / multiple) * multiple)
     stored = {} if options.folder else saved_cameras(saved)
     for folder in [Path(options.folder)] if options.folder else [path.parent, path.parent.parent]:
-        stored = stored or stored_cameras(folder)
+        stored = stored or cameras_beside(folder, saved.offset)
     if not stored:
         names = [f"view_{index:02d}" for index in range(options.cameras)]
         sources = tuple(covering(name, (side, side), (side, side)) for name in names)

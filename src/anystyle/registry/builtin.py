@@ -41,7 +41,7 @@ KINDS: dict[str, Kind] = {
     "protocol": Kind(
         "anystyle.evaluation.base:Protocol", runtime=("stylizer", "method", "metrics", "scenes", "styles")
     ),
-    "format": Kind("anystyle.contracts:Format", runtime=("renderer",)),
+    "format": Kind("anystyle.contracts:Format", runtime=("activated", "renderer")),
     "command": Kind("anystyle.registry.socket:Command"),
 }
 

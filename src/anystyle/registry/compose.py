@@ -63,6 +63,14 @@ def options(config: DictConfig, key: str) -> Any:
         raise UserError(explain(error)) from error
 
 
+def only_options(key: str, words: Sequence[str]) -> Any:
+    """The dataclass of options at a key for a command whose overrides can set nothing else."""
+    for word in words:
+        if not word.startswith(f"{key}."):
+            raise UserError(f"{word}: of Hydra's overrides only {key}.OPTION=VALUE has an effect here; leave it out")
+    return options(compose("stylize", words), key)
+
+
 def check_words(words: Sequence[str]) -> None:
     """Refuse a group that is set to null, for which Hydra's own line names neither the group nor a way out."""
     for word in words:

@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from anystyle.io import ply
+from anystyle.io.splats import NEAR, Offset, Splats
 from anystyle.types.network import Attributes, Features, Geometry, Tokens
 from anystyle.types.value import Value
 from anystyle.types.views import Cameras, Views
@@ -53,7 +54,7 @@ class Gaussians(Value):
     def save(self, path: str | Path, *, scene: int = 0) -> None:
         """Write one scene of the batch as a 3DGS PLY file (see :func:`anystyle.io.ply.write`)."""
         tensors = (self.means, self.rotations, self.scales, self.opacities, self.harmonics)
-        ply.write(ply.Splats(*(tensor[scene] for tensor in tensors)), Path(path))
+        ply.write(Splats(*(tensor[scene] for tensor in tensors)), Path(path))
 
     @classmethod
     def load(cls, path: str | Path) -> "Gaussians":
@@ -128,6 +129,7 @@ class StyledScene:
         notes: Lines on where the scene comes from, such as licences.
         title: To display.
         up: Axes of Gaussians and cameras' poses: ``opencv``, ``y`` or ``z`` up.
+        offset: What was taken off the positions of Gaussians and cameras, in these axes.
     """
 
     styles: tuple[tuple[str, Gaussians], ...]
@@ -136,8 +138,9 @@ class StyledScene:
     notes: tuple[str, ...] = ()
     title: str = ""
     up: str = "opencv"
+    offset: Offset = NEAR
 
-    def splats(self, style: int = -1) -> ply.Splats:
+    def splats(self, style: int = -1) -> Splats:
         """The tensors of the scene in one of its styles."""
         gaussians = self.styles[style][1]
-        return ply.Splats(*(getattr(gaussians, name)[0] for name in ply.Splats._fields))
+        return Splats(*(getattr(gaussians, name)[0] for name in Splats._fields))

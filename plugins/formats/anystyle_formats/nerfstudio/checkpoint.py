@@ -17,6 +17,7 @@ from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import regular
 from anystyle.io.limits import require
+from anystyle.io.splats import Remarks, Splats, visible
 from anystyle.types import Gaussians, StyledScene
 from anystyle_formats.nerfstudio.run_folder import frame_of
 
@@ -31,10 +32,17 @@ _NUMBERS = ("numpy.", "_codecs.encode")
 
 
 class Ckpt(Format):
-    """A checkpoint of nerfstudio's splatfacto, in the coordinates of its photographs' cameras where these are found."""
+    """A checkpoint of nerfstudio's splatfacto, in the coordinates of its photographs' cameras where these are found.
+
+    Args:
+        activated: Whether files that are read hold lengths and opacities in [0, 1] in place of logarithms and logits.
+    """
 
     up: ClassVar[str] = "z"
     reads = True
+
+    def __init__(self, *, activated: bool = False) -> None:
+        self.activated = activated
 
     def write(self, scene: StyledScene, path: Path) -> None:
         gaussians = scene.styles[-1][1]
@@ -46,12 +54,14 @@ class Ckpt(Format):
             temporary.write_bytes(buffer.getvalue())
 
     def read(self, path: Path) -> StyledScene:
-        gaussians = gaussians_of(_pipeline(path), path)
+        remarks = Remarks(path)
+        gaussians = gaussians_of(_pipeline(path), remarks, activated=self.activated)
+        remarks.tell()
         frame = frame_of(path)
         if frame is None:
             return StyledScene(((path.stem, gaussians),), up=self.up)
         placed = frame.data_from_model.gaussians(gaussians)
-        return StyledScene(((path.stem, placed),), frame.cameras, frame.names, up=frame.up)
+        return StyledScene(((path.stem, placed),), frame.cameras, frame.names, up=frame.up, offset=frame.offset)
 
 
 def state_of(gaussians: Gaussians) -> dict[str, Tensor]:
@@ -74,8 +84,9 @@ def state_of(gaussians: Gaussians) -> dict[str, Tensor]:
     return {f"_model.gauss_params.{name}": copy for name, copy in copies.items()}
 
 
-def gaussians_of(pipeline: Mapping[str, Any], path: Path) -> Gaussians:
-    """The Gaussians of a pipeline's state, in the model's coordinates; those that are not finite are left out."""
+def gaussians_of(pipeline: Mapping[str, Any], remarks: Remarks, *, activated: bool = False) -> Gaussians:
+    """The Gaussians of a pipeline's state that show something, in the model's coordinates."""
+    path = remarks.path
     named = ((_KEY.fullmatch(key), value) for key, value in pipeline.items() if isinstance(value, Tensor))
     found = {match[1]: value.float() for match, value in named if match is not None and match[1] in PARAMETERS}
     if missing := [name for name in PARAMETERS if name not in found]:
@@ -88,20 +99,14 @@ def gaussians_of(pipeline: Mapping[str, Any], path: Path) -> Gaussians:
             raise UserError(f"{path}: {name} of shape {list(shape)} does not fit {count} Gaussians")
     if found["features_rest"].shape[1] not in (0, 3, 8, 15, 24):
         raise UserError(f"{path}: {found['features_rest'].shape[1] + 1} harmonics are of no degree up to 4")
-    finite = torch.stack([found[name].flatten(1).isfinite().all(1) for name in PARAMETERS]).all(0)
-    if not bool(finite.any()):
-        raise UserError(f"{path} holds no Gaussians whose numbers are finite")
-    kept = {name: value[finite] for name, value in found.items()}
-    constant = kept["features_dc"]
-    if not kept["features_rest"].shape[1]:  # without harmonics splatfacto learns colours through a sigmoid
+    constant = found["features_dc"]
+    if not found["features_rest"].shape[1]:  # without harmonics splatfacto learns colours through a sigmoid
         constant = constant_from_rgb(constant.sigmoid())
-    return Gaussians(
-        means=kept["means"][None],
-        rotations=F.normalize(kept["quats"], dim=-1)[None],
-        scales=kept["scales"].exp()[None],
-        opacities=kept["opacities"].sigmoid()[None, :, 0],
-        harmonics=torch.cat([constant[:, None], kept["features_rest"]], 1)[None],
-    )
+    harmonics = torch.cat([constant[:, None], found["features_rest"]], 1)
+    quats = F.normalize(found["quats"], dim=-1)
+    rows = Splats(found["means"], quats, found["scales"], found["opacities"][:, 0], harmonics)
+    splats, _ = visible(rows, remarks, logarithmic=True, activated=activated)
+    return Gaussians(*(column[None] for column in splats))
 
 
 class _Number:

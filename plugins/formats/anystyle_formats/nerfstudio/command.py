@@ -14,12 +14,12 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.load import default_device
-from anystyle.pipeline.options import SplatOptions, ViewOptions
+from anystyle.pipeline.options import ViewOptions
 from anystyle.pipeline.saved import read_saved
 from anystyle.pipeline.splats import cameras_of
 from anystyle.pipeline.styles import slug
 from anystyle.registry.build import build
-from anystyle.registry.compose import compose
+from anystyle.registry.compose import compose, options
 from anystyle.registry.socket import Command
 from anystyle.types import Gaussians, StyledScene
 from anystyle_formats.nerfstudio.camera_path import CameraPath, keyframes_of, read_camera_path
@@ -46,9 +46,13 @@ def export_parser() -> argparse.ArgumentParser:
 def export(words: Sequence[str]) -> None:
     """Write a data folder and a run for each style of a scene."""
     arguments, overrides = split(export_parser(), words)
-    renderer = build(Renderer, compose("stylize", overrides).renderer)
-    saved, options = read_saved(arguments.scene), ViewOptions(short_side=arguments.side)
-    cameras, sources, origin = cameras_of(arguments.scene, saved, options, SplatOptions(), 2, arguments.side)
+    config = compose("stylize", overrides)
+    renderer, splat = build(Renderer, config.renderer), options(config, "splat")
+    saved, views = (
+        read_saved(arguments.scene, splat.up, activated=splat.activated),
+        ViewOptions(short_side=arguments.side),
+    )
+    cameras, sources, origin = cameras_of(arguments.scene, saved, views, splat, 2, arguments.side)
     device, names = default_device(), tuple(source.name for source in sources)
     experiments = distinct([slug(title) for title, _ in saved.styles], "-")
     final, written = arguments.out.absolute(), []

@@ -22,6 +22,8 @@ from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError, one_line
 from anystyle.geometry.transforms import Similarity
 from anystyle.io.documents import MAX_YAML, Positive, read_json, read_text
+from anystyle.io.splats import Offset, Remarks, offset_of
+from anystyle.pipeline.saved import cameras_beside
 from anystyle.types import Cameras
 
 TRANSFORMS, CONFIG = "dataparser_transforms.json", "config.yml"
@@ -47,12 +49,14 @@ class RunFrame:
 
     Args:
         data_from_model: From the model's coordinates to those of the cameras, or to the original ones.
+        offset: What was taken off these coordinates, where they are far away.
         up: Axes of these coordinates, of those that files can have the ones nearest to the model's.
         cameras: Of the photographs, a batch of one; none where they are not found.
         names: Of the cameras.
     """
 
     data_from_model: Similarity
+    offset: Offset
     up: str
     cameras: Cameras
     names: tuple[str, ...]
@@ -77,8 +81,14 @@ def read_run(folder: Path) -> RunFrame:
         if rows is not None:
             model = model @ np.linalg.inv(_square(rows[:3]))
         scale /= applied.applied_scale
-    cameras, names = _cameras(data)
-    return RunFrame(_similarity(model, scale, path).inverse(), _nearest_up(model[2, :3]), cameras, names)
+    data_from_model, origin = _similarity(model, scale, path).inverse(), -model[:3, :3].T @ model[:3, 3]
+    remarks = Remarks(folder)
+    offset = offset_of(origin[None], remarks)
+    remarks.tell()
+    if any(offset):
+        data_from_model = data_from_model._replace(translation=torch.from_numpy(origin - offset).float())
+    cameras, names = _cameras(data, offset)
+    return RunFrame(data_from_model, offset, _nearest_up(model[2, :3]), cameras, names)
 
 
 def _square(rows: Sequence[_Row]) -> NDArray[np.float64]:
@@ -97,9 +107,9 @@ def _nearest_up(direction: NDArray[np.float64]) -> str:
     return max(_UP, key=lambda name: float(np.dot(_UP[name], direction)))
 
 
-def _cameras(data: Path | None) -> tuple[Cameras, tuple[str, ...]]:
-    """The cameras of a data folder, those of one size as the first."""
-    stored = {} if data is None else stored_cameras(data)
+def _cameras(data: Path | None, offset: Offset) -> tuple[Cameras, tuple[str, ...]]:
+    """The cameras of a data folder without an offset, those of one size as the first."""
+    stored = {} if data is None else cameras_beside(data, offset)
     sizes = [camera.size for camera in stored.values()]
     alike = {name: camera for name, camera in stored.items() if camera.size == sizes[0]}
     if not alike:
