@@ -270,9 +270,25 @@ class FitLoop:
         if self.masks is not None:
             cameras = self.cameras.select(self.training)
             asked_for = self.masks.select(self.training).asked_for(self.gaussians().means[0], cameras)
+            if self.step:
+                asked_for &= self._share_in_empty_pixels() <= 0.5
             if not asked_for.any():
                 raise UserError("masks leave nothing to fit: no place is shown by all photographs that it lies in")
             self.splats.select(asked_for.nonzero()[:, 0])
+
+    @torch.enable_grad()
+    def _share_in_empty_pixels(self) -> Float[Tensor, " N"]:
+        """Of the pixels that each Gaussian covers in the training views, those where nothing is there."""
+        assert self.masks is not None
+        gaussians = self.gaussians().detach()
+        gray = torch.zeros_like(gaussians.harmonics[:, :, :1]).requires_grad_()
+        covered = gray.new_zeros(2, gray.shape[1])  # empty pixels, all pixels
+        for view in self.training:
+            color = self.renderer(replace(gaussians, harmonics=gray), self.cameras.select([view])).color[0, 0]
+            empty = self.masks.counted[view] & ~self.masks.measured[view]
+            for row, pixels in zip(covered, (empty.expand_as(color).to(color), torch.ones_like(color)), strict=True):
+                row += torch.autograd.grad(color, gray, pixels, retain_graph=True)[0][0, :, 0, 0]
+        return covered[0] / covered[1].clamp_min(1e-6)
 
     def run(
         self,

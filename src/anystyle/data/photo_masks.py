@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from PIL import Image, ImageChops
@@ -74,9 +75,10 @@ def with_masks(originals: Sequence[Original], masks: Mapping[Path, Path]) -> lis
     """Photographs that do not count where their masks are black, besides where they are transparent."""
 
     def masked(original: Original) -> Original:
-        if original.path not in masks:
+        mask = _mask_of(masks, original.path, original.size)
+        if mask is None:
             return original
-        mask = _read_mask(masks[original.path], original.path, original.size).resize(original.picture.size)
+        mask = mask.resize(original.picture.size)
         return original._replace(mask=mask if original.mask is None else ImageChops.darker(mask, original.mask))
 
     return [masked(original) for original in originals]
@@ -96,13 +98,13 @@ def masked_views(
     alpha, counted = (torch.ones_like(views.images[0, :, 0]) for _ in range(2))  # V H W
     num_masks = 0
     for view, source in enumerate(sources):
-        path = source.path
-        transparency = None if path is None else open_alpha(path, longest=2 * max(source.view_size))
+        transparency = None if source.path is None else open_alpha(source.path, longest=2 * max(source.view_size))
+        mask = _mask_of(masks, source.path, source.size)
         if transparency is not None:
             alpha[view] = _of_view(transparency, source)
-        if path in masks:
-            (alpha if empty else counted)[view].mul_(_of_view(_read_mask(masks[path], path, source.size), source))
-        num_masks += transparency is not None or path in masks
+        if mask is not None:
+            (alpha if empty else counted)[view].mul_(_of_view(mask, source))
+        num_masks += transparency is not None or mask is not None
     counted = counted > WHITE
     nothing = (alpha * counted).flatten(1).amax(1) <= 1 - WHITE
     if nothing.any():
@@ -128,14 +130,15 @@ def _of_view(mask: Image.Image, source: SourceImage) -> Float[Tensor, "H W"]:
     return to_tensor(source.of_view(mask.convert("RGB")))[0]
 
 
-def _read_mask(file: Path, photograph: Path, size: tuple[int, int]) -> Image.Image:
+def _mask_of(masks: Mapping[Path, Path], path: Path | None, size: tuple[int, int]) -> Image.Image | None:
     """Black and white, in the photograph's aspect; what is transparent is black, and of labels 0 and 1 1 is white."""
-    mask, alpha = open_image(file).convert("L"), open_alpha(file)
+    if path is None or path not in masks:
+        return None
+    mask, alpha = open_image(masks[path]).convert("L"), open_alpha(masks[path])
     if abs(mask.width * size[0] / (mask.height * size[1]) - 1) > MAX_ASPECT_ERROR:
         raise UserError(
-            f"the mask {file} has {mask.width}x{mask.height} pixels, and {photograph.name} {size[1]}x{size[0]}, "
+            f"the mask {masks[path]} has {mask.width}x{mask.height} pixels, and {path.name} {size[1]}x{size[0]}, "
             "upright; give a mask of the same aspect"
         )
-    mask = mask if alpha is None else ImageChops.multiply(mask, alpha)
-    half = 127 if mask.getextrema()[1] > 1 else 0
-    return mask.point(lambda level: 255 if level > half else 0)
+    levels = np.asarray(mask if alpha is None else ImageChops.multiply(mask, alpha))
+    return Image.fromarray(np.where(levels > (127 if levels.max() > 1 else 0), 255, 0).astype(np.uint8))

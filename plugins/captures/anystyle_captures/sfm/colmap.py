@@ -95,11 +95,9 @@ def match(
         resized = gray if gray.size == (width, height) else gray.resize((width, height), Image.Resampling.LANCZOS)
         resized.save(folder / name)
         if photograph.mask is not None:
-            mask = (
-                Image.fromarray(photograph.mask).resize((width, height)).point(lambda level: 255 if level > 127 else 0)
-            )
+            mask = np.asarray(Image.fromarray(photograph.mask).resize((width, height)))
             (masks / name).parent.mkdir(parents=True, exist_ok=True)
-            mask.save(masks / f"{name}.png")
+            Image.fromarray(np.where(mask > 127, 255, 0).astype(np.uint8)).save(masks / f"{name}.png")
     reader = pycolmap.ImageReaderOptions()
     if masks.is_dir():
         reader.mask_path = masks
