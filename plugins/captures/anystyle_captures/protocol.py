@@ -172,8 +172,8 @@ class Captures(Protocol):
                 to_pil(render).save(folder / f"{kind}_{index}.png")
         for index, photograph in enumerate(photographs):
             to_pil(photograph).save(folder / f"photograph_{index}.png")
-        counts = {"views": count, "twins": count - len(different), "heldout": len(chosen)}
-        return {"figures": figures, "costs": costs, "cameras": cameras, **counts}
+        cameras["twins"] = count - len(different)
+        return {"figures": figures, "costs": costs, "cameras": cameras, "views": count, "heldout": len(chosen)}
 
     def _posed(self, path: Path) -> tuple[Views, Sequence[Tensor] | None, dict[str, Any]]:
         """Views with cameras, sparse points where they are known, and the entries of the report on the cameras."""

@@ -35,8 +35,6 @@ def find_masks(folder: Path, photographs: Sequence[Path]) -> dict[Path, Path]:
     """
     if films := [path for path in photographs if path.suffix.lower() in video.SUFFIXES]:
         raise UserError(f"{films[0]} is a film, and masks belong to photographs; give its frames as images")
-    if not folder.is_dir():
-        raise UserError(f"there is no folder of masks {folder}")
     files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
     known: dict[tuple[str, ...], list[Path]] = {}
     for file in files:

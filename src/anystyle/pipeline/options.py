@@ -58,6 +58,8 @@ class ViewOptions:
 
     def __post_init__(self) -> None:
         _expect("views.masked", self.masked, ("ignored", "empty"))
+        if self.masks is not None and not Path(self.masks).expanduser().is_dir():
+            raise UserError(f"views.masks={self.masks}: there is no folder of masks")
         _between("views.short_side", self.short_side, 1, 1 << 16)
         _between("views.take", self.take, 1, 1 << 20)
         _between("views.max_views", self.max_views, 1, 1 << 20)
