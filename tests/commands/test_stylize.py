@@ -50,6 +50,23 @@ def test_an_unknown_painting_is_told_before_a_scene_is_made(capsys, tmp_path):
     assert line.startswith("anystyle: error: no example is named 'waves'. Did you mean 'wave'? Available: ")
 
 
+def test_masks_of_photographs_are_counted_and_told_of(photographs, tmp_path, capsys, caplog):
+    masks = tmp_path / "masks"
+    missing = fails(capsys, photographs, "--text", "stripes", "--photo-masks", masks, "--out", tmp_path / "out", *SMALL)
+    assert "there is no folder of masks" in missing and not (tmp_path / "out").exists()
+    masks.mkdir()
+    half = np.zeros((60, 80), np.uint8)
+    half[:, 40:] = 255
+    Image.fromarray(half).save(masks / "IMG 1.png")
+    run(photographs, "--text", "stripes", "--photo-masks", masks, "--out", tmp_path / "out", "poses=predicted", *SMALL)
+    assert "masks of 1 of 2 photographs: 0% of the pixels are empty, 2" in capsys.readouterr().err
+    assert "1 of 2 photographs have no mask" in caplog.text and "the single pass knows no masks" in caplog.text
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["reconstruction"]["masks"]["photographs"] == 1
+    saved = fails(capsys, tmp_path / "out", "--text", "dots", "--photo-masks", masks, "--out", tmp_path / "two", *SMALL)
+    assert "masks belong to photographs" in saved
+
+
 def test_every_file_is_there_and_agrees(photographs, tmp_path):
     run(photographs, "--text", "red and white stripes", "--out", tmp_path / "out", *SMALL)
     out = tmp_path / "out"

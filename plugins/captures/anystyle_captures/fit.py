@@ -21,12 +21,13 @@ from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import atomic_path
 from anystyle.io.limits import require
 from anystyle.methods.order import canonical_order
-from anystyle.paths import natural
 from anystyle.types import Cameras, Geometry, OnProgress, Progress, Reconstructed, Scene, Views, no_progress
 from anystyle_captures.cache import cached, key_of
 from anystyle_captures.fit_loop import FitLoop, FitOptions, FitProgress, FitResult
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo
+from anystyle_captures.masks import Masks
 from anystyle_captures.stereo import plane_sweep
+from anystyle_captures.twins import groups, held_out
 
 logger = logging.getLogger(__name__)
 
@@ -71,8 +72,9 @@ class Fit(Reconstruction):
         num_gaussians: At the start, about, instead of the quality's, which is for up to 48 views, and grows with more.
         num_steps: Likewise.
         degree: Of the spherical harmonics of colours.
-        holdout: Every ``holdout``-th view, in the natural order of their names, is held out of the fit to measure it;
-            the final steps see all views. Fewer views are not held out; 0 holds out none.
+        holdout: Every ``holdout``-th view, in the natural order of their names, is held out of the fit to measure it,
+            together with those that show the same; the final steps see all views. Fewer views are not held out; 0 holds
+            out none.
         state: A file to write the fit to as it goes, and to resume it from.
         keep: Whether the fitted scene is cached, and read from the cache when the same photographs are fitted again
             with the same options.
@@ -145,6 +147,8 @@ class Fit(Reconstruction):
         parameters = num_gaussians * (11 + 3 * (self.degree + 1) ** 2)
         # Each with its gradient and the optimiser's two moments.
         require(4 * 4 * parameters, f"{num_gaussians:,} Gaussians", "set fewer with reconstruction.num_gaussians")
+        photographs = groups(views.images[0], views.cameras, views.names)
+        heldout, masks = held_out(photographs, self.holdout), Masks.of(views)
         with torch.enable_grad():
             result = fit_photographs(
                 views.images[0],
@@ -153,7 +157,8 @@ class Fit(Reconstruction):
                 num_gaussians=num_gaussians,
                 options=options,
                 points=points,
-                heldout=held_out(views.images.shape[1], self.holdout, views.names),
+                heldout=heldout,
+                masks=masks,
                 state=self.state,
                 keep=self.keep,
                 on_progress=lambda state: on_progress(Progress(str(state), state.step / state.num_steps)),
@@ -167,18 +172,22 @@ class Fit(Reconstruction):
         measures = {"num_gaussians": float(result.gaussians.means.shape[1]), "steps": float(result.steps)}
         measures |= {"train_psnr": result.train_psnr, "unexplained": result.unexplained}
         measures |= {"kept": 1.0} if result.cached else {}
+        measures |= {"twins": float(twins)} if (twins := views.images.shape[1] - len(photographs)) else {}
         if result.heldout is not None:
             measures |= {f"heldout_{name}": value for name, value in result.heldout._asdict().items()}
+        views = to_paint(views, result, renderer)
         return Reconstructed(scene_of_fit(views, encode(views), result, renderer), measures)
 
 
-def held_out(num_views: int, every: int, names: Sequence[str] = ()) -> tuple[int, ...]:
-    """Every ``every``-th view (0: none), beginning in the middle of the first ``every`` views; none of fewer views.
-
-    Views are counted in the natural order of their names (``view2`` before ``view10``); without names, in that given.
-    """
-    order = sorted(range(num_views), key=lambda view: (natural(names[view]), names[view]) if names else view)
-    return tuple(sorted(order[every // 2 :: every])) if 0 < every <= num_views else ()
+@torch.no_grad()
+def to_paint(views: Views, result: FitResult, renderer: Renderer) -> Views:
+    """Photographs to paint styles over: the fitted scene where they were ignored, no white that shines through."""
+    masks = Masks.of(views)
+    if masks is None or views.cameras is None:
+        return views
+    shown = result.photographed(renderer, views.cameras, range(len(result.gains)), masked=True)
+    images = torch.where(masks.counted[:, None], masks.straight(views.images[0]), shown)
+    return replace(views, images=images[None])
 
 
 def fit_photographs(
@@ -190,6 +199,7 @@ def fit_photographs(
     options: FitOptions,
     points: Sequence[Float[Tensor, "_ 3"]] | None = None,
     heldout: Sequence[int] = (),
+    masks: Masks | None = None,
     state: Path | None = None,
     keep: bool = False,
     on_progress: Callable[[FitProgress], None] = lambda progress: None,
@@ -201,14 +211,16 @@ def fit_photographs(
     order = canonical_order(images)
     images, cameras = images[order], cameras.select(order)
     points = None if points is None else [points[view] for view in order]
+    masks = None if masks is None else masks.select(order)
     hidden = tuple(sorted(order.index(view) for view in heldout))
     settings = {name: value for name, value in vars(renderer).items() if isinstance(value, (int, float, tuple, dict))}
+    masked = () if masks is None else (masks.alpha, masks.counted)
     given = images, cameras.world_from_camera, cameras.intrinsics, *(points or ())
-    key = key_of(*given, num_gaussians, options, hidden, type(renderer).__name__, settings)
+    key = key_of(*given, num_gaussians, options, hidden, type(renderer).__name__, settings, *masked)
 
     def compute() -> dict[str, Any]:
         training = [view for view in range(len(images)) if view not in hidden]
-        start = partial(_initial, images, cameras, points, num_gaussians, options.seed)
+        start = partial(_initial, images, cameras, points, masks, num_gaussians, options.seed)
         loop = FitLoop(
             images,
             cameras,
@@ -217,6 +229,7 @@ def fit_photographs(
             options,
             heldout=hidden,
             initial_of_heldout=partial(start, range(len(images)), hidden),
+            masks=masks,
         )
         if state is None:
             return loop.run(on_progress).as_dict()
@@ -260,6 +273,7 @@ def _initial(
     images: Float[Tensor, "V 3 H W"],
     cameras: Cameras,
     points: Sequence[Float[Tensor, "_ 3"]] | None,
+    masks: Masks | None,
     num_gaussians: int,
     seed: int,
     seen: Sequence[int],
@@ -271,7 +285,11 @@ def _initial(
     size = (round(height / ratio), round(width / ratio))
     chosen = interpolate(images[list(seen)].cpu(), size=size, mode="area")
     posed = cameras.select(list(seen)).to("cpu").resized(size)
-    stereo = plane_sweep(chosen, posed, points=None if points is None else [points[view].cpu() for view in seen])
+    shown, counted = None if points is None else [points[view].cpu() for view in seen], None
+    if masks is not None:
+        smaller = masks.select(seen).resized(size)
+        chosen, counted = smaller.straight(chosen.to(images)).cpu(), smaller.measured.cpu()
+    stereo = plane_sweep(chosen, posed, points=shown, counted=counted)
     generator = torch.Generator().manual_seed(seed)
     surfaces = from_stereo(
         chosen, posed, stereo, num_gaussians=num_gaussians, unsupported=UNSUPPORTED, generator=generator

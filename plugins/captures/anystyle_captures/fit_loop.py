@@ -1,22 +1,23 @@
 """The optimisation of Gaussians through a renderer, towards posed photographs."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn.functional import interpolate
-from torchmetrics.functional.image import peak_signal_noise_ratio
 
 from anystyle.contracts import Renderer
+from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.methods.gaussian_parameters import GaussianParameters
 from anystyle.types import Cameras, Gaussians
 from anystyle_captures.initial import InitialGaussians
-from anystyle_captures.photometric import Quality, photometric_loss, quality_of, unexplained
+from anystyle_captures.masks import Masks
+from anystyle_captures.photometric import Quality, photometric_loss, psnr, quality_of, unexplained
 
 RATES = {
     "offsets": (0.07, 0.05),  # of centres, in footprints of a pixel
@@ -94,6 +95,19 @@ class FitResult:
     unexplained: float = 0.0  # median over photographs
     cached: bool = False
 
+    @torch.no_grad()
+    def photographed(
+        self, renderer: Renderer, cameras: Cameras, views: Sequence[int], *, masked: bool
+    ) -> Float[Tensor, "M 3 H W"]:
+        """Some views with the exposures of their photographs, clamped to [0, 1]; over white where there are masks."""
+        behind, shown = background(renderer, self.gaussians, cameras), []
+        for view in views:
+            renders, exposure = renderer(self.gaussians, cameras.select([view])), (self.gains[view], self.biases[view])
+            gain, bias = (value[:, None, None] for value in exposure)
+            alpha = renders.alpha[0, :, None] if masked else 1.0
+            shown.append((renders.color[0] - (1 - alpha) * behind) * gain + bias * alpha + 1 - alpha)
+        return torch.cat(shown).clamp(0, 1)
+
     def as_dict(self) -> dict[str, Any]:
         """Tensors and plain values that :meth:`from_dict` takes."""
         return {**vars(self), "gaussians": vars(self.gaussians), "heldout": self.heldout and tuple(self.heldout)}
@@ -128,10 +142,12 @@ class Exposures:
         """Gain - 1 and bias of a view."""
         return self.blend[view] @ self.values[self.training]
 
-    def apply(self, images: Float[Tensor, "M 3 H W"], view: int) -> Float[Tensor, "M 3 H W"]:
-        """Renders with the exposure of a view."""
+    def apply(
+        self, images: Float[Tensor, "M 3 H W"], view: int, alpha: Float[Tensor, "M 1 H W"] | float = 1.0
+    ) -> Float[Tensor, "M 3 H W"]:
+        """Renders, which are multiplied by ``alpha``, with the exposure of a view."""
         gain, bias = self.of(view)[:, None, None].split(3)
-        return images * (1 + gain) + bias
+        return images * (1 + gain) + bias * alpha
 
     @torch.no_grad()
     def center(self) -> None:
@@ -152,9 +168,12 @@ class FitLoop:
         *,
         heldout: tuple[int, ...] = (),
         initial_of_heldout: Callable[[], InitialGaussians] | None = None,
+        masks: Masks | None = None,
     ) -> None:
-        self.initial_of_heldout = initial_of_heldout
-        self.training = [view for view in range(len(images)) if view not in heldout]
+        self.initial_of_heldout, self.masks = initial_of_heldout, masks
+        # Photographs of which masks leave nothing teach nothing.
+        self.useful = [view for view in range(len(images)) if masks is None or bool(masks.measured[view].any())]
+        self.training = [view for view in self.useful if view not in heldout]
         self.generator = torch.Generator().manual_seed(options.seed)
         self.step = 0
         self.order: list[int] = []  # of the views that are left of a pass
@@ -163,8 +182,10 @@ class FitLoop:
         self.heldout = heldout
         size = (max(images.shape[-2] // 2, 16), max(images.shape[-1] // 2, 16))
         self.half_images, self.half_cameras = interpolate(images, size=size, mode="area"), cameras.resized(size)
+        self.half_masks = None if masks is None else masks.resized(size)
         self.splats = self._parameters(_round_gaussians(initial, options.degree), initial.footprints)
-        self.background = _background(renderer, self.gaussians(), cameras)
+        self._carve()
+        self.background = background(renderer, self.gaussians(), cameras)
         self.nearest = NEAREST * float((initial.footprints * cameras.intrinsics[0, 0, 0, 0]).median())
         self.exposures = Exposures(cameras, self.training)
         self.exposure_optimizer = torch.optim.Adam([self.exposures.values], lr=options.exposure_lr)
@@ -189,6 +210,7 @@ class FitLoop:
         view = self.order.pop()
         coarse = self.step < options.half_resolution * options.num_steps
         images, cameras = (self.half_images, self.half_cameras) if coarse else (self.images, self.cameras)
+        masks = self.half_masks if coarse else self.masks
         target = images[view, None]
         gaussians = self.gaussians()
         kept = torch.rand(len(self.splats), generator=self.generator).to(images) >= options.dropout
@@ -196,9 +218,16 @@ class FitLoop:
         renders = self.renderer(replace(gaussians, opacities=opacities), cameras.select([view]))
         # Over random colours, so that no Gaussian lets the background through where there is something.
         transmittance = 1 - renders.alpha[0, :, None]
-        color = self.exposures.apply(renders.color[0] - transmittance * self.background, view)
+        color = renders.color[0] - transmittance * self.background
+        color = self.exposures.apply(color, view, 1.0 if masks is None else 1 - transmittance)
         random = torch.rand(3, generator=self.generator).to(color)[:, None, None]
         color = color + transmittance * random
+        measured = torch.ones_like(target[:, 0], dtype=torch.bool)
+        if masks is not None:
+            # Over the same colours, so that transparency is asked for where nothing is there.
+            target = target + (1 - masks.alpha[view]) * (random - 1)
+            color = torch.where(masks.counted[view], color, target)
+            measured = masks.measured[view, None]
         photometric_loss(color, target, dssim=DSSIM).backward()
         self._shrink()
         self.splats.step()
@@ -210,7 +239,7 @@ class FitLoop:
         self.step += 1
         if self.step % PRUNE_EVERY == 0 and fraction < 0.8:
             self._prune()
-        return float(peak_signal_noise_ratio(color.detach(), target, data_range=1.0))
+        return float(psnr(color.detach(), target, measured))
 
     @torch.no_grad()
     def _shrink(self) -> None:
@@ -233,6 +262,33 @@ class FitLoop:
         index = (keep & (distance >= self.nearest)).nonzero()[:, 0]
         if len(index) < len(keep):
             self.splats.select(index)
+        self._carve()
+
+    @torch.no_grad()
+    def _carve(self) -> None:
+        """Remove the Gaussians that masks of the training views do not ask for."""
+        if self.masks is not None:
+            cameras = self.cameras.select(self.training)
+            asked_for = self.masks.select(self.training).asked_for(self.gaussians().means[0], cameras)
+            if self.step:
+                asked_for &= self._share_in_empty_pixels() <= 0.5
+            if not asked_for.any():
+                raise UserError("masks leave nothing to fit: no place is shown by all photographs that it lies in")
+            self.splats.select(asked_for.nonzero()[:, 0])
+
+    @torch.enable_grad()
+    def _share_in_empty_pixels(self) -> Float[Tensor, " N"]:
+        """Of the pixels that each Gaussian covers in the training views, those where nothing is there."""
+        assert self.masks is not None
+        gaussians = self.gaussians().detach()
+        gray = torch.zeros_like(gaussians.harmonics[:, :, :1]).requires_grad_()
+        covered = gray.new_zeros(2, gray.shape[1])  # empty pixels, all pixels
+        for view in self.training:
+            color = self.renderer(replace(gaussians, harmonics=gray), self.cameras.select([view])).color[0, 0]
+            empty = self.masks.counted[view] & ~self.masks.measured[view]
+            for row, pixels in zip(covered, (empty.expand_as(color).to(color), torch.ones_like(color)), strict=True):
+                row += torch.autograd.grad(color, gray, pixels, retain_graph=True)[0][0, :, 0, 0]
+        return covered[0] / covered[1].clamp_min(1e-6)
 
     def run(
         self,
@@ -255,8 +311,11 @@ class FitLoop:
             on_progress(FitProgress(self.step, self.last_step, self.mean, heldout, left))
             if on_checkpoint is not None:
                 on_checkpoint()
+        self._carve()
         exposures = torch.stack([self.exposures.of(view) for view in range(len(self.images))]).detach()
-        shares = [unexplained(self.render(view), self.images[view, None]) for view in self.training]
+        shares = [
+            unexplained(self.render(view), self.images[view, None], self._measured([view])) for view in self.training
+        ]
         return FitResult(
             gaussians=self.gaussians().detach(),
             gains=1 + exposures[:, :3],
@@ -287,21 +346,31 @@ class FitLoop:
             new = _round_gaussians(added, self.options.degree)
             together = Gaussians.cat([self.gaussians().detach(), new], dim=1)
             self.splats = self._parameters(together, torch.cat([self.splats.units, added.footprints]))
-        self.training = list(range(len(self.images)))
+        self.training = self.useful
+        self._carve()
         self.exposures.train(self.training)
         self.order = []
 
     def heldout_quality(self) -> Quality | None:
         """How well the views held out are rendered, if there are any."""
-        if not self.heldout:
+        views = [view for view in self.heldout if view in self.useful]
+        if not views:
             return None
-        return quality_of(torch.cat([self.render(view) for view in self.heldout]), self.images[list(self.heldout)])
+        renders = torch.cat([self.render(view) for view in views])
+        return quality_of(renders, self.images[views], self._measured(views))
+
+    def _measured(self, views: list[int]) -> Bool[Tensor, "M H W"] | None:
+        return None if self.masks is None else self.masks.select(views).measured
 
     @torch.no_grad()
     def render(self, view: int) -> Float[Tensor, "1 3 H W"]:
-        """One view with the exposure of its photograph, clamped to [0, 1]."""
-        color = self.renderer(self.gaussians(), self.cameras.select([view])).color[0]
-        return self.exposures.apply(color, view).clamp(0, 1)
+        """One view with the exposure of its photograph, clamped to [0, 1]; over white where there are masks."""
+        renders = self.renderer(self.gaussians(), self.cameras.select([view]))
+        if self.masks is None:
+            return self.exposures.apply(renders.color[0], view).clamp(0, 1)
+        alpha = renders.alpha[0, :, None]
+        color = self.exposures.apply(renders.color[0] - (1 - alpha) * self.background, view, alpha)
+        return (color + 1 - alpha).clamp(0, 1)
 
     def state_dict(self) -> dict[str, Any]:
         return {
@@ -329,7 +398,7 @@ class FitLoop:
 
 
 @torch.no_grad()
-def _background(renderer: Renderer, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "3 1 1"]:
+def background(renderer: Renderer, gaussians: Gaussians, cameras: Cameras) -> Float[Tensor, "3 1 1"]:
     """The colour that a renderer shows where there is nothing."""
     nothing = replace(gaussians, opacities=torch.zeros_like(gaussians.opacities)).map(lambda tensor: tensor[:, :1])
     return renderer(nothing, cameras.select([0])).color[0, 0].mean((1, 2))[:, None, None]

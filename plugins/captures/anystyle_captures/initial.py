@@ -44,6 +44,7 @@ def from_stereo(
 ) -> InitialGaussians:
     """Lift pixels of all views, evenly over the images, those first whose depth another view supports."""
     lifted = (stereo.support >= 1) | (torch.rand(stereo.support.shape, generator=generator) < unsupported)
+    lifted &= stereo.depth.isfinite()
     fraction = float(lifted.double().mean())
     if not bool((stereo.support >= 1).any()):
         raise UserError("no depth is supported by a second view: nothing to begin a fit with")
@@ -72,12 +73,15 @@ def backdrop(
     """Large Gaussians behind everything, at pixels whose depth no view supports: sky, and what is too far or plain.
 
     Without them, floaters near the cameras would have to show what lies at infinity. As many lie around the
-    photographs, in the colours of their borders: a new view that looks past all photographs sees no hole.
+    photographs, in the colours of their borders: a new view that looks past all photographs sees no hole. There is
+    none at masked pixels, nor beside those at the border.
     """
-    supported = stereo.support >= 1
+    supported, counted = stereo.support >= 1, stereo.depth.isfinite()
     bottom, right = (round(SURROUND * side) for side in images.shape[-2:])
-    around = pad(torch.zeros_like(supported), (right, right, bottom, bottom), value=True)
-    inside = _drawn(~supported, num_gaussians, generator)
+    sides = (right, right, bottom, bottom)
+    around = pad(torch.zeros_like(supported), sides, value=True)
+    around &= pad(counted[None].float(), sides, mode="replicate")[0] > 0
+    inside = _drawn(~supported & counted, num_gaussians, generator)
     pixels = torch.cat([inside, _drawn(around, num_gaussians, generator) - torch.tensor([0, bottom, right])])
     known = stereo.depth[supported]
     far = BACKDROP * known[:: max(1, len(known) // 1_000_000)].quantile(0.98)

@@ -6,11 +6,10 @@ from typing import Any, NamedTuple
 import kornia
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 from torch.nn.functional import avg_pool2d, conv2d
-from torchmetrics.functional.image import peak_signal_noise_ratio
 
 from anystyle import compiled as compilation
 
@@ -41,34 +40,57 @@ class Quality(NamedTuple):
     matched_psnr: float
 
 
-def quality_of(renders: Float[Tensor, "M 3 H W"], photographs: Float[Tensor, "M 3 H W"]) -> Quality:
-    """Compare renders with photographs, both in [0, 1]."""
-    matched = torch.stack([match_colors(*pair) for pair in zip(renders, photographs, strict=True)])
+def quality_of(
+    renders: Float[Tensor, "M 3 H W"],
+    photographs: Float[Tensor, "M 3 H W"],
+    measured: Bool[Tensor, "M H W"] | None = None,
+) -> Quality:
+    """Compare renders with photographs, both in [0, 1], at the pixels that are measured, at least one of each."""
+    if measured is None:
+        measured = torch.ones_like(renders[:, 0], dtype=torch.bool)
+    matched = torch.stack([match_colors(*given) for given in zip(renders, photographs, measured, strict=True)])
+    renders = torch.where(measured[:, None], renders, photographs)
+    similarity = kornia.metrics.ssim(renders, photographs, 2 * RADIUS + 1, eps=0.0, padding="valid").mean(1)  # M h w
+    inner = measured[:, RADIUS:-RADIUS, RADIUS:-RADIUS]
+    ssim = float((similarity * inner).sum() / inner.sum().clamp_min(1))
+    return Quality(
+        float(psnr(renders, photographs, measured).mean()), ssim, float(psnr(matched, photographs, measured).mean())
+    )
 
-    def psnr(images: Tensor) -> float:
-        ratio = peak_signal_noise_ratio(images, photographs, data_range=1.0, reduction="none", dim=(1, 2, 3))
-        return float(ratio.clamp_max(120).mean())
 
-    similarity = kornia.metrics.ssim(renders, photographs, 2 * RADIUS + 1, eps=0.0, padding="valid").mean()
-    return Quality(psnr(renders), float(similarity), psnr(matched))
+def psnr(
+    images: Float[Tensor, "M 3 H W"], targets: Float[Tensor, "M 3 H W"], measured: Bool[Tensor, "M H W"]
+) -> Float[Tensor, " M"]:
+    """Peak signal-to-noise ratios in dB, at most 120, at the pixels that are measured."""
+    error = (images - targets).square().mean(1) * measured
+    return (-10 * (error.sum((1, 2)) / measured.sum((1, 2)).clamp_min(1)).log10()).clamp_max(120)
 
 
-def match_colors(image: Float[Tensor, "3 H W"], target: Float[Tensor, "3 H W"]) -> Float[Tensor, "3 H W"]:
+def match_colors(
+    image: Float[Tensor, "3 H W"], target: Float[Tensor, "3 H W"], measured: Bool[Tensor, "H W"] | None = None
+) -> Float[Tensor, "3 H W"]:
     """An image after the affine change of its colours that brings it nearest to a target in squared error."""
     # In double precision: the solver loses several dB of a dark image in single.
     colors = torch.cat([image.flatten(1), torch.ones_like(image[:1]).flatten(1)]).T.double()  # (H W) 4
-    change = torch.linalg.lstsq(colors, target.flatten(1).T.double()).solution
+    known = slice(None) if measured is None else measured.flatten()
+    change = torch.linalg.lstsq(colors[known], target.flatten(1).T.double()[known]).solution
     return (colors @ change).T.view_as(image).to(image.dtype)
 
 
-def unexplained(images: Float[Tensor, "M 3 H W"], targets: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M"]:
+def unexplained(
+    images: Float[Tensor, "M 3 H W"],
+    targets: Float[Tensor, "M 3 H W"],
+    measured: Bool[Tensor, "M H W"] | None = None,
+) -> Float[Tensor, " M"]:
     """The share of each pair's pixels around which it differs by more than :data:`LARGE`, on average over a window.
 
     Windows span 1/24 of the shorter side, so that a sharp edge that is slightly off does not count.
     """
     side = max(3, min(images.shape[-2:]) // 24) | 1
     error = (images - targets).abs().mean(1, keepdim=True)
-    return (avg_pool2d(error, side, 1, side // 2) > LARGE).float().mean((1, 2, 3))
+    measured = torch.ones_like(error, dtype=torch.bool) if measured is None else measured[:, None]
+    large = avg_pool2d(error * measured, side, 1, side // 2) > LARGE
+    return (large & measured).sum((1, 2, 3)) / measured.sum((1, 2, 3)).clamp_min(1)
 
 
 class _Dissimilarity(torch.autograd.Function):

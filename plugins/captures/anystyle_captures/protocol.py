@@ -9,12 +9,13 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from PIL import Image
 from torch import Tensor
 from torch.nn.functional import interpolate
 
 from anystyle.data.folder import read_originals, read_views
+from anystyle.data.photo_masks import masked_views
 from anystyle.errors import UserError
 from anystyle.evaluation.base import SCENE, Evaluation, Progress, Protocol, Row
 from anystyle.io.atomic import atomic_directory, write_json
@@ -30,9 +31,11 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import Scene, Style, Views, no_progress
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights, stand_ins
-from anystyle_captures.fit import Fit, fit_photographs, held_out, scene_of_fit
+from anystyle_captures.fit import Fit, fit_photographs, scene_of_fit
+from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import quality_of
 from anystyle_captures.structure_from_motion import StructureFromMotion
+from anystyle_captures.twins import groups, held_out
 
 BETTER = {"psnr": "higher", "matched_psnr": "higher", "ssim": "higher", "lpips": "lower"}
 KINDS = ("fit", "feedforward")
@@ -142,13 +145,16 @@ class Captures(Protocol):
         views, points, cameras = self._posed(path)
         costs: dict[str, Any] = {"cameras": {"cpu_seconds": round(time.process_time() - start, 1)}}
         count = views.images.shape[1]
-        chosen = list(held_out(count, self.fit.holdout, views.names))
+        assert views.cameras is not None
+        different = groups(views.images[0], views.cameras, views.names)
+        chosen = list(held_out(different, self.fit.holdout))
         if not chosen:
             raise UserError(
-                f"{path} has {count} photographs with cameras, and every {self.fit.holdout}th is to be held out; "
-                "lower protocol.holdout or give more photographs"
+                f"{path} has {len(different)} photographs with cameras, and every {self.fit.holdout}th is to be held "
+                "out; lower protocol.holdout or give more photographs"
             )
-        photographs = views.images[0, chosen]
+        photographs, masks = views.images[0, chosen], Masks.of(views)
+        measured = None if masks is None else masks.select(chosen).measured
         figures: dict[str, Mapping[str, float]] = {}
         for kind, reconstruct in (("fit", self._fit), ("feedforward", self._feedforward)):
             start = time.process_time()
@@ -159,13 +165,14 @@ class Captures(Protocol):
                 figures[kind], costs[kind] = dict.fromkeys(BETTER, nan), {"failed": str(error)}
                 continue
             seconds = time.process_time() - start
-            figures[kind] = self._quality(result.renders, photographs)
+            figures[kind] = self._quality(result.renders, photographs, measured)
             costs[kind] = {"cpu_seconds": round(seconds, 1), "num_gaussians": result.num_gaussians}
             costs[kind]["restyle_cpu_seconds"] = round(self._restyle_seconds(result.scene), 1)
             for index, render in enumerate(result.renders):
                 to_pil(render).save(folder / f"{kind}_{index}.png")
         for index, photograph in enumerate(photographs):
             to_pil(photograph).save(folder / f"photograph_{index}.png")
+        cameras["twins"] = count - len(different)
         return {"figures": figures, "costs": costs, "cameras": cameras, "views": count, "heldout": len(chosen)}
 
     def _posed(self, path: Path) -> tuple[Views, Sequence[Tensor] | None, dict[str, Any]]:
@@ -177,15 +184,17 @@ class Captures(Protocol):
                 [path], short_side=short_side, multiple=multiple, max_views=self.take, enlarge=enlarge
             )
             views, sources, known = from_files(views, sources)
+            views, masks = masked_views(views, sources, {}, empty=True)
             cameras = known.of_all([source.name for source in sources])
-            return replace(views, cameras=cameras), None, {"trust": "known"}
+            return replace(views, cameras=cameras), None, {"trust": "known", "masks": masks}
         estimator = StructureFromMotion(keep=False)
         originals = read_originals([path], longest=estimator.longest, max_views=self.take)
         posed = estimator(originals, short_side=short_side, enlarge=enlarge, multiple=multiple, on_progress=no_progress)
         if isinstance(posed, Verdict):
             raise UserError(f"no cameras are found of {path}: {'; '.join(posed.reasons)}")
         registered = f"{len(posed.sources)} of {len(originals)}"
-        return posed.views, posed.points, posed.verdict.report() | {"registered": registered}
+        views, masks = masked_views(posed.views, posed.sources, {}, empty=True)
+        return views, posed.points, {**posed.verdict.report(), "registered": registered, "masks": masks}
 
     @torch.no_grad()
     def _feedforward(self, views: Views, points: Sequence[Tensor] | None, chosen: list[int]) -> _Result:
@@ -217,19 +226,27 @@ class Captures(Protocol):
             options=replace(options, final_steps=0),
             points=points,
             heldout=chosen,
+            masks=Masks.of(views),
         )
         with torch.no_grad():
-            cameras = [views.cameras.select([view]) for view in chosen]
-            renders = torch.cat([self.stylizer.render(result.gaussians, camera).color[0] for camera in cameras])
-            exposed = renders * result.gains[chosen, :, None, None] + result.biases[chosen, :, None, None]
+            masked = Masks.of(views) is not None
+            exposed = result.photographed(self.stylizer.renderer, views.cameras, chosen, masked=masked)
             encode = encoder(self.stylizer)
             scene = scene_of_fit(views, encode(views), result, self.stylizer.renderer)
-        return _Result(exposed.clamp(0, 1).cpu(), scene, result.gaussians.means.shape[1])
+        return _Result(exposed.cpu(), scene, result.gaussians.means.shape[1])
 
     @torch.no_grad()
-    def _quality(self, renders: Float[Tensor, "M 3 H W"], photographs: Float[Tensor, "M 3 H W"]) -> dict[str, float]:
+    def _quality(
+        self,
+        renders: Float[Tensor, "M 3 H W"],
+        photographs: Float[Tensor, "M 3 H W"],
+        measured: Bool[Tensor, "M H W"] | None,
+    ) -> dict[str, float]:
+        quality = quality_of(renders, photographs, measured)._asdict()
+        if measured is not None:
+            renders = torch.where(measured[:, None], renders, photographs)
         distance = self.lpips.compare(self.lpips.describe(renders), self.lpips.describe(photographs))
-        return quality_of(renders, photographs)._asdict() | {"lpips": float(distance.mean())}
+        return quality | {"lpips": float(distance.mean())}
 
     @torch.no_grad()
     def _restyle_seconds(self, scene: Scene) -> float:

@@ -9,10 +9,11 @@ import logging
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from math import nan
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import interpolate
 
@@ -44,13 +45,16 @@ NEAR, FAR = (0.01, 0.7), (0.98, 2.5)
 COARSE_SIDE, COARSE_PLANES = 112, 128
 """Short side in pixels, and planes, of the sweep that finds the range of depths of a scene."""
 
+MASKED = 0.5
+"""The grey value of masked pixels."""
+
 MIN_POINTS = 32
 """A view with fewer known points searches the depths of all views together."""
 
 
 @dataclass(frozen=True)
 class StereoDepth(Value):
-    """The depth of every pixel."""
+    """The depth of every pixel; not a number where a photograph is masked."""
 
     depth: Float[Tensor, "V H W"]
     confidence: Float[Tensor, "V H W"]
@@ -62,8 +66,9 @@ def plane_sweep(
     cameras: Cameras,
     *,
     points: Sequence[Float[Tensor, "_ 3"]] | None = None,
+    counted: Bool[Tensor, "V H W"] | None = None,
 ) -> StereoDepth:
-    """Estimate the depth of every view of one scene."""
+    """Estimate the depth of every view of one scene, without the pixels that are not counted."""
     num_views, height, width = images.shape[0], images.shape[-2], images.shape[-1]
     if num_views < 2 or min(height, width) <= 2 * RADIUS:
         raise UserError(
@@ -71,10 +76,15 @@ def plane_sweep(
             f"{2 * RADIUS + 1} pixels"
         )
     gray = (images * images.new_tensor([0.299, 0.587, 0.114])[:, None, None]).sum(1)  # V H W
+    if counted is None:
+        counted = torch.ones_like(gray, dtype=torch.bool)
+    else:  # windows of one grey value correlate with nothing
+        gray = torch.where(counted, gray, MASKED)
     rig = _Rig(cameras.intrinsics[0].double(), cameras.camera_from_world[0].double())
     if points is None:
-        points = _coarse_points(gray, rig)
-    return _sweep(gray, rig, _ranges(rig, points), _neighbors(rig, points, cameras.size), NUM_PLANES, TOLERANCE)
+        points = _coarse_points(gray, rig, counted)
+    ranges, neighbors = _ranges(rig, points), _neighbors(rig, points, cameras.size)
+    return _sweep(gray, rig, ranges, neighbors, NUM_PLANES, TOLERANCE, counted)
 
 
 @dataclass(frozen=True)
@@ -159,11 +169,12 @@ def _nearest(rig: _Rig, view: int) -> list[int]:
     return [int(other) for other in order if other != view][:NUM_NEIGHBORS]
 
 
-def _coarse_points(gray: Float[Tensor, "V H W"], rig: _Rig) -> list[Tensor]:
+def _coarse_points(gray: Float[Tensor, "V H W"], rig: _Rig, counted: Bool[Tensor, "V H W"]) -> list[Tensor]:
     """Points of each view by a sweep of small images, from infinity to where the parallax is the image's width."""
     scale = min(1.0, COARSE_SIDE / min(gray.shape[-2:]))
     size = round(gray.shape[-2] * scale), round(gray.shape[-1] * scale)
     small = interpolate(gray[None], size=size, mode="area")[0]
+    inside = interpolate(counted[None].float(), size=size, mode="area")[0] == 1
     factor = rig.intrinsics.new_tensor([size[1] / gray.shape[-1], size[0] / gray.shape[-2], 1.0])
     coarse = replace(rig, intrinsics=rig.intrinsics * factor[:, None])
     neighbors = [_nearest(coarse, view) for view in range(len(gray))]
@@ -173,7 +184,7 @@ def _coarse_points(gray: Float[Tensor, "V H W"], rig: _Rig) -> list[Tensor]:
         raise UserError("stereo got cameras that all stand at one point: there is no parallax to see depth by")
     near = baseline * coarse.intrinsics[:, 0, 0] / size[1]
     ranges = torch.stack([near, torch.full_like(near, float("inf"))], dim=1)
-    depth = _sweep(small, coarse, ranges, neighbors, COARSE_PLANES, COARSE_TOLERANCE)
+    depth = _sweep(small, coarse, ranges, neighbors, COARSE_PLANES, COARSE_TOLERANCE, inside)
     # Beyond the last planes before infinity depths cannot be distinguished.
     sure = (depth.support >= 1) & (depth.confidence > 0.5) & (depth.depth < 0.5 * COARSE_PLANES * near[:, None, None])
     logger.info("coarse stereo: %.0f%% of the pixels agree between views", 100 * float(sure.double().mean()))
@@ -191,6 +202,7 @@ def _sweep(
     neighbors: list[list[int]],
     num_planes: int,
     tolerance: float,
+    counted: Bool[Tensor, "V H W"],
 ) -> StereoDepth:
     pixels = gray.float().contiguous().numpy()
     depth, confidence = np.empty_like(pixels), np.empty_like(pixels)
@@ -219,6 +231,7 @@ def _sweep(
 
     with ThreadPoolExecutor(torch.get_num_threads()) as pool:
         list(pool.map(estimate, range(len(gray))))
+        depths[~counted] = nan  # agrees with nothing
         list(pool.map(check, range(len(gray))))
     return StereoDepth(depths, torch.from_numpy(confidence), support)
 

@@ -4,7 +4,7 @@ import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from math import fsum
 from typing import Any
 
@@ -49,7 +49,10 @@ class StructureFromMotion(PoseEstimator):
     ) -> PosedViews | Verdict:
         """Find cameras in the frame of the most central one, whose median point lies at depth 1."""
         photographs = [
-            Photograph.from_exif(original.name, np.array(original.picture.convert("RGB")), original.exif)
+            replace(
+                Photograph.from_exif(original.name, np.array(original.picture.convert("RGB")), original.exif),
+                mask=None if original.mask is None else np.array(original.mask),
+            )
             for original in originals
         ]
         result = find_cameras(
@@ -120,8 +123,8 @@ def find_cameras(
     names = [photograph.name for photograph in photographs]
     if not names or len(set(names)) < len(names):
         raise ValueError(f"{len(names)} photographs with {len(set(names))} names; give one or more, of distinct names")
-    pixels = (torch.tensor(photograph.pixels) for photograph in photographs)
-    order = list(range(len(names))) if ordered else canonical_order(pixels, names)
+    tensors = (torch.tensor(photograph.pixels) for photograph in photographs)
+    order = list(range(len(names))) if ordered else canonical_order(tensors, names)
     arranged = [photographs[view] for view in order]
 
     def compute() -> dict[str, Any]:
@@ -148,7 +151,9 @@ def find_cameras(
         return {"model": arrays, "verdict": {**vars(verdict), "measures": dict(verdict.measures)}}
 
     lenses = [(photograph.name, photograph.focal_length, photograph.lens) for photograph in arranged]
-    key = key_of(*(photograph.pixels for photograph in arranged), lenses, ordered, searches) if keep else None
+    pixels = [photograph.pixels for photograph in arranged]
+    masks = [(view, photograph.mask) for view, photograph in enumerate(arranged) if photograph.mask is not None]
+    key = key_of(*pixels, lenses, ordered, searches, *chain.from_iterable(masks)) if keep else None
     values, from_cache = cached("cameras", key, compute)
     model = SparseModel(**{name: tensor.numpy() for name, tensor in values["model"].items()})
     return FoundCameras(model.reordered(order), Verdict(**values["verdict"]), from_cache)

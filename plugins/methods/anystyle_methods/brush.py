@@ -83,7 +83,10 @@ class Brush(Method):
             if scene.gaussians is None:
                 base = stylizer.restyle(scene, embedding).detach()
             else:
-                base = fit_colors(gaussians, scene.cameras, painted, renderer, steps=2, largest=True).detach()
+                alpha = None if scene.views.alpha is None else scene.views.alpha[0]
+                base = fit_colors(
+                    gaussians, scene.cameras, painted, renderer, steps=2, largest=True, alpha=alpha
+                ).detach()
             pixels = pixels_shown(gaussians, scene.cameras, renderer)
         canvas = _Canvas.of(scene, gaussians, pixels)
         photographs = rgb_from_constant(scene.attributes.color[0, ..., 0]).movedim(-1, 1).float()

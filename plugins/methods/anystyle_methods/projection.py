@@ -59,7 +59,7 @@ class Projection(Method):
         with torch.enable_grad():
             fitted = fit_colors(
                 gaussians, cameras, targets, renderer, steps=self.steps, damping=self.damping,
-                keep=self.keep_harmonics,
+                keep=self.keep_harmonics, alpha=None if scene.views.alpha is None else scene.views.alpha[0],
             )  # fmt: skip
         return fitted.detach()
 

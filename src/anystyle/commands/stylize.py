@@ -56,6 +56,12 @@ def parser() -> argparse.ArgumentParser:
     )
     add_controls(flags)
     flags.add_argument(
+        "--photo-masks",
+        metavar="DIR",
+        help="images named as the photographs; what is black in them, such as people or the sky, is not learnt. "
+        "views.masked=empty: nothing is there",
+    )
+    flags.add_argument(
         "--export",
         default="",
         metavar="FORMATS",
@@ -79,6 +85,7 @@ def command(config: DictConfig, arguments: argparse.Namespace) -> None:
     if arguments.export:
         config.export.formats = [*config.export.formats, *arguments.export.split(",")]
     config.export.provenance &= not arguments.no_provenance
+    config.views.masks = arguments.photo_masks or config.views.masks
     views, export = options(config, "views"), options(config, "export")
     poses = PoseOptions(config.poses, config.poses_from)
     target = job_folder(arguments.out)

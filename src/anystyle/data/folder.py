@@ -61,7 +61,9 @@ class SourceImage:
         x, y = straight.width / self.size[1], straight.height / self.size[0]
         left, top, right, bottom = self.box
         size = (self.view_size[1], self.view_size[0])
-        return straight.resize(size, box=(left * x, top * y, right * x, bottom * y))
+        # Rounding may put the box a little outside of the picture, which the resampling refuses.
+        box = (left * x, top * y, min(right * x, straight.width), min(bottom * y, straight.height))
+        return straight.resize(size, box=box)
 
     def source_intrinsics(self, intrinsics: Float[Tensor, "3 3"]) -> Float[Tensor, "3 3"]:
         """Intrinsics in pixels of the view as intrinsics in pixels of the source."""
@@ -128,6 +130,7 @@ class Original(NamedTuple):
     """A photograph as it was taken, upright and maybe reduced, under a distinct name.
 
     The size is the source's height and width in pixels; frames of videos have no path, and of EXIF data their lens's.
+    The mask, of the picture's size, is black where it does not count, such as where it is transparent.
     """
 
     name: str
@@ -135,6 +138,7 @@ class Original(NamedTuple):
     size: tuple[int, int]
     picture: Image.Image
     exif: Image.Exif
+    mask: Image.Image | None = None
 
 
 def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> list[Original]:
@@ -150,8 +154,8 @@ def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> l
         size = (shot.size[1], shot.size[0])
         if shot.frame is not None:
             return Original(name, None, size, shot.frame, films[shot.path])
-        picture = images.open_image(shot.path, longest=longest)
-        return Original(name, shot.path, size, picture, images.read_exif(shot.path))
+        picture, alpha = images.open_image(shot.path, longest=longest), images.open_alpha(shot.path, longest=longest)
+        return Original(name, shot.path, size, picture, images.read_exif(shot.path), alpha)
 
     return _each(shots, problems, original)
 

@@ -49,11 +49,27 @@ def open_image(source: Picture, name: str = "", *, longest: int = 4096) -> Image
         longest: Images with a longer side are reduced to no less than this.
     """
     with opened(source, name) as image:
-        decodable(image, longest)
-        factor = max(1, max(image.size) // longest)
-        whole = rounded_to_8_bits(image, source)
-        small = whole if factor == 1 else _averaging(whole).reduce(factor)
-        return _to_rgb(_to_srgb(ImageOps.exif_transpose(small)))
+        return _to_rgb(_to_srgb(_upright(image, source, longest)))
+
+
+def open_alpha(source: Picture, name: str = "", *, longest: int = 4096) -> Image.Image | None:
+    """The alpha channel of an image, as :func:`open_image` would reduce it; ``None`` where it is opaque everywhere."""
+    with opened(source, name) as image:
+        if not _has_alpha(image):
+            return None
+        alpha = _upright(image, source, longest).convert("RGBA").getchannel("A")
+        return None if alpha.getextrema() == (255, 255) else alpha
+
+
+def _upright(image: Image.Image, source: Picture, longest: int) -> Image.Image:
+    decodable(image, longest)
+    factor = max(1, max(image.size) // longest)
+    whole = rounded_to_8_bits(image, source)
+    return ImageOps.exif_transpose(whole if factor == 1 else _averaging(whole).reduce(factor))
+
+
+def _has_alpha(image: Image.Image) -> bool:
+    return image.mode in ("RGBA", "LA", "PA") or ("transparency" in image.info and image.mode in ("1", "L", "RGB", "P"))
 
 
 def read_image(path: Path, *, longest: int = 1024) -> Float[Tensor, "3 H W"]:
@@ -70,11 +86,11 @@ def to_tensor(image: Image.Image) -> Float[Tensor, "3 H W"]:
 
 def _averaging(image: Image.Image) -> Image.Image:
     """An image whose values have a mean: indices of a palette have none, and Pillow has none of 16-bit levels."""
-    if image.mode in ("L", "LA", "RGB", "RGBA", "CMYK", "I", "F"):
+    if image.mode in ("LA", "RGBA") or (image.mode in ("L", "RGB", "CMYK", "I", "F") and not _has_alpha(image)):
         return image
     if image.mode.startswith("I"):
         return image.convert("I")
-    return image.convert("RGBA" if "transparency" in image.info or image.mode == "PA" else "RGB")
+    return image.convert("RGBA" if _has_alpha(image) else "RGB")
 
 
 def _to_srgb(image: Image.Image) -> Image.Image:
@@ -100,7 +116,7 @@ def _to_rgb(image: Image.Image) -> Image.Image:
         full = 65535 if image.mode.startswith("I") else 1
         values = np.asarray(image).astype(np.float32) * np.float32(255 / full)
         return Image.fromarray(np.nan_to_num(values).round().clip(0, 255).astype(np.uint8)).convert("RGB")
-    if image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info:
+    if _has_alpha(image):
         image = image.convert("RGBA")
         white = Image.new("RGBA", image.size, "white")
         return Image.alpha_composite(white, image).convert("RGB")

@@ -63,7 +63,7 @@ class Branch(Method):
         with torch.enable_grad():
             colored = fit_colors(
                 gaussians, scene.cameras, targets, stylizer.renderer, steps=self.fit_colors, largest=True,
-                keep=self.keep_harmonics,
+                keep=self.keep_harmonics, alpha=None if scene.views.alpha is None else scene.views.alpha[0],
             ).detach()  # fmt: skip
             if self.refine_strokes:
                 from anystyle.methods.refine import refine

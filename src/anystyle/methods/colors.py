@@ -39,6 +39,7 @@ def fit_colors(
     damping: float = 0.0,
     largest: bool = False,
     keep: bool = False,
+    alpha: Float[Tensor, "V H W"] | None = None,
 ) -> Gaussians:
     """Colour Gaussians so that their renders are as near as can be to targets, in squared error.
 
@@ -64,6 +65,7 @@ def fit_colors(
         damping: Pulls each colour towards its weighted mean, with this share of its own weight.
         largest: Whether pixels count where their view shows a place largest; all count alike otherwise.
         keep: Whether harmonics above degree 0 stay as they are.
+        alpha: Of the targets; where it is 0 they are what the renderer has behind the scene.
     """
     if gaussians.means.shape[0] != 1 or cameras.world_from_camera.shape[:2] != (1, len(targets)):
         raise UserError(
@@ -73,6 +75,10 @@ def fit_colors(
         )
     if cameras.size != tuple(targets.shape[-2:]):
         raise UserError(f"targets of {tuple(targets.shape[-2:])} and cameras for {cameras.size}; resize one of the two")
+    if alpha is not None:
+        nothing = replace(gaussians, opacities=torch.zeros_like(gaussians.opacities))
+        with torch.no_grad():
+            targets = renderer(nothing, cameras.select([0])).color[0].lerp(targets, alpha[:, None].to(targets))
     system = _system(gaussians, cameras, renderer)
     higher = gaussians.harmonics[0, :, 1:] if keep else gaussians.harmonics[0, :, :0]
     if higher.shape[1]:

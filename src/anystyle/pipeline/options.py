@@ -38,6 +38,9 @@ class ViewOptions:
             and 48 frames of a video.
         max_views: More views than this are encoded in overlapping groups; ``None`` encodes all in one pass.
         overlap: Views that neighbouring groups share; ``None`` is a quarter of a group.
+        masks: A folder with an image named as each photograph, upright as this, white where it counts.
+        masked: What is there where a mask is black. ``ignored``: something that is not part of the scene, such as
+            passers-by; other photographs show what is behind. ``empty``: nothing, as where a photograph is transparent.
     """
 
     short_side: int | None = None
@@ -45,8 +48,13 @@ class ViewOptions:
     take: int | None = None
     max_views: int | None = None
     overlap: int | None = None
+    masks: str | None = None
+    masked: str = "ignored"
 
     def __post_init__(self) -> None:
+        _expect("views.masked", self.masked, ("ignored", "empty"))
+        if self.masks is not None and not Path(self.masks).expanduser().is_dir():
+            raise UserError(f"views.masks={self.masks}: there is no folder of masks")
         _between("views.short_side", self.short_side, 1, 1 << 16)
         _between("views.take", self.take, 1, 1 << 20)
         _between("views.max_views", self.max_views, 1, 1 << 20)

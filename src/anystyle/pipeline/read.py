@@ -2,14 +2,15 @@
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Backbone, Reconstruction
-from anystyle.data.folder import SourceImage, covering, read_originals, read_views
+from anystyle.data.folder import SourceImage, covering, files_of, read_originals, read_views
+from anystyle.data.photo_masks import find_masks, masked_views, with_masks
 from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.pipeline.cameras import KnownCameras, from_views
@@ -84,11 +85,44 @@ def read(
             cameras where it succeeds, and the backbone's single pass elsewhere.
         stages: Times the work.
     """
+    if isinstance(inputs, Views):
+        return _read(inputs, backbone, options, poses, reconstruction, stages, {})
+    masks: Mapping[Path, Path] = {}
+    if options.masks is not None:
+        photographs = [path for item in paths_of(inputs) for path in files_of(item)]
+        masks = find_masks(Path(options.masks).expanduser(), photographs)
+    given = _read(inputs, backbone, options, poses, reconstruction, stages, masks)
+    views, report = masked_views(given.views, given.sources, masks, empty=options.masked == "empty")
+    if not report:
+        return given
+    transparent, ignored = report["transparent"], report["ignored"]
+    stages.note(
+        "masks",
+        f"of {report['photographs']} of {len(given.sources)} photographs: {transparent:.0%} of the pixels are empty, "
+        f"{ignored:.0%} are ignored",
+    )
+    if not given.reconstruction.needs_cameras:
+        _log.warning(
+            "the single pass knows no masks: what is transparent is white in it, and what masks ignore is in the "
+            "scene; reconstruction=fit builds neither"
+        )
+    return replace(given, views=views, report={**given.report, "masks": report})
+
+
+def _read(
+    inputs: Inputs,
+    backbone: Backbone,
+    options: ViewOptions,
+    poses: PoseOptions,
+    reconstruction: Reconstruction | None,
+    stages: Stages,
+    masks: Mapping[Path, Path],
+) -> ReadViews:
     report: Mapping[str, object] = {}
     estimator = None if isinstance(inputs, Views) else pose_estimator(poses.use)
     if estimator is not None and not isinstance(inputs, Views):
         chosen = reconstruction or build(Reconstruction, estimator.reconstruction)
-        posed = _estimated(paths_of(inputs), backbone, options, chosen, estimator, stages)
+        posed = _estimated(paths_of(inputs), backbone, options, chosen, estimator, stages, masks)
         if isinstance(posed, PosedViews):
             cameras = posed.views.cameras
             return ReadViews(posed.views, posed.sources, chosen, cameras, posed.points, report=posed.verdict.report())
@@ -143,11 +177,13 @@ def _estimated(
     reconstruction: Reconstruction,
     estimator: PoseEstimator,
     stages: Stages,
+    masks: Mapping[Path, Path],
 ) -> PosedViews | Verdict:
     short_side, enlarge = view_size(backbone, options, reconstruction)
     with stages("read", "the photographs"):
         most = _max_views(paths, options, reconstruction)
         originals = read_originals(paths, longest=max(estimator.longest, 2 * short_side), max_views=most)
+        originals = with_masks(originals, masks)
     if len(originals) < estimator.min_views:
         few = f"{len(originals)} photographs are too few for their cameras to be found"
         return Verdict("failed", (f"{few}, which takes {estimator.min_views} that overlap",), {})

@@ -124,6 +124,8 @@ def encode_inputs(
 ) -> EncodedCapture:
     """Read inputs of any kind and encode them; the arguments are those of :func:`stylize`."""
     saved = saved_path(inputs)
+    if views.masks is not None and (saved is not None or isinstance(inputs, Views)):
+        raise UserError(f"views.masks={views.masks}: masks belong to photographs, and the input is {saved or 'views'}")
     if saved is not None:
         from anystyle.pipeline.splats import encode_saved
 

@@ -52,12 +52,18 @@ class Views(Value):
         cameras: Where they are known.
         depth: Distance along the camera's z axis, where it is known; 0 where a pixel has none.
         names: One a view, the same for every scene of the batch; may be empty.
+        alpha: How much of a pixel is covered, in [0, 1]: where it is 0, nothing is there. The images are over white.
+            ``None`` is 1 everywhere.
+        counted: Where a photograph is to be learnt from; elsewhere it shows what is not part of the scene, such as
+            passers-by, and tells nothing of what is behind. ``None`` is everywhere.
     """
 
     images: Float[Tensor, "B V 3 H W"]
     cameras: Cameras | None = None
     depth: Float[Tensor, "B V H W"] | None = None
     names: tuple[str, ...] = ()
+    alpha: Float[Tensor, "B V H W"] | None = None
+    counted: Bool[Tensor, "B V H W"] | None = None
 
     @property
     def size(self) -> tuple[int, int]:
@@ -71,6 +77,8 @@ class Views(Value):
             cameras=None if self.cameras is None else self.cameras.select(views),
             depth=None if self.depth is None else self.depth[:, views],
             names=tuple(self.names[view] for view in views) if self.names else (),
+            alpha=None if self.alpha is None else self.alpha[:, views],
+            counted=None if self.counted is None else self.counted[:, views],
         )
 
 

@@ -88,12 +88,19 @@ def match(
     # COLMAP shares a camera among the images of a folder; images are named by their index.
     lenses = list(dict.fromkeys((photograph.lens, photograph.size) for photograph in photographs))
     names = [f"{lenses.index((one.lens, one.size))}/{index:06d}.pgm" for index, one in enumerate(photographs)]
+    masks = folder / "masks"
     for name, photograph, (height, width) in zip(names, photographs, sizes, strict=True):
         (folder / name).parent.mkdir(exist_ok=True)
         gray = Image.fromarray(photograph.pixels).convert("L")
         resized = gray if gray.size == (width, height) else gray.resize((width, height), Image.Resampling.LANCZOS)
         resized.save(folder / name)
+        if photograph.mask is not None:
+            mask = np.asarray(Image.fromarray(photograph.mask).resize((width, height)))
+            (masks / name).parent.mkdir(parents=True, exist_ok=True)
+            Image.fromarray(np.where(mask > 127, 255, 0).astype(np.uint8)).save(masks / f"{name}.png")
     reader = pycolmap.ImageReaderOptions()
+    if masks.is_dir():
+        reader.mask_path = masks
     reader.default_focal_length_factor = DEFAULT_FOCAL
     pycolmap.Database.open(path).close()
     pycolmap.import_images(path, folder, pycolmap.CameraMode.PER_FOLDER, names, reader)

@@ -23,13 +23,14 @@ NEGLIGIBLE = 0.1
 class Photograph:
     """An upright sRGB picture, with the lens and the focal length in pixels where they are known.
 
-    Photographs of the same lens and size share their intrinsics.
+    Photographs of the same lens and size share their intrinsics. No feature is taken where the mask is black.
     """
 
     name: str
     pixels: UInt8[Array, "H W 3"]
     focal_length: float | None = None
     lens: str = ""
+    mask: UInt8[Array, "H W"] | None = None
 
     @property
     def size(self) -> tuple[int, int]:

@@ -1,11 +1,13 @@
 """Cameras found in exact pictures of a known world."""
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
+from anystyle_captures.sfm.colmap import match
 from anystyle_captures.sfm.model import Lens, Photograph, SearchOptions
 from anystyle_captures.sfm.trust import agreement
 from anystyle_captures.structure_from_motion import find_cameras
@@ -69,6 +71,16 @@ def test_any_order_of_photographs_gives_the_same_cameras(orbit, solved, tmp_path
     monkeypatch.setenv("ANYSTYLE_CACHE", str(tmp_path))
     assert [solve(given, keep=True).cached for given in (orbit[1], exchanged)] == [False, True]
     assert not solve(exchanged, keep=True, ordered=True).cached
+
+
+def test_no_feature_is_taken_of_what_is_masked(orbit, tmp_path):
+    mask = np.zeros(SIZE, dtype=np.uint8)
+    mask[:, : SIZE[1] // 2] = 255
+    masked = [replace(photograph, mask=mask) for photograph in orbit[1][:3]]
+    graph = match(tmp_path, masked, SearchOptions(min_side=256, max_side=256))
+    whole = solve(orbit[1][:3])
+    assert graph.pairs and all(pair.pixels[..., 0].max() <= 128 for pair in graph.pairs)
+    assert solve(masked).model.points.shape[0] < whole.model.points.shape[0]
 
 
 @pytest.mark.parametrize("radial", [-0.25, -0.05, 0.1])

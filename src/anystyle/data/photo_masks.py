@@ -1,0 +1,142 @@
+"""Masks of photographs: their alpha channels, and pictures in a folder that are white where a photograph counts."""
+
+import logging
+import unicodedata
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from PIL import Image, ImageChops
+from torch import Tensor
+
+from anystyle.data.folder import Original, SourceImage
+from anystyle.data.images import SUFFIXES, listing, open_alpha, open_image, to_tensor
+from anystyle.errors import UserError
+from anystyle.io import video
+from anystyle.types import Views
+
+MAX_ASPECT_ERROR = 0.02
+"""A mask may differ by this fraction from its photograph's aspect."""
+WHITE = 0.98
+"""Of a mask that is scaled: a pixel that is darker lies at an edge, and does not count."""
+FEW = 0.2
+"""Masks that leave a smaller share of the pixels may be inverted."""
+
+_log = logging.getLogger(__name__)
+
+
+def find_masks(folder: Path, photographs: Sequence[Path]) -> dict[Path, Path]:
+    """The mask of each photograph that has one in a folder: ``a.png`` or ``a.jpg.png`` of ``a.jpg``, in sub-folders.
+
+    Photographs without a mask and masks without a photograph are logged.
+    """
+    if films := [path for path in photographs if path.suffix.lower() in video.SUFFIXES]:
+        raise UserError(f"{films[0]} is a film, and masks belong to photographs; give its frames as images")
+    files = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
+    known: dict[tuple[str, ...], list[Path]] = {}
+    for file in files:
+        known.setdefault(_key(file.relative_to(folder), file.stem), []).append(file)
+    longest = max(map(len, known), default=0)
+    masks: dict[Path, Path] = {}
+    for path in dict.fromkeys(photographs):
+        tails = [Path(*path.parts[-length:]) for length in range(min(longest, len(path.parts)), 0, -1)]
+        keys = [_key(tail, name) for tail in tails for name in (path.name, path.stem)]
+        found = next((known[key] for key in keys if key in known), [])
+        if len(found) > 1:
+            raise UserError(f"{path.name} has {len(found)} masks: {listing(found)}; leave one")
+        if found and (other := next((one for one, mask in masks.items() if mask == found[0]), None)) is not None:
+            raise UserError(
+                f"{found[0]} would be the mask of both {other} and {path}; put masks in folders like theirs"
+            )
+        masks |= {path: found[0]} if found else {}
+    if not masks:
+        names = listing([f"{path.stem}.png" for path in photographs], 3)
+        raise UserError(f"none of the {len(files)} images in {folder} is named as a photograph is; expected {names}")
+    if missing := [path.name for path in photographs if path not in masks]:
+        _log.warning(
+            "%d of %d photographs have no mask in %s and count whole: %s",
+            len(missing), len(photographs), folder, listing(missing),
+        )  # fmt: skip
+    if spare := [file.name for file in files if file not in masks.values()]:
+        _log.warning("%d masks in %s belong to no photograph: %s", len(spare), folder, listing(spare))
+    return masks
+
+
+def _key(path: Path, name: str) -> tuple[str, ...]:
+    return tuple(unicodedata.normalize("NFC", part).casefold() for part in (*path.parts[:-1], name))
+
+
+def with_masks(originals: Sequence[Original], masks: Mapping[Path, Path]) -> list[Original]:
+    """Photographs that do not count where their masks are black, besides where they are transparent."""
+
+    def masked(original: Original) -> Original:
+        mask = _mask_of(masks, original.path, original.size)
+        if mask is None:
+            return original
+        mask = mask.resize(original.picture.size)
+        return original._replace(mask=mask if original.mask is None else ImageChops.darker(mask, original.mask))
+
+    return [masked(original) for original in originals]
+
+
+def masked_views(
+    views: Views, sources: Sequence[SourceImage], masks: Mapping[Path, Path], *, empty: bool
+) -> tuple[Views, dict[str, int | float]]:
+    """Views with their ``alpha`` and where they are ``counted``, and what a report says of both.
+
+    Args:
+        views: Of one scene.
+        sources: Where each view comes from.
+        masks: Of photographs, from :func:`find_masks`.
+        empty: Whether nothing is there where a mask is black; otherwise it is unknown what is there.
+    """
+    alpha, counted = (torch.ones_like(views.images[0, :, 0]) for _ in range(2))  # V H W
+    num_masks = 0
+    for view, source in enumerate(sources):
+        transparency = None if source.path is None else open_alpha(source.path, longest=2 * max(source.view_size))
+        mask = _mask_of(masks, source.path, source.size)
+        if transparency is not None:
+            alpha[view] = _of_view(transparency, source)
+        if mask is not None:
+            (alpha if empty else counted)[view].mul_(_of_view(mask, source))
+        num_masks += transparency is not None or mask is not None
+    counted = counted > WHITE
+    nothing = (alpha * counted).flatten(1).amax(1) <= 1 - WHITE
+    if nothing.any():
+        # An object that lies outside of the picture, or a mask that failed: it is not taken for the former.
+        names = [source.name for source, none in zip(sources, nothing.tolist(), strict=True) if none]
+        _log.warning("nothing is left of %d photographs, and they are ignored: %s", len(names), listing(names))
+        alpha[nothing], counted[nothing] = 1.0, False
+    if not num_masks:
+        return views, {}
+    transparent, ignored = float((1 - alpha).mean()), float((~counted).double().mean())
+    if masks and (1 - transparent) * (1 - ignored) < FEW:
+        _log.warning("masks leave %.0f%% of the pixels: white counts; invert them if black is what is to stay",
+                     100 * (1 - transparent) * (1 - ignored))  # fmt: skip
+    report = {"photographs": num_masks, "transparent": round(transparent, 4), "ignored": round(ignored, 4)}
+    return replace(
+        views,
+        alpha=alpha[None] if transparent else None,
+        counted=counted[None] if ignored else None,
+    ), report
+
+
+def _of_view(mask: Image.Image, source: SourceImage) -> Float[Tensor, "H W"]:
+    return to_tensor(source.of_view(mask.convert("RGB")))[0]
+
+
+def _mask_of(masks: Mapping[Path, Path], path: Path | None, size: tuple[int, int]) -> Image.Image | None:
+    """Black and white, in the photograph's aspect; what is transparent is black, and of labels 0 and 1 1 is white."""
+    if path is None or path not in masks:
+        return None
+    mask, alpha = open_image(masks[path]).convert("L"), open_alpha(masks[path])
+    if abs(mask.width * size[0] / (mask.height * size[1]) - 1) > MAX_ASPECT_ERROR:
+        raise UserError(
+            f"the mask {masks[path]} has {mask.width}x{mask.height} pixels, and {path.name} {size[1]}x{size[0]}, "
+            "upright; give a mask of the same aspect"
+        )
+    levels = np.asarray(mask if alpha is None else ImageChops.multiply(mask, alpha))
+    return Image.fromarray(np.where(levels > (127 if levels.max() > 1 else 0), 255, 0).astype(np.uint8))
