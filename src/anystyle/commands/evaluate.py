@@ -16,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from anystyle.commands._compose import checked_seed, describe, job_folder, launch, override, run, split, with_sweep
 from anystyle.commands._flags import new_parser
 from anystyle.commands._run import words_of
-from anystyle.contracts import Correspondence, Metric, SceneSource, StyleEncoder, StyleSource
+from anystyle.contracts import Correspondence, Metric, StyleEncoder, StyleSource
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
 from anystyle.evaluation.base import Evaluation, Progress, Protocol
@@ -128,9 +128,12 @@ def make_parts(config: DictConfig, named: Mapping[str, bool]) -> tuple[dict[str,
             parts["method"] = make_method(config, encoder)
     if "metrics" in named:
         parts["metrics"] = {name: metric.to(device) for name, metric in make_metrics(config, encoder, device).items()}
-    for name, base in (("scenes", SceneSource), ("styles", StyleSource)):
-        if name in named:
-            parts[name] = None if config.get(name) is None else build(base, config[name])
+    if "scenes" in named:
+        from anystyle.pipeline.load import make_scenes
+
+        parts["scenes"] = None if config.get("scenes") is None else make_scenes(config)
+    if "styles" in named:
+        parts["styles"] = None if config.get("styles") is None else build(StyleSource, config.styles)
     return parts, weights
 
 

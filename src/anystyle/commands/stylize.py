@@ -12,10 +12,11 @@ from omegaconf import DictConfig
 from anystyle.commands._compose import checked_seed, job_folder, main, with_sweep
 from anystyle.commands._flags import new_parser
 from anystyle.commands._run import show
-from anystyle.contracts import Reconstruction, SceneSource, StyleSource, Video
+from anystyle.contracts import Reconstruction, StyleSource, Video
 from anystyle.errors import UserError
 from anystyle.io.sheet import to_pil
 from anystyle.pipeline.controls import Controls, Mask, combinations
+from anystyle.pipeline.load import make_scenes
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.provenance import without_folders
 from anystyle.pipeline.stages import Stages
@@ -137,7 +138,7 @@ def mixing_amounts(arguments: argparse.Namespace, num_styles: int) -> list[float
 
 def scene_views(config: DictConfig, options: ViewOptions) -> Views:
     """The first views of a scene of the configured source."""
-    source = build(SceneSource, config.scenes)
+    source = make_scenes(config)
     if not 0 <= config.scene < len(source):
         raise UserError(f"scene={config.scene} does not exist; the source holds {len(source)}")
     number = min(source.num_views(config.scene), options.take or Reconstruction.max_views)

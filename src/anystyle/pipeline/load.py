@@ -12,7 +12,16 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
 from anystyle.branch import StyleBranch, sites_of
-from anystyle.contracts import Backbone, Injector, Loss, Placement, Reconstruction, Renderer, StyleEncoder
+from anystyle.contracts import (
+    Backbone,
+    Injector,
+    Loss,
+    Placement,
+    Reconstruction,
+    Renderer,
+    SceneSource,
+    StyleEncoder,
+)
 from anystyle.errors import UserError, did_you_mean
 from anystyle.io.checkpoint import Header, has_header, load_part, read_header, sha256
 from anystyle.io.limits import require
@@ -85,13 +94,30 @@ def room_for_backbone(config: DictConfig, *, learns: bool = False) -> None:
         config: Its node ``backbone``.
         learns: Whether gradients and the optimiser's two moments come to them.
     """
+    backbone = _outline(config)
+    if backbone is None:
+        return
+    needed = sum(tensor.nbytes for tensor in backbone.state_dict().values()) * (4 if learns else 1)
+    require(needed, f"the weights of the backbone{', with what learning adds' if learns else ''}", _SMALLER)
+
+
+def _outline(config: DictConfig) -> Backbone | None:
+    """The configured backbone without memory for weights; ``None`` if its constructor reads values of tensors."""
     try:
         with torch.random.fork_rng([]), _on_meta(True):
-            tensors = build(Backbone, config.backbone).state_dict().values()
+            return build(Backbone, config.backbone)
     except RuntimeError:
-        return  # its constructor reads values, which meta tensors lack
-    needed = sum(tensor.nbytes for tensor in tensors) * (4 if learns else 1)
-    require(needed, f"the weights of the backbone{', with what learning adds' if learns else ''}", _SMALLER)
+        return None
+
+
+def make_scenes(config: DictConfig, key: str = "scenes") -> SceneSource:
+    """The configured scenes; what their constructor names of the backbone is the configured one's."""
+    named = runtime_arguments(catalog().owner("scenes", str(config[key].get("_target_"))))
+    if not named or config.get("backbone") is None:
+        return build(SceneSource, config[key])
+    backbone = _outline(config) or build(Backbone, config.backbone)
+    patch = backbone.patch_size
+    return build(SceneSource, config[key], resolution=backbone.resolution // patch * patch, patch_size=patch)
 
 
 def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
