@@ -36,8 +36,8 @@ the first view; and the matches of an :class:`~anystyle.nn.aligner.Aligner`."""
 class ReconstructionTraining(Training):
     """Train a backbone to predict depth, cameras and Gaussians.
 
-    Scenes are in the frame of the view that the backbone sees the others from (``Tokens.reference``), scaled so that the
-    mean distance of the points that the context views see is 1. Gaussians are placed and rendered with the true
+    Scenes are in the frame of the view that the backbone sees the others from (``Tokens.reference``), scaled so that
+    the mean distance of the points that the context views see is 1. Gaussians are placed and rendered with the true
     cameras, so that the rendering loss trains depth and appearance before the predicted cameras are good. Tapped
     features must predict matches between views, points and shifts through projections that are not saved, and the
     matches of a backbone that aligns its cameras are supervised.
@@ -211,7 +211,7 @@ class ReconstructionTraining(Training):
 
 
 def reference_view_first(views: Views, stem: Tokens) -> tuple[Views, Tokens]:
-    """Views, and the tokens of the context views, ordered so that the view comes first that the others are seen from."""
+    """Views, and the tokens of the context views, with the view first that the others are seen from."""
     if stem.reference is None:
         return views, stem
     count, total = stem.data.shape[1], views.images.shape[1]
