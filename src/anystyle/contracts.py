@@ -117,6 +117,8 @@ class Backbone(Socket, nn.Module, ABC):
     patch_size: int
     resolution: int
     frozen: bool = False
+    sources: tuple[Source, ...] = ()
+    """The published weights that the constructor filled it with, where it does."""
     published: ClassVar[Published | None] = None
     """How checkpoints in the original layout load, where there are any."""
 
@@ -204,8 +206,9 @@ class StyleEncoder(Socket, nn.Module, ABC):
 class Injector(Socket, nn.Module, ABC):
     """How style changes tokens at one site.
 
-    The framework passes ``dim`` (channels at the site) and ``style_dim`` to the constructor. At initialisation it is
-    the identity, bit for bit; it is equivariant to the order of views.
+    The framework passes ``dim`` (channels at the site), ``style_dim`` and the :class:`~anystyle.types.Site` as ``site``
+    to a constructor that names them. At initialisation it is the identity, bit for bit; it is equivariant to the order
+    of views.
     """
 
     sources: tuple[Source, ...] = ()

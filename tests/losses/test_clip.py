@@ -201,8 +201,7 @@ def test_crops_follow_the_global_generator_in_training_and_nothing_out_of_it() -
     assert len({*values(1), *values(2)}) == 1
 
 
-def test_views_smaller_than_a_crop_are_refused() -> None:
-    loss = ClipPatch(style_encoder=Projection())
-    small = RENDERED[:, :, :, :40, :90]
-    with pytest.raises(ValueError, match="views are 40x90, too small for crops of 64"):
-        loss(stylization(small, small, direction=DIRECTION))
+def test_crops_of_small_views_are_as_large_as_fits() -> None:
+    small = stylization(RENDERED[:, :, :, :40, :90], RENDERED[:, :, :, :40, :90], direction=DIRECTION)
+    clipped, exact = (ClipPatch(style_encoder=Projection(), crop_size=side).eval()(small) for side in (64, 40))
+    assert torch.equal(clipped, exact)

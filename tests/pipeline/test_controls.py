@@ -256,6 +256,31 @@ def test_several_styles_share_a_scene_by_place(photographs):
     assert torch.equal(next(iter(none)).gaussians.harmonics, none.restyler.unstyled.harmonics)
 
 
+def test_attributes_of_a_scene_may_come_from_several_styles(photographs, caplog):
+    """What Python says attribute by attribute: the colours of one style, the rotations of another."""
+    stylizer = anystyle.load("tiny_paper")
+    styles = anystyle.Places(
+        (("dots", Controls(attributes=("color",))), ("hatching", Controls(attributes=("rotation",))))
+    )
+    results = anystyle.stylize(photographs, styles, model=stylizer, reconstruction="feedforward", views=VIEWS)
+    ((scene, encoded),) = [(result.gaussians, results.restyler.encoded.capture) for result in results]
+
+    def both(scene):
+        attributes = scene.attributes
+        for text, name in (("dots", "color"), ("hatching", "rotation")):
+            attributes = attributes.with_(stylizer.branch(scene, stylizer.embed(text=text)), [name])
+        return stylizer.backbone.adapter(attributes, scene.geometry, scene.clusters)
+
+    with torch.no_grad():
+        expected = encoded.gaussians(both)
+    for item in fields(Gaussians):
+        assert torch.equal(getattr(scene, item.name), getattr(expected, item.name)), item.name
+    assert not caplog.records
+    list(anystyle.stylize(photographs, anystyle.Places((("dots", Controls(attributes=("scale",))),)), model=stylizer,
+                          reconstruction="feedforward", views=VIEWS))  # fmt: skip
+    assert caplog.messages == ["“dots” leaves the scale as it is; branch.styled names what a branch styles"]
+
+
 def test_a_style_on_the_command_line_has_a_place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("masks").mkdir()
@@ -271,6 +296,14 @@ def test_a_style_on_the_command_line_has_a_place(tmp_path, monkeypatch):
         )
     )
     assert given_styles(parser().parse_args(["photos", "--image", "a@b.jpg"]), config, []) == [Path("a@b.jpg")]
+    words = ["photos", "--text", "dots@color", "--text", "you@masks@rotation+scale", "--image", "a@b.jpg@scale@masks"]
+    (places,) = given_styles(parser().parse_args(words), config, [])
+    masks = Photographs(Path("masks"))
+    assert places.styles == (
+        ("dots", Controls(attributes=("color",))),
+        ("you", Controls(mask=masks, attributes=("rotation", "scale"))),
+        (Path("a@b.jpg"), Controls(mask=masks, attributes=("scale",))),
+    )
     with pytest.raises(ValueError, match="ball"):
         given_styles(parser().parse_args(["photos", "--image", "b.jpg@ball:1"]), config, [])
     with pytest.raises(ValueError, match="--mix"):

@@ -5,8 +5,12 @@ import torch
 
 import anystyle
 from anystyle.contracts import Placement
+from anystyle.io.checkpoint import read_header, save_part
+from anystyle.pipeline.load import branch_header
 from anystyle.registry.catalog import PluginError
-from anystyle.types import Views
+from anystyle.registry.compose import compose
+from anystyle.testing.toy.injector import ToyInjector
+from anystyle.types import Site, Views
 
 UNTRAINED = ["weights.backbone=null", "weights.style_encoder=null", "weights.branch=null"]
 
@@ -29,6 +33,9 @@ def test_load_takes_overrides():
 def test_load_says_what_is_wrong():
     with pytest.raises(ValueError, match=r"Could not find 'model/tyny'\. Did you mean 'tiny'\?"):
         anystyle.load("tyny")
+    for word in ("branch=mine", "views=null", "weights=tiny"):
+        with pytest.raises(ValueError, match=f"^{word}: '.*' has options and no choices; set one of"):
+            anystyle.load("tiny", [word])
     with pytest.raises(ValueError, match="Could not override 'sed': Key 'sed' is unknown"):
         anystyle.load("tiny", ["sed=1"])
 
@@ -37,3 +44,66 @@ def test_build_takes_a_name():
     assert type(anystyle.build(Placement, "head")) is anystyle.catalog().find("placement", "head").load()
     with pytest.raises(PluginError, match=r"no placement is named 'haed'\. Did you mean 'head'\?"):
         anystyle.build(Placement, "haed")
+
+
+MIXED = "branch.injectors={aggregator/*:film,head/tokens/?:{lora:{rank:3}},head/tokens/2:film}"
+
+
+def test_sites_have_injectors_of_their_own(tmp_path):
+    """By patterns, of which the last one that matches counts; a branch's file fits the same ones alone."""
+    words = [*UNTRAINED, "placement=full"]
+    stylizer = anystyle.load("tiny_paper", [*words, MIXED])
+    kinds = {site: type(injector).__name__ for site, injector in stylizer.branch.injectors.items()}
+    assert kinds == {
+        site.name: "FiLM" if site.name.startswith("agg") or site.name == "head/tokens/2" else "LoRA"
+        for site in stylizer.backbone.sites
+        if site.tapped and site.name != "head/direct"
+    } | {"head/direct": "ZeroConv"}
+    config = compose("stylize", ["model=tiny_paper", *words, MIXED])
+    header = branch_header(config, stylizer.branch, {})
+    save_part(tmp_path / "branch.safetensors", stylizer.branch, header)
+    file = f"weights.branch={tmp_path / 'branch.safetensors'}"
+    again = anystyle.load("tiny_paper", [*words, MIXED, file]).branch.state_dict()
+    assert all(torch.equal(again[key], tensor) for key, tensor in stylizer.branch.state_dict().items())
+    assert read_header(tmp_path / "branch.safetensors").config["branch"]["injectors"]["head/tokens/2"] == "film"
+    with pytest.raises(ValueError, match="does not fit this StyleBranch"):
+        anystyle.load("tiny_paper", [*words, file])
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ("{aggregator/*:flim}", "no injector is named 'flim'. Did you mean 'film'?"),
+        ("{agregator/*:film}", r"no site is called 'agregator/\*' here; there are: head/tokens/0"),
+        ("{head/*:{film:{hiden:3}}}", "has no option 'hiden'. Did you mean 'hidden'?"),
+        ("{head/*:{film:{hidden:a}}}", "option 'hidden': Value 'a'"),
+        ("{head/*:{film:{},lora:{}}}", "is not one injector; give its name, or {NAME: {option: value}}"),
+        ("{head/*:3}", "3 is not one injector"),
+    ],
+)
+def test_injectors_of_sites_are_checked(given, told):
+    with pytest.raises(ValueError, match=told):
+        anystyle.load("tiny_paper", [*UNTRAINED, f"branch.injectors={given}"])
+
+
+def test_an_injector_may_ask_for_its_site(monkeypatch):
+    monkeypatch.setattr("anystyle.registry.catalog._OWN", {})
+
+    @anystyle.plugin("injector", "placed")
+    class Placed(ToyInjector):
+        """Knows where it is."""
+
+        def __init__(self, *, dim: int, style_dim: int, site: Site) -> None:
+            super().__init__(dim=dim, style_dim=style_dim)
+            self.site = site
+
+    branch = anystyle.load("tiny", [*UNTRAINED, "injector=placed"]).branch
+    assert {name: injector.site.name for name, injector in branch.injectors.items()} == {n: n for n in branch.injectors}
+
+
+def test_what_is_untrained_is_told(caplog):
+    anystyle.load("tiny_paper")
+    assert not caplog.records
+    anystyle.load("tiny_paper", UNTRAINED)
+    told = [message.partition(" is untrained")[0] for message in caplog.messages]
+    assert told == ["the backbone", "the style branch"]

@@ -19,12 +19,13 @@ from anystyle.contracts import Renderer
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.pipeline import memory
-from anystyle.pipeline.load import default_device, make_method
+from anystyle.pipeline.load import default_device, make_method, weights_file
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
 from anystyle.registry.socket import Command
 from anystyle.types import Style, StyleEmbedding, Views
+from anystyle.vision.weights import MissingWeights
 
 METHOD_WORDS = ("method=", "method.", "loss=", "loss.")
 
@@ -77,9 +78,8 @@ class Case:
     """A model with a random style and random views, on a CUDA device if there is one."""
 
     def __init__(self, words: Sequence[str], size: tuple[int, int] | None) -> None:
-        model = next((word.partition("=")[2] for word in words if word.startswith("model=")), None)
         self.device = default_device()
-        self.stylizer = anystyle.load(model, [word for word in words if not word.startswith("model=")]).to(self.device)
+        self.stylizer = anystyle.load(None, [*words, *without_missing(words)]).to(self.device)
         backbone = self.stylizer.backbone
         side = backbone.resolution // backbone.patch_size * backbone.patch_size
         self.size = size or (side, side)
@@ -155,6 +155,19 @@ class Case:
             return torch.cuda.max_memory_allocated()
         weights = list(self.stylizer.state_dict().values())
         return memory.peak(single_pass, weights) + sum(weight.nbytes for weight in weights)
+
+
+def without_missing(words: Sequence[str]) -> list[str]:
+    """The words that leave the parts as initialised whose weights are not on this machine: a pass costs the same."""
+    missing: list[str] = []
+    for part, name in compose("stylize", list(words)).weights.items():
+        try:
+            if name is not None:
+                weights_file(name)
+        except MissingWeights:
+            print(f"the weights '{name}' are missing: the {part} is profiled as initialised", file=sys.stderr)
+            missing.append(f"weights.{part}=null")
+    return missing
 
 
 def profile(words: Sequence[str]) -> None:

@@ -5,7 +5,7 @@ import json
 import pytest
 
 from anystyle.errors import UserError
-from anystyle_benchmark.command_profile import Measured, profile, table
+from anystyle_benchmark.command_profile import Measured, profile, table, without_missing
 
 
 def test_the_command_measures_the_default_model_and_writes_one_table(tmp_path, capsys):
@@ -18,6 +18,14 @@ def test_the_command_measures_the_default_model_and_writes_one_table(tmp_path, c
     assert "render with cpu" in printed and "render with torch" in printed
     stored = json.loads(out.read_text())
     assert 2**20 < stored["peaks"]["2"] < stored["peaks"]["4"] and stored["rows"][0]["name"] == "encode"
+
+
+def test_weights_that_are_missing_are_left_out(capsys, monkeypatch):
+    monkeypatch.delenv("ANYSTYLE_WEIGHTS", raising=False)
+    words = ["model=anystyle_head"]
+    assert without_missing(words) == [f"weights.{part}=null" for part in ("backbone", "style_encoder", "branch")]
+    assert "the weights 'longclip_b32' are missing: the style_encoder is profiled as" in capsys.readouterr().err
+    assert without_missing(["model=tiny"]) == []
 
 
 def test_wrong_words_end_in_one_line():

@@ -34,7 +34,7 @@ class Re10kScenes(SceneSource):
         root: A folder.
         split: Which of its sub-folders.
         short_side: Shorter side of the views in pixels.
-        multiple: Sides are multiples of it.
+        multiple: Sides are multiples of it; ``None`` is the backbone's patch size.
     """
 
     def __init__(
@@ -43,8 +43,10 @@ class Re10kScenes(SceneSource):
         root: str = "re10k",
         split: Literal["train", "test"] = "train",
         short_side: int = 252,
-        multiple: int = 14,
+        multiple: int | None = None,
+        patch_size: int = 14,
     ) -> None:
+        multiple = patch_size if multiple is None else multiple
         if short_side < 1 or multiple < 1:
             raise UserError(f"short_side={short_side} and multiple={multiple}: give at least 1")
         self.folder = Path(root) / split

@@ -16,7 +16,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from anystyle.cli.arguments import new_parser
 from anystyle.cli.launch import checked_seed, describe, job_folder, launch, override, run, split, with_sweep
 from anystyle.cli.run import words_of
-from anystyle.contracts import Correspondence, Metric, SceneSource, StyleEncoder, StyleSource
+from anystyle.contracts import Correspondence, Metric, StyleEncoder, StyleSource
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
 from anystyle.evaluation.base import Evaluation, Progress, Protocol
@@ -135,13 +135,15 @@ def make_parts(config: DictConfig, named: Mapping[str, bool]) -> tuple[dict[str,
 
 
 def make_sources(config: DictConfig, named: Mapping[str, bool]) -> dict[str, Any]:
-    """The scenes and styles that a protocol's constructor names."""
-    bases = {"scenes": SceneSource, "styles": StyleSource}
-    return {
-        name: None if config.get(name) is None else build(base, config[name])
-        for name, base in bases.items()
-        if name in named
-    }
+    """The scenes and styles that a protocol's constructor names; ``None`` for one that is not configured."""
+    sources: dict[str, Any] = dict.fromkeys({"scenes", "styles"} & set(named))
+    if "scenes" in sources and config.get("scenes") is not None:
+        from anystyle.pipeline.load import make_scenes
+
+        sources["scenes"] = make_scenes(config)
+    if "styles" in sources and config.get("styles") is not None:
+        sources["styles"] = build(StyleSource, config.styles)
+    return sources
 
 
 def make_metrics(config: DictConfig, encoder: StyleEncoder | None, device: torch.device) -> dict[str, Metric]:

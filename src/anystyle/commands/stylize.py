@@ -4,6 +4,7 @@ import argparse
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -12,10 +13,11 @@ from omegaconf import DictConfig
 from anystyle.cli.arguments import new_parser
 from anystyle.cli.launch import checked_seed, job_folder, main, with_sweep
 from anystyle.cli.run import show
-from anystyle.contracts import Reconstruction, SceneSource, StyleSource
+from anystyle.contracts import Reconstruction, StyleSource
 from anystyle.errors import UserError
 from anystyle.io.sheet import to_pil
-from anystyle.pipeline.controls import Controls, Mask, combinations
+from anystyle.pipeline.controls import FIELDS, Controls, Mask, combinations
+from anystyle.pipeline.load import make_scenes
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.provenance import without_folders
 from anystyle.pipeline.stages import Stages
@@ -44,8 +46,8 @@ def parser() -> argparse.ArgumentParser:
         "--image",
         action="append",
         default=[],
-        help="a style as an image file; likewise. STYLE@MASK is a style in one place of the scene, see --mask; "
-        "several make one scene",
+        help="a style as an image file; likewise. STYLE@MASK is a style in one place of the scene, see --mask, and "
+        "STYLE@color+rotation one of some attributes of opacity, scale, rotation, color; several make one scene",
     )
     flags.add_argument(
         "--mix",
@@ -143,7 +145,7 @@ def mixing_amounts(arguments: argparse.Namespace, num_styles: int) -> list[float
 
 def scene_views(config: DictConfig, options: ViewOptions) -> Views:
     """The first views of a scene of the configured source."""
-    source = build(SceneSource, config.scenes)
+    source = make_scenes(config)
     if not 0 <= config.scene < len(source):
         raise UserError(f"scene={config.scene} does not exist; the source holds {len(source)}")
     number = min(source.num_views(config.scene), options.take or Reconstruction.max_views)
@@ -166,7 +168,7 @@ def given_styles(arguments: argparse.Namespace, config: DictConfig, amounts: Seq
             styles.append(Style(image=image, names=(f"style {index}",)))
     if any(mask for _, mask in given):
         if amounts:
-            raise UserError("--mix applies two styles to the whole scene; leave out --mix, or the @MASK of the styles")
+            raise UserError("--mix applies two styles to the whole scene; leave out --mix, or the @... of the styles")
         given += [(style, None) for style in styles[len(given) :]]
         return [Places(tuple(sorted(given, key=lambda one: one[1] is not None)))]
     if not amounts:
@@ -175,15 +177,23 @@ def given_styles(arguments: argparse.Namespace, config: DictConfig, amounts: Seq
     return [Mixture(first, second, amount) for amount in amounts]
 
 
-def _by_place(word: str, kind: Callable[[str], StyleInput]) -> tuple[StyleInput, Mask | None]:
-    """A style and the mask behind its last ``@``, if there is one."""
+def _by_place(word: str, kind: Callable[[str], StyleInput]) -> tuple[StyleInput, Mask | Controls | None]:
+    """A style, and the mask or the attributes behind its last ``@``, or both, if there are any."""
     style, at, place = word.rpartition("@")
-    known = place.startswith(("sphere:", "box:")) or Path(place.partition(",")[0]).is_dir()
+    attributes = tuple(place.split("+"))
+    named = set(attributes) <= FIELDS.keys()
+    known = named or place.startswith(("sphere:", "box:")) or Path(place.partition(",")[0]).is_dir()
     if not at or (kind is str and not known) or (kind is Path and Path(word).exists()):
         return kind(word), None
+    inner, before = _by_place(style, kind)
+    controls = before if isinstance(before, Controls) else Controls(mask=before)
+    if named:
+        return inner, replace(controls, attributes=(*controls.attributes, *attributes))
+    if controls.mask is not None:
+        raise UserError(f"{word} names two places; give one mask")
     from anystyle.pipeline.masks import parsed
 
-    return kind(style), parsed(place)
+    return inner, replace(controls, mask=parsed(place)) if controls.attributes else parsed(place)
 
 
 def add_controls(parser: argparse.ArgumentParser) -> None:

@@ -51,7 +51,7 @@ class FolderScenes(SceneSource):
             ``dslr/nerfstudio/transforms_undistorted.json``; ``None`` looks for one.
         index: A JSON list of scene folders below ``root``, such as DL3DV's ``train_index.json``; ``None`` takes all.
         short_side: Shorter side of the views in pixels.
-        multiple: Sides are multiples of it.
+        multiple: Sides are multiples of it; ``None`` is the backbone's patch size.
     """
 
     def __init__(
@@ -62,8 +62,10 @@ class FolderScenes(SceneSource):
         cameras: str | None = None,
         index: str | None = None,
         short_side: int = 448,
-        multiple: int = 14,
+        multiple: int | None = None,
+        patch_size: int = 14,
     ) -> None:
+        multiple = patch_size if multiple is None else multiple
         if short_side < 1 or multiple < 1:
             raise UserError(f"short_side={short_side} and multiple={multiple}: give at least 1")
         self.root = Path(root)

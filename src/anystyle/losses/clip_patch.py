@@ -21,7 +21,7 @@ class ClipPatch(Loss):
 
     Args:
         crops: Number of crops a view.
-        crop_size: Side of a crop in pixels.
+        crop_size: Side of a crop in pixels, at most the views' shorter side.
         distortion: How far the corners move inwards at most, as a fraction of half a side.
         shared_crop: One crop and one warp for all views and copies, as in the published code, where all crops of a
             view are therefore the same picture.
@@ -78,9 +78,7 @@ class ClipPatch(Loss):
 
     def _patches(self, images: Float[Tensor, "M 3 H W"], generator: torch.Generator | None) -> Float[Tensor, "M 3 c c"]:
         count, _, height, width = images.shape
-        side = self.crop_size
-        if min(height, width) < side:
-            raise UserError(f"views are {height}x{width}, too small for crops of {side}; set loss.clip_patch.crop_size")
+        side = min(self.crop_size, height, width)
         draws = 1 if self.shared_crop else count
         top = torch.randint(height - side + 1, (draws,), generator=generator).expand(count).tolist()
         left = torch.randint(width - side + 1, (draws,), generator=generator).expand(count).tolist()

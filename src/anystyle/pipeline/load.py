@@ -12,19 +12,29 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor, nn
 
 from anystyle.branch import StyleBranch, sites_of
-from anystyle.contracts import Backbone, Injector, Loss, Placement, Reconstruction, Renderer, StyleEncoder
+from anystyle.contracts import (
+    Backbone,
+    Injector,
+    Loss,
+    Placement,
+    Reconstruction,
+    Renderer,
+    SceneSource,
+    StyleEncoder,
+)
 from anystyle.errors import UserError, did_you_mean
 from anystyle.io.checkpoint import Header, has_header, load_part, read_header, sha256
 from anystyle.io.limits import require
 from anystyle.methods.base import Method
 from anystyle.methods.branch import Branch
+from anystyle.pipeline.options import BranchOptions
 from anystyle.published import Published
-from anystyle.registry.build import build, build_all
+from anystyle.registry.build import build, build_all, choice
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
 from anystyle.registry.schema import runtime_arguments
 from anystyle.stylizer import Stylizer
-from anystyle.types import Site
+from anystyle.types import Site, matching_sites
 from anystyle.vision import weights
 
 _log = logging.getLogger(__name__)
@@ -51,19 +61,29 @@ def weights_file(name: object) -> Path:
 
 def make_branch(config: DictConfig, backbone: Backbone, style_dim: int) -> StyleBranch:
     """A style branch at initialisation: copies of the backbone's parts, and injectors that are identities."""
-    placement = build(Placement, config.placement)
+    options = branch_options(config)
+    sites = build(Placement, config.placement).select(sites_of(backbone, options.sh_degree))
+    chosen = dict.fromkeys(sites, config.injector)
+    for pattern, other in options.injectors.items():
+        chosen |= dict.fromkeys(matching_sites(sites, [pattern]), choice(Injector, other))
 
     def make_injector(site: Site) -> Injector:
-        return build(Injector, config.injector, dim=site.dim, style_dim=style_dim)
+        return build(Injector, chosen[site], dim=site.dim, style_dim=style_dim, site=site)
 
     return StyleBranch(
         backbone,
-        sites=placement.select(sites_of(backbone, config.branch.sh_degree)),
+        sites=sites,
         make_injector=make_injector,
-        styled=tuple(config.branch.styled),
-        sh_degree=config.branch.sh_degree,
-        single_view=config.branch.get("single_view", False),
+        styled=options.styled,
+        sh_degree=options.sh_degree,
+        single_view=options.single_view,
     )
+
+
+def branch_options(config: DictConfig) -> BranchOptions:
+    """The checked options of the style branch."""
+    given: Any = OmegaConf.to_container(config.branch, resolve=True)
+    return BranchOptions(**given)
 
 
 def published_by(config: DictConfig) -> Published:
@@ -85,13 +105,30 @@ def room_for_backbone(config: DictConfig, *, learns: bool = False) -> None:
         config: Its node ``backbone``.
         learns: Whether gradients and the optimiser's two moments come to them.
     """
+    backbone = _outline(config)
+    if backbone is None:
+        return
+    needed = sum(tensor.nbytes for tensor in backbone.state_dict().values()) * (4 if learns else 1)
+    require(needed, f"the weights of the backbone{', with what learning adds' if learns else ''}", _SMALLER)
+
+
+def _outline(config: DictConfig) -> Backbone | None:
+    """The configured backbone without memory for weights; ``None`` if its constructor reads values of tensors."""
     try:
         with torch.random.fork_rng([]), _on_meta(True):
-            tensors = build(Backbone, config.backbone).state_dict().values()
+            return build(Backbone, config.backbone)
     except RuntimeError:
-        return  # its constructor reads values, which meta tensors lack
-    needed = sum(tensor.nbytes for tensor in tensors) * (4 if learns else 1)
-    require(needed, f"the weights of the backbone{', with what learning adds' if learns else ''}", _SMALLER)
+        return None
+
+
+def make_scenes(config: DictConfig, key: str = "scenes") -> SceneSource:
+    """The configured scenes; what their constructor names of the backbone is the configured one's."""
+    named = runtime_arguments(catalog().owner("scenes", str(config[key].get("_target_"))))
+    if not named or config.get("backbone") is None:
+        return build(SceneSource, config[key])
+    backbone = _outline(config) or build(Backbone, config.backbone)
+    patch = backbone.patch_size
+    return build(SceneSource, config[key], resolution=backbone.resolution // patch * patch, patch_size=patch)
 
 
 def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dict[str, dict[str, Any]]]:
@@ -107,6 +144,7 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
         The stylizer, and what was loaded: file name, SHA-256, provenance; by part, and where one has several networks
         the further ones by ``part/network``.
     """
+    branch_options(config)
     files = {part: weights_file(name) for part, name in config.weights.items() if name is not None}
     if "backbone" not in files:
         room_for_backbone(config)
@@ -129,10 +167,15 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
         }
         for part, file in files.items()
     }
-    for part, sources in (("style_encoder", stylizer.style_encoder.sources), ("branch", stylizer.branch.sources)):
-        for index, source in enumerate(() if part in files else sources):
+    for part in PARTS:
+        for index, source in enumerate(() if part in files else getattr(stylizer, part).sources):
             name = part if index == 0 else f"{part}/{source.network}"
             loaded[name] = {"file": source.file, "sha256": source.sha256, "provenance": {}}
+    if "backbone" not in loaded:
+        _log.warning(
+            "the backbone is untrained and its scenes mean nothing, for no weights of it are named; train one, "
+            "or give its file as weights.backbone"
+        )
     if "branch" not in loaded and not learns:
         _log.warning(
             "the style branch is untrained and changes nothing, for no weights of one on this backbone are named; "

@@ -6,8 +6,11 @@ its own.
 
 from collections.abc import Collection
 from dataclasses import dataclass, field
+from typing import Any
 
+from anystyle.contracts import Injector
 from anystyle.errors import UserError
+from anystyle.registry.build import choice
 from anystyle.registry.catalog import catalog
 
 AXES = ("opencv", "y", "z")
@@ -16,14 +19,22 @@ AXES = ("opencv", "y", "z")
 
 @dataclass(frozen=True)
 class BranchOptions:
-    """What the style branch predicts; :class:`anystyle.branch.StyleBranch` documents each option."""
+    """What the style branch predicts; :class:`anystyle.branch.StyleBranch` documents each option but the last.
+
+    Args:
+        injectors: Other injectors than ``injector``, by patterns of sites, such as ``{aggregator/*: film, head/direct:
+            {lora: {rank: 4}}}``; where several patterns match a site, the last one's.
+    """
 
     styled: list[str] = field(default_factory=lambda: ["rotation", "color"])
     sh_degree: int = 0
     single_view: bool = False
+    injectors: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         _between("branch.sh_degree", self.sh_degree, 0, 4)
+        for one in self.injectors.values():
+            choice(Injector, one)
 
 
 @dataclass(frozen=True)

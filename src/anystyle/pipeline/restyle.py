@@ -1,19 +1,23 @@
 """The fourth step: an encoded capture in a style, as its controls say."""
 
+import logging
 from collections.abc import Sequence
 from dataclasses import fields, replace
 from functools import cached_property
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
 from anystyle.methods.base import Method
-from anystyle.pipeline.controls import Controls, Mask, SeenScene, applied
+from anystyle.pipeline.controls import FIELDS, Controls, Mask, SeenScene, applied
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.types import Gaussians, OnProgress, Scene, StyleEmbedding, no_progress
+
+_log = logging.getLogger(__name__)
 
 
 class Restyler:
@@ -66,6 +70,11 @@ class Restyler:
             alone = self(replace(part, controls=Controls()))
             if alone.means.shape != scene.means.shape:
                 raise UserError("styles by place need a fixed number of Gaussians, and this method adds some")
+            for name in part.controls.attributes:
+                if torch.equal(getattr(alone, FIELDS[name]), getattr(self.unstyled, FIELDS[name])):
+                    _log.warning(
+                        "%s leaves the %s as it is; branch.styled names what a branch styles", part.title, name
+                    )
             scene = applied(part.controls, scene, alone, self.mask_weights(part.controls.mask))
         return scene
 

@@ -41,12 +41,16 @@ class Mixture:
 
 @dataclass(frozen=True)
 class Places:
-    """Several styles in one scene, each where its mask is; a later one covers earlier ones.
+    """Several styles in one scene, each where its mask is, or as its controls say; a later one covers earlier ones.
 
     A style without a mask is everywhere. What none covers stays unstyled.
+
+    Example:
+        >>> color, rotation = (Controls(attributes=(name,)) for name in ("color", "rotation"))
+        >>> places = Places((("red dots", color), ("waves", rotation)))
     """
 
-    styles: tuple[tuple["StyleInput", Mask | None], ...]
+    styles: tuple[tuple["StyleInput", Mask | Controls | None], ...]
 
 
 StyleInput = str | Path | Style | Float[Tensor, "3 _ _"] | Mixture | Places
@@ -108,7 +112,10 @@ def embed_styles(
                 mixed = mix(embed(style.first, scale), embed(style.second, scale), style.amount)
                 embedded[id(style), scale] = mixed
             elif isinstance(style, Places):
-                parts = [replace(embed(part, scale), controls=Controls(mask=mask)) for part, mask in style.styles]
+                parts = [
+                    replace(embed(part, scale), controls=place if isinstance(place, Controls) else Controls(mask=place))
+                    for part, place in style.styles
+                ]
                 embedded[id(style), scale] = placed(parts)
             else:
                 embedded[id(style), scale] = _embed(style, stylizer, scale)

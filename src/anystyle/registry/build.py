@@ -69,6 +69,22 @@ def plugin_of(base: type, config: "DictConfig | Mapping[str, Any] | str") -> tup
     return plugin, _checked(plugin, given)
 
 
+def choice(base: type, value: Any) -> dict[str, Any]:
+    """The checked node of a plugin that an option names: ``film``, or with options ``{film: {hidden: 64}}``.
+
+    Raises:
+        PluginError: No such plugin is in the catalog.
+        UserError: An option is unknown, missing or of the wrong type.
+    """
+    kind, named = kind_of(base), {value: {}} if isinstance(value, str) else value
+    if not isinstance(named, Mapping) or len(named) != 1 or not isinstance(next(iter(named.values())), Mapping):
+        raise UserError(f"{value!r} is not one {kind}; give its name, or {{NAME: {{option: value}}}}")
+    ((name, given),) = named.items()
+    plugin = catalog().find(kind, name)
+    _checked(plugin, given)
+    return {"_target_": plugin.path, **given}
+
+
 def build_all(base: type[T], configs: "Mapping[str, Any] | None", /, **runtime: Any) -> dict[str, T]:
     """Construct every plugin of a group that holds several at once, by the names the group gives them."""
     return {} if configs is None else {name: build(base, configs[name], **runtime) for name in configs}

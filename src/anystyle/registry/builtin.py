@@ -23,7 +23,7 @@ KINDS: dict[str, Kind] = {
     "backbone": Kind("anystyle.contracts:Backbone"),
     "style_encoder": Kind("anystyle.contracts:StyleEncoder"),
     "placement": Kind("anystyle.contracts:Placement"),
-    "injector": Kind("anystyle.contracts:Injector", runtime=("dim", "style_dim")),
+    "injector": Kind("anystyle.contracts:Injector", runtime=("dim", "style_dim", "site")),
     "renderer": Kind("anystyle.contracts:Renderer"),
     "cameras": Kind("anystyle.data.camera_reader:CameraReader"),
     "pose_estimator": Kind("anystyle.pipeline.poses:PoseEstimator"),
@@ -32,7 +32,7 @@ KINDS: dict[str, Kind] = {
     "loss": Kind("anystyle.contracts:Loss", many=True, runtime=("style_encoder",)),
     "metric": Kind("anystyle.contracts:Metric", many=True, runtime=("style_encoder", "correspondence")),
     "correspondence": Kind("anystyle.contracts:Correspondence"),
-    "scenes": Kind("anystyle.contracts:SceneSource"),
+    "scenes": Kind("anystyle.contracts:SceneSource", runtime=("resolution", "patch_size")),
     "styles": Kind("anystyle.contracts:StyleSource"),
     "training": Kind(
         "anystyle.training.base:Training",

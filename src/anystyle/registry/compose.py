@@ -15,6 +15,7 @@ from yaml import YAMLError
 
 from anystyle import paths
 from anystyle.errors import UserError, did_you_mean, one_line
+from anystyle.registry.builtin import OPTIONS
 from anystyle.registry.catalog import catalog, kinds
 from anystyle.registry.packages import groups, presets
 from anystyle.registry.schema import literal
@@ -72,8 +73,14 @@ def only_options(key: str, words: Sequence[str]) -> Any:
 
 
 def check_words(words: Sequence[str]) -> None:
-    """Refuse a group that is set to null, for which Hydra's own line names neither the group nor a way out."""
+    """Refuse a group that is set to null, for which Hydra's own line names neither the group nor a way out.
+
+    And options of which one is chosen as if they were a group, which Hydra lets pass.
+    """
     for word in words:
+        key, _, value = word.partition("=")
+        if key in (*OPTIONS, "weights") and not value.startswith(("{", "$")):
+            raise UserError(f"{word}: '{key}' has options and no choices; set one of them as {key}.OPTION=VALUE")
         match = _NULL.fullmatch(word)
         if match and match["group"] in groups():
             raise UserError(

@@ -60,6 +60,9 @@ class PluginSource(ConfigSource):
             module, _, cls = OPTIONS[name].partition(":")
             config = OmegaConf.structured(getattr(importlib.import_module(module), cls))
             OmegaConf.set_readonly(config, None)  # a frozen dataclass makes it so
+            for value in config.values():
+                if isinstance(value, DictConfig):
+                    OmegaConf.set_struct(value, False)  # a mapping takes any key
             return ConfigResult(self.provider, self.full_path(), config, {"package": name})
         try:
             config = node(catalog().find(group, name))

@@ -10,6 +10,7 @@ from torch import Tensor
 from anystyle.branch import ATTRIBUTES, StyleBranch, sites_of
 from anystyle.contracts import Backbone, Injector, Placement
 from anystyle.io.checkpoint import load_strictly
+from anystyle.placements.full import Full
 from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
 from anystyle.testing import asserts
@@ -26,11 +27,12 @@ TEXTS = ["deep red", "blue and white"]
 
 @dataclass(frozen=True)
 class Composition:
-    """One backbone, whose instance is shared, one placement and one injector."""
+    """One backbone, whose instance is shared, one placement, and one injector or two that take turns."""
 
     backbone: Subject[Backbone]
     placement: Subject[Placement]
     injector: Subject[Injector]
+    other: Subject[Injector] | None = None
 
     @cached_property
     def sites(self) -> tuple[Site, ...]:
@@ -51,7 +53,9 @@ class Composition:
         backbone, encoder = self.backbone.instance, ToyStyleEncoder()
 
         def make_injector(site: Site) -> Injector:
-            return self.injector.build(seed=seed, dim=site.dim, style_dim=encoder.dim)
+            second = self.sites.index(site) % 2 == 1
+            injector = self.other if second and self.other is not None else self.injector
+            return injector.build(seed=seed, dim=site.dim, style_dim=encoder.dim, site=site)
 
         branch = StyleBranch(backbone, sites=self.sites, make_injector=make_injector, styled=styled)
         return Stylizer(backbone=backbone, style_encoder=encoder, branch=branch, renderer=ToyRenderer()).eval()
@@ -83,7 +87,11 @@ def compositions(tested: Subject) -> dict[str, Composition]:
     if tested.kind == "placement":
         return {"with a small backbone": Composition(placement=tested, **given)}
     built_in = [row for row in catalog() if row.kind == "placement" and row.origin == "anystyle"]
-    return {row.name: Composition(placement=subject("placement", row.load()), **given) for row in built_in}
+    composed = {row.name: Composition(placement=subject("placement", row.load()), **given) for row in built_in}
+    if tested.kind == "injector":
+        full, toy = subject("placement", Full), subject("injector", ToyInjector)
+        composed["full, beside another injector"] = Composition(placement=full, other=toy, **given)
+    return composed
 
 
 @torch.no_grad()

@@ -10,7 +10,7 @@ from anystyle.contracts import Injector
 from anystyle.testing import asserts
 from anystyle.testing.inputs import generator, noise
 from anystyle.testing.subject import Subject, seeded
-from anystyle.types import Tokens
+from anystyle.types import Site, Tokens
 from anystyle.types.shapes import check_value
 
 Plugin = Subject[Injector]
@@ -21,7 +21,7 @@ STYLE_DIM, DIM = 24, 64
 def test_changes_nothing_at_initialisation(plugin: Plugin) -> None:
     """Before any training it returns the tokens bit for bit, for any number of channels, views and tokens."""
     for seed, dim in enumerate((DIM, DIM, 128)):
-        injector = plugin.build(seed, dim=dim, style_dim=STYLE_DIM)
+        injector = plugin.build(seed, dim=dim, style_dim=STYLE_DIM, site=Site("head/tokens", dim))
         for special, (rows, columns), number in ((0, (3, 5), 2), (5, (4, 4), 1)):
             tokens = _tokens(2, number, (rows, columns), special, dim)
             result, what = injector(tokens, _style(2)), f"tokens after an untrained injector ({special} special tokens)"
@@ -91,7 +91,7 @@ def _style(batch: int, seed: int = 0) -> Float[Tensor, "B D"]:
 @torch.enable_grad()
 def _trained(plugin: Plugin) -> Injector:
     """After a step towards random tokens, so that no direction of the error is 0; with the gradients of the second."""
-    injector = plugin.build(dim=DIM, style_dim=STYLE_DIM)
+    injector = plugin.build(dim=DIM, style_dim=STYLE_DIM, site=Site("head/tokens", DIM))
     optimizer = torch.optim.Adam(injector.parameters(), lr=1e-2) if any(True for _ in injector.parameters()) else None
     tokens, style = _tokens(4, 2, (3, 5), 5), _style(4)
     with seeded(0):

@@ -54,16 +54,19 @@ def train_pipeline(
     folder.mkdir(parents=True, exist_ok=True)
     search_path = os.pathsep.join(filter(None, [str(folder), os.environ.get(FOLDERS)]))
     overrides = [word for word in overrides if word.lstrip("+").partition("=")[0] not in RESERVED]
+    chosen = {word.partition("=")[0] for word in overrides}
     weights: list[Path] = []
+    made: list[str] = []  # weights of parts that the words choose, which no preset names
     for experiment, exports in pipeline.items():
         ((part, name),) = exports.items()
         run = out.absolute() / experiment
         reserved = [f"experiment={experiment}", f"name={experiment}", f"hydra.run.dir='{run}'"]
-        status = launch([*reserved, *overrides], {FOLDERS: search_path})
+        status = launch([*reserved, *overrides, *made], {FOLDERS: search_path})
         exported = run / f"{part}.safetensors"
         if status or not exported.is_file():
             raise UserError(f"the pipeline stopped in experiment={experiment}; the same command resumes there")
         weights.append(folder / row(name).file)
         with atomic_path(weights[-1]) as temporary:
             shutil.copyfile(exported, temporary)
+        made += [f"weights.{part}='{weights[-1]}'"] if part in chosen else []
     return tuple(weights)

@@ -16,13 +16,13 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
 
-from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
+from anystyle.contracts import Backbone, Loss, Renderer, StyleEncoder, StyleSource
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import Header, load_part, save_part
 from anystyle.io.documents import Figure, as_number, kept_json
 from anystyle.paths import SHARED
-from anystyle.pipeline.load import assemble, branch_header, room_for_backbone, weights_file
+from anystyle.pipeline.load import assemble, branch_header, make_scenes, room_for_backbone, weights_file
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
 from anystyle.registry.schema import runtime_arguments
@@ -195,15 +195,16 @@ def _with_weights(config: DictConfig, part: str, module: nn.Module) -> nn.Module
 def make_sources(config: DictConfig) -> dict[str, Any]:
     """The scenes and styles of training and of validation, by their keys; ``None`` where none is configured."""
 
-    def source(base: Any, key: str) -> Any:
+    def source(kind: str, key: str) -> Any:
         # Where a choice was taken back, an experiment's options for it may be left.
         if config.get(key) is None or config[key].get("_target_") is None:
             return None
-        built, cache = build(base, config[key]), config.get("cache")
-        return built if base is StyleSource or cache is None else CachedScenes(built, Path(cache).expanduser() / key)
+        if kind == "styles":
+            return build(StyleSource, config[key])
+        built, cache = make_scenes(config, key), config.get("cache")
+        return built if cache is None else CachedScenes(built, Path(cache).expanduser() / key)
 
-    bases = {"scenes": SceneSource, "styles": StyleSource}
-    return {name: source(base, name) for key, base in bases.items() for name in (key, f"validation_{key}")}
+    return {name: source(kind, name) for kind in ("scenes", "styles") for name in (kind, f"validation_{kind}")}
 
 
 def make_data(config: DictConfig, training: Training, sources: Mapping[str, Any] | None = None) -> StepData:

@@ -51,7 +51,7 @@ class ProceduralScenes(SceneSource):
     8 bits, as photographs are.
 
     Args:
-        size: Height in pixels, and width unless that is given.
+        size: Height in pixels, and width unless that is given; ``None`` is the backbone's resolution.
         width: Width in pixels.
         num_scenes: How many scenes.
         views: Views a scene.
@@ -63,14 +63,16 @@ class ProceduralScenes(SceneSource):
     def __init__(
         self,
         *,
-        size: int = 112,
+        size: int | None = None,
         width: int | None = None,
         num_scenes: int = 10000,
         views: int = 6,
         seed: int = 0,
         split: Literal["train", "validation", "heldout"] = "train",
         samples: int = 2,
+        resolution: int = 112,
     ) -> None:
+        size = resolution if size is None else size
         sides, counts = {"size": size, "width": width or size}, {"num_scenes": num_scenes, "views": views}
         for name, value in sides.items():
             if not 8 <= value <= 4096:

@@ -18,8 +18,9 @@ from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
 from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import decayed_adamw
-from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Views
+from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Tokens, Views
 from anystyle_backbones.aligner import Aligner
+from anystyle_backbones.reference_view import in_order, reference_first
 from anystyle_tiny.training.matches import FeatureProbes, correlation_loss, feature_dims, patch_matches
 from anystyle_tiny.training.supervision import camera_loss, canonical, depth_loss, point_loss, transfer_loss
 
@@ -35,10 +36,11 @@ the first view; and the matches of an :class:`~anystyle_backbones.aligner.Aligne
 class ReconstructionTraining(Training):
     """Train a backbone to predict depth, cameras and Gaussians.
 
-    Scenes are in the frame of their first view, scaled so that the mean distance of the points that the context views
-    see is 1. Gaussians are placed and rendered with the true cameras, so that the rendering loss trains depth and
-    appearance before the predicted cameras are good. Tapped features must predict matches between views, points and
-    shifts through projections that are not saved, and the matches of a backbone that aligns its cameras are supervised.
+    Scenes are in the frame of the view that the backbone sees the others from (``Tokens.reference``), scaled so that
+    the mean distance of the points that the context views see is 1. Gaussians are placed and rendered with the true
+    cameras, so that the rendering loss trains depth and appearance before the predicted cameras are good. Tapped
+    features must predict matches between views, points and shifts through projections that are not saved, and the
+    matches of a backbone that aligns its cameras are supervised.
 
     Args:
         batch_size: Scenes a step over all processes.
@@ -101,10 +103,12 @@ class ReconstructionTraining(Training):
 
     def training_step(self, batch: Batch, step: int) -> Tensor:
         backbone = self.backbone
+        stem, rows = backbone.embedder(batch.inputs.images), len(batch.keys)
+        views, stem = reference_view_first(batch.views, stem)
         with self.exact():
-            views = canonical(batch.views, batch.context)
-        inputs, rows = views.select(list(range(batch.context))), len(batch.keys)
-        features = backbone.aggregator(backbone.embedder(inputs.images))
+            views = canonical(views, batch.context)
+        inputs = views.select(list(range(batch.context)))
+        features = backbone.aggregator(stem)
         with self.exact():
             features = {layer: tokens.to(torch.float32) for layer, tokens in features.items()}
             geometry = backbone.geometry_head(features, inputs.images)
@@ -179,7 +183,8 @@ class ReconstructionTraining(Training):
         return adapter(attributes, geometry, adapter.cluster(geometry, attributes))
 
     def errors(self, batch: Batch) -> dict[str, Float[Tensor, ""]]:
-        views = canonical(batch.views, batch.context)
+        views, _ = reference_view_first(batch.views, self.backbone.embedder(batch.inputs.images))
+        views = canonical(views, batch.context)
         inputs = views.select(list(range(batch.context)))
         scene = self.backbone.encode(inputs)
         errors = geometry_errors(scene.geometry, inputs)
@@ -203,6 +208,18 @@ class ReconstructionTraining(Training):
     def configure_optimizers(self) -> Any:
         steps, decay = self.trainer.max_steps, self.weight_decay
         return decayed_adamw(self, lr=self.learning_rate, weight_decay=decay, steps=steps, warmup=self.warmup)
+
+
+def reference_view_first(views: Views, stem: Tokens) -> tuple[Views, Tokens]:
+    """Views, and the tokens of the context views, with the view first that the others are seen from."""
+    if stem.reference is None:
+        return views, stem
+    count, total = stem.data.shape[1], views.images.shape[1]
+    order = reference_first(stem.reference, count)
+    targets = torch.arange(count, total, device=order.device).expand(len(order), -1)
+    whole = torch.cat([order, targets], dim=1)
+    data, reference = in_order(stem.data, order), torch.zeros_like(stem.reference)
+    return views.map(lambda tensor: in_order(tensor, whole)), replace(stem, data=data, reference=reference)
 
 
 def photometric(renders: Renders, images: Float[Tensor, "B V 3 H W"]) -> dict[str, Float[Tensor, ""]]:
