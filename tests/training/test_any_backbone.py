@@ -4,8 +4,8 @@ import sys
 
 import pytest
 
+from anystyle.cli.launch import launch
 from anystyle.commands import plugins_new
-from anystyle.commands._compose import launch
 from anystyle.commands.train import run
 from anystyle.io.documents import read_yaml
 from anystyle.registry.packages import presets
