@@ -116,9 +116,8 @@ class PaperFolder:
                 lines.append(f"methods/{method}: there is no such folder")
             elif missing == "refuse" and (gaps := self.gaps(method)):
                 short = [f"{gap.scene} in {gap.style} lacks {len(gap.frames)} of {gap.expected}" for gap in gaps]
-                lines.append(
-                    f"methods/{method}: {len(gaps)} scenes lack images: {listing(short, 4)} (missing=allow judges the others)"
-                )
+                told = f"{len(gaps)} scenes lack images: {listing(short, 4)} (missing=allow judges the others)"
+                lines.append(f"methods/{method}: {told}")
         return lines
 
     def require(self, *, texts: bool, methods: Sequence[str] | None, missing: MissingImages = "refuse") -> None:
