@@ -73,6 +73,7 @@ def check(
     given = [answer.is_check for answer in records.answers if not math.isnan(answer.score)]
     checks = Checks(len({answer.participant for answer in records.answers}), len(given), sum(given))
     main = [answer for answer in records.answers if not answer.is_check]
+    items = {person: {answer.item for answer in answers} for person, answers in _grouped(main, "participant").items()}
     main = _deduplicated(_in_range(main, by_question, checks), checks)
     _check_attention(attention, main, by_question, rules, checks)
     people = _grouped(main, "participant")
@@ -84,7 +85,7 @@ def check(
     asked = Counter(question for question, _ in {(answer.question, answer.method): None for answer in main})
     for person, answers in people.items():
         # Without a design, only sets with a row count as assigned.
-        sets = records.assigned.get(person, len({answer.item for answer in answers}))
+        sets = records.assigned.get(person, len(items[person]))
         answered = Counter(answer.question for answer in answers if not math.isnan(answer.score))
         lacking = {question: sets * count - answered[question] for question, count in asked.items()}
         lacking = {question: count for question, count in lacking.items() if count > 0}

@@ -154,18 +154,21 @@ def took_part(analysis: Analysis) -> str:
         f"{checks.participants_read} participants gave {checks.answers_read} answers, {checks.attention_answers} of "
         f"them to attention checks. {len(rules) or 'None'} {'were' if len(rules) != 1 else 'was'} left out"
         f"{f' ({why})' * bool(why)}; {checks.answers_used} answers of {checks.participants_read - len(rules)} are "
-        f"analysed. {_missing(analysis)}".rstrip()
+        f"analysed. {_missing(analysis).lstrip()}".rstrip()
     )
 
 
 def _missing(analysis: Analysis) -> str:
-    """Which answers are missing, by question and by participant, and who of the design gave none."""
+    """Which answers are missing or outside of the scale, and who of the design gave none."""
     lacking, study = analysis.checks.missing, analysis.settings.study
     totals: Counter[str] = sum(map(Counter, lacking.values()), Counter())
     text = "No answer is missing." * (study is not None)  # without a design, rows may be missing
     if lacking:
         people = "; ".join(f"{person}: {_counts(counts)}" for person, counts in lacking.items())
         text = f"{totals.total()} answers are missing ({_counts(totals)}), of {people}."
+    if outside := analysis.checks.of_kind("out_of_range"):
+        people = ", ".join(dict.fromkeys(finding.participant for finding in outside))
+        text += f" Those outside of the scale count as missing: {len(outside)}, of {people}."
     if study is not None:
         present = {study.participant(answer.participant) for answer in analysis.records.answers}
         absent = [participant.id for participant in study.participants if participant not in present]

@@ -114,7 +114,7 @@ def test_findings_and_exclusions_are_listed(tmp_path):
     stricter, _ = check(records, scale=Scale(), rules=Rules(straight_lining=True, failed_checks=1))
     assert {exclusion.participant for exclusion in stricter.exclusions} == {"LAZY", "STRAIGHT"}
     unplanned, _ = judged(path)
-    assert [finding.participant for finding in unplanned.findings if finding.kind == "missing"] == ["P08"]
+    assert [finding.participant for finding in unplanned.findings if finding.kind == "missing"] == ["P00", "P08"]
     assert {exclusion.participant for exclusion in unplanned.exclusions} == {"P07"}
     assert any("stopped early" in note for note in unplanned.notes)
 
