@@ -2,15 +2,19 @@
 
 import csv
 import json
+import math
 
 import numpy as np
 import pytest
+from matplotlib.container import ErrorbarContainer
 from PIL import Image
+from scipy import stats
 
 from anystyle.cli.run import run
 from anystyle.commands import report as command
-from anystyle.evaluation import record
-from anystyle.evaluation.base import Evaluation
+from anystyle.evaluation import plots, record
+from anystyle.evaluation.base import Evaluation, Row
+from anystyle.evaluation.run_table import Line
 from anystyle.evaluation.tables import STAND_IN
 
 
@@ -45,6 +49,37 @@ def test_the_plot_has_a_row_for_each_variant_and_says_below_a_panel_what_stands_
     assert [axis.patches[0].get_width() for axis in (art_fid, psnr)] == [321.5, 20.25]
     assert [axis.get_xlabel() for axis in (art_fid, psnr)] == [STAND_IN, ""]
     assert art_fid.patches[0].get_facecolor() != psnr.patches[0].get_facecolor()
+
+
+def test_seeds_are_dots_with_the_interval_of_the_table(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("anystyle.evaluation.plots._save", lambda figure, path: drawn.append(figure))
+    values = [10.0, 12.0, 14.5]
+    lines = [
+        Line("base", "ours", "", {("", "psnr"): (*values, math.nan)}),
+        Line("one", "ours", "", {("", "psnr"): (11.0,)}),
+    ]
+    assert plots.bars(lines, [("", "psnr")], {}, tmp_path / "figures.png")
+    (axis,) = drawn[0].axes
+    (interval,) = [container for container in axis.containers if isinstance(container, ErrorbarContainer)]
+    low, high = stats.t.interval(0.95, 2, loc=np.mean(values), scale=stats.sem(values))
+    np.testing.assert_allclose(interval[2][0].get_segments()[0][:, 0], [low, high])
+    assert [line.get_xdata().tolist() for line in axis.lines if line.get_marker() == "o"] == [values]
+    assert [bar.get_width() for bar in axis.patches] == [np.mean(values), 11]
+    assert axis.get_xlim()[1] > high and "95 % t interval" in drawn[0].get_supxlabel()
+
+
+def test_the_line_of_a_scene_in_the_spread_is_its_score_in_the_table(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr("anystyle.evaluation.plots._save", lambda figure, path: drawn.append(figure))
+    rows = tuple(Row("street", style, {"art_fid": value}) for style, value in (("a", 30.0), ("b", 50.0)))
+    for facts, groups in (({"scenes": ["street"]}, {}), ({}, {"scene street": {"art_fid": 25.0}})):
+        plots.spread(
+            Evaluation({"art_fid": 25.0}, 2, groups=groups, rows=rows, provenance=facts), tmp_path / "spread.png"
+        )
+        dots, line = drawn[-1].axes[0].lines
+        assert [list(dots.get_xdata()), list(line.get_xdata())] == [[30, 50], [25, 25]]
+        assert "as in the table" in drawn[-1].get_supxlabel()
 
 
 def test_without_what_draws_the_tables_are_written_all_the_same(evaluated, tmp_path, capsys, monkeypatch):

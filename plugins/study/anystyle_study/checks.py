@@ -1,7 +1,7 @@
 """Problems found in the answers, participants excluded by which rule, and the answers that remain for analysis."""
 
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from statistics import fmean
@@ -35,12 +35,14 @@ class Checks:
     """The result of all checks."""
 
     participants_read: int  # number of participants
-    answers_read: int  # rows of the files, attention checks included
+    answers_read: int  # answers that were given, attention checks included
     attention_answers: int  # of these, answers to attention checks
     answers_used: int = 0  # rows that the analysis uses
     findings: list[Finding] = field(default_factory=list)  # problems, by kind and participant
     exclusions: list[Finding] = field(default_factory=list)  # the first reason to leave out each excluded participant
     notes: list[str] = field(default_factory=list)  # caveats for the reader
+    # number of answers that are missing, by participant and question; only of those who lack any
+    missing: dict[str, dict[str, int]] = field(default_factory=dict)
 
     def of_kind(self, kind: str) -> list[Finding]:
         """Findings of a kind."""
@@ -68,8 +70,10 @@ def check(
     """Check the answers, exclude participants by the rules, and undo the positions; ``scales`` are by question."""
     by_question = {answer.question: (scales or {}).get(answer.question, scale) for answer in records.answers}
     attention = [answer for answer in records.answers if answer.is_check]
-    checks = Checks(len({answer.participant for answer in records.answers}), len(records.answers), len(attention))
+    given = [answer.is_check for answer in records.answers if not math.isnan(answer.score)]
+    checks = Checks(len({answer.participant for answer in records.answers}), len(given), sum(given))
     main = [answer for answer in records.answers if not answer.is_check]
+    items = {person: {answer.item for answer in answers} for person, answers in _grouped(main, "participant").items()}
     main = _deduplicated(_in_range(main, by_question, checks), checks)
     _check_attention(attention, main, by_question, rules, checks)
     people = _grouped(main, "participant")
@@ -78,15 +82,21 @@ def check(
         if len(scores) >= _MIN_STRAIGHT and len(set(scores)) == 1:
             detail = f"all {len(scores)} answers are {scores[0]:g}, whichever side ours was on"
             checks.add("straight_lining", person, detail, "one answer throughout" if rules.straight_lining else "")
-    asked = len({(answer.question, answer.method) for answer in main})
+    asked = Counter(question for question, _ in {(answer.question, answer.method): None for answer in main})
     for person, answers in people.items():
         # Without a design, only sets with a row count as assigned.
-        expected = asked * records.assigned.get(person, len({answer.item for answer in answers}))
-        missing = expected - sum(not math.isnan(answer.score) for answer in answers)
-        if missing > 0:
+        sets = records.assigned.get(person, len(items[person]))
+        answered = Counter(answer.question for answer in answers if not math.isnan(answer.score))
+        lacking = {question: sets * count - answered[question] for question, count in asked.items()}
+        lacking = {question: count for question, count in lacking.items() if count > 0}
+        if lacking:
+            checks.missing[person] = lacking
+            missing, expected = sum(lacking.values()), sets * asked.total()
             rule = f"more than {rules.missing_share:.0%} of the assigned answers missing"
             excludes = missing > rules.missing_share * expected
-            checks.add("missing", person, f"{missing} of {expected} answers", rule if excludes else "")
+            listed = ", ".join(f"{question} {count}" for question, count in lacking.items())
+            detail = f"{missing} of {expected} answers ({listed})"
+            checks.add("missing", person, detail, rule if excludes else "")
         # A set takes as long as the slowest of its answers.
         timed = _grouped((answer for answer in answers if not math.isnan(answer.seconds)), "item").values()
         fast = sum(max(answer.seconds for answer in same) < rules.min_seconds for same in timed)
@@ -178,9 +188,11 @@ def _check_attention(
         return before is not None and bool(np.sign(_undone(before, scales)) * again < 0)
 
     for person, given in _grouped(answers, "participant").items():
+        unanswered = {answer.item for answer in given if math.isnan(answer.score)}
         names = list(dict.fromkeys(answer.item for answer in given if failed(answer)))
         if names:
-            detail = f"{len(names)} of {len({answer.item for answer in given})} failed: {', '.join(names)}"
+            detail = f"{len(names)} of {len({answer.item for answer in given})} failed: "
+            detail += ", ".join(name + " (no answer)" * (name in unanswered) for name in names)
             strict = rules.failed_checks is not None and len(names) > rules.failed_checks
             rule = f"more than {rules.failed_checks} attention checks failed" if strict else ""
             checks.add("failed_attention_check", person, detail, rule)

@@ -25,6 +25,7 @@ from anystyle.registry.compose import explain
 from anystyle.registry.packages import presets
 from anystyle_study import figures, report, wording
 from anystyle_study.analysis import Analysis, Settings, analyze, as_json
+from anystyle_study.cells import given_scale, given_words
 from anystyle_study.contract import Scale, StudyTest
 from anystyle_study.design import Sources, design
 from anystyle_study.power import Scenario, power_json, power_study, power_table
@@ -187,6 +188,15 @@ def analyze_parser() -> argparse.ArgumentParser:
     add("--out", type=Path, required=True, help="folder for the results")
     add("--study", type=Path, help="the designed study, which the form's answers need")
     add("--scale", type=float, nargs=2, metavar=("LOW", "HIGH"), help="answer scale (default: 1 5)")
+    words_of = "the scale's words from its lowest to its highest answer, or WORD=SCORE; WORD=NA for a missing answer"
+    add("--labels", action="append", nargs="+", default=[], metavar="WORD", help=words_of)
+    add(
+        "--wide",
+        action="store_true",
+        help="tables may have one row a person, with columns such as S1:style, S1:ours_is",
+    )
+    key = "table of column, item, question, ours_is (or method): what the columns of a --wide table are about"
+    add("--columns", type=Path, metavar="FILE", help=key)
     add("--test", action="append", default=[], metavar="NAME", help="run only these tests")
     add("--title", default="User study", help="title of the report")
     add("--confidence", type=float, default=0.95, help="level of all intervals (default: %(default)s)")
@@ -210,11 +220,14 @@ def analyze_command(arguments: argparse.Namespace) -> None:
     study = None if arguments.study is None else read_study(arguments.study)
     questions = () if study is None else study.plan.questions
     rules = Rules() if study is None else study.plan.rules
+    scale = given_scale(arguments.labels) if arguments.scale is None else Scale(*arguments.scale)
+    scales = {} if arguments.scale is not None else {question.name: question.scale for question in questions}
+    labels = given_words(arguments.labels, scales.values() or [scale])
     given = {"failed_checks": arguments.failed_checks, "missing_share": arguments.missing}
     given |= {"straight_lining": arguments.exclude_straight_lining or None}
     settings = Settings(
-        scale=Scale() if arguments.scale is None else Scale(*arguments.scale),
-        scales={} if arguments.scale is not None else {question.name: question.scale for question in questions},
+        scale=scale,
+        scales=scales,
         rules=msgspec.structs.replace(rules, **{name: value for name, value in given.items() if value is not None}),
         titles={question.name: question.text.replace("{method}", "A or B") for question in questions},
         study=study,
@@ -225,7 +238,8 @@ def analyze_command(arguments: argparse.Namespace) -> None:
     overrides = [word for word in arguments.responses if word not in files]
     common = {name: getattr(settings, name) for name in ("confidence", "alternative", "seed")}
     tests = build_tests(arguments.test, overrides, common)
-    records = read_responses([Path(word) for word in files], settings.study)
+    paths = [Path(word) for word in files]
+    records = read_responses(paths, study, labels=labels, wide=arguments.wide, columns=arguments.columns)
     analysis = analyze(records, tests, settings, lambda name: print(f"testing {name} …", file=sys.stderr, flush=True))
     with atomic_directory(arguments.out) as folder:
         _write(analysis, folder, arguments)

@@ -205,6 +205,11 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
         """The design's participant behind a name in the answers: ``P01-2`` is a second person in slot ``P01``."""
         return self._by_code.get(name.partition("-")[0])
 
+    def shows(self, item: str, name: str) -> bool:
+        """Whether a participant is shown a set or check."""
+        participant = self.participant(name)
+        return participant is not None and item in participant.order
+
     def num_items(self, name: str) -> int:
         """Number of sets, attention checks aside, that a participant is to judge; 0 for an unknown name."""
         participant = self.participant(name)

@@ -4,26 +4,28 @@ The form's answers do not say where ours was; the design does. A table from else
 or whose rating it is in ``method`` (ours or theirs).
 """
 
-import csv
-import io
+import logging
 import math
-import sqlite3
+import re
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from anystyle.errors import UserError
-from anystyle.io.documents import fit, parse_json, read_bytes
+from anystyle.errors import UserError, unknown
+from anystyle_study.cells import Column, plain, scale_words
+from anystyle_study.files import read_sheet
 from anystyle_study.protocol import Check, Study
+from anystyle_study.wide import long_rows
+
+log = logging.getLogger(__name__)
 
 REQUIRED = ("participant", "item", "question", "score")  # the columns that every table has
 _OPTIONAL = ("study", "side", "ours_is", "method", "scene", "style", "expected", "comparison", "seconds", "comment")
 _BOOKKEEPING = ("time", "session", "device", "revision", "received", "id")
-_KNOWN = frozenset((*REQUIRED, *_OPTIONAL, *_BOOKKEEPING))
+_KNOWN = frozenset(("", *REQUIRED, *_OPTIONAL, *_BOOKKEEPING))
 _SUFFIXES = (".csv", ".tsv", ".json", ".sqlite", ".sqlite3", ".db")
-_MAX_BYTES = 256 << 20
 _Row = dict[str, str]
 
 
@@ -63,21 +65,36 @@ class Records:
     sources: tuple[str, ...] = ()  # names of the files
 
 
-def read_responses(paths: Sequence[Path], study: Study | None = None) -> Records:
-    """Read answers from files and folders of files; the form's own answers need the study's design."""
+def read_responses(
+    paths: Sequence[Path],
+    study: Study | None = None,
+    *,
+    labels: Mapping[str, float] = {},
+    wide: bool = False,
+    columns: Path | None = None,
+) -> Records:
+    """Read answers from files and folders of files; the form's own answers need the study's design.
+
+    Args:
+        paths: Of the files and folders.
+        study: The design; the labels of its questions are words of their scales.
+        labels: The scores of further words.
+        wide: Whether a table may have one row a person.
+        columns: A table that says what each column of such a table is about, if their names do not.
+    """
     files = [file for path in paths for file in _files(path)]
     if not files:
         raise UserError("no file of responses is given; name CSV, JSON or SQLite files, or a folder of them")
-    tables = {file: _rows(file) for file in files}
-    answers = [answer for file, rows in tables.items() for answer in _answers(rows, file.name, study)]
+    tables = {file: _rows(file, wide=wide, columns=columns, study=study) for file in files}
+    answers = [answer for file, table in tables.items() for answer in _answers(*table, file.name, study, labels)]
     people = dict.fromkeys(answer.participant for answer in answers)
     assigned = {} if study is None else {person: study.num_items(person) for person in people}
-    rows = [row for table in tables.values() for row in table]
+    rows = [row for table, _ in tables.values() for row in table]
     return Records(
         answers=tuple(answers),
         assigned={person: count for person, count in assigned.items() if count},
         comments=tuple(dict.fromkeys((row["participant"], row["comment"]) for row in rows if row.get("comment"))),
-        unused=tuple(dict.fromkeys(name for table in tables.values() for name in table[0] if name not in _KNOWN)),
+        unused=tuple(dict.fromkeys(name for table, _ in tables.values() for name in table[0] if name not in _KNOWN)),
         sources=tuple(file.name for file in files),
     )
 
@@ -85,115 +102,110 @@ def read_responses(paths: Sequence[Path], study: Study | None = None) -> Records
 def _files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path]
-    files = sorted(file for file in path.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file())
+    inside = [file for file in sorted(path.iterdir()) if file.is_file()]
+    files = [file for file in inside if file.suffix.lower() in _SUFFIXES]
+    for file in inside:
+        if file.suffix.lower() in (".txt", ".xls", ".xlsx", ".ods", ".zip"):
+            log.warning("%s is not read; answers are in files that end in %s", file.name, ", ".join(_SUFFIXES))
     if not files:
         raise UserError(f"{path} holds no responses; expected files that end in {', '.join(_SUFFIXES)}")
     return files
 
 
-def _rows(path: Path) -> list[_Row]:
-    """The rows of a file, all with the same columns."""
-    content = read_bytes(path, most=_MAX_BYTES, what="table of answers")
-    if content.startswith(b"SQLite format 3\0"):
-        names, rows = _sqlite_table(path)
-    else:
-        try:
-            text = content.decode("utf-8-sig")
-        except UnicodeDecodeError as error:
-            raise UserError(f"{path.name} is not UTF-8 text (at byte {error.start}); save it as CSV UTF-8") from None
-        if not text.strip():
-            raise UserError(f"{path.name} is empty; expected a table with the columns {', '.join(REQUIRED)}")
-        if "\0" in text:
-            raise UserError(f"{path.name} holds binary data; expected CSV, JSON or SQLite")
-        is_json = path.suffix.lower() == ".json" or text.lstrip()[0] in "[{"
-        names, rows = (_json_table if is_json else _csv_table)(text, path.name)
-    names = [name.strip().lower() if name.strip().lower() in _KNOWN else name.strip() for name in names]
-    duplicates = sorted({name for name in names if names.count(name) > 1})
-    if duplicates:
-        raise UserError(f"{path.name} has the column {duplicates[0]!r} twice; expected each name once")
+def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) -> tuple[list[_Row], bool]:
+    """The rows of a file, all with the same columns and their place under ``""``; whether semicolons part its cells."""
+    sheet = read_sheet(path)
+    names = [_known_name(name) for name in sheet.names]
     missing = [name for name in REQUIRED if name not in names]
-    if missing:
+    if missing and (wide or columns):
+        items = () if study is None else study.shown
+        table = long_rows(sheet, path.name, columns, items)
+    elif missing:
         raise UserError(
             f"{path.name} lacks the column{'s' * (len(missing) > 1)} {', '.join(missing)}; it has "
-            f"{', '.join(names[:12])}; expected one answer a row, in {', '.join(REQUIRED)}"
+            f"{', '.join(names[:12])}; expected one answer a row, in {', '.join(REQUIRED)} (one row a person: --wide)"
         )
-    cells = ((str("" if cell is None else cell).strip() for cell in row) for row in rows)
-    table = [dict(zip(names, row, strict=True)) for row in cells]
+    else:
+        duplicates = sorted({name for name in names if names.count(name) > 1})
+        if duplicates:
+            raise UserError(f"{path.name} has the column {duplicates[0]!r} twice; expected each name once")
+        lines = enumerate(sheet.rows, start=2)
+        table = [{"": f"row {line}"} | dict(zip(names, row, strict=True)) for line, row in lines]
     if not table:
         raise UserError(f"{path.name} holds a header and no answers; expected one answer a row")
-    return table
+    return table, sheet.semicolons
 
 
-def _csv_table(text: str, source: str) -> tuple[list[str], list[list[str]]]:
-    header = text.lstrip("\r\n").split("\n", 1)[0]
-    delimiter = max(",;\t", key=header.count)
-    try:
-        names, *rows = [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=delimiter) if any(row)]
-    except csv.Error as error:
-        raise UserError(f"{source} is no CSV table: {error}") from None
-    for line, row in enumerate(rows, start=2):
-        if len(row) != len(names):
-            raise UserError(f"{source}, row {line} has {len(row)} cells where the header has {len(names)}")
-    return names, rows
+def _known_name(name: str) -> str:
+    """A column's name; one that is known in any case, with spaces or dashes, as it is known."""
+    known = re.sub(r"[\s-]+", "_", name.lower())
+    return known if known in _KNOWN else name
 
 
-def _json_table(text: str, source: str) -> tuple[list[str], Iterable[Sequence[Any]]]:
-    what, cell = (
-        "list of answers, or an object with such a list named 'responses'",
-        dict[str, str | float | bool | None],
-    )
-    data: Any = parse_json(text, list[cell] | dict[str, Any], source=source, what=what)
-    head: dict[str, Any] = data if isinstance(data, dict) else {"responses": data}
-    answers: list[dict[str, Any]] = fit(head.get("responses"), list[cell], source=source, what=what)
-    shared = {name: head[name] for name in ("study", "participant", "comment") if name in head}
-    rows = [shared | row for row in answers]
-    names = list(dict.fromkeys(str(name) for row in rows for name in row))
-    return names, [[row.get(name) for name in names] for row in rows]
-
-
-def _sqlite_table(path: Path) -> tuple[list[str], list[Sequence[Any]]]:
-    """The table ``responses``, or the first one with participants and items."""
-    try:
-        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
-            kinds = "SELECT name FROM sqlite_master WHERE type IN ('table', 'view')"
-            tables = [str(name) for (name,) in database.execute(kinds)]
-            for table in sorted(tables, key=lambda name: (name != "responses", name)):
-                quoted = '"' + table.replace('"', '""') + '"'
-                cursor = database.execute(f"SELECT * FROM {quoted}")
-                names = [column[0] for column in cursor.description]
-                if {"participant", "item"} <= {name.strip().lower() for name in names}:
-                    return names, cursor.fetchall()
-    except (sqlite3.Error, UnicodeError, OverflowError) as error:
-        raise UserError(f"{path.name} is no readable SQLite file: {error}") from None
-    raise UserError(f"{path.name} has no table with the columns {', '.join(REQUIRED)}; its tables are {tables[:12]}")
-
-
-def _answers(rows: Sequence[_Row], source: str, study: Study | None) -> Iterable[Answer]:
+def _answers(
+    rows: Sequence[_Row], semicolons: bool, source: str, study: Study | None, labels: Mapping[str, float]
+) -> Iterable[Answer]:
     placed = "ours_is" in rows[0] or "method" in rows[0]
     if not placed and study is None:
         raise UserError(f"{source} does not say where ours was: give the design with --study, or add ours_is")
-    for line, row in enumerate(rows, start=2):
-        where = f"{source}, row {line}"
+    columns = {
+        name: Column.of([row.get(name, "") for row in rows], semicolons=semicolons)
+        for name in ("score", "expected", "seconds")
+    }
+    questions = () if study is None else study.plan.questions
+    words = {question.name: {**scale_words(question.labels, question.low), **labels} for question in questions}
+    scores = {
+        name: [columns[name].score(row.get(name, ""), words.get(row["question"], labels)) for row in rows]
+        for name in ("score", "expected")
+    }
+    for name, values in scores.items():
+        if None in values:
+            raise UserError(_unread(rows, name, values, source))
+    beside = [row["score"] for row, score in zip(rows, scores["score"], strict=True)
+              if columns["score"].number(row["score"]) is None and score is not None
+              and plain(row["score"]) not in words.get(row["question"], labels)]  # fmt: skip
+    if beside:
+        log.warning("%s: %d answers are read as the number in them, such as %r", source, len(beside), beside[0])
+    for row, score, expected in zip(rows, scores["score"], scores["expected"], strict=True):
+        where = f"{source}, {row['']}"
         for name in ("participant", "item", "question"):
             if not row[name]:
                 raise UserError(f"{where}: {name} is empty; expected a name")
-        expected = _number(row, "expected", where)
+        assert score is not None and expected is not None
         method = _choice(row, "method", ("ours", "theirs"), where, optional=True)
         if placed or study is None:
             side = _choice(row, "ours_is", ("A", "B"), where, optional=bool(method) or not math.isnan(expected))
             about: dict[str, Any] = {name: row.get(name, "") for name in ("comparison", "scene", "style")}
             about |= {"ours_is_a": side == "A", "method": method}
+        elif math.isnan(score) and not study.shows(row["item"], row["participant"]):
+            continue  # in a table with a column for every set, of which each person sees some
         else:
             about = _designed(row, where, source, study)
+        seconds = columns["seconds"].number(row.get("seconds", ""))
+        if seconds is None:
+            raise UserError(f"{where}: seconds is {row['seconds'][:40]!r}; expected a number")
         yield Answer(
             participant=row["participant"],
             item=row["item"],
             question=row["question"],
-            score=_number(row, "score", where),
+            score=score,
             expected=expected,
-            seconds=_number(row, "seconds", where),
+            seconds=seconds,
             **about,
         )
+
+
+def _unread(rows: Sequence[_Row], name: str, values: Sequence[float | None], source: str) -> str:
+    """What is said of cells that have no score: the first one, all that were found, and what to type."""
+    strange = [row for row, value in zip(rows, values, strict=True) if value is None]
+    counts = Counter(row[name][:40] for row in strange)
+    found = ", ".join(f"{word!r} ({count})" for word, count in counts.most_common(12))
+    more = f" and {len(counts) - 12} others" if len(counts) > 12 else ""
+    return (
+        f"{source}, {strange[0]['']}: {name} is {strange[0][name][:40]!r}; expected a number, a word of the scale "
+        f"or an empty cell; without a score are {found}{more}: give the scale's words from its lowest to its highest "
+        "answer, --labels WORD WORD ..., or one by one, --labels WORD=SCORE WORD=NA"
+    )
 
 
 def _designed(row: _Row, where: str, source: str, study: Study) -> dict[str, Any]:
@@ -205,6 +217,13 @@ def _designed(row: _Row, where: str, source: str, study: Study) -> dict[str, Any
     if participant is None or shown is None:
         what = f"participant {person!r}" if participant is None else f"item {name!r}"
         raise UserError(f"{where}: the design has no {what}")
+    if not study.shows(name, person):
+        raise UserError(
+            f"{where}: the design did not show {name} to {participant.id}, so that it does not say which was ours"
+        )
+    questions = [question.name for question in study.plan.questions]
+    if row["question"] not in questions:
+        raise UserError(f"{where}: {unknown('question', row['question'], questions)}")
     item = study.item(name)
     ours_is_a = name in participant.ours_is_a
     return {
@@ -216,14 +235,6 @@ def _designed(row: _Row, where: str, source: str, study: Study) -> dict[str, Any
         "scene": item.scene,
         "style": item.style,
     }
-
-
-def _number(row: _Row, name: str, where: str) -> float:
-    cell = row.get(name, "")
-    try:
-        return float(cell or "nan")
-    except ValueError:
-        raise UserError(f"{where}: {name} is {cell[:40]!r}; expected a number") from None
 
 
 def _choice(row: _Row, name: str, choices: tuple[str, str], where: str, *, optional: bool) -> str:

@@ -1,7 +1,8 @@
 """Results in words and numbers, as a paper states them; the same sentences in every format."""
 
 import math
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -153,8 +154,30 @@ def took_part(analysis: Analysis) -> str:
         f"{checks.participants_read} participants gave {checks.answers_read} answers, {checks.attention_answers} of "
         f"them to attention checks. {len(rules) or 'None'} {'were' if len(rules) != 1 else 'was'} left out"
         f"{f' ({why})' * bool(why)}; {checks.answers_used} answers of {checks.participants_read - len(rules)} are "
-        "analysed."
+        f"analysed. {_missing(analysis).lstrip()}".rstrip()
     )
+
+
+def _missing(analysis: Analysis) -> str:
+    """Which answers are missing or outside of the scale, and who of the design gave none."""
+    lacking, study = analysis.checks.missing, analysis.settings.study
+    totals: Counter[str] = sum(map(Counter, lacking.values()), Counter())
+    text = "No answer is missing." * (study is not None)  # without a design, rows may be missing
+    if lacking:
+        people = "; ".join(f"{person}: {_counts(counts)}" for person, counts in lacking.items())
+        text = f"{totals.total()} answers are missing ({_counts(totals)}), of {people}."
+    if outside := analysis.checks.of_kind("out_of_range"):
+        people = ", ".join(dict.fromkeys(finding.participant for finding in outside))
+        text += f" Those outside of the scale count as missing: {len(outside)}, of {people}."
+    if study is not None:
+        present = {study.participant(answer.participant) for answer in analysis.records.answers}
+        absent = [participant.id for participant in study.participants if participant not in present]
+        text += f" Nobody answered as {', '.join(absent)}." if absent else ""
+    return text
+
+
+def _counts(counts: Mapping[str, int]) -> str:
+    return ", ".join(f"{question} {count}" for question, count in counts.items())
 
 
 def response_level(analysis: Analysis) -> str:

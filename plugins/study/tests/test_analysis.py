@@ -14,6 +14,8 @@ from study_cases import answer_rows, small_study, write_csv
 from anystyle.evaluation import published_figures
 from anystyle_study.analysis import Settings, analyze, as_json
 from anystyle_study.command import Study
+from anystyle_study.contract import Scale
+from anystyle_study.protocol import Rules
 from anystyle_study.reading import read_responses
 from anystyle_study.report import html as report_html
 from anystyle_study.report import latex, markdown
@@ -210,6 +212,33 @@ def test_a_designed_study_is_undone_and_reported(tmp_path):
     assert designed.id in paper and "nan" not in paper.replace("anan", "")
     refused = study("analyze", "a.csv", "--out", "other", cwd=tmp_path, check=2)
     assert "does not say where ours was" in refused.stderr
+
+
+def test_the_text_names_what_is_missing(tmp_path):
+    designed, _ = small_study(tmp_path)
+    left, right, *_ = designed.participants
+    rows = [
+        (one.id, name, question, side, "NA" if one is left and question == "style" else 3)
+        for one in (left, right)
+        for name in one.order
+        for question, side in (("style", ""), ("content", "A"), ("content", "B"))
+        if one is left or (question, side) != ("content", "B")
+    ]
+    last = max(index for index, row in enumerate(rows) if row[1] in {item.id for item in designed.items})
+    rows[last] = (*rows[last][:-1], 7)
+    path = write_csv(tmp_path / "a.csv", rows, "participant,item,question,side,score")
+    records = read_responses([path], designed)
+    scales = {"style": Scale(), "content": Scale(1, 5)}
+    settings = Settings(scales=scales, rules=Rules(missing_share=1.0, failed_checks=None), study=designed)
+    found = analyze(records, {"one_sample_t": TESTS["one_sample_t"]}, settings)
+    assert took_part(found).endswith(
+        "9 answers are missing (style 4, content 5), of P01: style 4; P02: content 5. Those outside of the scale count "
+        "as missing: 1, of P02. Nobody answered as P03, P04."
+    )
+    assert took_part(found) in markdown(found)
+    with pytest.raises(ValueError, match=r"a\.csv, row 2: no question is named 'styel'"):
+        write_csv(path, [(*rows[0][:2], "styel", "", 3)], "participant,item,question,side,score")
+        read_responses([path], designed)
 
 
 class Texts(html.parser.HTMLParser):

@@ -1,6 +1,7 @@
 """Reading and checking answers, and everything that can be wrong with a file."""
 
 import json
+import math
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 from study_cases import answer_rows, write_csv
 
+from anystyle_study.cells import Column, given_scale, given_words, scale_words
 from anystyle_study.checks import Rules, check
 from anystyle_study.contract import Scale
 from anystyle_study.reading import read_responses
@@ -112,7 +114,7 @@ def test_findings_and_exclusions_are_listed(tmp_path):
     stricter, _ = check(records, scale=Scale(), rules=Rules(straight_lining=True, failed_checks=1))
     assert {exclusion.participant for exclusion in stricter.exclusions} == {"LAZY", "STRAIGHT"}
     unplanned, _ = judged(path)
-    assert [finding.participant for finding in unplanned.findings if finding.kind == "missing"] == ["P08"]
+    assert [finding.participant for finding in unplanned.findings if finding.kind == "missing"] == ["P00", "P08"]
     assert {exclusion.participant for exclusion in unplanned.exclusions} == {"P07"}
     assert any("stopped early" in note for note in unplanned.notes)
 
@@ -152,7 +154,11 @@ def test_several_comparisons_are_kept_apart(tmp_path):
         (b"participant,item,question,score,ours_is\nP1,S1,q,3,A,5\n", "row 2 has 6 cells"),
         (b"participant,item,question,score,ours_is\n,S1,q,3,A\n", "row 2: participant is empty"),
         (b"participant,item,question,score,score\nP1,S1,q,3,3\n", "'score' twice"),
-        (b"participant,item,question,score,ours_is\nP\xe9,S1,q,3,A\n", "not UTF-8"),
+        (b"participant,item,question,score,ours_is\nP\x81,S1,q,3,A\n", "not UTF-8"),
+        ("participant,item,question,score,ours_is\nP1,S1,q,3".encode("utf-16")[:-1], "not UTF-16"),
+        (b"PK\3\4 a workbook", "is a workbook or an archive; save its sheet of answers as CSV UTF-8"),
+        (b"participant,item,question,score,ours_is\nP1,S1,q,'1,234',A\n".replace(b"'", b'"'), "score is '1,234'"),
+        (b"participant,item,question,score,ours_is\nP1,S1,q,3 - 4,A\n", "score is '3 - 4'"),
         (b"participant,item\0,question", "binary"),
         (b'{"responses": 3}', "list of answers"),
         (b"{nothing", "no list of answers"),
@@ -166,6 +172,132 @@ def test_bad_files_end_in_one_line(tmp_path, content, words):
     with pytest.raises(ValueError, match=r"^[^\n]+$") as error:
         judged(path)
     assert words in str(error.value)
+
+
+AB = ("A is much better", "A is better", "No difference", "B is better", "B is much better")
+
+
+def rewritten(rows, score, separator=","):
+    """A CSV of answers in which each score is written by a function."""
+    written = [(*row[:3], score(row[3]), row[4]) for row in rows]
+    head = ("participant", "item", "question", "score", "ours_is")
+    return "".join(separator.join(map(str, row)) + "\n" for row in (head, *written))
+
+
+@pytest.mark.parametrize(
+    ("write", "told"),
+    [
+        (lambda rows: rewritten(rows, str).encode("utf-16"), ""),
+        (lambda rows: rewritten(rows, str, "\t").encode("utf-16-le"), ""),
+        (lambda rows: rewritten(rows, str).encode("utf-16-be"), ""),
+        (lambda rows: rewritten(rows, str).encode("utf-32"), ""),
+        (lambda rows: ("sep=;\r\n" + rewritten(rows, "{},0".format, ";")).encode(), ""),
+        (lambda rows: rewritten(rows, "{},00".format, ";").replace("ours_is", "Ours is").encode(), ""),
+        (lambda rows: rewritten(rows, '"{},0"'.format).encode(), ""),
+        (lambda rows: rewritten(rows, str).replace("\n", ",,\n").encode(), ""),
+        (lambda rows: rewritten(rows, "{} - rather so".format).encode(), "such as '"),
+        (lambda rows: rewritten(rows, "rather so ({})".format).encode(), "such as 'rather so ("),
+        (lambda rows: rewritten(rows, str).replace("P00", "Zo\xe9").encode("cp1252"), "Windows-1252, such as 'Zo\xe9'"),
+        (lambda rows: rewritten(rows, lambda score: AB[score - 1].upper() + " ").encode(), ""),
+        (lambda rows: rewritten(rows, lambda score: f"{score}: {AB[score - 1]}").encode(), "such as '"),
+    ],
+)
+def test_answers_are_read_as_spreadsheets_write_them(tmp_path, rows, caplog, write, told):
+    (tmp_path / "r.csv").write_bytes(write(rows))
+    records = read_responses([tmp_path / "r.csv"], labels=scale_words(AB, 1))
+    _, by_question = check(records, scale=Scale(), rules=Rules())
+    tables = {
+        question.question: {(p.replace("Zo\xe9", "P00"), i): d for (p, i), d in table_of(question).items()}
+        for question in by_question
+    }
+    assert tables == {name: expected_table(rows, name) for name in ("style", "content")}
+    assert told in caplog.text and bool(told) == bool(caplog.records)
+
+
+@pytest.mark.parametrize(
+    ("cells", "semicolons", "numbers"),
+    [
+        (["3.5", "1e1", ".5", "-2", "−2"], False, [3.5, 10, 0.5, -2, -2]),
+        (["3,5", "4", "1.234"], False, [3.5, 4, 1234]),
+        (["1,234.5", "1,234"], False, [1234.5, 1234]),
+        (["1.234", "2.500"], True, [1.234, 2.5]),
+        (["1,234", "2"], True, [1.234, 2]),
+        (["1,234", "0,5", "1 234,5", "1'000"], False, [1.234, 0.5, 1234.5, 1000]),
+        (["1,234", "1,2,3", "1.5,3", "inf", "1_000", "3/4"], False, [None] * 6),
+        (["NA", "n/a", "NaN", "–", "", "None", "<NA>"], False, [math.nan] * 7),
+    ],
+)
+def test_numbers_of_a_column(cells, semicolons, numbers):
+    column = Column.of(cells, semicolons=semicolons)
+    assert [column.number(cell) for cell in cells] == pytest.approx(numbers, nan_ok=True) or numbers == [None] * 6
+    assert [column.number(cell) is None for cell in cells] == [number is None for number in numbers]
+
+
+def test_words_without_a_score_are_listed_with_what_to_type(tmp_path, rows):
+    (tmp_path / "r.csv").write_text(rewritten(rows, lambda score: AB[score - 1] if score != 3 else "Unsure"))
+    with pytest.raises(ValueError, match=r"row \d+: score is .*'Unsure' \(\d+\).*--labels WORD=SCORE WORD=NA$"):
+        judged(tmp_path / "r.csv")
+    words = given_words([[label.lower() for label in AB], ["Unsure=NA", "A is better=2"]], [Scale()])
+    rules = Rules(missing_share=1)
+    checks, (style, _) = check(read_responses([tmp_path / "r.csv"], labels=words), scale=Scale(), rules=rules)
+    unsure = sum(row[3] == 3 for row in rows)
+    assert checks.answers_used == checks.answers_read == len(rows) - unsure
+    assert sum(count for counts in checks.missing.values() for count in counts.values()) == unsure
+    assert table_of(style) == {key: value for key, value in expected_table(rows).items() if value}
+    for labels in ([AB[:4]], [AB, ["No difference=2"]], [[*AB[:4], AB[0]]]):
+        with pytest.raises(ValueError, match="--labels"):
+            given_words(labels, [Scale()])
+    assert Column("").score("5: no difference", words) is None
+    assert given_scale([AB * 2]) == Scale(1, 10)
+    assert given_scale([["a=1", "b=9"]]) == Scale()
+
+
+def wide_of(rows, heading):
+    """One row a person: a column for each item and question, and for each item where ours was."""
+    people, items, questions = (list(dict.fromkeys(row[index] for row in rows)) for index in range(3))
+    cells = {row[:3]: row[3:] for row in rows}
+    columns = [(item, question) for item in items for question in questions]
+    table = [["Timestamp", "Participant", *(heading(*column) for column in columns)]]
+    for person in people:
+        table.append(["2026/11/25 1:00", person, *(str(cells[person, *column][0]) for column in columns)])
+    return table, columns, cells
+
+
+@pytest.mark.parametrize("heading", ["{}:{}", "{} [{}]", "{}_{}", "{} / {}"])
+def test_one_row_a_person(tmp_path, rows, heading):
+    table, columns, cells = wide_of(rows, heading.format)
+    for item in dict.fromkeys(item for item, _ in columns):
+        table[0].append(heading.format(item, "ours_is"))
+        for line in table[1:]:
+            line.append(cells[line[1], item, "style"][1])
+    write_csv(tmp_path / "w.csv", [("x", *line[1:]) for line in table[1:]], ",".join(table[0]))
+    records = read_responses([tmp_path / "w.csv"], wide=True)
+    _, by_question = check(records, scale=Scale(), rules=Rules())
+    assert {one.question: table_of(one) for one in by_question} == {
+        name: expected_table(rows, name) for name in ("style", "content")
+    }
+    assert records.unused == ("Timestamp",)
+
+
+def test_questions_of_a_form_are_described_by_a_table(tmp_path, rows, caplog):
+    rows = [(*row[:4], "A" if row[1] < "S03" else "B") for row in rows]
+    table, columns, _ = wide_of(rows, lambda item, question: '"Which, of A and B?"')
+    table[0][2] = "First"
+    key = [(index + 3, item, question, "A" if item < "S03" else "B") for index, (item, question) in enumerate(columns)]
+    key[0] = ("first", *key[0][1:])
+    write_csv(tmp_path / "key.csv", key, "Column,Item,Question,Ours is")
+    write_csv(tmp_path / "w.csv", [line[2:] for line in table[1:]], ",".join(table[0][2:]))
+    with pytest.raises(ValueError, match="has no columns '13'; expected one of 'First', 'Which, of A and B"):
+        read_responses([tmp_path / "w.csv"], columns=tmp_path / "key.csv")
+    write_csv(tmp_path / "w.csv", table[1:], ",".join(table[0]))
+    _, by_question = check(
+        read_responses([tmp_path / "w.csv"], columns=tmp_path / "key.csv"), scale=Scale(), rules=Rules()
+    )
+    assert {one.question: table_of(one) for one in by_question} == {
+        name: expected_table(rows, name) for name in ("style", "content")
+    }
+    with pytest.raises(ValueError, match=r"no column says which set .* 'Timestamp', .*ITEM:QUESTION.*--columns FILE"):
+        read_responses([tmp_path / "w.csv"], wide=True)
 
 
 def test_a_database_without_answers_is_named(tmp_path):

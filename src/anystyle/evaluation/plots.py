@@ -3,16 +3,14 @@
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from anystyle.data.images import open_image
 from anystyle.evaluation.base import Evaluation, Row
+from anystyle.evaluation.run_table import Column, Line, half_width
 from anystyle.evaluation.tables import STAND_IN, number, titled
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import Cell, contact_sheet
-
-if TYPE_CHECKING:
-    from anystyle.evaluation.run_table import Column, Line
 
 COLORS = {"ours": "#2f5d8a", "stand-in": "#c0862b", "published": "#8a8a92"}
 """Of figures computed with published weights or none, with stand-ins, and of published figures."""
@@ -31,25 +29,31 @@ def plotting() -> Any:
 
 
 def spread(evaluation: Evaluation, path: Path, *, caption: str = "") -> None:
-    """Draw a panel for each figure: a dot for each scene in each style, a line at each scene's mean."""
+    """Draw a panel for each figure: a dot for each scene in each style, a line at each scene's score in the table.
+
+    The score of a scene is not the mean of its styles' where a metric judges all images together, as FID does.
+    """
     names = [name for name in evaluation.figures if len(_values(evaluation.rows, name)) > 1]
     if not names:
         return
     scenes = list(dict.fromkeys(row.scene for row in evaluation.rows))
     figure, axes = _panels(len(names), scenes, width=3.1, height=1.25 + 0.16 * len(scenes), margin=(0.0, 0.4))
+    explanation = ""
     for axis, name in zip(axes, names, strict=True):
         stands_in = name in evaluation.stand_ins
         color = COLORS["stand-in" if stands_in else "ours"]
         for level, scene in enumerate(scenes):
             values = _values([row for row in evaluation.rows if row.scene == scene], name)
             axis.plot(values, [level] * len(values), "o", color=color, alpha=0.45, markersize=5, markeredgewidth=0)
-            if values:
-                axis.plot([sum(values) / len(values)] * 2, [level - 0.22, level + 0.22], color=_INK, linewidth=1.4)
+            score = (evaluation.scenes.get(scene, {}) if scene else evaluation.figures).get(name, math.nan)
+            if math.isfinite(score):
+                axis.plot([score] * 2, [level - 0.22, level + 0.22], color=_INK, linewidth=1.4)
+                explanation = "dot: one style; line: the score of all styles, as in the table"
         axis.tick_params(axis="x", labelsize=7, color=_RULE)
         axis.xaxis.get_offset_text().set_fontsize(7)
         axis.locator_params(axis="x", nbins=4)
         _label(axis, titled(name, evaluation.better), stands_in)
-    figure.supxlabel(caption, fontsize=7, color="#6e6e76")
+    _caption(figure, caption, explanation)
     _save(figure, path)
 
 
@@ -75,34 +79,54 @@ def examples(evaluation: Evaluation, path: Path) -> None:
         sheet.save(temporary)
 
 
-def bars(lines: "Sequence[Line]", columns: "Sequence[Column]", better: Mapping[str, str], path: Path) -> bool:
-    """Draw a panel for each figure, in it a bar for each variant or published method; ``False`` without any figure."""
+def bars(lines: Sequence[Line], columns: Sequence[Column], better: Mapping[str, str], path: Path) -> bool:
+    """Draw a panel for each figure, in it a bar for each variant or published method; ``False`` without any figure.
+
+    Several seeds are dots, with the 95 % interval of their mean.
+    """
     # Figures of stand-ins are marked below their panels, and have no bars of their own.
     titles: dict[str, None] = {}
-    shown: dict[Column, dict[str, tuple[float, str]]] = {}
+    shown: dict[Column, dict[str, Line]] = {}
     for line in lines:
         title = line.title + "\npublished" * (line.origin == "published")
-        titles[title + f"\n{line.state}" * bool(line.state)] = None
+        titles[title := title + f"\n{line.state}" * bool(line.state)] = None
         for column in columns:
-            if math.isfinite(value := line.value(*column)):
-                shown.setdefault(column, {})[title] = (value, line.origin)
+            if math.isfinite(line.value(*column)):
+                shown.setdefault(column, {})[title] = line
     if not shown:
         return False
     figure, axes = _panels(len(shown), list(titles), width=2.3, height=0.75 + 0.24 * len(titles), margin=(1.6, 0.1))
     panels = [column for column in columns if column in shown]
-    for axis, (scene, name) in zip(axes, panels, strict=True):
-        row = [shown[scene, name].get(title, (math.nan, "ours")) for title in titles]
-        values = [value for value, _ in row]
-        axis.barh(range(len(row)), values, color=[COLORS[origin] for _, origin in row], height=0.66)
-        for level, value in enumerate(values):
-            left = 0 if math.isnan(value) else value
-            axis.text(left, level, f" {number(value)}", va="center", fontsize=6.5, color=_INK)
-        known = [value for value in values if not math.isnan(value)]
-        axis.set_xlim(1.3 * min(0, *known), 1.3 * max(0, *known, 1e-9))
+    for axis, column in zip(axes, panels, strict=True):
+        ends = [0.0, 1e-9]
+        for level, title in enumerate(titles):
+            if line := shown[column].get(title):
+                ends += _bar(axis, level, line, column)
+            else:
+                axis.text(0, level, f" {number(None)}", va="center", fontsize=6.5, color=_INK)
+        axis.set_xlim(1.3 * min(ends), 1.3 * max(ends))
         axis.set_xticks([])
-        _label(axis, f"{scene} {titled(name, better)}".strip(), any(origin == "stand-in" for _, origin in row))
+        scene, name = column
+        stands_in = any(line.origin == "stand-in" for line in shown[column].values())
+        _label(axis, f"{scene} {titled(name, better)}".strip(), stands_in)
+    if any(len(line.values(column)) > 1 for column, rows in shown.items() for line in rows.values()):
+        _caption(figure, "dot: one seed; bar: their mean, with its 95 % t interval")
     _save(figure, path)
     return True
+
+
+def _bar(axis: Any, level: int, line: Line, column: Column) -> list[float]:
+    """Draw a value, its seeds and its interval if there are several; return all ends."""
+    value, seeds = line.value(*column), line.values(column)
+    axis.barh(level, value, color=COLORS[line.origin], height=0.66)
+    ends = [value]
+    if len(seeds) > 1:
+        error = half_width(seeds)
+        axis.errorbar(value, level, xerr=error, color=_INK, linewidth=0.9, capsize=2.5)
+        axis.plot(seeds, [level] * len(seeds), "o", color="white", markersize=3, mec=_INK, mew=0.6)
+        ends += [value - error, value + error, *seeds]
+    axis.text(max(0, *ends), level, f"  {number(value)}", va="center", fontsize=6.5, color=_INK)
+    return ends
 
 
 def _panels(
@@ -123,6 +147,10 @@ def _panels(
     for axis in axes[num_panels:]:
         axis.axis("off")
     return figure, axes[:num_panels]
+
+
+def _caption(figure: Any, *texts: str) -> None:
+    figure.supxlabel("\n".join(filter(None, texts)), fontsize=7, color="#6e6e76")
 
 
 def _label(axis: Any, title: str, stands_in: bool) -> None:

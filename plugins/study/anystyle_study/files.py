@@ -1,0 +1,138 @@
+"""Tables of text from CSV, JSON and SQLite files, in the encodings and forms that people's programs save."""
+
+import codecs
+import csv
+import io
+import logging
+import re
+import sqlite3
+from collections.abc import Iterable, Sequence
+from contextlib import closing
+from itertools import product
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from anystyle.errors import UserError
+from anystyle.io.documents import fit, parse_json, read_bytes
+
+log = logging.getLogger(__name__)
+
+_MAX_BYTES = 256 << 20
+_WORKBOOKS = (b"PK\3\4", b"\xd0\xcf\x11\xe0")
+# UTF-32 first: its mark begins as that of UTF-16 does.
+_MARKS = {codecs.BOM_UTF32_LE: "utf-32", codecs.BOM_UTF32_BE: "utf-32", codecs.BOM_UTF16_LE: "utf-16",
+          codecs.BOM_UTF16_BE: "utf-16"}  # fmt: skip
+
+
+class Sheet(NamedTuple):
+    """A header and rows of as many cells."""
+
+    names: list[str]
+    rows: list[list[str]]
+    semicolons: bool  # whether semicolons separate the cells, as where numbers have a decimal comma
+
+
+def read_sheet(path: Path) -> Sheet:
+    """The table in a CSV, JSON or SQLite file; columns without a name are dropped if they are empty."""
+    content = read_bytes(path, most=_MAX_BYTES, what="table of answers")
+    semicolons = False
+    if content.startswith(b"SQLite format 3\0"):
+        names, rows = _sqlite_table(path)
+    else:
+        text = _decoded(content, path.name)
+        if not text.strip():
+            raise UserError(f"{path.name} is empty; expected a table with a header")
+        if "\0" in text:
+            raise UserError(f"{path.name} holds binary data; expected CSV, JSON or SQLite")
+        if path.suffix.lower() == ".json" or text.lstrip()[0] in "[{":
+            names, rows = _json_table(text, path.name)
+        else:
+            names, rows, semicolons = _csv_table(text, path.name)
+    table = [[str("" if cell is None else cell).strip() for cell in row] for row in rows]
+    names = [name.strip() for name in names]
+    kept = [index for index, name in enumerate(names) if name or any(row[index] for row in table)]
+    names = [names[index] or f"column {index + 1}" for index in kept]
+    return Sheet(names, [[row[index] for index in kept] for row in table], semicolons)
+
+
+def _decoded(content: bytes, source: str) -> str:
+    """Text in UTF-8, UTF-16 or UTF-32; other bytes are read as Windows-1252, and that is told."""
+    if content.startswith(_WORKBOOKS):
+        raise UserError(f"{source} is a workbook or an archive; save its sheet of answers as CSV UTF-8")
+    head = content[:256]
+    even, odd = head[::2].count(0), head[1::2].count(0)  # in UTF-16 every other byte of a plain header is 0
+    unmarked = "utf-8-sig" if 8 * max(even, odd) < len(head) or min(even, odd) else "utf-16-le" if odd else "utf-16-be"
+    encoding = next((name for mark, name in _MARKS.items() if content.startswith(mark)), unmarked)
+    try:
+        return content.decode(encoding)
+    except UnicodeDecodeError as error:
+        wrong = f"{source} is not {encoding.removesuffix('-sig').upper()} text (at byte {error.start})"
+    try:
+        text = content.decode("cp1252") if encoding == "utf-8-sig" else ""
+    except UnicodeDecodeError:
+        text = ""
+    if not text:
+        raise UserError(f"{wrong}; save it as CSV UTF-8")
+    word = re.findall(r"\w*[^\W\x00-\x7f]\w*|[^\x00-\x7f]", text)[0]
+    log.warning("%s; it is read as Windows-1252, such as %r: if that is wrong, save it as CSV UTF-8", wrong, word)
+    return text
+
+
+def _csv_table(text: str, source: str) -> tuple[list[str], list[list[str]], bool]:
+    """The cells between the delimiter that gives every row as many as the header, and whether it is a semicolon."""
+    delimiters = ",;\t|"
+    if told := re.match(r'"?sep=(.)"?[^\S\t]*[\r\n]+', text, re.IGNORECASE):  # Excel's own first line
+        delimiters, text = told[1], text[told.end() :]
+    try:
+        tables = {
+            delimiter: [row for row in csv.reader(io.StringIO(text, newline=""), delimiter=delimiter) if any(row)]
+            for delimiter in delimiters
+        }
+    except csv.Error as error:
+        raise UserError(f"{source} is no CSV table: {error}") from None
+
+    def fits(delimiter: str) -> tuple[bool, int]:
+        header, *rows = (len(row) for row in tables[delimiter])
+        return header > 1 and all(cells == header for cells in rows), header
+
+    delimiter = max(tables, key=fits)
+    names, *rows = tables[delimiter]
+    for line, row in enumerate(rows, start=2):
+        if len(row) != len(names):
+            raise UserError(f"{source}, row {line} has {len(row)} cells where the header has {len(names)}")
+    return names, rows, delimiter == ";"
+
+
+def _json_table(text: str, source: str) -> tuple[list[str], Iterable[Sequence[Any]]]:
+    what, cell = (
+        "list of answers, or an object with such a list named 'responses'",
+        dict[str, str | float | bool | None],
+    )
+    text = re.sub(r"(?<=[:,\[])\s*NaN(?=\s*[,}\]])", "null", text)  # as Python writes what is missing
+    data: Any = parse_json(text, list[cell] | dict[str, Any], source=source, what=what)
+    head: dict[str, Any] = data if isinstance(data, dict) else {"responses": data}
+    answers: list[dict[str, Any]] = fit(head.get("responses"), list[cell], source=source, what=what)
+    shared = {name: head[name] for name in ("study", "participant", "comment") if name in head}
+    rows = [shared | row for row in answers]
+    names = list(dict.fromkeys(str(name) for row in rows for name in row))
+    return names, [[row.get(name) for name in names] for row in rows]
+
+
+def _sqlite_table(path: Path) -> tuple[list[str], list[Sequence[Any]]]:
+    """The table ``responses``, or the first one with participants and items, or with participants."""
+    try:
+        with closing(sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True)) as database:
+            kinds = "SELECT name FROM sqlite_master WHERE type IN ('table', 'view')"
+            tables = [str(name) for (name,) in database.execute(kinds)]
+            tables.sort(key=lambda name: (name != "responses", name))
+            for needed, table in product(({"participant", "item"}, {"participant"}), tables):
+                quoted = '"' + table.replace('"', '""') + '"'
+                cursor = database.execute(f"SELECT * FROM {quoted}")
+                names = [column[0] for column in cursor.description]
+                if needed <= {name.strip().lower() for name in names}:
+                    return names, cursor.fetchall()
+    except (sqlite3.Error, UnicodeError, OverflowError) as error:
+        raise UserError(f"{path.name} is no readable SQLite file: {error}") from None
+    raise UserError(
+        f"{path.name} has no table with the columns participant, item, question, score; its tables are {tables[:12]}"
+    )
