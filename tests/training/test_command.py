@@ -37,7 +37,7 @@ def test_a_smoke_run_learns_and_says_what_it_left(tmp_path, program):
 
 
 def refused(capsys, *words: str) -> str:
-    """What a command line that ends with status 2 says in its one line, below those of a sweep of two, which name the jobs.
+    """What a command line that ends with status 2 says in its one line, below those of a sweep of two jobs.
 
     In this process, which has imported everything.
     """

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from lightning.fabric.utilities.throughput import Throughput
 from lightning.pytorch import Callback, LightningModule, Trainer
+from lightning.pytorch.callbacks import ThroughputMonitor
 from torch import Tensor, nn
 
 from anystyle.errors import UserError, one_line
@@ -32,6 +34,21 @@ class StepSeed(Callback):
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
         torch.manual_seed(int(generator(self.seed, batch_idx, 0).integers(2**63)))
+
+
+class StepThroughput(ThroughputMonitor):
+    """Lightning's, whose ``samples`` count those of all processes, which have equally many."""
+
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        super().setup(trainer, pl_module, stage)
+        for key in self._throughputs:
+            self._throughputs[key] = _AllSamples(world_size=trainer.world_size, **self.kwargs)
+
+
+class _AllSamples(Throughput):
+    def compute(self) -> dict[str, int | float]:
+        values = super().compute()
+        return values | {"samples": values["samples"] * self.world_size} if "samples" in values else values
 
 
 class RunCheckpoint(Callback):

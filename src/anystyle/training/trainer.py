@@ -10,14 +10,14 @@ from typing import Any
 import lightning.pytorch as pl
 import numpy as np
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.callbacks import LearningRateMonitor, ThroughputMonitor
+from lightning.pytorch.callbacks import LearningRateMonitor
 from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
 from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 
 from anystyle.errors import UserError, one_line, unknown
 from anystyle.registry.schema import option
-from anystyle.training.callbacks import ProgressLines, StepSeed
+from anystyle.training.callbacks import ProgressLines, StepSeed, StepThroughput
 from anystyle.training.safeguards import FiniteLoss, SkipOutliers
 
 
@@ -103,7 +103,7 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
         StepSeed(config.seed),
         FiniteLoss(out / "refused_batch.pt", growth=None if config.explosion is None else float(config.explosion)),
         LearningRateMonitor(),
-        ThroughputMonitor(lambda batch: getattr(batch, "num_images", 1), window_size=20),
+        StepThroughput(lambda batch: getattr(batch, "num_images", 1), window_size=20),
         *([SkipOutliers()] if config.skip_outliers else []),
         *([] if options["enable_progress_bar"] else [ProgressLines()]),
     ]
