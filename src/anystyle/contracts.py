@@ -403,7 +403,7 @@ class StyleSource(Socket, ABC):
 class Format(Socket, ABC):
     """A file format of Gaussian scenes; its name is the suffix of the files.
 
-    A constructor that names ``renderer`` is given a function from Gaussians and cameras to renders, if one is available.
+    A constructor that names ``renderer`` is given a function from Gaussians and cameras to renders if there is one.
     """
 
     up: ClassVar[str] = "opencv"

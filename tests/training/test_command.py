@@ -2,7 +2,10 @@
 
 import csv
 import os
+import re
 import signal
+import time
+from pathlib import Path
 
 import pytest
 
@@ -10,9 +13,11 @@ from anystyle.cli.launch import launch
 from anystyle.cli.run import run as ending
 from anystyle.commands.train import run
 from anystyle.errors import UserError
-from anystyle.registry.compose import compose
+from anystyle.registry.compose import changes, compose
+from anystyle.training.resume import bound
 from anystyle.training.stylization import StylizationTraining
-from training_cases import BACKBONE, STYLIZATION
+from anystyle.training.trainer import check_options, make_trainer
+from training_cases import BACKBONE, STYLIZATION, configuration
 
 
 def test_a_smoke_run_learns_and_says_what_it_left(tmp_path, program):
@@ -32,14 +37,14 @@ def test_a_smoke_run_learns_and_says_what_it_left(tmp_path, program):
 
 
 def refused(capsys, *words: str) -> str:
-    """What a command line that ends with status 2 says in its one line, below that of a sweep, which names the job.
+    """What a command line that ends with status 2 says in its one line, below those of a sweep of two jobs.
 
     In this process, which has imported everything.
     """
     with pytest.raises(SystemExit) as ended:
         ending(lambda: launch("train", run, words))
     told = capsys.readouterr()
-    assert ended.value.code == 2 and told.out == "" and told.err.count("\n") == 1 + ("-m" in words)
+    assert ended.value.code == 2 and told.out == "" and told.err.count("\n") == 1 + 3 * ("-m" in words)
     return told.err
 
 
@@ -76,6 +81,57 @@ def test_processes_that_a_training_starts_show_no_traceback_that_nobody_asked_fo
     with pytest.raises(SystemExit):
         ending(mistaken)
     assert capsys.readouterr().err == "anystyle: error: 3 scenes cannot be shared by 2 processes\n"
+
+
+def test_a_recipe_starts_twice_and_leaves_no_folder_of_a_sweep(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    started = []
+    for _ in range(2):
+        launch(
+            "train",
+            lambda config: started.append((bound(config), config.cache)),
+            ["experiment=tiny_ablation", "name=one"],
+        )
+        time.sleep(1.1)  # a folder named after the time would have another name
+    assert started[0] == started[1] and Path(started[0][1]) == tmp_path / "runs/one/scenes"
+    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
+
+
+def test_where_files_lie_is_not_compared_and_one_folder_is_the_same_by_each_of_its_names(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "data").mkdir()
+    (tmp_path / "link").symlink_to("data")
+    words = [*STYLIZATION, "scenes=folder", "out=x"]
+    words = [
+        word for word in words if word.partition("=")[0] not in ("scenes.size", "scenes.num_scenes", "scenes.samples")
+    ]
+    before, *same = (
+        bound(compose("train", [*words, f"scenes.root={root}", f"cache={cache}"]))
+        for cache, root in [("null", "data"), ("a", tmp_path / "data"), ("b", "./data/"), ("c", "link")]
+    )
+    assert [changes(before, now) for now in same] == ["", "", ""]
+    assert changes(before, bound(compose("train", [*words, "scenes.root=other"]))) == "scenes.root data -> other"
+
+
+def test_arguments_of_the_trainer_need_no_plus_and_are_checked(tmp_path):
+    words = [
+        "trainer.accumulate_grad_batches=2",
+        "trainer.max_time='00:01:00:00'",
+        "trainer.gradient_clip_algorithm=value",
+    ]
+    trainer = make_trainer(configuration([*STYLIZATION, *words], tmp_path), tmp_path, [])
+    assert trainer.accumulate_grad_batches == 2 and trainer.gradient_clip_algorithm == "value"
+    for word, told in [
+        ("accumulate_grad_batch=2", "Did you mean 'accumulate_grad_batches'?"),
+        ("accumulate_grad_batches=two", "could not be converted to Integer"),
+        ("max_epochs=3", "Did you mean 'max_steps'?"),
+        ("max_time=3", "give days and time as DD:HH:MM:SS"),
+        ("profiler=no_such", "it can only be one of"),
+    ]:
+        with pytest.raises(UserError, match=re.escape(told)):
+            mistaken = configuration([*STYLIZATION, f"trainer.{word}"], tmp_path)
+            check_options(mistaken)
+            make_trainer(mistaken, tmp_path, [])
 
 
 @pytest.mark.slow

@@ -44,8 +44,15 @@ class NNFM(FeatureLoss):
         image, given = styles
         num_views = len(images) // len(image)
         targets = _unit(self.targets(image)).repeat_interleave(num_views, 0)
-        distances = [self.distance(*pair) for pair in zip(_unit(features()), targets, strict=True)]
-        return mean_where(torch.stack(distances), given.repeat_interleave(num_views))
+        return mean_where(
+            self.distances(_unit(features()), targets, rows=len(image)), given.repeat_interleave(num_views)
+        )
+
+    def distances(
+        self, features: Float[Tensor, "M C S"], targets: Float[Tensor, "M C T"], *, rows: int
+    ) -> Float[Tensor, " M"]:
+        """Of each view of ``rows`` scenes."""
+        return torch.stack([self.distance(*pair) for pair in zip(features, targets, strict=True)])
 
     def distance(self, features: Float[Tensor, "C S"], target: Float[Tensor, "C T"]) -> Float[Tensor, ""]:
         """Of a view's unit features from the style image's."""

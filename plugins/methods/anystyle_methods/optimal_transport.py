@@ -2,13 +2,16 @@
 
 import math
 from collections.abc import Sequence
+from itertools import chain
 from pathlib import Path
+from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from anystyle.errors import UserError
+from anystyle.losses.features import drawn_for_rows
 from anystyle_methods.nnfm import NNFM
 
 
@@ -57,14 +60,23 @@ class OptimalTransport(NNFM):
     def example(cls, folder: Path) -> dict[str, object]:
         return {**super().example(folder), "num_samples": 64, "iterations": 5}
 
+    def distances(
+        self, features: Float[Tensor, "M C S"], targets: Float[Tensor, "M C T"], *, rows: int
+    ) -> Float[Tensor, " M"]:
+        def draw(number: int) -> list[Any]:
+            views, counts = range(len(features) // rows), (features.shape[2], targets.shape[2])
+            return [[self._drawn(count) for _ in views for count in counts] for _ in range(number)]
+
+        chosen = iter(chain.from_iterable(drawn_for_rows(rows, draw)))
+        pairs = zip(features, targets, strict=True)
+        return torch.stack([self.distance(one[:, next(chosen)], other[:, next(chosen)]) for one, other in pairs])
+
     def distance(self, features: Float[Tensor, "C S"], target: Float[Tensor, "C T"]) -> Float[Tensor, ""]:
-        cost = 1 - self._drawn(features).mT @ self._drawn(target)
+        cost = 1 - features.mT @ target
         return (transport_plan(cost.detach(), self.capacity, self.epsilon, self.iterations) * cost).sum()
 
-    def _drawn(self, features: Float[Tensor, "C S"]) -> Float[Tensor, "C N"]:
-        if features.shape[1] <= self.num_samples:
-            return features
-        return features[:, torch.randperm(features.shape[1])[: self.num_samples].to(features.device)]
+    def _drawn(self, count: int) -> slice | Int[Tensor, " N"]:
+        return slice(None) if count <= self.num_samples else torch.randperm(count)[: self.num_samples]
 
 
 def transport_plan(

@@ -5,7 +5,7 @@ import contextlib
 import functools
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,9 @@ from omegaconf import DictConfig
 from anystyle import paths
 from anystyle.cli.arguments import EPILOG, MODES, new_parser, split
 from anystyle.cli.run import run, wants_traceback, words_of
-from anystyle.errors import UserError
+from anystyle.errors import UserError, unknown
 from anystyle.registry.compose import VERSION_BASE, check_words, choices, override
+from anystyle.registry.jobs import announcement
 from anystyle.registry.packages import groups
 from anystyle.registry.source import register
 
@@ -69,6 +70,8 @@ def launch(
     @functools.wraps(function)
     def task(config: DictConfig) -> Any:
         if HydraConfig.get().mode is RunMode.MULTIRUN:
+            print(announcement(), file=sys.stderr, flush=True)
+            check_objective(config)
             return function(config)  # Hydra reports which job failed
         try:
             return function(config)
@@ -80,6 +83,26 @@ def launch(
         hydra.main(version_base=VERSION_BASE, config_path=str(folder or paths.CONF), config_name=config_name)(task)()
     if failures:
         raise failures[0]
+
+
+def check_objective(config: DictConfig) -> None:
+    """Refuse a search that would learn nothing from its jobs, before the first of them is run."""
+    sweeper = HydraConfig.get().runtime.choices["hydra/sweeper"]
+    if sweeper != "basic" and not config.get("objective"):
+        raise UserError(
+            f"hydra/sweeper={sweeper} compares its jobs by a value; name one that they log, such as "
+            "objective=train/loss"
+        )
+
+
+def returned(objective: str | Sequence[str] | None, values: Mapping[str, float]) -> Any:
+    """What a job returns to Hydra's sweeper: the value of this name, a list for a list of names, all without one."""
+    if objective is None:
+        return dict(values)
+    for name in [objective] if isinstance(objective, str) else objective:
+        if name not in values:
+            raise UserError(f"objective: {unknown('value', name, values)}")
+    return values[objective] if isinstance(objective, str) else [values[name] for name in objective]
 
 
 def with_sweep(parser: argparse.ArgumentParser, words: Sequence[str], *further: str) -> list[str]:

@@ -2,7 +2,6 @@
 
 import argparse
 import platform
-import shlex
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -13,9 +12,9 @@ from typing import Any
 import torch
 from omegaconf import DictConfig, OmegaConf, open_dict
 
-from anystyle.cli.arguments import new_parser
-from anystyle.cli.launch import checked_seed, describe, job_folder, launch, override, run, split, with_sweep
-from anystyle.cli.run import words_of
+from anystyle.cli.arguments import new_parser, split
+from anystyle.cli.launch import checked_seed, describe, job_folder, launch, override, returned, with_sweep
+from anystyle.cli.run import run, words_of
 from anystyle.contracts import Correspondence, Metric, StyleEncoder, StyleSource
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
@@ -24,8 +23,10 @@ from anystyle.evaluation.config_lock import bind
 from anystyle.evaluation.runs import job_order
 from anystyle.io.checkpoint import read_header
 from anystyle.io.documents import read_json
+from anystyle.pipeline.provenance import commit
 from anystyle.registry.build import build, build_all, plugin_of
 from anystyle.registry.catalog import catalog
+from anystyle.registry.jobs import command_line
 from anystyle.registry.schema import runtime_arguments
 from anystyle.registry.untrusted import check_saved
 
@@ -77,8 +78,11 @@ def subject_words(words: Sequence[str]) -> list[str]:
     return [] if "stylizer" in runtime_arguments(catalog().find("protocol", name)) else ["subject=images"]
 
 
-def evaluate(config: DictConfig, out: Path) -> Evaluation:
-    """Run the protocol of a composed configuration, and write its result; an evaluation in ``out`` is resumed."""
+def evaluate(config: DictConfig, out: Path, *flags: str) -> Evaluation:
+    """Run the protocol of a composed configuration, and write its result; an evaluation in ``out`` is resumed.
+
+    The ``flags`` are those of the command that are no overrides, for the record.
+    """
     start = time.perf_counter()
     torch.manual_seed(checked_seed(config.seed))
     plugin, options = plugin_of(Protocol, config.protocol)
@@ -99,7 +103,8 @@ def evaluate(config: DictConfig, out: Path) -> Evaluation:
             "weights": {**weights, **{f"metric {name}": files for name, files in judges.items() if files}},
             "seconds": round(time.perf_counter() - start, 3),
             "machine": f"{platform.machine()} {platform.system()}, {device}",
-            "command": shlex.join(["anystyle", "evaluate", *sys.argv[1:]]),
+            "command": command_line("evaluate", *flags, "--out", str(out)),
+            "commit": commit(),
             "seed": config.seed,
             "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True),
             "versions": {name: version(name) for name in ("anystyle", "torch", "numpy")},
@@ -191,7 +196,11 @@ def main(words: Sequence[str] | None = None) -> None:
         rest = [*folder_words(arguments), *rest]
         if arguments.trained is None:
             rest = [*subject_words(rest), *rest]
-            launch("evaluate", lambda config: evaluate(config, job_folder(arguments.out or "evaluation")), rest)
+
+            def judged(config: DictConfig) -> Any:
+                return returned(config.objective, evaluate(config, job_folder(arguments.out or "evaluation")).figures)
+
+            launch("evaluate", judged, rest)
             return
         folders = trained_runs(Path(arguments.trained))
         for folder in folders:
@@ -199,7 +208,12 @@ def main(words: Sequence[str] | None = None) -> None:
             if arguments.out is not None and len(folders) > 1:
                 out = out / folder.name
             print(folder, file=sys.stderr)
-            launch("evaluate", lambda config, folder=folder, out=out: evaluate(configured(config, folder), out), rest)
+
+            def of_run(config: DictConfig, folder: Path = folder, out: Path = out) -> Any:
+                evaluation = evaluate(configured(config, folder), out, "--run", str(folder))
+                return returned(config.objective, evaluation.figures)
+
+            launch("evaluate", of_run, rest)
 
     run(command)
 

@@ -5,28 +5,31 @@ import logging
 import signal
 import sys
 from pathlib import Path
+from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.cli.launch import main
+from anystyle.cli.launch import main, returned
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
+from anystyle.io.documents import Figure, as_number, kept_json
 from anystyle.paths import shown
 from anystyle.training.pipeline import train_pipeline
-from anystyle.training.run import train
+from anystyle.training.run import METRICS, train
 
 
-def run(config: DictConfig) -> dict[str, float]:
-    """Train, and print where the results are."""
+def run(config: DictConfig) -> Any:
+    """Train, print where the results are, and return the values of ``objective``."""
     check_devices(config)
     out = Path(config.out)
     if config.pipeline is not None:
         weights = train_pipeline(config.pipeline, HydraConfig.get().overrides.task, out)
         names = ", ".join(path.name for path in weights)
         print(f"{len(weights)} trainings done; {names} in {shown(weights[0].parent)}")
-        return {}
+        logged = kept_json(out / list(config.pipeline)[-1] / METRICS, dict[str, Figure]) or {}
+        return returned(config.objective, {name: as_number(value) for name, value in logged.items()})
     for name in ("lightning.pytorch", "lightning.fabric"):
         logging.getLogger(name).setLevel(logging.WARNING)
 
@@ -49,7 +52,7 @@ def run(config: DictConfig) -> dict[str, float]:
         if HydraConfig.get().mode is RunMode.MULTIRUN:
             raise KeyboardInterrupt  # the jobs that follow are left for the next start
         sys.exit(128 + signal.Signals[outcome.stopped_by])
-    return dict(outcome.metrics)
+    return returned(config.objective, outcome.metrics)
 
 
 def write_hydra_files(config: DictConfig, out: Path) -> None:

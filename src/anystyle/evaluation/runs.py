@@ -7,13 +7,11 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException
-
 from anystyle.errors import UserError
 from anystyle.evaluation import record
 from anystyle.evaluation.base import Evaluation
 from anystyle.io.documents import kept_json, read_yaml
+from anystyle.registry.jobs import swept
 
 OVERRIDES = Path(".hydra") / "overrides.yaml"
 
@@ -50,7 +48,8 @@ def find(folder: Path) -> list[Run]:
 
 def _inside(folder: Path) -> Iterator[Run]:
     folders = [path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")]
-    jobs = {str(number): words for number, words in enumerate(_expected(folder / "multirun.yaml"))}
+    lists = swept(folder)
+    jobs = {str(number): words for number, words in enumerate(product(*lists) if lists else ())}
     known = {path.name: _run(path) for path in folders if _is_run(path)}
     for name, words in jobs.items():
         if name not in known:
@@ -87,21 +86,6 @@ def _run(folder: Path) -> Run:
 def _evaluation(folder: Path) -> Path | None:
     inside = sorted(path.parent for path in folder.glob(f"*/{record.FILE}"))
     return next((path for path in (folder, folder / "evaluation", *inside) if record.read(path) is not None), None)
-
-
-def _expected(path: Path) -> list[tuple[str, ...]]:
-    """The overrides of every job of a multirun, in Hydra's order; none where they are not known."""
-    try:
-        sweep: dict[str, Any] = read_yaml(path, dict[str, Any], what="record of a multirun")
-        lists = [
-            [f"{item.get_key_element()}={value}" for value in item.sweep_string_iterator()]
-            if item.is_sweep_override()
-            else [str(item.input_line)]
-            for item in OverridesParser.create().parse_overrides(sweep["hydra"]["overrides"]["task"])
-        ]
-    except (UserError, HydraException, KeyError, TypeError):
-        return []
-    return list(product(*lists))
 
 
 def job_order(path: Path) -> tuple[int, str]:

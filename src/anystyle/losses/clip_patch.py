@@ -1,5 +1,7 @@
 """CLIP patch: align the change of random warped crops of every view with the direction of the style."""
 
+from collections.abc import Callable
+
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
@@ -8,7 +10,7 @@ from torch import Tensor
 
 from anystyle.contracts import Loss, StyleEncoder
 from anystyle.errors import UserError
-from anystyle.losses.features import Reference, reference_embeddings, resized
+from anystyle.losses.features import Reference, drawn_for_rows, reference_embeddings, resized
 from anystyle.types import Stylization
 from anystyle.vision.eager_backward import eager_backward
 
@@ -62,7 +64,7 @@ class ClipPatch(Loss):
         generator = None if self.training else torch.Generator().manual_seed(0)
         # With a shared crop all copies of a view are equal, so one a view gives the same mean.
         copies = 1 if self.shared_crop else self.crops
-        patches = self._patches(color.repeat_interleave(copies, 0), generator)
+        patches = self._patches(color.repeat_interleave(copies, 0), len(result.renders.color), generator)
         before = reference_embeddings(result, self.reference, self._encoder[0], self.size)
         target = F.normalize(result.embedding.direction, dim=-1).repeat_interleave(result.renders.color.shape[1], 0)
         total = color.new_zeros(())
@@ -76,13 +78,23 @@ class ClipPatch(Loss):
             total = total + eager_backward(distance, patches[index])
         return total / len(patches)
 
-    def _patches(self, images: Float[Tensor, "M 3 H W"], generator: torch.Generator | None) -> Float[Tensor, "M 3 c c"]:
+    def _patches(
+        self, images: Float[Tensor, "M 3 H W"], rows: int, generator: torch.Generator | None
+    ) -> Float[Tensor, "M 3 c c"]:
         count, _, height, width = images.shape
         side = min(self.crop_size, height, width)
-        draws = 1 if self.shared_crop else count
-        top = torch.randint(height - side + 1, (draws,), generator=generator).expand(count).tolist()
-        left = torch.randint(width - side + 1, (draws,), generator=generator).expand(count).tolist()
-        corners = random_corners(draws, side, self.distortion, generator).expand(count, 4, 2)
+
+        def drawn(draw: Callable[[int], Tensor]) -> Tensor:
+            """What ``draw`` gives for a number of images, for each of ours."""
+            if self.shared_crop:
+                return (one := draw(1)).expand(count, *one.shape[1:])
+            return drawn_for_rows(rows, lambda number: draw(number * count // rows).unflatten(0, (number, -1))).flatten(
+                0, 1
+            )
+
+        top = drawn(lambda number: torch.randint(height - side + 1, (number,), generator=generator)).tolist()
+        left = drawn(lambda number: torch.randint(width - side + 1, (number,), generator=generator)).tolist()
+        corners = drawn(lambda number: random_corners(number, side, self.distortion, generator))
         cut = [image[:, y : y + side, x : x + side] for image, y, x in zip(images.unbind(), top, left, strict=True)]
         return warp_to_corners(torch.stack(cut), corners.to(images))
 

@@ -5,9 +5,10 @@ from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from functools import cache, partial
 from itertools import chain
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, TypeVar
 
 import torch
+import torch.distributed as dist
 import torch.nn.functional as F
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -35,6 +36,19 @@ def style_images(result: Stylization) -> tuple[Float[Tensor, "B 3 h w"], Bool[Te
 def mean_where(values: Float[Tensor, " M"], given: Bool[Tensor, " M"]) -> Float[Tensor, ""]:
     """The mean of the values where ``given``; 0 if none is."""
     return torch.where(given, values, 0).sum() / given.sum().clamp_min(1)
+
+
+Drawn = TypeVar("Drawn", Tensor, list[Any])
+
+
+def drawn_for_rows(rows: int, draw: Callable[[int], Drawn]) -> Drawn:
+    """Random numbers for each row of a batch; of several processes each draws those of all rows and takes its own.
+
+    Row ``i`` of a process is row ``i * world + rank`` of the step, whose seed all processes share.
+    """
+    if not (dist.is_available() and dist.is_initialized()):
+        return draw(rows)
+    return draw(rows * dist.get_world_size())[dist.get_rank() :: dist.get_world_size()]
 
 
 Reference = Literal["photograph", "render"]

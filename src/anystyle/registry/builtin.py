@@ -49,6 +49,7 @@ OPTIONS = {
     "branch": "anystyle.pipeline.options:BranchOptions",
     "export": "anystyle.pipeline.options:ExportOptions",
     "splat": "anystyle.pipeline.options:SplatOptions",
+    "trainer": "anystyle.training.trainer:TrainerOptions",
     "views": "anystyle.pipeline.options:ViewOptions",
 }
 """Dataclasses of options that belong to no plugin, by their key in a configuration: ``options/KEY`` in a defaults list

@@ -1,5 +1,6 @@
 """Composing a configuration: ``conf/`` and the catalog through Hydra's compose API, with errors in one line."""
 
+import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -170,8 +171,21 @@ def flat(node: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:
     return values
 
 
+def _same(before: object, now: object) -> bool:
+    """Whether two values are equal, or texts that name one file or folder: absolute, relative, through a link."""
+    if isinstance(before, list) and isinstance(now, list):
+        return len(before) == len(now) and all(map(_same, before, now))
+    if before == now or not (isinstance(before, str) and isinstance(now, str)):
+        return before == now
+    return _place(before) == _place(now)
+
+
+def _place(text: str) -> str:
+    return os.path.realpath(Path(text).expanduser() if text.startswith("~/") else text)
+
+
 def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
     """The first five values that are not what they were, in words; empty where all are."""
-    changed = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
+    changed = sorted(key for key in {*before, *now} if not _same(before.get(key), now.get(key)))
     shown = [f"{key} {before.get(key)} -> {now.get(key)}" for key in changed[:5]]
     return ", ".join([*shown, *(["…"] if len(changed) > 5 else [])])

@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from lightning.fabric.utilities.throughput import Throughput
 from lightning.pytorch import Callback, LightningModule, Trainer
+from lightning.pytorch.callbacks import ThroughputMonitor
 from torch import Tensor, nn
 
 from anystyle.errors import UserError, one_line
@@ -22,7 +24,7 @@ log = logging.getLogger(__name__)
 
 
 class StepSeed(Callback):
-    """Seed the global generators before every step with the run's seed, the step and the rank.
+    """Seed the global generators before every step with the run's seed and the step, alike in all processes.
 
     A step's randomness is then a function of the step, and a resumed run needs no generator's state.
     """
@@ -31,7 +33,22 @@ class StepSeed(Callback):
         self.seed = seed
 
     def on_train_batch_start(self, trainer: Trainer, pl_module: LightningModule, batch: Any, batch_idx: int) -> None:
-        torch.manual_seed(int(generator(self.seed, batch_idx, trainer.global_rank).integers(2**63)))
+        torch.manual_seed(int(generator(self.seed, batch_idx, 0).integers(2**63)))
+
+
+class StepThroughput(ThroughputMonitor):
+    """Lightning's, whose ``samples`` count those of all processes, which have equally many."""
+
+    def setup(self, trainer: Trainer, pl_module: LightningModule, stage: str) -> None:
+        super().setup(trainer, pl_module, stage)
+        for key in self._throughputs:
+            self._throughputs[key] = _AllSamples(world_size=trainer.world_size, **self.kwargs)
+
+
+class _AllSamples(Throughput):
+    def compute(self) -> dict[str, int | float]:
+        values = super().compute()
+        return values | {"samples": values["samples"] * self.world_size} if "samples" in values else values
 
 
 class RunCheckpoint(Callback):
@@ -47,7 +64,7 @@ class RunCheckpoint(Callback):
     def __init__(self, path: Path, *, every_steps: int = 500, every_minutes: float = 5.0) -> None:
         self.path, self.every_steps, self.every_seconds = path, every_steps, 60 * every_minutes
         self.stopped_by: str | None = None
-        self.started = False
+        self.started = self._saved = False
         self.metrics: dict[str, float] = {}
         self._saved_at = time.monotonic()
         self._step = 0
@@ -79,12 +96,14 @@ class RunCheckpoint(Callback):
         if stop or late or self._step % self.every_steps == 0:
             self.save(trainer)
         if stop:
+            self._saved = True
+            self.stopped_by = self.stopped_by or "SIGTERM"  # of another process
             log.warning("stopped by %s after step %d; the same command resumes", self.stopped_by, self._step)
             trainer.should_stop = True
 
     def on_train_end(self, trainer: Trainer, pl_module: LightningModule) -> None:
         self._restore_handlers()
-        if trainer.global_step and self.stopped_by is None:
+        if trainer.global_step and not self._saved:  # alike in all processes, which save together
             self.save(trainer)
 
     def on_exception(self, trainer: Trainer, pl_module: LightningModule, exception: BaseException) -> None:

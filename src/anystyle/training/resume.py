@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,8 @@ from anystyle.registry.compose import changes, flat
 
 UNBOUND = (
     "resume", "checkpoint", "loggers", "workers", "export", "out", "fast_dev_run", "name", "explosion", "precision",
+    "cache", "objective", "trainer.max_time", "trainer.log_every_n_steps", "trainer.profiler",
+    "trainer.enable_progress_bar", "trainer.enable_model_summary",
 )  # fmt: skip
 """Parts of a configuration that may change when a run is resumed: they do not change its result."""
 
@@ -57,9 +60,14 @@ def exclusive(out: Path) -> AbstractContextManager[None]:
 
 def bound(config: DictConfig) -> dict[str, Any]:
     """The part of a configuration that a resumed run must share, as plain values by their full keys."""
-    values = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
-    assert isinstance(values, dict)
-    return json.loads(json.dumps(plain(flat({key: value for key, value in values.items() if key not in UNBOUND}))))
+    values: Any = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
+    return json.loads(json.dumps(plain(_compared(flat(values)))))
+
+
+def _compared(values: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        key: value for key, value in values.items() if not f"{key}.".startswith(tuple(f"{name}." for name in UNBOUND))
+    }
 
 
 def resumable(config: DictConfig, last: Path) -> Resumed | None:
@@ -88,7 +96,7 @@ def _refuse_changes(config: DictConfig, record: Path) -> None:
     if not record.is_file():
         raise UserError(f"{record.parent} holds a checkpoint and no {record.name} with its configuration; {options}")
     before: dict[str, Any] = read_json(record, dict[str, Any], what=f"record of a run's configuration; {options}")
-    changed = changes(before, bound(config))
+    changed = changes(_compared(before), bound(config))
     if changed:
         raise UserError(f"{record.parent} holds a run of another configuration ({changed}); {options}")
 

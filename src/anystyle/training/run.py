@@ -1,10 +1,7 @@
 """One run of a training: build its parts, resume from its checkpoint, train, and export its weights."""
 
-import os
-import shlex
+import hashlib
 import shutil
-import subprocess
-import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -16,15 +13,16 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
 
-from anystyle.contracts import Backbone, Loss, Renderer, StyleEncoder, StyleSource
+from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
-from anystyle.io.checkpoint import Header, load_part, save_part
+from anystyle.io.checkpoint import Header, load_part, save_part, sha256
 from anystyle.io.documents import Figure, as_number, kept_json
-from anystyle.paths import SHARED
 from anystyle.pipeline.load import assemble, branch_header, make_scenes, room_for_backbone, weights_file
+from anystyle.pipeline.provenance import commit
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
+from anystyle.registry.jobs import command_line
 from anystyle.registry.schema import runtime_arguments
 from anystyle.training.base import Training
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
@@ -75,8 +73,7 @@ def train(config: DictConfig, out: Path, on_begin: Callable[[int], None] = lambd
 
 def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None]) -> Outcome:
     # Now: the checkout may change while the run goes on with the code it was started with.
-    command = shlex.join(["anystyle", "train", *sys.argv[1:]])
-    provenance = {"command": command, "commit": commit(), "seed": config.seed, "torch": torch.__version__}
+    code = {"command": command_line("train"), "commit": commit(), "torch": torch.__version__}
     last = out / "last.ckpt"
     if is_rank_zero():
         for partial in out.glob(".partial-*.ckpt"):  # of a run that was killed while it wrote
@@ -117,7 +114,8 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None]) -> Ou
         average.swap(training)
     weights: tuple[Path, ...] = ()
     if rank_zero:
-        weights = export(config, training.exports(), out, provenance={**provenance, "steps": steps})
+        provenance = {**code, "seed": config.seed, "steps": steps, **inputs_of(config, sources)}
+        weights = export(config, training.exports(), out, provenance=provenance)
         write_json(out / METRICS, dict(sorted(metrics.items())))
     return Outcome(steps, True, metrics, weights, rank_zero, checkpoint.stopped_by)
 
@@ -207,6 +205,19 @@ def make_sources(config: DictConfig) -> dict[str, Any]:
     return {name: source(kind, name) for kind in ("scenes", "styles") for name in (kind, f"validation_{kind}")}
 
 
+def inputs_of(config: DictConfig, sources: Mapping[str, Any]) -> dict[str, Any]:
+    """What a training has read: the hash of each file of weights; of each source its length, of scenes their names."""
+    weights = {part: sha256(weights_file(name)) for part, name in config.weights.items() if name is not None}
+    data: dict[str, Any] = {}
+    for name, source in sources.items():
+        if source is not None:
+            data[name] = {"count": len(source)}
+        if isinstance(source, SceneSource):
+            names = "".join(f"{source.name(scene)}\n" for scene in range(len(source)))
+            data[name]["sha256 of names"] = hashlib.sha256(names.encode()).hexdigest()
+    return {"weights": weights, "data": data}
+
+
 def make_data(config: DictConfig, training: Training, sources: Mapping[str, Any] | None = None) -> StepData:
     """The data module of training and validation batches; by default of the sources of the configuration."""
     sources = sources or make_sources(config)
@@ -236,14 +247,3 @@ def export(
         except OSError as error:
             raise UserError(f"{one_line(error)}; the same command writes it once there is room") from error
     return tuple(paths)
-
-
-def commit() -> str:
-    """The commit of the checkout, with ``+`` where files differ from it; empty where there is no checkout."""
-    if not (SHARED / ".git").exists():
-        return ""
-    git = ["git", "-C", os.fspath(SHARED), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
-    try:
-        return subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return ""

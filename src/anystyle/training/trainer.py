@@ -1,20 +1,23 @@
 """The Lightning trainer of a configuration: the ranges of its options, its callbacks and its loggers."""
 
 import sys
+import typing
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import field, make_dataclass
 from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as pl
 import numpy as np
 from lightning.fabric.utilities.exceptions import MisconfigurationException
-from lightning.pytorch.callbacks import LearningRateMonitor, ThroughputMonitor
+from lightning.pytorch.callbacks import LearningRateMonitor
 from lightning.pytorch.loggers import CSVLogger, Logger, MLFlowLogger, TensorBoardLogger, WandbLogger
 from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 
 from anystyle.errors import UserError, one_line, unknown
-from anystyle.training.callbacks import ProgressLines, StepSeed
+from anystyle.registry.schema import option
+from anystyle.training.callbacks import ProgressLines, StepSeed, StepThroughput
 from anystyle.training.safeguards import FiniteLoss, SkipOutliers
 
 
@@ -46,9 +49,28 @@ RANGES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
         f"trainer.{name}": _at_least(1)
         for name in ("log_every_n_steps", "val_check_interval", "accumulate_grad_batches", "num_nodes")
     },
+    "trainer.max_time": (lambda value: value is None or isinstance(value, str), "give days and time as DD:HH:MM:SS"),
+    "trainer.profiler": (lambda value: value is None or isinstance(value, str), "give simple, advanced or pytorch"),
+    "trainer.deterministic": _one_of(None, True, False, "warn"),
     "trainer.gradient_clip_val": (lambda value: value is None or float(value) >= 0, "give a norm, or null"),
 }
 """For each option the test of a value, and what is expected."""
+
+
+_OURS = (
+    "barebones", "callbacks", "check_val_every_n_epoch", "default_root_dir", "enable_checkpointing", "logger",
+    "max_epochs", "min_epochs", "plugins", "reload_dataloaders_every_n_epochs", "use_distributed_sampler",
+)  # fmt: skip
+_HINTS = typing.get_type_hints(pl.Trainer.__init__)
+TrainerOptions = make_dataclass(
+    "TrainerOptions",
+    [
+        (name, option(hint | None), field(default=None))
+        for name, hint in _HINTS.items()
+        if name not in (*_OURS, "return")
+    ],
+)
+"""The arguments of Lightning's Trainer but those that a run sets itself; ``None`` leaves each to Lightning."""
 
 
 def check_options(config: DictConfig) -> None:
@@ -73,15 +95,17 @@ def check_options(config: DictConfig) -> None:
 
 def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) -> pl.Trainer:
     """Build the trainer of a run; ``config.trainer`` holds options of Lightning's."""
-    options: Any = OmegaConf.to_container(config.trainer, resolve=True)
+    values: Any = OmegaConf.to_container(config.trainer, resolve=True)
     is_terminal = sys.stderr.isatty()
+    options = {"num_sanity_val_steps": 0, "enable_model_summary": False, "enable_progress_bar": is_terminal}
+    options |= {name: value for name, value in values.items() if value is not None}
     common: list[pl.Callback] = [
         StepSeed(config.seed),
         FiniteLoss(out / "refused_batch.pt", growth=None if config.explosion is None else float(config.explosion)),
         LearningRateMonitor(),
-        ThroughputMonitor(lambda batch: getattr(batch, "num_images", 1), window_size=20),
+        StepThroughput(lambda batch: getattr(batch, "num_images", 1), window_size=20),
         *([SkipOutliers()] if config.skip_outliers else []),
-        *([] if is_terminal else [ProgressLines()]),
+        *([] if options["enable_progress_bar"] else [ProgressLines()]),
     ]
     try:
         return pl.Trainer(
@@ -89,11 +113,8 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
             default_root_dir=out,
             max_epochs=-1,
             check_val_every_n_epoch=None,
-            num_sanity_val_steps=0,
             use_distributed_sampler=False,
             enable_checkpointing=False,
-            enable_model_summary=False,
-            enable_progress_bar=is_terminal,
             logger=make_loggers(list(config.loggers), out, str(config.name)),
             callbacks=[*common, *callbacks],
         )

@@ -1,0 +1,65 @@
+"""The jobs of a multirun: the overrides of each, the line that announces it, and the command that repeats it."""
+
+import math
+import shlex
+from pathlib import Path
+from typing import Any
+
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+
+from anystyle.errors import UserError
+from anystyle.io.documents import read_yaml
+
+RECORD = "multirun.yaml"
+"""The file in a multirun's folder into which Hydra writes its configuration before the first job."""
+_NOT_REPEATED = (
+    "hydra.mode",
+    "hydra.sweep.",
+    "hydra.job.",
+    "hydra.launcher",
+    "hydra/launcher",
+    "hydra.sweeper",
+    "hydra/sweeper",
+)
+
+
+def swept(folder: Path) -> list[list[str]]:
+    """For each override of a multirun what its jobs are given, in Hydra's order; empty where that is not known."""
+    try:
+        sweep: dict[str, Any] = read_yaml(folder / RECORD, dict[str, Any], what="record of a multirun")["hydra"]
+        params = [f"{key}={value}" for key, value in (sweep["sweeper"].get("params") or {}).items()]
+        return [
+            [f"{item.get_key_element()}={value}" for value in item.sweep_string_iterator()]
+            if item.is_sweep_override()
+            else [str(item.input_line)]
+            for item in OverridesParser.create().parse_overrides([*params, *sweep["overrides"]["task"]])
+        ]
+    except (UserError, HydraException, KeyError, TypeError, AttributeError):
+        return []
+
+
+def announcement() -> str:
+    """The line with which a job of a multirun begins, such as ``job 3 of 8: placement=head seed=1``."""
+    hydra = HydraConfig.get()
+    lists: list[list[str]] = []
+    total = hydra.sweeper.get("n_trials")
+    if hydra.runtime.choices["hydra/sweeper"] == "basic":
+        lists = swept(Path(hydra.runtime.cwd, hydra.sweep.dir))
+        total = math.prod(map(len, lists)) if lists else None
+    varied = {values[0].partition("=")[0] for values in lists if len(values) > 1}
+    words = [word for word in hydra.overrides.task if not varied or word.partition("=")[0] in varied]
+    return f"job {hydra.job.num + 1}{f' of {total}' if total else ''}: {' '.join(words)}"
+
+
+def command_line(command: str, *flags: str) -> str:
+    """The command that repeats this job by itself; empty where no command is running."""
+    if not HydraConfig.initialized():
+        return ""
+    hydra = HydraConfig.get()
+    folders = [
+        f"--config-dir={source.path}" for source in hydra.runtime.config_sources if source.provider == "command-line"
+    ]
+    words = [word for word in hydra.overrides.hydra if not word.lstrip("+~").startswith(_NOT_REPEATED)]
+    return shlex.join(["anystyle", command, *flags, *hydra.overrides.task, *words, *folders])
