@@ -23,4 +23,4 @@ def shown(path: Path) -> str:
 
 def natural(name: str) -> list[tuple[int, str]]:
     """A key that sorts ``view2`` before ``view10``."""
-    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name.casefold()) if part]
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name.casefold()) if part]
