@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Backbone, Reconstruction
-from anystyle.data.folder import SourceImage, covering, read_originals, read_views
+from anystyle.data.folder import SourceImage, covering, files_of, read_originals, read_views
 from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.pipeline.cameras import KnownCameras, from_views
@@ -63,6 +63,19 @@ def saved_path(inputs: object) -> Path | None:
     given = list(inputs) if isinstance(inputs, (list, tuple)) else [inputs]
     single = given[0] if len(given) == 1 else None
     return Path(single) if isinstance(single, (str, Path)) and is_saved(Path(single)) else None
+
+
+def check_inputs(inputs: Inputs, poses: PoseOptions) -> None:
+    """Refuse inputs that are not there, which takes no time, before networks are loaded, which takes long."""
+    saved = saved_path(inputs)
+    if saved is not None and not saved.exists():
+        raise UserError(f"there is no file {saved}; name photographs, a video, a file of Gaussians or a saved folder")
+    if saved is None and not isinstance(inputs, Views):
+        files = [file for path in paths_of(inputs) for file in files_of(path)]
+        if not files:
+            raise UserError("no photographs are given; name a folder, files or a video")
+    if poses.folder is not None and not Path(poses.folder).exists():
+        raise UserError(f"poses_from={poses.folder} does not exist; name the folder or file that holds the cameras")
 
 
 def read(

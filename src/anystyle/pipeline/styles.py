@@ -11,7 +11,7 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.data.images import read_image
+from anystyle.data.images import image_size, read_image
 from anystyle.errors import UserError
 from anystyle.examples import resolved
 from anystyle.io.sheet import Cell, side_by_side, to_pil
@@ -94,6 +94,22 @@ def check_text(text: str, what: str = "the text of a style") -> None:
         raise UserError(f"{what} is empty; say what the result should look like")
     if len(text) > MAX_TEXT:
         raise UserError(f"{what} has {len(text)} characters; describe the style in at most {MAX_TEXT}")
+
+
+def check_styles(styles: Sequence[StyleInput]) -> None:
+    """Refuse texts that are empty and image files that are not there or no images, before networks are loaded."""
+    for style in styles:
+        match style:
+            case str():
+                check_text(style)
+            case Path():
+                image_size(resolved(style))
+            case Mixture():
+                check_styles([style.first, style.second])
+            case Places():
+                check_styles([part for part, _ in style.styles])
+            case _:
+                pass
 
 
 def embed_styles(
