@@ -26,7 +26,7 @@ from anystyle.pipeline.load import assemble, branch_header, room_for_backbone, w
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
 from anystyle.registry.schema import runtime_arguments
-from anystyle.training.base import Training
+from anystyle.training.base import Training, required
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
 from anystyle.training.data import StepData
 from anystyle.training.resume import RECORD, Resumed, bound, exclusive, is_rank_zero, resumable
@@ -91,6 +91,8 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None]) -> Ou
     )
     trainer = make_trainer(config, out, [*([average] if average else []), checkpoint])
     sources = make_sources(config)
+    for kind in catalog().owner("training", str(config.training.get("_target_"))).load().needs:
+        required(sources[kind], kind)
     torch.manual_seed(config.seed)
     training = make_training(config)
     data = make_data(config, training, sources)
