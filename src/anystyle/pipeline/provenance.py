@@ -15,6 +15,7 @@ from anystyle.examples import FOLDER, examples
 from anystyle.io import video
 from anystyle.io.checkpoint import sha256
 from anystyle.io.documents import parse_json
+from anystyle.paths import text_of
 from anystyle.types import StyledScene
 from anystyle.vision.weights import binding
 
@@ -26,9 +27,13 @@ def note(kind: str, files: Sequence[Path] = (), /, **facts: object) -> str:
     """A note on one or several files or a text; the hash of several is that of the lines of ``sha256sum``."""
     if files:
         lines = [f"{sha256(file)}  {file.name}\n" for file in files]
-        digest = lines[0][:64] if len(files) == 1 else hashlib.sha256("".join(lines).encode()).hexdigest()
+        digest = (
+            lines[0][:64]
+            if len(files) == 1
+            else hashlib.sha256("".join(lines).encode(errors="surrogateescape")).hexdigest()
+        )
         known = next((one for one in examples().values() if files[0].is_relative_to(FOLDER / one.file)), None)
-        facts |= {"names": [file.name for file in files], "sha256": digest}
+        facts |= {"names": [text_of(file.name) for file in files], "sha256": digest}
         if known is not None:
             facts |= {"title": known.title, "author": known.author, "year": known.year}
             facts |= {"license": known.license, "source": known.provenance}

@@ -15,6 +15,7 @@ from anystyle.data.images import image_size, read_image
 from anystyle.errors import UserError
 from anystyle.examples import resolved
 from anystyle.io.sheet import Cell, side_by_side, to_pil
+from anystyle.paths import text_of
 from anystyle.pipeline.controls import Controls, Mask, rescaled
 from anystyle.pipeline.provenance import note
 from anystyle.stylizer import Stylizer
@@ -151,7 +152,7 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer), notes)
         case Path():
             file = resolved(style)
-            title, image, notes = file.stem, read_image(file)[None], (note("image", [file]),)
+            title, image, notes = text_of(file.stem), read_image(file)[None], (note("image", [file]),)
         case Tensor():
             title, image, notes = "image", style[None], (note("image"),)
         case Style(image=Tensor() as image, names=names):

@@ -21,7 +21,7 @@ from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import Header, load_part, save_part
 from anystyle.io.documents import Figure, as_number, kept_json
-from anystyle.paths import SHARED
+from anystyle.paths import SHARED, expanded
 from anystyle.pipeline.load import assemble, branch_header, room_for_backbone, weights_file
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
@@ -202,7 +202,7 @@ def make_sources(config: DictConfig) -> dict[str, Any]:
         if config.get(key) is None or config[key].get("_target_") is None:
             return None
         built, cache = build(base, config[key]), config.get("cache")
-        return built if base is StyleSource or cache is None else CachedScenes(built, Path(cache).expanduser() / key)
+        return built if base is StyleSource or cache is None else CachedScenes(built, expanded(cache) / key)
 
     bases = {"scenes": SceneSource, "styles": StyleSource}
     return {name: source(base, name) for key, base in bases.items() for name in (key, f"validation_{key}")}

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from anystyle.io import ply
 from anystyle.types.network import Attributes, Features, Geometry, Tokens
-from anystyle.types.value import Value
+from anystyle.types.value import Given, Value
 from anystyle.types.views import Cameras, Views
 
 
@@ -33,7 +33,7 @@ class Clusters(Value):
 
 
 @dataclass(frozen=True)
-class Gaussians(Value):
+class Gaussians(Given):
     """3D Gaussians in world space.
 
     Args:

@@ -20,6 +20,7 @@ from anystyle.evaluation.model_renders import ModelRenders, Variant, suffix_of, 
 from anystyle.evaluation.pairing import Cell, Pairing
 from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle.methods.base import Method
+from anystyle.paths import expanded
 from anystyle.stylizer import Stylizer
 
 PHOTOGRAPHS = "photographs"
@@ -71,7 +72,7 @@ class Tables(Protocol):
                 raise UserError(f"{name}={value}: give at least 1")
         self.stylizer, self.method = stylizer, method
         self.metrics = _metrics_of(metrics, table)
-        self.folder = PaperFolder(Path(root).expanduser(), tuple(scene_names), num_styles, frames)
+        self.folder = PaperFolder(expanded(root), tuple(scene_names), num_styles, frames)
         self.guides = tuple(guides)
         self.methods = tuple(self.folder.methods if methods is None else methods)
         self.photographs = min(photographs, num_styles)
