@@ -231,7 +231,8 @@ def array(draw: random.Random, data: bytes, suffix: str) -> bytes:
     options: list[Any] = [
         values[:0], values[..., :1], values.ravel(), values[None], values * np.nan, values + np.inf, -values,
         values.astype(np.complex64), values.astype("U8"), values.astype(bool), values.astype("M8[s]"),
-        values.astype([("a", "f8")]), values.astype(np.float16), values.astype(">f8"), np.array([None, 1], object), np.zeros((0, 0)), np.float64(3),
+        values.astype([("a", "f8")]), values.astype(np.float16),
+        values.astype(">f8"), np.array([None, 1], object), np.zeros((0, 0)), np.float64(3),
     ]  # fmt: skip
     buffer = BytesIO()
     np.save(buffer, draw.choice(options), allow_pickle=True)
@@ -245,7 +246,7 @@ def tensors(draw: random.Random, data: bytes, suffix: str) -> bytes:
     content = torch.load(BytesIO(data), weights_only=True)
     holders = [holder for holder, key in _nodes([content]) if isinstance(holder[key], torch.Tensor)]
     holder = draw.choice(holders)
-    key = draw.choice([key for key in (holder if isinstance(holder, dict) else range(len(holder)))])
+    key = draw.choice(list(holder if isinstance(holder, dict) else range(len(holder))))
     tensor = holder[key] if isinstance(holder[key], torch.Tensor) else torch.zeros(3, 18)
     options: list[Callable[[], Any]] = [
         tensor.to_sparse, lambda: tensor.to("meta"), lambda: tensor + 1j, lambda: tensor.bool(), lambda: tensor * 0,
@@ -259,8 +260,10 @@ def tensors(draw: random.Random, data: bytes, suffix: str) -> bytes:
     return buffer.getvalue()
 
 
-NAMES = (b"photo\xb2", "photo²".encode(), "²".encode(), "1²".encode(), "①".encode(), "٣".encode(), b"\xff\xfe", b"a\xe9b", "é".encode(),
-         b" ", b"-", b"a=b", b"9" * 200, b"<b>", b"'\"", b"\n", b"${x}", b"~x")  # fmt: skip
+NAMES = (
+    b"photo\xb2", "photo²".encode(), "²".encode(), "1²".encode(), "①".encode(), "٣".encode(), b"\xff\xfe", b"a\xe9b",
+    "é".encode(), b" ", b"-", b"a=b", b"9" * 200, b"<b>", b"'\"", b"\n", b"${x}", b"~x",
+)  # fmt: skip
 """What files may be called, in bytes."""
 
 
@@ -268,8 +271,7 @@ def rename(draw: random.Random, path: Path) -> None:
     """A file of another name beside the file, a link in a circle, a folder, a pipe or nothing in its place."""
     kind = draw.choice(("name", "name", "name", "loop", "folder", "gone", "locked"))
     if kind == "name":
-        other = os.path.join(os.fsencode(path.parent), draw.choice(NAMES) + os.fsencode(path.suffix))
-        shutil.copyfile(path, os.fsdecode(other))
+        shutil.copyfile(path, path.with_name(os.fsdecode(draw.choice(NAMES)) + path.suffix))
     elif kind == "locked":
         path.chmod(0)
     else:
@@ -283,8 +285,9 @@ def rename(draw: random.Random, path: Path) -> None:
 OPTIONS = (
     "training.batch_size", "workers", "trainer.max_steps", "trainer.val_check_interval", "training.context_views",
     "training.target_views", "training.warmup", "training.render_every", "training.learning_rate", "scenes.num_scenes",
-    "scenes.samples", "scenes.size", "validation_steps", "checkpoint.every_steps", "checkpoint.every_minutes", "average",
-    "explosion", "seed", "backbone", "loss", "hydra.launcher._target_", "hydra.run.dir", "hydra", "training.heights",
+    "scenes.samples", "scenes.size", "validation_steps", "checkpoint.every_steps", "checkpoint.every_minutes",
+    "average", "explosion", "seed", "backbone", "loss", "hydra.launcher._target_", "hydra.run.dir", "hydra",
+    "training.heights",
 )  # fmt: skip
 WRITTEN = (
     "0", "-1", "nan", "inf", "-inf", "1e999", "99999", "9" * 30, "null", "", "[]", "[1", "{a:1}", "'", "${nope}", "${",

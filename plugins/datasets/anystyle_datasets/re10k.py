@@ -127,7 +127,8 @@ def _is_clip(clip: Any) -> bool:
     if not cameras.is_floating_point() or not all(isinstance(frame, Tensor) for frame in images):
         return False
     plausible = bool(cameras.isfinite().all() and (cameras[:, :2] > 0).all())
-    turned = torch.linalg.det(cameras[:, 6:].double().reshape(-1, 3, 4)[..., :3]).abs() > 1e-6
+    first, second, third = cameras[:, 6:].double().reshape(-1, 3, 4)[..., :3].unbind(1)
+    turned = (torch.linalg.cross(first, second) * third).sum(-1).abs() > 1e-6  # the determinant
     return plausible and bool(turned.all()) and all(frame.dtype == torch.uint8 for frame in images)
 
 
