@@ -43,7 +43,8 @@ def start(words: Sequence[str], folder: Path, output: Path, environment: Mapping
         os.chdir(folder)
         os.environ.update(environment or {})
         sys.argv = ["anystyle", *words]
-        sys.stdout, sys.stderr = (os.fdopen(number, "w", closefd=False) for number in (1, 2))
+        sys.stdout = os.fdopen(1, "w", closefd=False)
+        sys.stderr = os.fdopen(2, "w", closefd=False, errors="backslashreplace")  # as Python's own
         signal.signal(signal.SIGINT, signal.default_int_handler)
         main()
     except SystemExit as end:

@@ -1,6 +1,7 @@
 """Valid inputs of the commands that read files, and ways to damage one."""
 
 import json
+import os
 import random
 import shutil
 from collections.abc import Callable
@@ -24,6 +25,7 @@ from anystyle.pipeline.export import export
 from anystyle.types import Cameras, Gaussians
 from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.wikiart import WikiArtStyles
+from training_cases import RECONSTRUCTION
 
 CHECK = ("data", "check", ".")
 TINY = (
@@ -133,6 +135,10 @@ def write(root: Path) -> dict[str, Case]:
     (plugin / "mine" / "weights.toml").write_text(table)
     files = ("pyproject.toml", "mine/weights.toml")
     cases["plugin"] = Case(files, ("weights", "list"), (("ANYSTYLE_PLUGINS", "."),))
+    new("train")
+    cases["train"] = Case(
+        (), ("train", *(word for word in RECONSTRUCTION if "max_steps" not in word), "trainer.max_steps=1")
+    )
     draw = torch.Generator().manual_seed(0)
     parts = [torch.rand(1, 20, *shape, generator=draw) for shape in ((3,), (4,), (3,), (), (4, 3))]
     Gaussians(*parts).save(new("splat") / "binary.ply")
@@ -224,14 +230,86 @@ def array(draw: random.Random, data: bytes, suffix: str) -> bytes:
     values = np.load(BytesIO(data))
     options: list[Any] = [
         values[:0], values[..., :1], values.ravel(), values[None], values * np.nan, values + np.inf, -values,
-        values.astype(np.complex64), values.astype("U8"), np.array([None, 1], object), np.zeros((0, 0)), np.float64(3),
+        values.astype(np.complex64), values.astype("U8"), values.astype(bool), values.astype("M8[s]"),
+        values.astype([("a", "f8")]), values.astype(np.float16),
+        values.astype(">f8"), np.array([None, 1], object), np.zeros((0, 0)), np.float64(3),
     ]  # fmt: skip
     buffer = BytesIO()
     np.save(buffer, draw.choice(options), allow_pickle=True)
     return buffer.getvalue()
 
 
-MUTATORS: tuple[Callable[[random.Random, bytes, str], bytes], ...] = (cut, flip, splice, foreign, value, word, array)
+def tensors(draw: random.Random, data: bytes, suffix: str) -> bytes:
+    """A tensor of another layout, type, size or value."""
+    if suffix not in (".pt", ".torch"):
+        return array(draw, data, suffix)
+    content = torch.load(BytesIO(data), weights_only=True)
+    holders = [holder for holder, key in _nodes([content]) if isinstance(holder[key], torch.Tensor)]
+    holder = draw.choice(holders)
+    key = draw.choice(list(holder if isinstance(holder, dict) else range(len(holder))))
+    tensor = holder[key] if isinstance(holder[key], torch.Tensor) else torch.zeros(3, 18)
+    options: list[Callable[[], Any]] = [
+        tensor.to_sparse, lambda: tensor.to("meta"), lambda: tensor + 1j, lambda: tensor.bool(), lambda: tensor * 0,
+        lambda: tensor.half() / 0, lambda: torch.zeros(1).expand(1 << 40), lambda: tensor.ravel(), lambda: tensor[:0],
+        lambda: torch.quantize_per_tensor(tensor.float(), 0.1, 0, torch.qint8), lambda: -tensor.float(),
+        lambda: tensor.to(torch.float8_e4m3fn), lambda: tensor.double(), lambda: None, lambda: "a",
+    ]  # fmt: skip
+    holder[key] = draw.choice(options)()
+    buffer = BytesIO()
+    torch.save(content, buffer)
+    return buffer.getvalue()
+
+
+NAMES = (
+    b"photo\xb2", "photo²".encode(), "²".encode(), "1²".encode(), "①".encode(), "٣".encode(), b"\xff\xfe", b"a\xe9b",
+    "é".encode(), b" ", b"-", b"a=b", b"9" * 200, b"<b>", b"'\"", b"\n", b"${x}", b"~x",
+)  # fmt: skip
+"""What files may be called, in bytes."""
+
+
+def rename(draw: random.Random, path: Path) -> None:
+    """A file of another name beside the file, a link in a circle, a folder, a pipe or nothing in its place."""
+    kind = draw.choice(("name", "name", "name", "loop", "folder", "gone", "locked"))
+    if kind == "name":
+        shutil.copyfile(path, path.with_name(os.fsdecode(draw.choice(NAMES)) + path.suffix))
+    elif kind == "locked":
+        path.chmod(0)
+    else:
+        path.unlink()
+    if kind == "loop":
+        path.symlink_to(path.name)
+    elif kind == "folder":
+        path.mkdir()
+
+
+OPTIONS = (
+    "training.batch_size", "workers", "trainer.max_steps", "trainer.val_check_interval", "training.context_views",
+    "training.target_views", "training.warmup", "training.render_every", "training.learning_rate", "scenes.num_scenes",
+    "scenes.samples", "scenes.size", "validation_steps", "checkpoint.every_steps", "checkpoint.every_minutes",
+    "average", "explosion", "seed", "backbone", "loss", "hydra.launcher._target_", "hydra.run.dir", "hydra",
+    "training.heights",
+)  # fmt: skip
+WRITTEN = (
+    "0", "-1", "nan", "inf", "-inf", "1e999", "99999", "9" * 30, "null", "", "[]", "[1", "{a:1}", "'", "${nope}", "${",
+    "a", "true", "os.system", "[[1]]", "[0,0]", "[-1,2]", "[nan,1]", "0.5", "\udcff", "range(1,2,0)", "???", "²", "~",
+)  # fmt: skip
+
+
+def option(draw: random.Random, words: tuple[str, ...]) -> tuple[str, ...]:
+    """The command with one option more, of any value."""
+    return (*words, draw.choice(("", "", "", "+", "++", "~")) + f"{draw.choice(OPTIONS)}={draw.choice(WRITTEN)}")
+
+
+MUTATORS: tuple[Callable[[random.Random, bytes, str], bytes], ...] = (
+    cut,
+    flip,
+    splice,
+    foreign,
+    value,
+    word,
+    array,
+    tensors,
+)
 
 REGRESSIONS: tuple[tuple[str, str, bytes], ...] = (
     ("transforms", "garden/transforms.json", DEEP),

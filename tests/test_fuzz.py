@@ -10,11 +10,12 @@ import random
 import shutil
 import signal
 import time
+from dataclasses import replace
 
 import pytest
 
 import forked
-from fuzz_inputs import MUTATORS, REGRESSIONS, picture, write
+from fuzz_inputs import MUTATORS, REGRESSIONS, option, picture, rename, write
 from training_cases import RECONSTRUCTION
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")]
@@ -73,12 +74,21 @@ def test_damaged_inputs_end_well(cases, tmp_path):
         draw = random.Random(f"{os.environ.get('FUZZ_SEED', '0')} {number}")
         name = draw.choice(list(known))
         folder = copied(seeds, name, tmp_path)
-        path = folder / draw.choice(known[name].files)
-        mutate = draw.choice(MUTATORS)
-        path.write_bytes(mutate(draw, path.read_bytes(), path.suffix))
-        if found := problem(known[name], folder):
-            shutil.copytree(folder, tmp_path / f"kept-{number}")
-            problems.append(f"{number} {name} {path.name} {mutate.__name__}: {found}")
+        case, what = known[name], "option"
+        if not case.files:
+            case = replace(case, words=option(draw, case.words))
+            what = case.words[-1]
+        else:
+            path = folder / draw.choice(case.files)
+            mutate = draw.choice((*MUTATORS, None))
+            what = f"{path.name} {mutate.__name__ if mutate else 'rename'}"
+            if mutate is None:
+                rename(draw, path)
+            else:
+                path.write_bytes(mutate(draw, path.read_bytes(), path.suffix))
+        if found := problem(case, folder):
+            shutil.copytree(folder, tmp_path / f"kept-{number}", symlinks=True)
+            problems.append(f"{number} {name} {what}: {found}")
     assert not problems, "\n".join(problems)
 
 

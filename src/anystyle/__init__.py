@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from anystyle import types
+    from anystyle.data.images import read_image
     from anystyle.pipeline import weights
     from anystyle.pipeline.controls import Controls
     from anystyle.pipeline.load import load
@@ -37,6 +38,7 @@ _HOMES = {
     "catalog": "anystyle.registry.catalog",
     "load": "anystyle.pipeline.load",
     "plugin": "anystyle.registry.catalog",
+    "read_image": "anystyle.data.images",
     "stylize": "anystyle.pipeline.stylize",
 }
 
@@ -74,6 +76,7 @@ __all__ = [
     "catalog",
     "load",
     "plugin",
+    "read_image",
     "stylize",
     "types",
     "weights",

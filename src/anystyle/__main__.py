@@ -1,6 +1,7 @@
 """``anystyle COMMAND ...``: find the command and run it; nothing else is imported."""
 
 import ast
+import io
 import runpy
 import sys
 
@@ -39,6 +40,8 @@ def main() -> None:
 
     A training that restarts itself for each device is then started by the same command.
     """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # as Python's error stream: names need not be UTF-8
     first, *rest = sys.argv[1:] or ["--help"]
     if first in ("-h", "--help", "help"):
         rows = "\n".join(f"  {name:<10} {text}" for name, text in available().items())

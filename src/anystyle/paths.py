@@ -21,6 +21,27 @@ def shown(path: Path) -> str:
     return str(path)
 
 
+def text_of(name: str) -> str:
+    """A name as text that every file can hold: with escapes for bytes that are not UTF-8."""
+    return name.encode(errors="backslashreplace").decode()
+
+
+def expanded(path: str | Path) -> Path:
+    """A path with ``~`` as the home folder; as it is where nobody has such a name."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        return Path(path)
+
+
+def inside(folder: Path, name: str) -> Path | None:
+    """The path of a name that a file gives; ``None`` where it leads out of the folder, or no file can have it."""
+    try:
+        return folder / name if folder.resolve() in (folder / name).resolve().parents else None
+    except (OSError, RuntimeError, ValueError):  # links in a circle, NUL bytes
+        return None
+
+
 def natural(name: str) -> list[tuple[int, str]]:
     """A key that sorts ``view2`` before ``view10``."""
-    return [(int(part), "") if part.isdigit() else (0, part) for part in re.split(r"(\d+)", name.casefold()) if part]
+    return [(int(part), "") if part.isdecimal() else (0, part) for part in re.split(r"(\d+)", name.casefold()) if part]

@@ -2,16 +2,20 @@
 
 import contextlib
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
+from PIL import Image
 from torch import Tensor, nn
 
 from anystyle.branch import StyleBranch
 from anystyle.contracts import Backbone, Renderer, StyleEncoder, neutral_embedding
+from anystyle.data.images import read_image
 from anystyle.errors import UserError
 from anystyle.types import Cameras, Gaussians, Renders, Scene, StyleEmbedding, Views
+from anystyle.types.shapes import check_tensor
 
 
 class Stylizer(nn.Module):
@@ -66,30 +70,52 @@ class Stylizer(nn.Module):
 
     @torch.no_grad()
     def encode(self, views: Views) -> Scene:
-        """Compute everything that does not depend on style; once per scene."""
+        """Compute everything that does not depend on style; once per scene.
+
+        Raises:
+            UserError: The images are not in [0, 1], do not fit the backbone's patches, or are not where the model is.
+        """
+        _expect(views, Views)
+        multiple = self.backbone.patch_size
+        if any(side % multiple for side in views.size):
+            near = [max(1, round(side / multiple)) * multiple for side in views.size]
+            raise UserError(
+                f"the views are {views.size[0]} pixels high and {views.size[1]} wide, and sides are multiples of "
+                f"{multiple} here; resize them, to {near[0]} and {near[1]} for example"
+            )
+        self._check_images(views.images, "views")
         with self._precision(views.images.device):
             return self.backbone.encode(views)
 
     @torch.no_grad()
     def embed(
-        self, *, text: str | Sequence[str] | None = None, image: Float[Tensor, "B 3 h w"] | None = None
+        self,
+        *,
+        text: str | Sequence[str] | None = None,
+        image: Float[Tensor, "B 3 h w"] | str | Path | Image.Image | None = None,
     ) -> StyleEmbedding:
         """Embed styles given as texts or as images; :meth:`StyleEmbedding.toward` interpolates between two.
 
         Args:
             text: One description, or one a style.
-            image: sRGB in [0, 1].
+            image: sRGB in [0, 1]; or what :func:`anystyle.read_image` reads.
 
         Raises:
-            UserError: Neither is given, or both are.
+            UserError: Neither is given, or both are, or the image is of another shape or range.
         """
         if (text is None) == (image is None):
             raise UserError("a style is either a text or an image; mix two embeddings with `toward`")
         if image is not None:
+            if isinstance(image, (str, Path, Image.Image)):
+                image = read_image(image)[None].to(self.device)
+            check_tensor(image, Float[Tensor, "B 3 h w"], "the style image")
+            self._check_images(image, "style image")
             vector = self.style_encoder.embed_images(image)
         else:
-            assert text is not None
-            vector = self.style_encoder.embed_texts([text] if isinstance(text, str) else list(text))
+            texts = list(text) if isinstance(text, (list, tuple)) else [text]
+            if not texts or not all(isinstance(item, str) for item in texts):
+                raise UserError(f"{text!r:.80} is given; a text or a list of texts is expected")
+            vector = self.style_encoder.embed_texts(texts)
         direction = F.normalize(vector - neutral_embedding(self.style_encoder), dim=-1)
         return StyleEmbedding(vector=vector, direction=direction)
 
@@ -97,9 +123,20 @@ class Stylizer(nn.Module):
         """Give an encoded scene a style (paper, equations 5 and 6); several styles of one scene are one batch.
 
         Raises:
-            UserError: There are several scenes and not as many styles, or the scene has Gaussians of its own, which
-                :class:`anystyle.methods.branch.Branch` colours.
+            UserError: There are several scenes and not as many styles, the embedding is another encoder's, or the scene
+                has Gaussians of its own, which :class:`anystyle.methods.branch.Branch` colours.
         """
+        _expect(scene, Scene)
+        _expect(embedding, StyleEmbedding)
+        self._check_placed(embedding.vector, "embedding")
+        number, dim = embedding.vector.shape
+        if not number or dim != self.style_encoder.dim:
+            raise UserError(
+                f"{number} embeddings of {dim} dimensions; this model's styles have {self.style_encoder.dim}; make "
+                "them with this stylizer's `embed`"
+            )
+        if not (self.training or embedding.vector.isfinite().all()):
+            raise UserError("the embedding holds numbers that are not finite; make it with `embed`")
         if scene.gaussians is not None:
             raise UserError("a fitted or given scene takes its style by a method: Branch()(stylizer, scene, ...)")
         scene = _paired(scene, embedding)
@@ -117,14 +154,63 @@ class Stylizer(nn.Module):
 
     def render(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
         """Render every scene from every camera; the cameras of one scene serve all styles of it."""
-        batch = gaussians.means.shape[0]
-        if cameras.intrinsics.shape[0] == 1 and batch > 1:
+        _expect(gaussians, Gaussians)
+        _expect(cameras, Cameras)
+        batch, given = gaussians.means.shape[0], cameras.intrinsics.shape[0]
+        if given not in (1, batch):
+            raise UserError(
+                f"the cameras are of {given} scenes and the Gaussians of {batch}; give the cameras of one scene, or of "
+                "each, such as scene.cameras"
+            )
+        if gaussians.means.device != cameras.intrinsics.device:
+            raise UserError(
+                f"the Gaussians are on {gaussians.means.device} and the cameras on {cameras.intrinsics.device}; move "
+                "one with .to(...)"
+            )
+        if not self.training:
+            _check_cameras(cameras)
+        if given == 1 and batch > 1:
             cameras = cameras.expand(batch)
         return self.renderer(gaussians, cameras)
+
+    def _check_images(self, images: Float[Tensor, "*batch 3 _ _"], what: str) -> None:
+        """Refuse images that are empty, not sRGB in [0, 1], or not where the model is."""
+        self._check_placed(images, what)
+        if not images.numel():
+            raise UserError(f"{what} of shape {list(images.shape)}: there are no pixels; give at least one")
+        low, high = (value.item() for value in images.detach().aminmax())
+        if not (low >= -0.01 and high <= 1.01):
+            divide = "; divide by 255" if low >= 0 and 2 < high <= 255 else ""
+            raise UserError(f"{what}: values from {low:g} to {high:g}; sRGB in [0, 1] is expected{divide}")
+
+    def _check_placed(self, tensor: Tensor, what: str) -> None:
+        """Refuse a tensor on another device than the model, or of another precision than it computes in."""
+        own = next(self.parameters())
+        if tensor.device != own.device or tensor.layout != torch.strided:
+            raise UserError(f"{what}: on {tensor.device}, {tensor.layout}; a dense tensor on {own.device} is expected")
+        mixed = self.autocast or torch.is_autocast_enabled(own.device.type)
+        if tensor.dtype not in (torch.float32, own.dtype) and (tensor.dtype == torch.float64 or not mixed):
+            raise UserError(f"{what}: {tensor.dtype}; this model computes in {own.dtype}; use .to({own.dtype})")
 
     def forward(self, views: Views, embedding: StyleEmbedding) -> Gaussians:
         """The single pass: encode, then restyle."""
         return self.restyle(self.encode(views), embedding)
+
+
+def _expect(value: object, cls: type) -> None:
+    if not isinstance(value, cls):
+        raise UserError(f"a {type(value).__name__} is given; anystyle.types.{cls.__name__} is expected")
+
+
+def _check_cameras(cameras: Cameras) -> None:
+    """Refuse cameras that see nothing."""
+    focal = cameras.intrinsics[..., (0, 1), (0, 1)]
+    finite = bool(cameras.intrinsics.isfinite().all() & cameras.world_from_camera.isfinite().all())
+    if not finite or not bool((focal > 0).all()) or min(cameras.size) < 1:
+        raise UserError(
+            f"a camera of {cameras.size[0]} x {cameras.size[1]} pixels has a focal length or a side that is not above "
+            "0, or numbers that are not finite; intrinsics are in pixels"
+        )
 
 
 def _paired(scene: Scene, embedding: StyleEmbedding) -> Scene:

@@ -4,7 +4,7 @@ import shlex
 
 import pytest
 
-from anystyle.commands._compose import launch
+from anystyle.cli.launch import launch
 from anystyle.registry.jobs import command_line
 
 WORDS = ["training=reconstruction", "loss=[]", "weights.backbone=a/b.safetensors"]

@@ -3,7 +3,7 @@
 import pytest
 import yaml
 
-from anystyle.commands._compose import launch
+from anystyle.cli.launch import launch
 from anystyle.commands.train import run
 from anystyle.errors import UserError
 from anystyle.training.run import Outcome

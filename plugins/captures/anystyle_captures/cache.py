@@ -15,6 +15,7 @@ from torch import Tensor
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import atomic_path
+from anystyle.paths import expanded
 
 logger = logging.getLogger(__name__)
 
@@ -34,7 +35,7 @@ def folder() -> Path | None:
     if name == "off":
         return None
     if name:
-        return Path(name).expanduser() / "scenes"
+        return expanded(name) / "scenes"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "anystyle" / "scenes"
 
 

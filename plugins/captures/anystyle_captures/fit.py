@@ -21,6 +21,7 @@ from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import atomic_path
 from anystyle.io.limits import require
 from anystyle.methods.order import canonical_order
+from anystyle.paths import expanded
 from anystyle.types import Cameras, Geometry, OnProgress, Progress, Reconstructed, Scene, Views, no_progress
 from anystyle_captures.cache import cached, key_of
 from anystyle_captures.fit_loop import FitLoop, FitOptions, FitProgress, FitResult
@@ -110,7 +111,7 @@ class Fit(Reconstruction):
         self.num_gaussians, self.num_steps = num_gaussians, num_steps
         self.degree, self.seed = degree, seed
         self.holdout, self.keep = holdout, keep
-        self.state = None if state is None else Path(state).expanduser()
+        self.state = None if state is None else expanded(state)
 
     def amounts(self, num_views: int) -> tuple[int, FitOptions]:
         """The number of Gaussians at the start, and the options, for so many views."""

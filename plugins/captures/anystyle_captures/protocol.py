@@ -22,6 +22,7 @@ from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.documents import as_number, read_json
 from anystyle.io.sheet import to_pil
 from anystyle.methods.branch import Branch
+from anystyle.paths import expanded
 from anystyle.pipeline.camera_files import from_files
 from anystyle.pipeline.cameras import scene_from_known
 from anystyle.pipeline.encode import encoder
@@ -91,7 +92,7 @@ class Captures(Protocol):
     ) -> None:
         if not captures:
             raise UserError("protocol.captures is empty; name folders of photographs or videos")
-        self.stylizer, self.captures, self.poses = stylizer, [Path(path).expanduser() for path in captures], poses
+        self.stylizer, self.captures, self.poses = stylizer, [expanded(path) for path in captures], poses
         self.fit = Fit(quality=quality, num_gaussians=num_gaussians, num_steps=num_steps, holdout=holdout)
         self.short_side, self.take = short_side, take
         self.lpips = lpips.load(lpips_backbone, weights)

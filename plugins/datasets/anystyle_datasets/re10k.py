@@ -2,7 +2,6 @@
 
 import io
 import json
-import os
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -20,6 +19,7 @@ from anystyle.errors import UserError
 from anystyle.io.arrays import read_tensors
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import read_json
+from anystyle.paths import inside
 from anystyle.types import Cameras, Views
 
 
@@ -108,9 +108,9 @@ class Re10kScenes(SceneSource):
         return clips[key]
 
     def _load(self, chunk: str) -> dict[str, Mapping[str, Any]]:
-        path = self.folder / chunk
-        if os.path.realpath(path.parent) != os.path.realpath(self.folder):
-            raise UserError(f"{self.folder / 'index.json'} names {chunk}, which lies outside of its folder")
+        path = inside(self.folder, chunk)
+        if path is None:
+            raise UserError(f"{self.folder / 'index.json'} names {chunk!r:.200}, which lies outside of its folder")
         if not path.is_file():
             raise UserError(f"{path} is in the index and not there; download the chunk or take it out of the index")
         clips = read_tensors(path, what="chunk of clips")
@@ -126,8 +126,12 @@ def _is_clip(clip: Any) -> bool:
     cameras, images = clip.get("cameras"), clip.get("images")
     if not isinstance(cameras, Tensor) or not isinstance(images, list) or cameras.shape != (len(images), 18):
         return False
+    if not cameras.is_floating_point() or not all(isinstance(frame, Tensor) for frame in images):
+        return False
     plausible = bool(cameras.isfinite().all() and (cameras[:, :2] > 0).all())
-    return plausible and all(isinstance(frame, Tensor) and frame.dtype == torch.uint8 for frame in images)
+    first, second, third = cameras[:, 6:].double().reshape(-1, 3, 4)[..., :3].unbind(1)
+    turned = (torch.linalg.cross(first, second) * third).sum(-1).abs() > 1e-6  # the determinant
+    return plausible and bool(turned.all()) and all(frame.dtype == torch.uint8 for frame in images)
 
 
 def _cameras(rows: Float[Tensor, "V 18"], sources: Sequence[SourceImage]) -> Cameras:

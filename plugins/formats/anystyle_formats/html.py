@@ -63,7 +63,7 @@ class Html(Format):
             script=(assets / "page.js").read_text(encoding="utf-8"),
         )
         with atomic_path(path) as temporary:
-            temporary.write_text(page, encoding="utf-8")
+            temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
 
 
 def _script(value: object) -> str:

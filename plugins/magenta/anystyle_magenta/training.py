@@ -12,7 +12,9 @@ from torch import Tensor, nn
 
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.errors import UserError
+from anystyle.io.documents import Count, Positive
 from anystyle.nn.words import with_made_up_word
+from anystyle.registry.schema import AtLeastOne
 from anystyle.training.base import Training, required
 from anystyle.training.optim import decayed_adamw
 from anystyle.training.sampling import generator
@@ -79,15 +81,17 @@ class CaptionTraining(Training):
 
     variance: Tensor
 
+    needs = ("styles",)
+
     def __init__(
         self,
         *,
         style_encoder: MagentaEncoder,
-        batch_size: int = 128,
-        pool: int | None = None,
-        axes_on: int = 1024,
-        learning_rate: float = 2e-3,
-        warmup: int = 100,
+        batch_size: AtLeastOne = 128,
+        pool: AtLeastOne | None = None,
+        axes_on: AtLeastOne = 1024,
+        learning_rate: Positive = 2e-3,
+        warmup: Count = 100,
         weight_decay: float = 0.02,
     ) -> None:
         super().__init__()

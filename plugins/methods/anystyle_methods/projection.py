@@ -13,6 +13,7 @@ from anystyle.errors import UserError
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.methods.base import Method
 from anystyle.methods.colors import colors_alone, fit_colors
+from anystyle.paths import expanded
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, Style, StyleEmbedding
 from anystyle.types.progress import OnProgress, Progress, no_progress
@@ -37,7 +38,7 @@ class Projection(Method):
         if steps < 0:
             raise UserError(f"method.steps={steps}; give 0 or more")
         self.keep_harmonics = keep_harmonics
-        self.images, self.steps, self.damping = None if images is None else Path(images).expanduser(), steps, damping
+        self.images, self.steps, self.damping = None if images is None else expanded(images), steps, damping
 
     def __call__(
         self,

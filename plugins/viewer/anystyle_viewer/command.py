@@ -15,7 +15,7 @@ from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model
 from anystyle.pipeline.options import PoseOptions
 from anystyle.pipeline.provenance import anonymous
-from anystyle.pipeline.read import is_saved
+from anystyle.pipeline.read import check_inputs, is_saved
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import UNSTYLED, read_saved
 from anystyle.pipeline.stages import Stages
@@ -54,6 +54,7 @@ def parser() -> argparse.ArgumentParser:
 def open_session(path: Path, words: Sequence[str], folder: Path | None = None) -> Session:
     """Encode photographs, or a saved scene by its renders, ready for styles."""
     config = compose("stylize", list(words))
+    check_inputs(path, PoseOptions(config.poses, config.poses_from))
     stages = Stages(lambda stage, progress: print(f"{stage} {progress.line} …", file=sys.stderr, flush=True))
     with stages("load", "the model"):
         model = load_model(config)

@@ -18,6 +18,7 @@ HYDRA: dict[str, int] = {
 MODES = ("--run", "--multirun", "--cfg", "--info", "--shell-completion", "-r", "-m", "-c", "-i", "-sc")
 """Hydra's flags that exclude each other."""
 CONFIGURATIONS = ("job", "hydra", "all")
+INFORMATION = ("all", "config", "defaults", "defaults-tree", "plugins", "searchpath")
 
 EPILOG = """\
 Hydra: GROUP=NAME picks a component, KEY=VALUE sets an option; a file name with '=' in it needs ./ before.
@@ -81,6 +82,8 @@ def split(parser: argparse.ArgumentParser, words: Sequence[str]) -> tuple[argpar
                 follow = 1
             hydra.extend(words[index - 1 : index + follow])
             index += follow
+            if flag in ("-i", "--info") and follow and hydra[-1].removeprefix(f"{flag}=") not in INFORMATION:
+                raise UserError(f"--info takes one of {', '.join(INFORMATION)}")
             if flag in ("-c", "--cfg") and hydra[-1].removeprefix(f"{flag}=") not in CONFIGURATIONS:
                 raise UserError(f"--cfg takes one of {', '.join(CONFIGURATIONS)}")
         elif is_override(word):

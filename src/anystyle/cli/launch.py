@@ -5,6 +5,7 @@ import contextlib
 import functools
 import os
 import sys
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -17,9 +18,9 @@ from omegaconf import DictConfig
 
 from anystyle import paths
 from anystyle.cli.arguments import EPILOG, MODES, new_parser, split
-from anystyle.cli.run import run, wants_traceback, words_of
+from anystyle.cli.run import FAILED, run, wants_traceback, words_of
 from anystyle.errors import UserError, unknown
-from anystyle.registry.compose import VERSION_BASE, check_words, choices, override
+from anystyle.registry.compose import VERSION_BASE, check_words, choices, override, refused
 from anystyle.registry.jobs import announcement
 from anystyle.registry.packages import groups
 from anystyle.registry.source import register
@@ -79,8 +80,16 @@ def launch(
             failures.append(error)
             return None
 
+    run_hydra = hydra.main(version_base=VERSION_BASE, config_path=str(folder or paths.CONF), config_name=config_name)
     with _arguments(words), _raising():
-        hydra.main(version_base=VERSION_BASE, config_path=str(folder or paths.CONF), config_name=config_name)(task)()
+        try:
+            run_hydra(task)()
+        except Exception as error:
+            if any(frame.name == "return_value" for frame in traceback.extract_tb(error.__traceback__)):
+                raise  # by a job of a multirun
+            raise refused(error) from error
+        except SystemExit as end:
+            sys.exit(FAILED if end.code == 1 else end.code)  # it has written its line
     if failures:
         raise failures[0]
 

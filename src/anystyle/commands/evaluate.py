@@ -23,6 +23,7 @@ from anystyle.evaluation.config_lock import bind
 from anystyle.evaluation.runs import job_order
 from anystyle.io.checkpoint import read_header
 from anystyle.io.documents import read_json
+from anystyle.paths import expanded
 from anystyle.pipeline.provenance import commit
 from anystyle.registry.build import build, build_all, plugin_of
 from anystyle.registry.catalog import catalog
@@ -65,7 +66,7 @@ def folder_words(arguments: argparse.Namespace) -> list[str]:
         )
     if arguments.trained is not None:
         raise UserError("--run judges a model, and --stylized judges images; give one of them")
-    absolute = {name: str(Path(value).expanduser()) for name, value in named.items()}
+    absolute = {name: str(expanded(value)) for name, value in named.items()}
     return ["protocol=folders", *(override(f"protocol.{name}", value) for name, value in absolute.items())]
 
 

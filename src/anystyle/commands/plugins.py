@@ -125,6 +125,9 @@ def in_full(plugin: Plugin) -> Iterator[str]:
 
 def _hint(hint: object) -> str:
     text = hint.__name__ if isinstance(hint, type) and not get_args(hint) else str(hint)
+    for name, sign in (("ge", ">="), ("gt", ">"), ("le", "<="), ("lt", "<")):
+        text = re.sub(rf"([(,] ?){name}=", rf"\1{sign} ", text)
+    text = re.sub(r"Annotated\[(\w+), msgspec\.Meta\((.*?)\)\]", r"\1 \2", text)
     return re.sub(r"\b(typing|collections\.abc)\.", "", text)
 
 

@@ -22,8 +22,17 @@ from anystyle.training.run import METRICS, train
 
 def run(config: DictConfig) -> Any:
     """Train, print where the results are, and return the values of ``objective``."""
-    check_devices(config)
     out = Path(config.out)
+    try:
+        return _run(config, out)
+    finally:
+        with contextlib.suppress(OSError):
+            out.rmdir()  # Hydra makes both; a run that was refused leaves nothing
+            out.parent.rmdir()
+
+
+def _run(config: DictConfig, out: Path) -> Any:
+    check_devices(config)
     if config.pipeline is not None:
         weights = train_pipeline(config.pipeline, HydraConfig.get().overrides.task, out)
         names = ", ".join(path.name for path in weights)
@@ -38,11 +47,7 @@ def run(config: DictConfig) -> Any:
         if 0 < step < config.trainer.max_steps:
             print(f"resuming from step {step} of {config.trainer.max_steps}", file=sys.stderr, flush=True)
 
-    try:
-        outcome = train(config, out, on_begin)
-    finally:
-        with contextlib.suppress(OSError):
-            out.rmdir()  # Hydra makes it; a run that was refused leaves nothing
+    outcome = train(config, out, on_begin)
     if outcome.rank_zero and outcome.finished:
         names = ", ".join(path.name for path in outcome.weights) or "no weights kept"
         print(f"{outcome.steps} steps done; {names} in {shown(out)}")
@@ -61,7 +66,7 @@ def write_hydra_files(config: DictConfig, out: Path) -> None:
     files = {"config.yaml": config, "hydra.yaml": hydra, "overrides.yaml": HydraConfig.get().overrides.task}
     for name, content in files.items():
         with atomic_path(out / ".hydra" / name) as temporary:
-            temporary.write_text(OmegaConf.to_yaml(content), encoding="utf-8")
+            temporary.write_text(OmegaConf.to_yaml(content), encoding="utf-8", errors="backslashreplace")
 
 
 def check_devices(config: DictConfig) -> None:

@@ -1,11 +1,11 @@
 """Which checkpoints there are, where each comes from and where it was looked for; verify or download one."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.run import run, words_of
 from anystyle.errors import UserError, unknown
+from anystyle.paths import expanded
 
 COMMANDS = {
     "verify": (
@@ -77,7 +77,7 @@ def verify(name: str) -> None:
     from anystyle.vision import weights
 
     known = weights.files()
-    path = weights.find(name) if name in known else Path(name).expanduser()
+    path = weights.find(name) if name in known else expanded(name)
     if not path.is_file():
         raise UserError(f"there is no file {path}; name a file, or a row of `anystyle weights`")
     digest = sha256(path)
@@ -93,7 +93,9 @@ def verify(name: str) -> None:
         return  # a vocabulary, or a network for another reader: the checksum says all
     state = weights.read(path)
     for key, tensor in state.items():
-        if tensor.is_floating_point() and not bool(tensor.isfinite().all()):
+        if tensor.is_floating_point() and not bool(
+            (tensor if tensor.itemsize > 1 else tensor.float()).isfinite().all()
+        ):
             raise UserError(f"{path} is damaged: {key} holds values that are infinite or no numbers")
     if has_header(path):
         header = read_header(path)

@@ -24,7 +24,7 @@ from anystyle.examples import resolved
 from anystyle.io import video
 from anystyle.io.images import Picture
 from anystyle.io.limits import require
-from anystyle.paths import natural
+from anystyle.paths import natural, text_of
 from anystyle.types import Cameras, Views
 
 MAX_ASPECT = 3.0
@@ -293,9 +293,9 @@ def _shots(inputs: Sequence[Path], max_views: int) -> tuple[list[_Shot], list[st
         try:
             if path.suffix.lower() in video.SUFFIXES:
                 for number, frame in video.read_frames(path, frames_each):
-                    shots.append(_Shot(path, f"{path.stem}_{number:06d}", frame.size, frame))
+                    shots.append(_Shot(path, f"{text_of(path.stem)}_{number:06d}", frame.size, frame))
             else:
-                shots.append(_Shot(path, path.stem, images.image_size(path)))
+                shots.append(_Shot(path, text_of(path.stem), images.image_size(path)))
         except ValueError as error:
             problems.append(str(error))
     return shots or _nothing(problems), problems

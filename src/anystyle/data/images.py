@@ -13,6 +13,7 @@ from PIL import ExifTags, Image, ImageCms, ImageOps
 from torch import Tensor
 
 from anystyle.errors import one_line
+from anystyle.examples import resolved
 from anystyle.io.images import Picture, decodable, opened, rounded_to_8_bits
 
 logger = logging.getLogger(__name__)
@@ -72,9 +73,25 @@ def _has_alpha(image: Image.Image) -> bool:
     return image.mode in ("RGBA", "LA", "PA") or ("transparency" in image.info and image.mode in ("1", "L", "RGB", "P"))
 
 
-def read_image(path: Path, *, longest: int = 1024) -> Float[Tensor, "3 H W"]:
-    """Read an image as sRGB in [0, 1], reduced so that its longer side is at most ``longest``."""
-    image = open_image(path, longest=longest)
+def _upright_srgb(image: Image.Image) -> Image.Image:
+    return _to_rgb(_to_srgb(ImageOps.exif_transpose(image)))
+
+
+def read_image(image: str | Path | Image.Image, *, longest: int = 1024) -> Float[Tensor, "3 H W"]:
+    """Read an image as sRGB in [0, 1], reduced so that its longer side is at most ``longest``.
+
+    Args:
+        image: A file, ``example:NAME`` or one that Pillow has opened; :func:`open_image` says how each kind is read.
+        longest: In pixels.
+
+    Example:
+        >>> images = torch.stack([anystyle.read_image(path) for path in paths])
+        >>> scene = stylizer.encode(anystyle.types.Views(images[None]))
+    """
+    if isinstance(image, Image.Image):
+        image = _upright_srgb(image)
+    else:
+        image = open_image(resolved(Path(image)), longest=longest)
     image.thumbnail((longest, longest), Image.Resampling.LANCZOS)
     return to_tensor(image)
 

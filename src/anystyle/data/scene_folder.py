@@ -18,7 +18,7 @@ from anystyle.data.poses import read_poses, view_camera
 from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import read_json
-from anystyle.paths import natural
+from anystyle.paths import inside, natural
 from anystyle.types import Cameras, Views
 
 logger = logging.getLogger(__name__)
@@ -127,10 +127,12 @@ class FolderScenes(SceneSource):
 
     def _listed(self, path: Path) -> list[Path]:
         names: list[str] = read_json(path, list[str], what="JSON list of folder names")
-        root, folders = self.root.resolve(), [self.root / name for name in names]
-        for name, folder in zip(names, folders, strict=True):
-            if root not in folder.resolve().parents:
-                raise UserError(f"index={path} names {name}, which lies outside of {self.root}")
+        folders: list[Path] = []
+        for name in names:
+            folder = inside(self.root, name)
+            if folder is None:
+                raise UserError(f"index={path} names {name!r:.200}, which lies outside of {self.root}")
+            folders.append(folder)
         present = [folder for folder in folders if folder.is_dir()]
         if len(present) < len(folders):
             logger.warning("%d of %d scenes of %s are not there", len(folders) - len(present), len(folders), path)

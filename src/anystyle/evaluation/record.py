@@ -47,7 +47,7 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> T
     }
     for name, text in texts.items():
         with atomic_path(out / name) as temporary:
-            temporary.write_text(text, encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
     stored = {**evaluation.figures, **evaluation.groups, "provenance": {**evaluation.provenance, **facts}}
     write_json(out / FILE, stored)
     return table

@@ -90,4 +90,4 @@ def _evaluation(folder: Path) -> Path | None:
 
 def job_order(path: Path) -> tuple[int, str]:
     """A key that sorts the jobs of a multirun by number, and other folders after them by name."""
-    return (int(path.name), "") if path.name.isdigit() else (1 << 30, path.name)
+    return (int(path.name), "") if path.name.isdecimal() else (1 << 30, path.name)

@@ -99,7 +99,7 @@ class Table:
         """Write ``name.md``, ``name.csv`` and ``name.tex`` into a folder, and return these names."""
         texts = {f"{name}.md": self.markdown(), f"{name}.csv": self.csv(), f"{name}.tex": self.latex()}
         for file, text in texts.items():
-            (folder / file).write_text(text, encoding="utf-8")
+            (folder / file).write_text(text, encoding="utf-8", errors="backslashreplace")
         return list(texts)
 
     def _numeric(self) -> list[bool]:

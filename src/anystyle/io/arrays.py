@@ -1,13 +1,15 @@
 """Arrays and tensors from untrusted files."""
 
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
+from torch.utils._pytree import tree_leaves
 
 from anystyle.errors import UserError, one_line
 from anystyle.io.documents import regular
@@ -41,6 +43,16 @@ def read_arrays(path: Path, numbers: Sequence[str], names: Sequence[str] = (), *
         raise _refusal(path, what, error) from None
 
 
+def check_tensors(tensors: Iterable[Tensor]) -> None:
+    """Refuse tensors that announce more numbers than the file holds: sparse ones, without data, or stretched."""
+    for tensor in tensors:
+        shape = f"a tensor of shape {list(tensor.shape)}"
+        if tensor.layout != torch.strided or tensor.is_meta or tensor.is_quantized:
+            raise UserError(f"{shape} is sparse, quantized or without data; save dense ones")
+        if tensor.numel() * tensor.itemsize > max(tensor.untyped_storage().nbytes(), 1 << 26):
+            raise UserError(f"{shape} repeats the {tensor.untyped_storage().nbytes():,} bytes it is stored in")
+
+
 def read_tensors(path: str | Path, *, what: str = "file of tensors", device: str | torch.device = "cpu") -> Any:
     """Read what ``torch.save`` wrote, if it holds tensors and plain values only."""
     path = regular(path, most=None, what=what)
@@ -50,7 +62,9 @@ def read_tensors(path: str | Path, *, what: str = "file of tensors", device: str
             damaged = archive.testzip()
         if damaged is not None:
             raise UserError(f"{damaged} in it is damaged")
-        return torch.load(path, map_location=device, weights_only=True)
+        values = torch.load(path, map_location=device, weights_only=True)
+        check_tensors(value for value in tree_leaves(values) if isinstance(value, Tensor))
+        return values
     except Exception as error:  # damaged archives and pickles raise nearly anything
         if "Weights only load failed" in str(error):
             error = UserError("it holds more than tensors and plain values")

@@ -46,7 +46,7 @@ def write_json(path: str | Path, value: object) -> None:
     """Write a value as readable JSON; numbers that are not finite as :func:`anystyle.io.documents.as_figure` does."""
     text = json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic_path(path, sync=True) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
 
 
 @contextmanager

@@ -64,7 +64,7 @@ def export_styles(scene: StyledScene, path: Path, name: str, *, up: str | None =
         beside = path.with_suffix(path.suffix + ".txt")
         beside.unlink(missing_ok=True)  # an earlier scene's
         if scene.notes:
-            beside.write_text("\n".join(scene.notes) + "\n", encoding="utf-8")
+            beside.write_text("\n".join(scene.notes) + "\n", encoding="utf-8", errors="backslashreplace")
 
 
 def film(options: Mapping[str, Any], renderer: Callable[[Gaussians, Cameras], Renders] | None = None) -> Format:

@@ -27,6 +27,7 @@ from anystyle.io.checkpoint import Header, has_header, load_part, read_header, s
 from anystyle.io.limits import require
 from anystyle.methods.base import Method
 from anystyle.methods.branch import Branch
+from anystyle.paths import expanded
 from anystyle.pipeline.options import BranchOptions
 from anystyle.published import Published
 from anystyle.registry.build import build, build_all, choice
@@ -50,7 +51,7 @@ def weights_file(name: object) -> Path:
     if not isinstance(name, str):
         raise UserError(f"weights are named by a text, not by {name!r}")
     known = weights.files()
-    path = weights.find(name) if name in known else Path(name).expanduser()
+    path = weights.find(name) if name in known else expanded(name)
     if not path.is_file():
         raise weights.MissingWeights(
             f"there is no weights file {path}, and no weights of that name.{did_you_mean(name, known)} "

@@ -18,7 +18,7 @@ from anystyle.examples import FOLDER, examples
 from anystyle.io import video
 from anystyle.io.checkpoint import sha256
 from anystyle.io.documents import parse_json
-from anystyle.paths import SHARED
+from anystyle.paths import SHARED, text_of
 from anystyle.types import StyledScene
 from anystyle.vision.weights import binding
 
@@ -31,9 +31,9 @@ def note(kind: str, files: Sequence[Path] = (), /, **facts: object) -> str:
     if files:
         names = short_names(files)
         lines = [f"{sha256(file)}  {name}\n" for file, name in zip(files, names, strict=True)]
-        digest = lines[0][:64] if len(files) == 1 else hashlib.sha256("".join(lines).encode()).hexdigest()
+        listed = hashlib.sha256("".join(lines).encode(errors="surrogateescape")).hexdigest()
         known = next((one for one in examples().values() if files[0].is_relative_to(FOLDER / one.file)), None)
-        facts |= {"names": names, "sha256": digest}
+        facts |= {"names": [text_of(name) for name in names], "sha256": lines[0][:64] if len(files) == 1 else listed}
         if known is not None:
             facts |= {"title": known.title, "author": known.author, "year": known.year}
             facts |= {"license": known.license, "source": known.provenance}

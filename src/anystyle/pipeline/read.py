@@ -66,6 +66,19 @@ def saved_path(inputs: object) -> Path | None:
     return Path(single) if isinstance(single, (str, Path)) and is_saved(Path(single)) else None
 
 
+def check_inputs(inputs: Inputs, poses: PoseOptions) -> None:
+    """Refuse inputs that are not there, which takes no time, before networks are loaded, which takes long."""
+    saved = saved_path(inputs)
+    if saved is not None and not saved.exists():
+        raise UserError(f"there is no file {saved}; name photographs, a video, a file of Gaussians or a saved folder")
+    if saved is None and not isinstance(inputs, Views):
+        files = [file for path in paths_of(inputs) for file in files_of(path)]
+        if not files:
+            raise UserError("no photographs are given; name a folder, files or a video")
+    if poses.folder is not None and not Path(poses.folder).exists():
+        raise UserError(f"poses_from={poses.folder} does not exist; name the folder or file that holds the cameras")
+
+
 def read(
     inputs: Inputs,
     backbone: Backbone,

@@ -11,10 +11,11 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.data.images import read_image
+from anystyle.data.images import image_size, read_image
 from anystyle.errors import UserError
 from anystyle.examples import resolved
 from anystyle.io.sheet import Cell, side_by_side, to_pil
+from anystyle.paths import text_of
 from anystyle.pipeline.controls import Controls, Mask, rescaled
 from anystyle.pipeline.provenance import note
 from anystyle.stylizer import Stylizer
@@ -100,6 +101,22 @@ def check_text(text: str, what: str = "the text of a style") -> None:
         raise UserError(f"{what} has {len(text)} characters; describe the style in at most {MAX_TEXT}")
 
 
+def check_styles(styles: Sequence[StyleInput]) -> None:
+    """Refuse texts that are empty and image files that are not there or no images, before networks are loaded."""
+    for style in styles:
+        match style:
+            case str():
+                check_text(style)
+            case Path():
+                image_size(resolved(style))
+            case Mixture():
+                check_styles([style.first, style.second])
+            case Places():
+                check_styles([part for part, _ in style.styles])
+            case _:
+                pass
+
+
 def embed_styles(
     styles: Sequence[StyleInput], stylizer: Stylizer, controls: Sequence[Controls] = (Controls(),)
 ) -> list[EmbeddedStyle]:
@@ -142,7 +159,7 @@ def _embed(style: str | Path | Style | Float[Tensor, "3 _ _"], stylizer: Stylize
             return EmbeddedStyle(slug(style), title, None, embedding, given, _matches(style, stylizer), notes)
         case Path():
             file = resolved(style)
-            title, image, notes = file.stem, read_image(file)[None], (note("image", [file]),)
+            title, image, notes = text_of(file.stem), read_image(file)[None], (note("image", [file]),)
         case Tensor():
             title, image, notes = "image", style[None], (note("image"),)
         case Style(image=Tensor() as image, names=names):

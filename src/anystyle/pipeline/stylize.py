@@ -19,10 +19,10 @@ from anystyle.pipeline.export import film
 from anystyle.pipeline.load import load_model
 from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
 from anystyle.pipeline.provenance import photographs
-from anystyle.pipeline.read import Inputs, paths_of, read, saved_path
+from anystyle.pipeline.read import Inputs, check_inputs, paths_of, read, saved_path
 from anystyle.pipeline.save import Results
 from anystyle.pipeline.stages import Stages
-from anystyle.pipeline.styles import Mixture, Places, StyleInput, embed_styles
+from anystyle.pipeline.styles import Mixture, Places, StyleInput, check_styles, embed_styles
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style, Views
 
@@ -83,6 +83,8 @@ def stylize(
     applied = [controls] if isinstance(controls, Controls) else controls
     if not given or not applied:
         raise UserError("no style is given; give a text or an image, and leave controls out or give at least one")
+    check_inputs(inputs, poses)
+    check_styles(given)
     stages = stages or Stages()
     film(video)  # refuses options that make no sense before the work
     with contextlib.nullcontext() if out is None else atomic_directory(out, export.folders) as folder:

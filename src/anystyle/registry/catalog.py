@@ -24,6 +24,7 @@ import msgspec
 from anystyle import paths
 from anystyle.errors import UserError, one_line, unknown
 from anystyle.io.documents import read_toml
+from anystyle.paths import expanded
 from anystyle.registry.builtin import BUILTIN, KINDS, Kind
 from anystyle.registry.socket import Socket
 
@@ -301,7 +302,7 @@ def catalog() -> Catalog:
     from wherever they run.
     """
     listed = [folder for folder in os.environ.get(VARIABLE, "").split(os.pathsep) if folder]
-    folders = tuple(str(Path(folder).expanduser().absolute()) for folder in listed)
+    folders = tuple(str(expanded(folder).absolute()) for folder in listed)
     if folders:
         os.environ[VARIABLE] = os.pathsep.join(folders)
     static = _static(folders)

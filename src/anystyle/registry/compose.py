@@ -53,8 +53,8 @@ def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | Non
             str((conf or paths.CONF).absolute()), job_name=config_name, version_base=VERSION_BASE
         ):
             return hydra_compose(config_name, overrides=list(overrides))
-    except ERRORS as error:
-        raise UserError(explain(error)) from error
+    except Exception as error:
+        raise refused(error) from error
 
 
 def options(config: DictConfig, key: str) -> Any:
@@ -132,6 +132,16 @@ def explain(error: Exception) -> str:
     if isinstance(cause, OmegaConfBaseException):
         parts.append(_message(cause))
     return ": ".join(part.rstrip(".:") for part in parts if part) + _nearest(error, cause)
+
+
+def refused(error: Exception) -> Exception:
+    """What Hydra raises while it composes, of nearly any type for words and files that it did not expect."""
+    if isinstance(error, (UserError, MemoryError, OSError)):
+        return error
+    if isinstance(error, ERRORS):
+        return UserError(explain(error))
+    reason = one_line(error)[:300] or type(error).__name__
+    return UserError(f"Hydra cannot run these arguments ({reason}); give GROUP=NAME and KEY=VALUE, as --help says")
 
 
 def _no_such(group: str, name: str, known: Sequence[str]) -> str:

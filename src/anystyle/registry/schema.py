@@ -10,13 +10,18 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, make_dataclass
 from enum import Enum
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
+
+import msgspec
 
 from anystyle.errors import one_line
 from anystyle.registry.catalog import Plugin, PluginError, base_of, kind_named
 
 if typing.TYPE_CHECKING:
     from omegaconf import DictConfig
+
+AtLeastOne = Annotated[int, msgspec.Meta(ge=1)]
+Fraction = Annotated[float, msgspec.Meta(ge=0, le=1)]
 
 REQUIRED: Any = inspect.Parameter.empty
 _PLAIN = (int, float, bool, str)
@@ -68,7 +73,7 @@ def _constructor(plugin: Plugin) -> tuple[list[inspect.Parameter], dict[str, Any
 def _signature(plugin: Plugin, constructor: Callable[..., None]) -> tuple[list[inspect.Parameter], dict[str, Any]]:
     parameters = list(inspect.signature(constructor).parameters.values())[1:]
     try:
-        hints = typing.get_type_hints(constructor)
+        hints = typing.get_type_hints(constructor, include_extras=True)
     except Exception as error:
         raise PluginError(f"{plugin} has an annotation that cannot be evaluated: {one_line(error)}") from error
     return parameters, hints
@@ -135,9 +140,12 @@ def option(hint: Any) -> Any:
     """The type by which OmegaConf checks an option annotated with ``hint``; ``Any`` where it cannot.
 
     ``int``, ``float``, ``bool``, ``str`` and paths stand for themselves, as do unions of them; sequences become lists,
-    ``Literal`` of texts or of numbers an enumeration, so that an error lists the choices.
+    ``Literal`` of texts or of numbers an enumeration, so that an error lists the choices. The range of an
+    ``Annotated[int, msgspec.Meta(ge=1)]`` is checked by :func:`fitted`.
     """
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Annotated:
+        return option(arguments[0])
     if hint in _PLAIN or hint is Path:
         return hint
     if origin in (typing.Union, types.UnionType):
@@ -192,7 +200,15 @@ def fitted(value: Any, hint: Any) -> Any:
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if isinstance(value, Enum):
         return value.value
+    if origin is Annotated:
+        try:
+            msgspec.convert(value, hint)
+        except msgspec.ValidationError as error:
+            raise ValueError(f"{value} is given; {one_line(error)[:1].lower()}{one_line(error)[1:]}") from None
+        return fitted(value, arguments[0])
     if origin in (typing.Union, types.UnionType):
+        if value is None:
+            return None
         inner = [item for item in arguments if item is not type(None)]
         sequences = [item for item in inner if typing.get_origin(item) in _SEQUENCES]
         best = inner if len(inner) == 1 else sequences[:1] if isinstance(value, list) else []

@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import TypeVar
+from typing import ClassVar, Literal, TypeVar
 
 import lightning.pytorch as pl
 from torch import nn
@@ -20,6 +20,9 @@ class Training(Socket, pl.LightningModule, ABC):
     ``losses``, which the framework passes, and further options. A step takes its random numbers from the global
     generator alone, which the framework seeds before every step: so a resumed run equals an uninterrupted one.
     """
+
+    needs: ClassVar[tuple[Literal["scenes", "styles"], ...]] = ()
+    """The sources without which there are no batches; a run is refused before networks are loaded."""
 
     @abstractmethod
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> BatchSource:

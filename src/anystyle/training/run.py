@@ -18,13 +18,14 @@ from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import Header, load_part, save_part, sha256
 from anystyle.io.documents import Figure, as_number, kept_json
+from anystyle.paths import expanded
 from anystyle.pipeline.load import assemble, branch_header, make_scenes, room_for_backbone, weights_file
 from anystyle.pipeline.provenance import commit
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
 from anystyle.registry.jobs import command_line
 from anystyle.registry.schema import runtime_arguments
-from anystyle.training.base import Training
+from anystyle.training.base import Training, required
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
 from anystyle.training.data import StepData
 from anystyle.training.resume import RECORD, Resumed, bound, exclusive, is_rank_zero, resumable
@@ -88,6 +89,8 @@ def _train(config: DictConfig, out: Path, on_begin: Callable[[int], None]) -> Ou
     )
     trainer = make_trainer(config, out, [*([average] if average else []), checkpoint])
     sources = make_sources(config)
+    for kind in catalog().owner("training", str(config.training.get("_target_"))).load().needs:
+        required(sources[kind], kind)
     torch.manual_seed(config.seed)
     training = make_training(config)
     data = make_data(config, training, sources)
@@ -200,7 +203,7 @@ def make_sources(config: DictConfig) -> dict[str, Any]:
         if kind == "styles":
             return build(StyleSource, config[key])
         built, cache = make_scenes(config, key), config.get("cache")
-        return built if cache is None else CachedScenes(built, Path(cache).expanduser() / key)
+        return built if cache is None else CachedScenes(built, expanded(cache) / key)
 
     return {name: source(kind, name) for kind in ("scenes", "styles") for name in (kind, f"validation_{kind}")}
 

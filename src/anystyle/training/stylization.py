@@ -14,13 +14,15 @@ from torch import Tensor, nn
 from anystyle.contracts import Loss, SceneSource, StyleSource, neutral_embedding
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
+from anystyle.io.documents import Count
 from anystyle.io.sheet import to_pil
 from anystyle.losses.features import objective
+from anystyle.registry.schema import AtLeastOne, Fraction
 from anystyle.stylizer import Stylizer
 from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import check_rates, scheduled, trainable
-from anystyle.training.sampling import check_counts, generator
+from anystyle.training.sampling import generator
 from anystyle.training.scene_cache import EncodedScenes
 from anystyle.training.trainer import log_picture
 from anystyle.types import Gaussians, Renders, Scene, Style, StyleEmbedding, Stylization, Views
@@ -66,23 +68,25 @@ class StylizationTraining(Training):
         preview_texts: The texts of the grid.
     """
 
+    needs = ("scenes", "styles")
+
     def __init__(
         self,
         *,
         stylizer: Stylizer,
         losses: Mapping[str, Loss],
-        images: int = 36,
-        batch_size: int | None = None,
+        images: AtLeastOne = 36,
+        batch_size: AtLeastOne | None = None,
         context_views: Sequence[int] = (2, 18),
         view_power: float = 2.0,
         spread: Literal["any", "bounded"] = "bounded",
         heights: Sequence[int] | None = (224, 448),
         width: int | None = 448,
-        flip: float = 0.5,
-        min_scale: float = 1.0,
-        pool: int | None = None,
-        cache_scenes: int = 0,
-        text_ratio: float = 0.25,
+        flip: Fraction = 0.5,
+        min_scale: Fraction = 1.0,
+        pool: AtLeastOne | None = None,
+        cache_scenes: Count = 0,
+        text_ratio: Fraction = 0.25,
         text_step_images: bool = True,
         alternation: Literal["coin", "strict"] = "coin",
         learning_rate: float = 1e-4,
@@ -90,23 +94,17 @@ class StylizationTraining(Training):
         injector_rate: float | None = None,
         learn_copies: bool = True,
         betas: Sequence[float] = (0.9, 0.95),
-        warmup: int = 100,
+        warmup: Count = 100,
         weight_decay: float = 0.05,
         floor: float = 1e-5,
-        decay_steps: int | None = None,
-        preview_every: int = 0,
+        decay_steps: AtLeastOne | None = None,
+        preview_every: Count = 0,
         preview_texts: Sequence[str] = ("blue and yellow swirling brush strokes", "orange and navy stripes"),
     ) -> None:
         super().__init__()
-        fractions = {"text_ratio": text_ratio, "flip": flip, "min_scale": min_scale}
-        for name, fraction in fractions.items():
-            if not 0 <= fraction <= 1:
-                raise UserError(f"training.{name} is {fraction}; give a fraction between 0 and 1")
         injector_rate = aggregator_rate if injector_rate is None else injector_rate
         self.rates = {"aggregator_rate": aggregator_rate, "injector_rate": injector_rate}
         check_rates(learning_rate=learning_rate, **self.rates)
-        check_counts(decay_steps=decay_steps)
-        check_counts(0, warmup=warmup, preview_every=preview_every, cache_scenes=cache_scenes)
         if len(betas) != 2 or not all(0 <= beta < 1 for beta in betas):
             raise UserError(f"training.betas={list(betas)}: give two numbers of at least 0 and below 1")
         if not losses:

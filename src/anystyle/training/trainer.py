@@ -33,9 +33,14 @@ def _one_of(*values: object) -> tuple[Callable[[Any], bool], str]:
     return lambda value: value in values, f"choose from {', '.join(str(value).lower() for value in values)}"
 
 
+MAX_WORKERS = 256
+
 RANGES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "seed": (lambda value: type(value) is int and 0 <= value < 1 << 63, "give a whole number, at least 0"),
-    "workers": _at_least(0, "give a number of processes, 0 to read in the training's own"),
+    "workers": (
+        lambda value: type(value) is int and 0 <= value <= MAX_WORKERS,
+        f"give a number of processes, at most {MAX_WORKERS}; 0 reads in the training's own",
+    ),
     "validation_steps": _at_least(0, "give a number of steps, 0 for no validation"),
     "checkpoint.every_steps": _at_least(1),
     "checkpoint.every_minutes": _between(0.0, np.inf, "give minutes above 0"),

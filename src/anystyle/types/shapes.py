@@ -1,19 +1,23 @@
 """Comparing values with the shapes and kinds of number that their annotations declare."""
 
+import functools
 import types
-from collections.abc import Mapping
-from dataclasses import fields
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from typing import Any, Union, get_args, get_origin
 
+import torch
 from jaxtyping import AbstractArray
 from torch import Tensor
 
+from anystyle.errors import UserError
 
-class ShapeError(ValueError):
+
+class ShapeError(UserError):
     """A value that is not what its annotation declares."""
 
-    def __init__(self, given: str, expected: str) -> None:
-        super().__init__(f"given {given}; expected {expected}")
+    def __init__(self, given: str, expected: str, remedy: str = "") -> None:
+        super().__init__(f"given {given}; expected {expected}{remedy and f'; {remedy}'}")
         self.given = given
         self.expected = expected
 
@@ -22,12 +26,21 @@ def check_value(value: object, cls: type, where: str, **sizes: int) -> None:
     """Compare every tensor of a dataclass with the shape and kind of number that the class declares.
 
     A ShapeError says what ``where`` returned; letters not in ``sizes`` are bound by the first tensor that has them.
+    Values inside hold as many scenes and views.
     """
     if not isinstance(value, cls):
         raise ShapeError(f"{where} returned {_article(type(value).__name__)}", _article(cls.__name__))
+    check_fields(value, f"{where}: ", **sizes)
+
+
+def check_fields(value: Any, where: str = "", **sizes: int) -> None:
+    """Compare every tensor of a dataclass with its annotation; messages begin with ``where``."""
     bound = dict(sizes)
-    for item in fields(value):  # pyright: ignore[reportArgumentType]
-        _check(getattr(value, item.name), item.type, f"{where}: {cls.__name__}.{item.name}", bound)
+    for item in fields(value):
+        part, name = getattr(value, item.name), f"{where}{type(value).__name__}.{item.name}"
+        _check(part, item.type, name, bound)
+        if is_dataclass(part):
+            check_fields(part, f"{name}: ", **{axis: bound[axis] for axis in ("B", "V") if axis in bound})
 
 
 def check_tensor(value: object, annotation: Any, where: str, **sizes: int) -> None:
@@ -41,21 +54,39 @@ def kind_and_shape(tensor: Tensor) -> str:
 
 
 def _check(value: object, annotation: Any, where: str, bound: dict[str, int]) -> None:
-    choices = get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
-    arrays = [choice for choice in choices if isinstance(choice, type) and issubclass(choice, AbstractArray)]
-    if not arrays or (value is None and types.NoneType in choices):
+    array, optional = _declared(annotation)
+    if array is None or (value is None and optional):
         return
-    array: Any = arrays[0]
     axes = array.dim_str.split()
     expected = f"{_kind(array)} of shape [{', '.join(_axis(axis, bound) for axis in axes)}]"
     if not isinstance(value, Tensor):
-        raise ShapeError(f"{where} is {_article(type(value).__name__)}", expected)
+        raise ShapeError(f"{where} is {_article(type(value).__name__)}", expected, "torch.as_tensor makes one")
     fits = value.ndim == len(axes) and str(value.dtype).removeprefix("torch.") in array.dtypes
     if not fits or any(
         size != (int(axis) if axis.isdigit() else bound.setdefault(axis, size))
         for axis, size in zip(axes, value.shape, strict=True)
     ):
-        raise ShapeError(f"{where} is {kind_and_shape(value)}", expected)
+        raise ShapeError(f"{where} is {kind_and_shape(value)}", expected, _remedy(value, axes))
+
+
+@functools.cache
+def _declared(annotation: Any) -> tuple[Any, bool]:
+    """The array that an annotation declares, if there is one, and whether it may be left out."""
+    choices = get_args(annotation) if get_origin(annotation) in (Union, types.UnionType) else (annotation,)
+    arrays = [choice for choice in choices if isinstance(choice, type) and issubclass(choice, AbstractArray)]
+    return (arrays[0] if arrays else None), types.NoneType in choices
+
+
+def _remedy(value: Tensor, axes: Sequence[str]) -> str:
+    """What makes the tensor fit, for the usual slips."""
+    is_image, given = axes[-3:-2] == ["3"], list(value.shape)
+    if is_image and value.dtype == torch.uint8:
+        return "levels of 8 bits are divided: .float() / 255"
+    if is_image and value.ndim >= 3 and given[-3] != 3 and given[-1] in (1, 3, 4):
+        return "colours come before the rows: [..., :3].movedim(-1, -3)"
+    if value.ndim == len(axes) - 1:
+        return "the first axis, of scenes, is missing: [None]"
+    return ""
 
 
 def _axis(axis: str, bound: Mapping[str, int]) -> str:

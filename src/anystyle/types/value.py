@@ -9,6 +9,8 @@ import torch
 import torch.utils._pytree as pytree
 from torch import Tensor
 
+from anystyle.types.shapes import check_fields
+
 
 def _flatten(value: Any) -> tuple[list[Any], tuple[str, ...]]:
     names = tuple(item.name for item in fields(value))
@@ -65,3 +67,10 @@ class Value:
     def expand(self: AnyValue, batch: int) -> AnyValue:
         """This value of one scene seen as ``batch`` equal scenes, without a copy."""
         return self.map(lambda tensor: tensor.expand(batch, *tensor.shape[1:]))
+
+
+class Given(Value):
+    """A value that people make: its tensors have the shapes that it declares, or a UserError says what differs."""
+
+    def __post_init__(self) -> None:
+        check_fields(self)

@@ -6,11 +6,12 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from anystyle.types.value import Value
+from anystyle.errors import UserError
+from anystyle.types.value import Given
 
 
 @dataclass(frozen=True)
-class Cameras(Value):
+class Cameras(Given):
     """Pinhole cameras in OpenCV axes.
 
     Args:
@@ -44,7 +45,7 @@ class Cameras(Value):
 
 
 @dataclass(frozen=True)
-class Views(Value):
+class Views(Given):
     """Photographs of scenes, with what is known of them.
 
     Args:
@@ -83,7 +84,7 @@ class Views(Value):
 
 
 @dataclass(frozen=True)
-class Style(Value):
+class Style(Given):
     """Style references: an image, a text, or both, for each scene of a batch.
 
     Args:
@@ -100,7 +101,7 @@ class Style(Value):
 
 
 @dataclass(frozen=True)
-class StyleEmbedding(Value):
+class StyleEmbedding(Given):
     """A style as the network reads it.
 
     Args:
@@ -122,6 +123,9 @@ class StyleEmbedding(Value):
             >>> red.toward(blue, 0.25).vector
             tensor([[0.7500, 0.2500]])
         """
+        if other.vector.shape[1] != self.vector.shape[1]:
+            sizes = f"{self.vector.shape[1]} and {other.vector.shape[1]}"
+            raise UserError(f"embeddings of {sizes} dimensions cannot be mixed; make both with one stylizer's `embed`")
         weight = torch.as_tensor(amount, dtype=self.vector.dtype, device=self.vector.device).reshape(-1, 1)
         return StyleEmbedding(
             vector=torch.lerp(self.vector, other.vector, weight),

@@ -9,6 +9,7 @@ import importlib.util
 import logging
 import os
 import pickle
+import re
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -22,8 +23,10 @@ from torch import Tensor
 
 from anystyle import paths
 from anystyle.errors import UserError, unknown
+from anystyle.io.arrays import check_tensors
 from anystyle.io.checkpoint import sha256
 from anystyle.io.documents import read_toml, regular
+from anystyle.paths import expanded
 from anystyle.registry.packages import packages
 
 log = logging.getLogger(__name__)
@@ -53,6 +56,12 @@ class WeightsFile:
     hub: str | None = None  # its path on the Hugging Face hub: owner/repository/path
     package: str | None = None  # an installed package that contains it: package/path
 
+    def __post_init__(self) -> None:
+        if self.hub is not None and not re.fullmatch(r"(?!.*(--|\.\.))\w[\w.-]*/\w[\w.-]*/[^/\0][^\0]*", self.hub):
+            raise ValueError(f"hub is {self.hub!r}; expected owner/repository/path")
+        if self.package is not None and not re.fullmatch(r"[A-Za-z_]\w*/[^\0]+", self.package):
+            raise ValueError(f"package is {self.package!r}; expected package/path")
+
 
 def files() -> dict[str, WeightsFile]:
     """Every row by name: those of the table beside this module, then those of plugins."""
@@ -79,7 +88,7 @@ def row(name: str) -> WeightsFile:
 
 def folders() -> tuple[Path, ...]:
     """The folders that are searched, in order: those of ``ANYSTYLE_WEIGHTS``, then the package's own."""
-    named = [Path(folder).expanduser() for folder in os.environ.get(FOLDERS, "").split(os.pathsep) if folder]
+    named = [expanded(folder) for folder in os.environ.get(FOLDERS, "").split(os.pathsep) if folder]
     return (*named, paths.ASSETS)
 
 
@@ -106,7 +115,7 @@ def candidates(name: str) -> Iterator[Path]:
 
 def find(name: str, path: str | Path | None = None) -> Path:
     """The file of the weights called ``name``: the given one, or one of :func:`candidates`, else `MissingWeights`."""
-    searched = [Path(path).expanduser()] if path is not None else list(candidates(name))
+    searched = [expanded(path)] if path is not None else list(candidates(name))
     for candidate in searched:
         if candidate.is_file():
             return candidate
@@ -287,8 +296,14 @@ def read(path: str | Path) -> dict[str, Tensor]:
     for name in ("state_dict", "model_state_dict"):
         if isinstance(state, Mapping) and isinstance(state.get(name), Mapping):
             state = state[name]
-    if not isinstance(state, Mapping) or not all(isinstance(value, Tensor) for value in state.values()):
+    if not isinstance(state, Mapping) or not all(
+        isinstance(key, str) and isinstance(value, Tensor) for key, value in state.items()
+    ):
         raise UserError(f"{path} holds no plain state dict; save `module.state_dict()` alone")
+    try:
+        check_tensors(state.values())
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
     return dict(state)
 
 

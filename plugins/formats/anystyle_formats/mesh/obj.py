@@ -37,7 +37,7 @@ class Obj(Format):
         lines += ["v {:.6g} {:.6g} {:.6g} {:.4f} {:.4f} {:.4f}".format(*point, *color) for point, color in rows]
         lines += ["f {} {} {}".format(*face) for face in (mesh.faces + 1).tolist()]
         with atomic_path(path) as temporary:
-            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", errors="backslashreplace")
 
 
 def _views(scene: StyledScene) -> DepthViews:

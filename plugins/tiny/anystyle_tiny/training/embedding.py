@@ -9,7 +9,9 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle.io.documents import Count, Positive
 from anystyle.nn.words import with_made_up_word
+from anystyle.registry.schema import AtLeastOne
 from anystyle.training.optim import decayed_adamw
 from anystyle.vision import networks
 from anystyle_tiny.style_encoder import KNOTS, SIDE, Tiny, colors, shorter_side
@@ -45,16 +47,16 @@ class EmbeddingTraining(StyleTraining):
         *,
         style_encoder: Tiny,
         texture: str | None = "texture",
-        batch_size: int = 192,
-        photos: int = 16,
-        pool: int | None = 12000,
+        batch_size: AtLeastOne = 192,
+        photos: Count = 16,
+        pool: AtLeastOne | None = 12000,
         feature_noise: float = 0.05,
         names_weight: float = 0.5,
         palette_weight: float = 40.0,
         whiten_at: float = 0.6,
-        whiten_on: int = 2048,
-        learning_rate: float = 2e-3,
-        warmup: int = 50,
+        whiten_on: AtLeastOne = 2048,
+        learning_rate: Positive = 2e-3,
+        warmup: Count = 50,
         weight_decay: float = 0.05,
     ) -> None:
         super().__init__()

@@ -11,6 +11,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
+from anystyle.io.documents import Count, Positive
+from anystyle.registry.schema import AtLeastOne
 from anystyle.training.optim import decayed_adamw
 from anystyle.vision.features import walk
 from anystyle.vision.statistics import pooled_moments
@@ -46,17 +48,17 @@ class PerceptualTraining(StyleTraining):
     def __init__(
         self,
         *,
-        batch_size: int = 48,
-        photos: int = 8,
+        batch_size: AtLeastOne = 48,
+        photos: Count = 8,
         crop: int = 64,
         shrink: float = 0.4,
-        pool: int | None = 8000,
+        pool: AtLeastOne | None = 8000,
         recolor: float = 0.5,
         blend: float = 0.3,
         scale_weight: float = 0.5,
         palette_weight: float = 5.0,
-        learning_rate: float = 3e-3,
-        warmup: int = 30,
+        learning_rate: Positive = 3e-3,
+        warmup: Count = 30,
         weight_decay: float = 0.01,
         bf16: bool = True,
     ) -> None:

@@ -15,6 +15,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
+from anystyle.io.documents import Count, Positive
+from anystyle.registry.schema import AtLeastOne
 from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import decayed_adamw
@@ -57,22 +59,24 @@ class ReconstructionTraining(Training):
         render_scenes: Number of scenes of the batch that are rendered: the target views and one context view each.
     """
 
+    needs = ("scenes",)
+
     def __init__(
         self,
         *,
         backbone: Backbone,
         renderer: Renderer,
-        batch_size: int = 8,
+        batch_size: AtLeastOne = 8,
         context_views: Sequence[int] = (2, 4),
         view_power: float = 0.0,
-        target_views: int = 1,
+        target_views: Count = 1,
         heights: Sequence[int] | None = None,
-        learning_rate: float = 1e-3,
-        warmup: int = 200,
+        learning_rate: Positive = 1e-3,
+        warmup: Count = 200,
         weight_decay: float = 0.05,
         predicted_camera_weight: float = 0.0,
-        render_every: int = 4,
-        render_scenes: int = 4,
+        render_every: AtLeastOne = 4,
+        render_scenes: AtLeastOne = 4,
     ) -> None:
         super().__init__()
         self.backbone, self.renderer, self.target_views = backbone, renderer, target_views

@@ -134,6 +134,7 @@ class StyleTraining(Training):
     The constructor sets ``batch_size``, ``photos`` and ``pool``; see :class:`StyleBatches`.
     """
 
+    needs = ("scenes", "styles")
     batch_size: int
     photos: int
     pool: int | None

@@ -29,7 +29,7 @@ class ToyCameras(CameraReader):
         cameras = {}
         for line in path.read_text(encoding="utf-8").splitlines():
             name, *numbers = line.split()
-            if len(numbers) != 3 or not all(number.lstrip("-").isdigit() for number in numbers):
+            if len(numbers) != 3 or not all(number.removeprefix("-").isdecimal() for number in numbers):
                 raise UserError(f"{path}: {line[:80]!r} is no name and position")
             pose = np.eye(4)
             pose[:3, 3] = [float(number) for number in numbers]

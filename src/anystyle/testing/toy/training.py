@@ -1,8 +1,10 @@
 """Brightness: the smallest training of a backbone."""
 
 from collections.abc import Mapping
+from typing import Annotated
 
 import torch
+from msgspec import Meta
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, SceneSource, StyleSource
@@ -19,7 +21,15 @@ class ToyTraining(Training):
         learning_rate: Of Adam.
     """
 
-    def __init__(self, *, backbone: Backbone, batch_size: int = 2, learning_rate: float = 1e-3) -> None:
+    needs = ("scenes",)
+
+    def __init__(
+        self,
+        *,
+        backbone: Backbone,
+        batch_size: Annotated[int, Meta(ge=1)] = 2,
+        learning_rate: Annotated[float, Meta(gt=0)] = 1e-3,
+    ) -> None:
         super().__init__()
         self.backbone = backbone
         self.batch_size = batch_size
