@@ -10,6 +10,7 @@ from typing import Any
 
 from anystyle.contracts import Injector
 from anystyle.errors import UserError
+from anystyle.paths import expanded
 from anystyle.registry.build import choice
 from anystyle.registry.catalog import catalog
 
@@ -64,7 +65,7 @@ class ViewOptions:
 
     def __post_init__(self) -> None:
         _expect("views.masked", self.masked, ("ignored", "empty"))
-        if self.masks is not None and not Path(self.masks).expanduser().is_dir():
+        if self.masks is not None and not expanded(self.masks).is_dir():
             raise UserError(f"views.masks={self.masks}: there is no folder of masks")
         _between("views.short_side", self.short_side, 1, 1 << 16)
         _between("views.take", self.take, 1, 1 << 20)

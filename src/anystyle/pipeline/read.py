@@ -13,6 +13,7 @@ from anystyle.data.folder import SourceImage, covering, files_of, read_originals
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
 from anystyle.errors import UserError
 from anystyle.io import video
+from anystyle.paths import expanded
 from anystyle.pipeline.cameras import KnownCameras, from_views
 from anystyle.pipeline.options import PoseOptions, ViewOptions
 from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
@@ -103,7 +104,7 @@ def read(
     masks: Mapping[Path, Path] = {}
     if options.masks is not None:
         photographs = [path for item in paths_of(inputs) for path in files_of(item)]
-        masks = find_masks(Path(options.masks).expanduser(), photographs)
+        masks = find_masks(expanded(options.masks), photographs)
     given = _read(inputs, backbone, options, poses, reconstruction, stages, masks)
     views, report = masked_views(given.views, given.sources, masks, empty=options.masked == "empty")
     if not report:

@@ -191,7 +191,7 @@ def _same(before: object, now: object) -> bool:
 
 
 def _place(text: str) -> str:
-    return os.path.realpath(Path(text).expanduser() if text.startswith("~/") else text)
+    return os.path.realpath(paths.expanded(text))
 
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:

@@ -211,7 +211,7 @@ def _complete_folder(
     for name, value in (("num_styles", num_styles), ("frames", frames)):
         if value < 1:
             raise UserError(f"{name}={value}: give at least 1")
-    folder = PaperFolder(Path(root).expanduser(), tuple(scene_names), num_styles, frames)
+    folder = PaperFolder(expanded(root), tuple(scene_names), num_styles, frames)
     folder.require(texts="text" in guides, methods=methods, missing=missing)
     return folder
 
