@@ -115,8 +115,8 @@ def test_contradictory_options_are_refused_in_one_line(tmp_path, words, told):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (("training.batch_size=0",), "training.batch_size=0: give at least 1"),
-        (("training.batch_size=null", "training.images=0"), "training.images=0"),
+        (("training.batch_size=0",), "option 'batch_size': 0 is given"),
+        (("training.batch_size=null", "training.images=0"), "option 'images': 0 is given"),
         (("training.context_views=[3]",), r"training.context_views=\[3\]: give the least and the greatest"),
         (("training.heights=[28,10]",), r"training.heights=\[28, 10\]"),
         (("training.heights=[30,40]",), r"no multiple of that lies between; give one, such as \[28, 42\]"),
