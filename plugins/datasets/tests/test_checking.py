@@ -56,7 +56,7 @@ def test_scenes_are_counted_and_what_is_wrong_is_named(dl3dv):
     for words in (
         "3K/gone: in train_index.json",
         "frame_00002.png is a damaged",
-        "names frame_00009.png",
+        "names images/frame_00009.png",
         "1 views, fewer",
     ):
         assert words in found
