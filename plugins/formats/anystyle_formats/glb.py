@@ -31,7 +31,7 @@ from anystyle.pipeline.provenance import tables
 from anystyle.types import Gaussians, StyledScene
 from anystyle_formats import spz
 from anystyle_formats.provenance import XMP, joined_notes, lines_of, xmp_packet
-from anystyle_formats.reading import Placed, gaussians, joined, offset_of_parts, reading, room_for
+from anystyle_formats.reading import Placed, gaussians, joined, moved, offset_of_parts, reading, room_for
 
 NAME, PACKED = "KHR_gaussian_splatting", "KHR_gaussian_splatting_compression_spz_2"
 _FLOAT, _UNSIGNED_BYTE, _POINTS, _ARRAY_BUFFER = 5126, 5121, 0, 34962
@@ -86,14 +86,14 @@ class Glb(Format):
         packet = xmp_packet(scene, "model/gltf-binary")
         if packet is not None:
             asset |= {"extensions": {XMP: {"packet": 0}}, "extras": {"provenance": tables(scene.notes)}}
-        moved = {"translation": list(scene.offset)} if any(scene.offset) else {}
+        placed = {"translation": list(scene.offset)} if any(scene.offset) else {}
         document = {
             "asset": asset,
             "extensionsUsed": [NAME, *([XMP] if packet else [])],
             **({"extensions": {XMP: {"packets": [packet]}}} if packet else {}),
             "scene": len(titles) - 1,
             "scenes": [{"name": title, "nodes": [style]} for style, title in enumerate(titles)],
-            "nodes": [{"name": title, "mesh": style} | moved for style, title in enumerate(titles)],
+            "nodes": [{"name": title, "mesh": style} | placed for style, title in enumerate(titles)],
             "meshes": meshes,
             "buffers": [{"byteLength": len(binary)}],
             "bufferViews": views,
@@ -119,7 +119,9 @@ class Glb(Format):
             if not scenes[shown]:
                 raise ValueError(f"what it shows has no primitive with the extension {NAME}")
             offset = offset_of_parts(scenes[shown], remarks)
-            found = {index: joined(parts, offset) for index, parts in scenes.items() if parts}
+            found = {
+                index: joined([moved(*part, offset) for part in parts]) for index, parts in scenes.items() if parts
+            }
             styles = [(document.scenes[index].name or path.stem, scene) for index, scene in found.items()]
         alike = tuple(style for style in styles if style[1].means.shape == styles[-1][1].means.shape)
         extras = document.asset.extras if isinstance(document.asset.extras, dict) else {}

@@ -1,6 +1,6 @@
 """What readers share: a file that is damaged, or none of the format, ends in one line."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -67,9 +67,8 @@ Placed = tuple[Gaussians, NDArray[np.float64]]
 """Gaussians, and the transformation from their coordinates to the world's."""
 
 
-def joined(found: Iterable[Placed], offset: Offset) -> Gaussians:
-    """Several parts as one scene, without an offset; colours of lower degrees get coefficients of 0."""
-    parts = [_moved(part, world, offset) for part, world in found]
+def joined(parts: Sequence[Gaussians]) -> Gaussians:
+    """Several scenes as one; colours of lower degrees get coefficients of 0."""
     most = max(part.harmonics.shape[2] for part in parts)
     colors = [F.pad(part.harmonics, (0, 0, 0, most - part.harmonics.shape[2])) for part in parts]
     padded = [replace(part, harmonics=color) for part, color in zip(parts, colors, strict=True)]
@@ -83,7 +82,7 @@ def offset_of_parts(found: Sequence[Placed], remarks: Remarks) -> Offset:
     return offset_of(np.array([world[:3, 3] for _, world in found]), remarks)
 
 
-def _moved(part: Gaussians, world: NDArray[np.float64], offset: Offset) -> Gaussians:
+def moved(part: Gaussians, world: NDArray[np.float64], offset: Offset) -> Gaussians:
     """Gaussians under a transformation that turns, moves and scales evenly, without an offset."""
     world = world.copy()
     world[:3, 3] -= offset

@@ -27,7 +27,7 @@ from anystyle.io.splats import Offset, Remarks, Splats
 from anystyle.pipeline.provenance import tables
 from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle_formats.provenance import joined_notes, lines_of, readable
-from anystyle_formats.reading import Placed, gaussians, joined, offset_of_parts, reading, room_for
+from anystyle_formats.reading import Placed, gaussians, joined, moved, offset_of_parts, reading, room_for
 
 SET = "style"
 _FOCAL = 24.0
@@ -90,7 +90,7 @@ class Usd(Format):
             else:
                 styles.append((path.stem, _found(stage, remarks)))
             offset = offset_of_parts(styles[-1][1], remarks)
-            named = tuple((title, joined(parts, offset)) for title, parts in styles)
+            named = tuple((title, joined([moved(*part, offset) for part in parts])) for title, parts in styles)
             cameras, names = _read_cameras(stage, offset)
             up = "z" if pxr.UsdGeom.GetStageUpAxis(stage) == pxr.UsdGeom.Tokens.z else "y"
             notes = joined_notes(list(data.get("notes", ())), json.loads(data.get("provenance", "[]")))
