@@ -2,16 +2,15 @@
 
 import os
 import signal
-from unittest.mock import MagicMock, Mock
+from unittest.mock import Mock
 
 import lightning.pytorch as pl
 import numpy as np
 import pytest
 import torch
-from lightning.pytorch.trainer.states import RunningStage, TrainerFn
 from torch import nn
 
-from anystyle.training.callbacks import MovingAverage, RunCheckpoint, StepSeed, StepThroughput
+from anystyle.training.callbacks import MovingAverage, RunCheckpoint, StepSeed
 from anystyle.training.optim import decayed_groups, learning_rate, scheduled, trainable
 from anystyle.training.safeguards import SkipOutliers
 
@@ -91,16 +90,6 @@ def test_a_process_that_another_ones_signal_stops_saves_with_it_once(tmp_path):
     keeper.on_train_batch_end(trainer, Module(), None, None, 0)
     keeper.on_train_end(trainer, Module())
     assert steps == [1] and trainer.should_stop and keeper.stopped_by == "SIGTERM"
-
-
-def test_samples_are_counted_over_all_processes():
-    monitor, trainer = StepThroughput(lambda batch: 3, window_size=20), MagicMock(spec=pl.Trainer)
-    trainer.world_size, trainer.is_global_zero = 4, True
-    trainer.state.fn, trainer.state.stage = TrainerFn.FITTING, RunningStage.TRAINING
-    monitor.setup(trainer, Module(), "fit")
-    throughput = monitor._throughputs[RunningStage.TRAINING]
-    throughput.update(time=1.0, batches=1, samples=3)
-    assert throughput.compute()["samples"] == 12
 
 
 def test_losses_far_above_the_usual_hardly_count():
