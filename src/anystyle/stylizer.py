@@ -112,8 +112,9 @@ class Stylizer(nn.Module):
             self._check_images(image, "style image")
             vector = self.style_encoder.embed_images(image)
         else:
-            texts = list(text) if isinstance(text, (list, tuple)) else [text]
-            if not texts or not all(isinstance(item, str) for item in texts):
+            given = text if isinstance(text, (list, tuple)) else [text]
+            texts = [item for item in given if isinstance(item, str)]
+            if not texts or len(texts) < len(given):
                 raise UserError(f"{text!r:.80} is given; a text or a list of texts is expected")
             vector = self.style_encoder.embed_texts(texts)
         direction = F.normalize(vector - neutral_embedding(self.style_encoder), dim=-1)

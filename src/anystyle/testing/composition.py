@@ -89,8 +89,9 @@ def compositions(tested: Subject) -> dict[str, Composition]:
     built_in = [row for row in catalog() if row.kind == "placement" and row.origin == "anystyle"]
     composed = {row.name: Composition(placement=subject("placement", row.load()), **given) for row in built_in}
     if tested.kind == "injector":
-        full, toy = subject("placement", Full), subject("injector", ToyInjector)
-        composed["full, beside another injector"] = Composition(placement=full, other=toy, **given)
+        full: Subject[Placement] = subject("placement", Full)
+        other: Subject[Injector] = subject("injector", ToyInjector)
+        composed["full, beside another injector"] = Composition(placement=full, other=other, **given)
     return composed
 
 

@@ -20,6 +20,7 @@ from anystyle.evaluation.model_renders import ModelRenders, Variant, suffix_of, 
 from anystyle.evaluation.pairing import Cell, Pairing
 from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle.methods.base import Method
+from anystyle.paths import expanded
 from anystyle.stylizer import Stylizer
 
 PHOTOGRAPHS = "photographs"
