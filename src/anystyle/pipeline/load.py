@@ -63,7 +63,7 @@ def make_branch(config: DictConfig, backbone: Backbone, style_dim: int) -> Style
     """A style branch at initialisation: copies of the backbone's parts, and injectors that are identities."""
     options = branch_options(config)
     sites = build(Placement, config.placement).select(sites_of(backbone, options.sh_degree))
-    chosen = dict.fromkeys(sites, config.injector)
+    chosen: dict[Site, Any] = dict.fromkeys(sites, config.injector)
     for pattern, other in options.injectors.items():
         chosen |= dict.fromkeys(matching_sites(sites, [pattern]), choice(Injector, other))
 
