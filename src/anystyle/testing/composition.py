@@ -1,6 +1,6 @@
 """What a backbone, a placement and an injector promise together, whichever they are."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import pytest
@@ -10,7 +10,6 @@ from torch import Tensor
 from anystyle.branch import ATTRIBUTES, StyleBranch, sites_of
 from anystyle.contracts import Backbone, Injector, Placement
 from anystyle.io.checkpoint import load_strictly
-from anystyle.placements.full import Full
 from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
 from anystyle.testing import asserts
@@ -89,9 +88,8 @@ def compositions(tested: Subject) -> dict[str, Composition]:
     built_in = [row for row in catalog() if row.kind == "placement" and row.origin == "anystyle"]
     composed = {row.name: Composition(placement=subject("placement", row.load()), **given) for row in built_in}
     if tested.kind == "injector":
-        full: Subject[Placement] = subject("placement", Full)
-        other: Subject[Injector] = subject("injector", ToyInjector)
-        composed["full, beside another injector"] = Composition(placement=full, other=other, **given)
+        beside: type[Injector] = ToyInjector
+        composed["full, beside another injector"] = replace(composed["full"], other=subject("injector", beside))
     return composed
 
 
