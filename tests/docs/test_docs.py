@@ -183,7 +183,10 @@ def _compose(command, module, words):
     parsed = OverridesParser.create().parse_overrides(overrides)
     single = [word for word, item in zip(overrides, parsed, strict=True) if not item.is_sweep_override()]
     swept = [
-        [f"{item.get_key_element()}={value}" for value in item.sweep_string_iterator()]
+        [
+            f"{item.get_key_element()}={value}"
+            for value in ([item.value().start] if item.is_interval_sweep() else item.sweep_string_iterator())
+        ]
         for item in parsed
         if item.is_sweep_override()
     ]
