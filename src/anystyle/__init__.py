@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from anystyle.pipeline.controls import Controls
     from anystyle.pipeline.load import load
     from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
+    from anystyle.pipeline.request import Request
     from anystyle.pipeline.styles import Mixture, Places
     from anystyle.pipeline.stylize import stylize
     from anystyle.registry.build import build
@@ -31,6 +32,7 @@ _HOMES = {
     "Mixture": "anystyle.pipeline.styles",
     "Places": "anystyle.pipeline.styles",
     "PoseOptions": "anystyle.pipeline.options",
+    "Request": "anystyle.pipeline.request",
     "SplatOptions": "anystyle.pipeline.options",
     "Stylizer": "anystyle.stylizer",
     "ViewOptions": "anystyle.pipeline.options",
@@ -69,6 +71,7 @@ __all__ = [
     "Mixture",
     "Places",
     "PoseOptions",
+    "Request",
     "SplatOptions",
     "Stylizer",
     "ViewOptions",

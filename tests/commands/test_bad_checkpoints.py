@@ -9,8 +9,7 @@ from omegaconf import OmegaConf
 from PIL import Image
 from safetensors.torch import save_file
 
-from anystyle.cli.launch import main
-from anystyle.commands.stylize import command, parser
+from anystyle.commands import stylize
 from anystyle.pipeline import memory
 from anystyle.pipeline.weights import reference_config
 from anystyle.registry.compose import override
@@ -51,7 +50,7 @@ def words(photographs: Path, tmp_path: Path) -> list[str]:
 def refused(capsys: pytest.CaptureFixture[str], words: list[str], *more: str) -> str:
     """The one line that a command ends in; nothing is left behind."""
     with pytest.raises(SystemExit) as caught:
-        main("stylize", command, parser(), [*words, *more])
+        stylize.main([*words, *more])
     assert caught.value.code == 2
     told = capsys.readouterr()
     lines = [line for line in told.err.splitlines() if not line.endswith("…")]

@@ -11,8 +11,7 @@ import torch
 from PIL import Image
 from plyfile import PlyData
 
-from anystyle.cli.launch import main
-from anystyle.commands.stylize import command, parser
+from anystyle.commands import stylize
 from anystyle.errors import UserError
 from anystyle.formats.ply import Ply
 from anystyle.io.video import write_video
@@ -23,7 +22,7 @@ SMALL = ["video.frames=3", "video.scale=0.5", "views.take=3", "views.short_side=
 
 
 def run(*words):
-    main("stylize", command, parser(), [str(word) for word in words])
+    stylize.main([str(word) for word in words])
 
 
 def fails(capsys, *words):

@@ -12,15 +12,14 @@ from scipy.spatial.transform import Rotation, Slerp
 
 import anystyle
 from anystyle import Controls, ViewOptions
-from anystyle.cli.launch import main
-from anystyle.commands.stylize import command, given_controls, given_styles, parser
+from anystyle.commands import stylize
 from anystyle.data.folder import Original, covering, read_views
 from anystyle.data.images import to_tensor
 from anystyle.geometry.harmonics import colors, constant_from_rgb
 from anystyle.pipeline.controls import LUMA, SeenScene, blended, rescaled, with_colors_of
 from anystyle.pipeline.masks import Alike, Box, Photographs, Sphere, inside, mask_files, parsed
 from anystyle.pipeline.poses import PosedViews
-from anystyle.registry.compose import compose
+from anystyle.pipeline.request import Request
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
 from anystyle_captures.structure_from_motion import StructureFromMotion
@@ -199,17 +198,17 @@ def test_words_become_masks(tmp_path):
 
 def test_flags_become_every_combination():
     words = ["--strength", "0,0.5", "--preserve-color", "1", "photos", "--scale", "2", "--text", "x"]
-    controls = given_controls(parser().parse_intermixed_args(words))
+    controls = list(Request.from_args(words).controls)
     assert controls == [Controls(0.0, 1.0, 2.0), Controls(0.5, 1.0, 2.0)]
-    assert given_controls(parser().parse_args([])) == [Controls()]
+    assert Request.from_args([]).controls == (Controls(),)
     for words in (["--strength", "x"], ["--strength", "1.5"], ["--scale", "0"]):
         with pytest.raises(ValueError):
-            given_controls(parser().parse_args(words))
+            Request.from_args(words)
 
 
 def test_strength_zero_is_the_unstyled_scene_bit_for_bit_and_a_list_is_a_strip(photographs, tmp_path):
     words = ["views.short_side=56", "views.take=3", "video.frames=2", "video.scale=0.5"]
-    main("stylize", command, parser(), [str(photographs), "--text", "dots", "--strength", "0,0.5,1", "--out",
+    stylize.main([str(photographs), "--text", "dots", "--strength", "0,0.5,1", "--out",
                                         str(tmp_path / "out"), *words])  # fmt: skip
     results = anystyle.stylize(photographs, "dots", views=VIEWS, video=VIDEO)
     results.restyler.unstyled.save(tmp_path / "unstyled.ply")
@@ -286,8 +285,7 @@ def test_a_style_on_the_command_line_has_a_place(tmp_path, monkeypatch):
     Path("masks").mkdir()
     Path("a@b.jpg").touch()
     words = ["photos", "--text", "dots@sphere:0,0,1,0.5,soft=0.1", "--text", "me@home", "--image", "a@b.jpg@masks"]
-    config = compose("stylize", [])
-    (places,) = given_styles(parser().parse_args(words), config, [])
+    (places,) = Request.from_args(words).styles
     assert places == anystyle.Places(
         (
             ("me@home", None),
@@ -295,9 +293,9 @@ def test_a_style_on_the_command_line_has_a_place(tmp_path, monkeypatch):
             (Path("a@b.jpg"), Photographs(Path("masks"))),
         )
     )
-    assert given_styles(parser().parse_args(["photos", "--image", "a@b.jpg"]), config, []) == [Path("a@b.jpg")]
+    assert Request.from_args(["photos", "--image", "a@b.jpg"]).styles == (Path("a@b.jpg"),)
     words = ["photos", "--text", "dots@color", "--text", "you@masks@rotation+scale", "--image", "a@b.jpg@scale@masks"]
-    (places,) = given_styles(parser().parse_args(words), config, [])
+    (places,) = Request.from_args(words).styles
     masks = Photographs(Path("masks"))
     assert places.styles == (
         ("dots", Controls(attributes=("color",))),
@@ -305,9 +303,9 @@ def test_a_style_on_the_command_line_has_a_place(tmp_path, monkeypatch):
         (Path("a@b.jpg"), Controls(mask=masks, attributes=("scale",))),
     )
     with pytest.raises(ValueError, match="ball"):
-        given_styles(parser().parse_args(["photos", "--image", "b.jpg@ball:1"]), config, [])
+        Request.from_args(["photos", "--image", "b.jpg@ball:1"])
     with pytest.raises(ValueError, match="--mix"):
-        given_styles(parser().parse_args(words[:3]), config, [0.5])
+        Request.from_args([*words[:3], "--mix", "0.5"])
 
 
 def test_masks_lie_in_the_folders_of_photographs_or_are_named_as_views(tmp_path):

@@ -17,9 +17,7 @@ import pytest
 from PIL import Image, PngImagePlugin
 from plyfile import PlyData
 
-from anystyle.cli.launch import main
-from anystyle.commands import export
-from anystyle.commands.stylize import command, parser
+from anystyle.commands import export, stylize
 from anystyle.pipeline.read import is_saved
 from anystyle.pipeline.saved import read_saved
 from anystyle.vision.weights import license_meaning
@@ -50,8 +48,8 @@ def folders(given, tmp_path_factory):
     out = tmp_path_factory.mktemp("results")
     words = [str(given), "--text", "aquamarine dots", "--image", str(given.parent / "zinnober.png")]
     words += ["--export", FORMATS, *SMALL, "export.colmap=text", f"poses_from={given}"]
-    main("stylize", command, parser(), [*words, "--out", str(out / "open")])
-    main("stylize", command, parser(), [*words, "--out", str(out / "closed"), "--no-provenance"])
+    stylize.main([*words, "--out", str(out / "open")])
+    stylize.main([*words, "--out", str(out / "closed"), "--no-provenance"])
     return out / "open", out / "closed"
 
 
@@ -215,10 +213,10 @@ def test_a_file_of_others_that_is_styled_is_named_with_its_comments(folders, giv
     data.comments = ["by somebody else, CC-BY-4.0"]
     data.write(tmp_path / "theirs.ply")
     words = [str(tmp_path / "theirs.ply"), "--text", "red dots", *SMALL, "splat.cameras=2", "method.fit_colors=1"]
-    main("stylize", command, parser(), [*words, "--out", str(tmp_path / "out")])
+    stylize.main([*words, "--out", str(tmp_path / "out")])
     comments = PlyData.read(tmp_path / "out" / "scene.ply").comments
     assert "by somebody else, CC-BY-4.0" in comments
     assert any(digest(tmp_path / "theirs.ply") in line for line in comments)
-    main("stylize", command, parser(), [*words, "--out", str(tmp_path / "closed"), "--no-provenance"])
+    stylize.main([*words, "--out", str(tmp_path / "closed"), "--no-provenance"])
     hidden = PlyData.read(tmp_path / "closed" / "scene.ply").comments
     assert not any("somebody" in line or "theirs" in line for line in hidden)

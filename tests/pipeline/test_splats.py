@@ -9,8 +9,7 @@ import torch
 from plyfile import PlyData, PlyElement
 
 import anystyle
-from anystyle.cli.launch import main
-from anystyle.commands.stylize import command, parser
+from anystyle.commands import stylize
 from anystyle.io import ply
 from anystyle.methods.branch import Branch
 from anystyle.methods.colors import fit_colors
@@ -77,7 +76,7 @@ def test_the_command_gives_the_file_back_with_other_colours(file, tmp_path, keep
 
     to_pil(painting().image[0]).save(style)
     words = ["video.frames=2", "views.short_side=40", "splat.cameras=3", f"method.keep_harmonics={keep}"]
-    main("stylize", command, parser(), [str(file), "--image", str(style), "--out", str(tmp_path / "out"), *words])
+    stylize.main([str(file), "--image", str(style), "--out", str(tmp_path / "out"), *words])
     before = PlyData.read(file)["vertex"].data
     after = PlyData.read(tmp_path / "out" / "scene.ply")["vertex"].data
     assert len(after) == len(before)

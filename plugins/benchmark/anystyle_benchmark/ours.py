@@ -9,16 +9,13 @@ from pathlib import Path
 import torch
 
 import anystyle
-from anystyle.cli.arguments import split
 from anystyle.cli.run import run
-from anystyle.commands.stylize import given_controls, parser
 from anystyle.data.folder import SourceImage
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.pipeline.export import export_styles
-from anystyle.pipeline.options import PoseOptions
-from anystyle.registry.compose import compose, options
+from anystyle.pipeline.request import Request
 from anystyle.types import Cameras
 from anystyle_benchmark.job import SECONDS, AskedStyle, read_job
 
@@ -26,18 +23,14 @@ from anystyle_benchmark.job import SECONDS, AskedStyle, read_job
 def main(job_file: str, words: Sequence[str]) -> None:
     """Render a job's views in its styles; views are read at the job's size unless a word says otherwise."""
     job = read_job(job_file)
-    arguments, overrides = split(parser(), [word.replace("{seed}", str(job.seed)) for word in words])
-    config = compose("stylize", [f"views.short_side={min(job.size)}", f"seed={job.seed}", *overrides])
-    torch.manual_seed(job.seed)
-    start = time.process_time()
-    results = anystyle.stylize(
-        [Path(file) for file in job.photographs.values()],
-        [_style(style) for style in job.styles],
-        model=config,
-        views=options(config, "views"),
-        poses=PoseOptions(config.poses, config.poses_from),
-        controls=given_controls(arguments),
+    given = [f"views.short_side={min(job.size)}", f"seed={job.seed}"]
+    request = replace(
+        Request.from_args([*given, *(word.replace("{seed}", str(job.seed)) for word in words)]),
+        inputs=tuple(job.photographs.values()),
+        styles=tuple(_style(style) for style in job.styles),
     )
+    start = time.process_time()
+    results = anystyle.stylize(request)
     cameras = judged_cameras(results.encoded.cameras, results.encoded.sources, job.views, job.size)
     spent = time.process_time()
     # A fit that an earlier method left in the cache took no time now: that method's record has its seconds.

@@ -3,6 +3,7 @@
 import importlib
 import inspect
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -10,12 +11,11 @@ from anystyle.geometry.cameras import smooth_path
 from anystyle.pipeline.controls import Controls
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model
-from anystyle.pipeline.options import PoseOptions
+from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.styles import Mixture, StyleInput, embed_styles
 from anystyle.pipeline.stylize import encode_inputs
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import compose, options
 from anystyle.registry.packages import presets
 from anystyle.types import Progress, Style
 
@@ -80,8 +80,8 @@ class LoadModel(Node):
     def execute(cls, model: str, options: str) -> Any:
         """Load it."""
         with running():
-            config = compose("stylize", [f"model={model}", *shlex.split(options)])
-            return io.NodeOutput(Model(config, load_model(config)))
+            request = Request(overrides=(f"model={model}", *shlex.split(options)))
+            return io.NodeOutput(Model(request, load_model(request)))
 
 
 class LoadCapture(Node):
@@ -130,17 +130,9 @@ class FitScene(Node):
     @classmethod
     def execute(cls, model: Model, capture: str | Path) -> Any:
         """Encode the capture."""
-        config, loaded = model.config, model.loaded
+        request, loaded = replace(model.request, inputs=(str(capture),)), model.loaded
         with running() as report:
-            encoded = encode_inputs(
-                capture,
-                loaded.stylizer,
-                options(config, "views"),
-                PoseOptions(config.poses or loaded.poses, config.poses_from),
-                options(config, "splat"),
-                loaded.reconstruction,
-                report.stages,
-            )
+            encoded = encode_inputs(request, loaded, report.stages)
             unstyled = Restyler(encoded, loaded.method).unstyled
             return io.NodeOutput(Scene(encoded, unstyled, "unstyled", loaded.method, loaded.weights))
 
@@ -224,7 +216,7 @@ class Stylize(Node):
         controls = Controls(strength=strength, preserve_color=preserve_color, scale=scale)
         with running() as report:
             embedded = embed_styles([style], scene.encoded.stylizer, [controls])[0]
-            gaussians = Restyler(scene.encoded, scene.method, report)(embedded)
+            gaussians = Restyler(scene.encoded, scene.method)(embedded, report)
             return io.NodeOutput(Scene(scene.encoded, gaussians, embedded.title, scene.method, scene.weights))
 
 

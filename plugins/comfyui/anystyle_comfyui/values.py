@@ -9,22 +9,22 @@ from typing import Any
 import torch
 import torch.nn.functional as F
 from jaxtyping import Float
-from omegaconf import DictConfig
 from torch import Tensor
 
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.methods.base import Method
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.load import LoadedModel
+from anystyle.pipeline.request import Request
 from anystyle.types import Gaussians, StyledScene
 from anystyle.vision.weights import license_lines, licenses
 
 
 @dataclass(frozen=True)
 class Model:
-    """A loaded model, and the configuration that it was loaded with."""
+    """A loaded model, and the request that it was loaded for, without inputs and styles."""
 
-    config: DictConfig
+    request: Request
     loaded: LoadedModel
 
 

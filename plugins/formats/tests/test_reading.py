@@ -17,10 +17,8 @@ from PIL import Image
 from plyfile import PlyData
 from test_formats import LEAST, picture, psnr, scene
 
-from anystyle.cli.launch import main
 from anystyle.commands import export as command
-from anystyle.commands.stylize import command as stylize
-from anystyle.commands.stylize import parser
+from anystyle.commands import stylize
 from anystyle.contracts import Format
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
@@ -325,7 +323,7 @@ def test_stylize_takes_a_file_of_any_format(tmp_path, capsys):
     texts = ["--text", "charcoal drawing", "--text", "red dots", "--export", "glb,html"]
     small = ["video.frames=2", "views.short_side=28", "splat.cameras=2", "method.fit_colors=1"]
     words = [str(tmp_path / "scene.spz"), *texts, "--out", str(tmp_path / "out"), *small]
-    main("stylize", stylize, parser(), words)
+    stylize.main(words)
     assert capsys.readouterr().out.strip().endswith("look at " + str(tmp_path / "out" / "scene.html"))
     report = json.loads((tmp_path / "out" / "report.json").read_text())
     assert report["reconstruction"]["kind"] == "given" and report["reconstruction"]["num_gaussians"] == 400

@@ -6,6 +6,7 @@ from PIL import Image
 
 from anystyle.io.sheet import to_pil
 from anystyle.pipeline.load import load_model
+from anystyle.pipeline.request import Request
 from anystyle_methods.projection import stylized_views
 from methods.worlds import method, painting, run, scene, stylizer
 
@@ -41,4 +42,4 @@ def test_what_cannot_be_used_is_said(tmp_path):
         run(method("method=projection", f"method.images={tmp_path}"))
     with pytest.raises(ValueError, match=r"method\.steps"):
         method("method=projection", "method.steps=-1")
-    assert load_model(stylizer(), method="projection").method.steps == 8
+    assert load_model(Request(overrides=("method=projection",)), stylizer=stylizer()).method.steps == 8

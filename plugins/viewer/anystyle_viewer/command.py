@@ -13,14 +13,14 @@ from anystyle.cli.run import show
 from anystyle.errors import UserError
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model
-from anystyle.pipeline.options import PoseOptions
 from anystyle.pipeline.provenance import anonymous
 from anystyle.pipeline.read import check_inputs, is_saved
+from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import UNSTYLED, read_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.stylize import encode_inputs
-from anystyle.registry.compose import compose, only_options, options
+from anystyle.registry.compose import only_options
 from anystyle.registry.socket import Command
 from anystyle.vision.weights import license_lines, licenses
 from anystyle_viewer.session import CACHE_SIZE, Session
@@ -53,20 +53,12 @@ def parser() -> argparse.ArgumentParser:
 
 def open_session(path: Path, words: Sequence[str], folder: Path | None = None) -> Session:
     """Encode photographs, or a saved scene by its renders, ready for styles."""
-    config = compose("stylize", list(words))
-    check_inputs(path, PoseOptions(config.poses, config.poses_from))
+    request = Request(inputs=(str(path),), overrides=tuple(words))
+    check_inputs(request.inputs, request.poses)
     stages = Stages(lambda stage, progress: print(f"{stage} {progress.line} …", file=sys.stderr, flush=True))
     with stages("load", "the model"):
-        model = load_model(config)
-    encoded = encode_inputs(
-        path,
-        model.stylizer,
-        options(config, "views"),
-        PoseOptions(config.poses or model.poses, config.poses_from),
-        options(config, "splat"),
-        model.reconstruction,
-        stages,
-    )
+        model = load_model(request)
+    encoded = encode_inputs(request, model, stages)
     styles, notes = {}, [*license_lines(licenses(model.weights)), *encoded.notes]
     if is_saved(path) and path.is_dir():
         saved = read_saved(path)

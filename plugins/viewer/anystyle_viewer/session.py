@@ -71,7 +71,6 @@ class Session:
         """Called from the background thread when another style is ready."""
         self.on_status: Callable[[], None] = lambda: None
         """Called from the background thread when :attr:`status` has changed."""
-        restyler.on_progress = self._report
         restored = (kept_json(folder / "session.json", SavedSession) if folder is not None else None) or SavedSession()
         self.recent = list(restored.recent)
         self.current, self.gaussians = StyleRequest(), restyler.unstyled
@@ -152,7 +151,7 @@ class Session:
             weights = self.restyler.mask_weights(mask)
             return mixed if controls == Controls() else applied(controls, self.restyler.unstyled, mixed, weights)
         key = (request.style, request.second, request.amount if request.second else 0.0)
-        return self.restyler(self._embedded.get(key, lambda: self._embed(request)).under(controls))
+        return self.restyler(self._embedded.get(key, lambda: self._embed(request)).under(controls), self._report)
 
     def _embed(self, request: StyleRequest) -> EmbeddedStyle:
         first, second = (self.image_file(style) or style for style in (request.style, request.second))

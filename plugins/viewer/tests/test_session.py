@@ -9,7 +9,6 @@ import torch
 from PIL import Image
 from viewer_scene import FOCAL, SIZE, camera, write_scene
 
-from anystyle.cli.launch import main
 from anystyle.commands import stylize
 from anystyle.methods.base import Method
 from anystyle.methods.branch import Branch
@@ -196,7 +195,7 @@ def test_the_command_line_makes_what_is_shown(controls, file, session, tmp_path,
     command = shlex.split(session.command(str(file), WORDS))
     assert command[:2] == ["anystyle", "stylize"]
     monkeypatch.chdir(tmp_path)
-    main("stylize", stylize.command, stylize.parser(), [*command[2:], "video.frames=2"])
+    stylize.main([*command[2:], "video.frames=2"])
     result = read_gaussians(tmp_path / command[command.index("--out") + 1] / "scene.safetensors")
     assert torch.equal(result.means, shown.means)
     torch.testing.assert_close(result.harmonics, shown.harmonics, rtol=0, atol=1e-6)

@@ -44,6 +44,11 @@ class SeenScene:
 class Mask(ABC):
     """How much of the style each Gaussian takes."""
 
+    @property
+    @abstractmethod
+    def text(self) -> str:
+        """The mask as an argument of the command line."""
+
     @abstractmethod
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """In [0, 1], 0 unstyled and 1 styled, for Gaussians of one scene and the views that it comes from."""

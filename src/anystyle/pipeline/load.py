@@ -28,14 +28,15 @@ from anystyle.io.limits import require
 from anystyle.methods.base import Method
 from anystyle.methods.branch import Branch
 from anystyle.paths import expanded
-from anystyle.pipeline.options import BranchOptions
+from anystyle.pipeline.options import BranchOptions, ViewOptions
+from anystyle.pipeline.request import Request
 from anystyle.published import Published
 from anystyle.registry.build import build, build_all, choice
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
 from anystyle.registry.schema import runtime_arguments
 from anystyle.stylizer import Stylizer
-from anystyle.types import Site, matching_sites
+from anystyle.types import Site, Views, matching_sites
 from anystyle.vision import weights
 
 _log = logging.getLogger(__name__)
@@ -213,6 +214,7 @@ class LoadedModel:
         reconstruction: What makes a scene of views; ``None`` where that depends on whether their cameras are found.
         poses: The default source of cameras.
         weights: What was loaded; see :func:`assemble`.
+        named: Whether the configuration names all of it, and nothing was in memory already.
     """
 
     stylizer: Stylizer
@@ -220,29 +222,38 @@ class LoadedModel:
     reconstruction: Reconstruction | None
     poses: str
     weights: dict[str, dict[str, Any]]
+    named: bool = True
 
 
 def load_model(
-    model: str | DictConfig | Stylizer | None,
-    reconstruction: str | Reconstruction | None = None,
-    method: str | Method | None = None,
+    request: Request,
+    *,
+    stylizer: Stylizer | None = None,
+    reconstruction: Reconstruction | None = None,
+    method: Method | None = None,
 ) -> LoadedModel:
-    """Load a model with its method and reconstruction; see :func:`anystyle.stylize` for the arguments."""
-    words = [f"{group}={name}" for group, name in (("model", model), ("method", method)) if isinstance(name, str)]
-    config = model if isinstance(model, DictConfig) else compose("stylize", words)
-    if isinstance(model, Stylizer):
-        stylizer, weights, poses = model, {}, "predicted"
-        how = method or Branch()
-    else:
+    """Load the model of a request with its method and reconstruction, but for parts that are in memory already."""
+    config, weights, poses = request.config, {}, "predicted"
+    all_named = stylizer is None and reconstruction is None and method is None
+    if stylizer is None:
         stylizer, weights = assemble_frozen(config)
         stylizer, poses = stylizer.to(default_device()), default_poses(config)
-        how = method or config.method
-    if not isinstance(how, Method):
-        how = make_method(config, stylizer.style_encoder)
-    made = reconstruction or (None if isinstance(model, Stylizer) else config.get("reconstruction"))
-    if made is not None and not isinstance(made, Reconstruction):
-        made = build(Reconstruction, made)
-    return LoadedModel(stylizer, how, made, poses, weights)
+        method = method or make_method(config, stylizer.style_encoder)
+    elif method is None:  # a stylizer stylizes in its single pass unless another method is named
+        named = any(word.startswith("method") for word in request.overrides)
+        method = make_method(config, stylizer.style_encoder) if named else Branch()
+    if reconstruction is None and config.get("reconstruction") is not None:
+        reconstruction = build(Reconstruction, config.reconstruction)
+    return LoadedModel(stylizer, method, reconstruction, poses, weights, all_named)
+
+
+def first_views(config: DictConfig, options: ViewOptions) -> Views:
+    """The first views of the configured scene."""
+    source = make_scenes(config)
+    if not 0 <= config.scene < len(source):
+        raise UserError(f"scene={config.scene} does not exist; the source holds {len(source)}")
+    number = min(source.num_views(config.scene), options.take or Reconstruction.max_views)
+    return source.read(config.scene, range(number))
 
 
 def load(model: str | None = None, overrides: Sequence[str] = ()) -> Stylizer:

@@ -39,6 +39,10 @@ class Sphere(Mask):
         if not self.radius > 0 or not self.soft >= 0:
             raise UserError(f"a sphere of radius {self.radius} with an edge of {self.soft}; expected > 0 and >= 0")
 
+    @property
+    def text(self) -> str:
+        return _text("sphere", (*self.center, self.radius), self.soft)
+
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """1 inside."""
         distance = (gaussians.means - gaussians.means.new_tensor(self.center)).norm(dim=-1) - self.radius
@@ -63,6 +67,10 @@ class Box(Mask):
         if not all(low < high for low, high in zip(self.low, self.high, strict=True)) or not self.soft >= 0:
             raise UserError(f"a box from {self.low} to {self.high} with an edge of {self.soft} has no inside")
 
+    @property
+    def text(self) -> str:
+        return _text("box", (*self.low, *self.high), self.soft)
+
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """1 inside."""
         low, high = (gaussians.means.new_tensor(corner) for corner in (self.low, self.high))
@@ -86,6 +94,10 @@ class Alike(Mask):
     tolerance: float
     soft: float = 0.0
 
+    @property
+    def text(self) -> str:
+        return _text("like", (*self.point, self.radius, self.tolerance), self.soft)
+
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """1 on what is near and alike."""
         near = Sphere(self.point, self.radius, self.soft).weights(gaussians, seen)
@@ -107,6 +119,10 @@ class Photographs(Mask):
 
     folder: Path
     soft: float = 0.01
+
+    @property
+    def text(self) -> str:
+        return f"{self.folder},soft={self.soft!r}"
 
     def weights(self, gaussians: Gaussians, seen: SeenScene) -> Float[Tensor, "B N"]:
         """The masks through the renderer."""
@@ -142,6 +158,10 @@ def inside(distance: Float[Tensor, "*batch"], soft: float) -> Float[Tensor, "*ba
         return (distance <= 0).to(distance.dtype)
     way = (0.5 - distance / soft).clamp(0, 1)
     return way * way * (3 - 2 * way)
+
+
+def _text(kind: str, numbers: Sequence[float], soft: float) -> str:
+    return f"{kind}:{','.join(map(repr, numbers))}" + (f",soft={soft!r}" if soft else "")
 
 
 SHAPES = "sphere:X,Y,Z,RADIUS, box:X,Y,Z,X,Y,Z or like:X,Y,Z,RADIUS,TOLERANCE"

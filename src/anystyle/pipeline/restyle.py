@@ -26,18 +26,11 @@ class Restyler:
     Args:
         encoded: The capture.
         method: How it takes a style.
-        on_progress: Called every few seconds while a method works.
         keep: How many styled scenes are kept, to apply further controls to them.
     """
 
-    def __init__(
-        self,
-        encoded: EncodedCapture,
-        method: Method,
-        on_progress: OnProgress = no_progress,
-        keep: int = 1,
-    ) -> None:
-        self.encoded, self.method, self.on_progress = encoded, method, on_progress
+    def __init__(self, encoded: EncodedCapture, method: Method, keep: int = 1) -> None:
+        self.encoded, self.method = encoded, method
         # The identity of an embedding is the key; the entry holds it, so that the identity stays unique.
         self._styled: LRUCache[int, tuple[StyleEmbedding, Gaussians]] = LRUCache(keep)
         self._weights: dict[Mask, Float[Tensor, "B N"]] = {}
@@ -47,27 +40,27 @@ class Restyler:
         """The reconstruction itself."""
         return _finite(self.encoded.capture.gaussians(self.encoded.stylizer.unstyled), "the unstyled scene")
 
-    def __call__(self, style: EmbeddedStyle) -> Gaussians:
-        """The scene in a style."""
+    def __call__(self, style: EmbeddedStyle, on_progress: OnProgress = no_progress) -> Gaussians:
+        """The scene in a style; ``on_progress`` is called every few seconds while the method works."""
         controls = style.controls
         if controls.strength == 0:
             return self.unstyled
         embedding = style.embedding
         if style.parts:
-            styled = self._by_place(style.parts)
+            styled = self._by_place(style.parts, on_progress)
         else:
-            _, styled = self._styled.get(id(embedding), lambda: (embedding, self._restyle(style)))
+            _, styled = self._styled.get(id(embedding), lambda: (embedding, self._restyle(style, on_progress)))
         if controls == replace(Controls(), scale=controls.scale):
             return styled
         if styled.means.shape != self.unstyled.means.shape:
             raise UserError("controls need a fixed number of Gaussians, and this method adds some; leave them out")
         return applied(controls, self.unstyled, styled, self.mask_weights(controls.mask))
 
-    def _by_place(self, parts: Sequence[EmbeddedStyle]) -> Gaussians:
+    def _by_place(self, parts: Sequence[EmbeddedStyle], on_progress: OnProgress) -> Gaussians:
         """Each style where its mask is, over those before it."""
         scene = self.unstyled
         for part in parts:
-            alone = self(replace(part, controls=Controls()))
+            alone = self(replace(part, controls=Controls()), on_progress)
             if alone.means.shape != scene.means.shape:
                 raise UserError("styles by place need a fixed number of Gaussians, and this method adds some")
             for name in part.controls.attributes:
@@ -78,12 +71,12 @@ class Restyler:
             scene = applied(part.controls, scene, alone, self.mask_weights(part.controls.mask))
         return scene
 
-    def _restyle(self, style: EmbeddedStyle) -> Gaussians:
+    def _restyle(self, style: EmbeddedStyle, on_progress: OnProgress) -> Gaussians:
         stylizer = self.encoded.stylizer
         given = style.style.to(stylizer.device)
 
         def restyle(scene: Scene) -> Gaussians:
-            return self.method(stylizer, scene, given, style.embedding, on_progress=self.on_progress)
+            return self.method(stylizer, scene, given, style.embedding, on_progress=on_progress)
 
         return _finite(self.encoded.capture.gaussians(restyle), f"the scene in the style {style.title}")
 

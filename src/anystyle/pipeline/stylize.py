@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from omegaconf import DictConfig
+import torch
 from torch import Tensor
 
 from anystyle.contracts import Reconstruction
@@ -15,44 +15,45 @@ from anystyle.io.atomic import atomic_directory
 from anystyle.methods.base import Method
 from anystyle.pipeline.controls import Controls
 from anystyle.pipeline.encode import EncodedCapture, encode
-from anystyle.pipeline.export import film
-from anystyle.pipeline.load import load_model
+from anystyle.pipeline.load import LoadedModel, first_views, load_model
 from anystyle.pipeline.options import ExportOptions, PoseOptions, SplatOptions, ViewOptions
 from anystyle.pipeline.provenance import photographs
-from anystyle.pipeline.read import Inputs, check_inputs, paths_of, read, saved_path
-from anystyle.pipeline.save import Results
+from anystyle.pipeline.read import Inputs, paths_of, read, saved_path
+from anystyle.pipeline.request import Request
+from anystyle.pipeline.results import Results
 from anystyle.pipeline.stages import Stages
-from anystyle.pipeline.styles import Mixture, Places, StyleInput, check_styles, embed_styles
+from anystyle.pipeline.styles import Mixture, Places, StyleInput, embed_styles
 from anystyle.stylizer import Stylizer
 from anystyle.types import Style, Views
 
 
 def stylize(
-    inputs: Inputs,
-    styles: StyleInput | Sequence[StyleInput],
+    inputs: Inputs | Request,
+    styles: StyleInput | Sequence[StyleInput] = (),
     *,
-    model: str | DictConfig | Stylizer | None = None,
-    views: ViewOptions = ViewOptions(),
-    poses: PoseOptions = PoseOptions(),
-    splat: SplatOptions = SplatOptions(),
+    model: str | Stylizer | None = None,
+    views: ViewOptions | None = None,
+    poses: PoseOptions | None = None,
+    splat: SplatOptions | None = None,
     reconstruction: str | Reconstruction | None = None,
     method: str | Method | None = None,
     controls: Controls | Sequence[Controls] = Controls(),
     out: str | Path | None = None,
-    export: ExportOptions = ExportOptions(),
+    export: ExportOptions | None = None,
     video: Mapping[str, object] = MappingProxyType({}),
-    provenance: Mapping[str, object] = MappingProxyType({}),
+    seed: int | None = None,
     stages: Stages | None = None,
 ) -> Results:
     """Stylize a scene: read its views, encode them once, and restyle it in each style when its result is asked for.
 
     Args:
         inputs: A folder of photographs, files, a pattern or a video; views that were read already; or a saved scene, a
-            PLY file or a folder of results, which keeps its geometry.
+            PLY file or a folder of results, which keeps its geometry. Or a :class:`~anystyle.Request`, which holds the
+            other arguments; with it only parts that are in memory, ``out`` and ``stages`` are given.
         styles: Texts as ``str``, image files as ``Path``, images as tensors or :class:`~anystyle.types.Style`, points
             between two of these as :class:`Mixture`, several in one scene as :class:`Places`.
-        model: A preset of the group ``model`` (``None`` for the default) or a composed configuration, loaded onto a GPU
-            where there is one; or a stylizer, such as :func:`anystyle.load` returns.
+        model: A preset of the group ``model`` (``None`` for the default), loaded onto a GPU where there is one; or a
+            stylizer, such as :func:`anystyle.load` returns.
         views: How photographs are read, and how many are encoded together.
         poses: Where the cameras of photographs come from.
         splat: Where a scene that is given as Gaussians is seen from.
@@ -65,11 +66,11 @@ def stylize(
         out: A folder to write all results to; without one each is written when it is saved.
         export: Which files a result has.
         video: Options of the film of each result, such as ``{"path": "orbit"}``: those of the format ``mp4``.
-        provenance: Entries for reports, such as the seed.
+        seed: Of random numbers.
         stages: Times and reports the work.
 
     Returns:
-        One result a style and control, each computed when it is asked for.
+        One result per style and control, each computed when it is asked for.
 
     Raises:
         UserError: An input or a style cannot be read, memory does not suffice, or a result is not finite.
@@ -79,58 +80,49 @@ def stylize(
         >>> for result in anystyle.stylize("photos/", ["thick swirling strokes", Path("starry_night.jpg")]):
         ...     result.gaussians.save(f"{result.style.name}.ply")
     """
-    given = [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture, Places)) else styles
-    applied = [controls] if isinstance(controls, Controls) else controls
-    if not given or not applied:
-        raise UserError("no style is given; give a text or an image, and leave controls out or give at least one")
-    check_inputs(inputs, poses)
-    check_styles(given)
-    stages = stages or Stages()
-    film(video)  # refuses options that make no sense before the work
-    with contextlib.nullcontext() if out is None else atomic_directory(out, export.folders) as folder:
-        with stages("load", "the model"):
-            loaded = load_model(model, reconstruction, method)
-        with stages("embed", "the styles"):  # before the scene, which takes longer than to find a mistake in these
-            embedded = embed_styles(given, loaded.stylizer, applied)
-        encoded = encode_inputs(
+    if isinstance(inputs, Request):
+        request = inputs
+    else:
+        request = Request.made(
             inputs,
-            loaded.stylizer,
-            views,
-            PoseOptions(poses.use or loaded.poses, poses.folder),
-            splat,
-            loaded.reconstruction,
-            stages,
-        )
-        results = Results(
-            encoded,
-            embedded,
-            method=loaded.method,
-            export=export,
-            video=video,
-            provenance={"weights": loaded.weights, **provenance},
-            stages=stages,
-        )
+            [styles] if isinstance(styles, (str, Path, Style, Tensor, Mixture, Places)) else styles,
+            [controls] if isinstance(controls, Controls) else controls,
+            model=model if isinstance(model, str) else None,
+            reconstruction=reconstruction if isinstance(reconstruction, str) else None,
+            method=method if isinstance(method, str) else None,
+            views=views, poses=poses, splat=splat, export=export, video=dict(video), seed=seed,
+        )  # fmt: skip
+    parts = {"stylizer": model, "reconstruction": reconstruction, "method": method}
+    in_memory = {name: part for name, part in parts.items() if part is not None and not isinstance(part, str)}
+    stages = stages or Stages()
+    request.check()
+    torch.manual_seed(request.seed)
+    with contextlib.nullcontext() if out is None else atomic_directory(out, request.export.folders) as folder:
+        with stages("load", "the model"):
+            loaded = load_model(request, **in_memory)
+        with stages("embed", "the styles"):  # before the scene, which takes longer than to find a mistake in these
+            embedded = embed_styles(request.all_styles, loaded.stylizer, request.controls)
+        encoded = encode_inputs(request, loaded, stages)
+        results = Results(encoded, embedded, loaded, request, stages)
         if folder is not None:
             results.write(folder)
     return results
 
 
-def encode_inputs(
-    inputs: Inputs,
-    stylizer: Stylizer,
-    views: ViewOptions,
-    poses: PoseOptions,
-    splat: SplatOptions,
-    reconstruction: Reconstruction | None,
-    stages: Stages,
-) -> EncodedCapture:
-    """Read inputs of any kind and encode them; the arguments are those of :func:`stylize`."""
+def encode_inputs(request: Request, model: LoadedModel, stages: Stages) -> EncodedCapture:
+    """Read the inputs of a request and encode them."""
+    inputs, views, stylizer = request.inputs, request.views, model.stylizer
     saved = saved_path(inputs)
     if views.masks is not None and (saved is not None or isinstance(inputs, Views)):
         raise UserError(f"views.masks={views.masks}: masks belong to photographs, and the input is {saved or 'views'}")
     if saved is not None:
         from anystyle.pipeline.splats import encode_saved
 
-        return encode_saved(saved, stylizer, views, splat, stages)
-    encoded = encode(read(inputs, stylizer.backbone, views, poses, reconstruction, stages), stylizer, views, stages)
-    return replace(encoded, notes=photographs([] if isinstance(inputs, Views) else paths_of(inputs), encoded.sources))
+        return encode_saved(saved, stylizer, views, request.splat, stages)
+    files = [] if isinstance(inputs, Views) else paths_of(inputs)
+    poses = PoseOptions(request.poses.use or model.poses, request.poses.folder)
+    given = inputs if isinstance(inputs, Views) or inputs else first_views(request.config, views)
+    encoded = encode(
+        read(given, stylizer.backbone, views, poses, model.reconstruction, stages), stylizer, views, stages
+    )
+    return replace(encoded, notes=photographs(files, encoded.sources))

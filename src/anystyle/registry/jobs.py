@@ -53,13 +53,16 @@ def announcement() -> str:
     return f"job {hydra.job.num + 1}{f' of {total}' if total else ''}: {' '.join(words)}"
 
 
-def command_line(command: str, *flags: str) -> str:
-    """The command that repeats this job by itself; empty where no command is running."""
-    if not HydraConfig.initialized():
-        return ""
+def job_overrides() -> list[str]:
+    """The overrides of this job, with Hydra's flags that it needs to be repeated by itself."""
     hydra = HydraConfig.get()
     folders = [
         f"--config-dir={source.path}" for source in hydra.runtime.config_sources if source.provider == "command-line"
     ]
     words = [word for word in hydra.overrides.hydra if not word.lstrip("+~").startswith(_NOT_REPEATED)]
-    return shlex.join(["anystyle", command, *flags, *hydra.overrides.task, *words, *folders])
+    return [*hydra.overrides.task, *words, *folders]
+
+
+def command_line(command: str, *flags: str) -> str:
+    """The command that repeats this job by itself; empty where no command is running."""
+    return shlex.join(["anystyle", command, *flags, *job_overrides()]) if HydraConfig.initialized() else ""

@@ -5,15 +5,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from anystyle.cli.arguments import is_override, split
-from anystyle.cli.launch import checked_seed
-from anystyle.commands.stylize import given_controls, given_styles, mixing_amounts, parser
 from anystyle.errors import UserError, unknown
 from anystyle.examples import PREFIX, examples, resolved
-from anystyle.pipeline.export import film
-from anystyle.pipeline.options import PoseOptions
+from anystyle.pipeline.request import Request, parser
 from anystyle.pipeline.styles import check_text
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import choices, compose, options
+from anystyle.registry.compose import choices
 from anystyle_viewer.start.library import Kind, Settings
 
 QUALITIES = ("draft", "good", "best")
@@ -47,7 +44,7 @@ def command_words(settings: Settings, kind: Kind | None, inputs: str, pictures: 
     if {"reconstruction", "poses"} & given:  # what is left of ours may not fit to the choice
         ours = {key: word for key, word in ours.items() if key in ("method",)}
     words += [*ours.values(), *further]
-    _check(words)
+    Request.from_args(words).check()
     return words
 
 
@@ -99,22 +96,6 @@ def _further(text: str) -> list[str]:
     if foreign := [word for word in overrides if not is_override(word) or word.lstrip("+~").startswith("hydra")]:
         raise UserError(f"further options: {foreign[0]} is for the command line alone")
     return words
-
-
-def _check(words: Sequence[str]) -> None:
-    """Read the words as the command does, before a run begins."""
-    arguments, overrides = split(parser(), words)
-    config = compose("stylize", overrides)
-    amounts = mixing_amounts(arguments, len(arguments.text) + len(arguments.image) + len(config.style))
-    given_styles(arguments, config, amounts)
-    given_controls(arguments)
-    for name in arguments.export.split(",") if arguments.export else ():
-        catalog().find("format", name)
-    for key in ("views", "splat", "export"):
-        options(config, key)
-    film(config.video)
-    PoseOptions(config.poses, config.poses_from)
-    checked_seed(config.seed)
 
 
 def shown_command(words: Sequence[str], title: str) -> str:

@@ -1,6 +1,6 @@
-"""The last step: results of a stylization, computed one at a time, and their files."""
+"""The last two steps: results of a stylization, restyled one at a time when they are asked for, and their files."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -13,20 +13,22 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
+from anystyle.errors import UserError
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
 from anystyle.methods.base import Method
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.export import export_styles, film
-from anystyle.pipeline.options import ExportOptions
-from anystyle.pipeline.provenance import MADE_OF, note, tables
+from anystyle.pipeline.load import LoadedModel
+from anystyle.pipeline.provenance import MADE_OF, note, tables, without_folders
+from anystyle.pipeline.request import Request
 from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.scene_files import save_gaussians, write_cameras, write_colmap
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.registry.catalog import catalog
-from anystyle.types import Cameras, Gaussians, OnProgress, Renders, StyledScene, no_progress
+from anystyle.types import Cameras, Gaussians, Renders, StyledScene
 from anystyle.vision.weights import BINDING, binding, license_lines, licenses
 
 VERSIONS = {name: version(name) for name in ("anystyle", "torch", "numpy")}
@@ -146,10 +148,8 @@ class Results:
     Args:
         encoded: The capture.
         styles: The styles, at least one.
-        method: How it takes a style.
-        export: Which files a result has.
-        video: Options of the film.
-        provenance: What reports say of the model: weights, configuration, seed.
+        model: Takes them.
+        request: Says which files a result has, and what is filmed.
         stages: Times the work.
     """
 
@@ -157,25 +157,24 @@ class Results:
         self,
         encoded: EncodedCapture,
         styles: Sequence[EmbeddedStyle],
-        *,
-        method: Method,
-        export: ExportOptions,
-        video: Mapping[str, object],
-        provenance: Mapping[str, object],
+        model: LoadedModel,
+        request: Request,
         stages: Stages,
     ) -> None:
-        self.restyler = Restyler(encoded, method, lambda progress: self._on_progress(progress))
-        if not export.provenance:
+        self.restyler = Restyler(encoded, model.method)
+        self.export, self.method, self.stages = request.export, model.method, stages
+        if not self.export.provenance:
             encoded, styles = _anonymous(encoded, styles)
-        self.encoded, self.styles, self.method = encoded, tuple(styles), method
-        loaded, own = provenance.get("weights"), {source.network: asdict(source) for source in method.sources}
-        self.networks = (loaded if isinstance(loaded, dict) else {}) | {
-            name: entry for name, entry in own.items() if entry["file"]
+        self.encoded, self.styles = encoded, tuple(styles)
+        own = {source.network: asdict(source) for source in model.method.sources}
+        self.networks = model.weights | {name: entry for name, entry in own.items() if entry["file"]}
+        self.provenance = {
+            "weights": model.weights,
+            "seed": request.seed,
+            "config": without_folders(request.config),
+            "request": _again(request, model),
         }
-        self._on_progress: OnProgress = no_progress
-        self.export = export
-        self.video = film(video, self._render_until_given_up)
-        self.provenance, self.stages = provenance, stages
+        self.video = film(request.config.video, self._render_until_given_up)
         self.given_up = False
         """Whether a film that is being written in a thread will not be needed."""
 
@@ -190,8 +189,8 @@ class Results:
     def __getitem__(self, index: int) -> Result:
         style = self.styles[index]
         note = f"{range(len(self))[index] + 1}/{len(self)}: {' '.join(style.title.split())[:70]}"
-        with self.stages("restyle", note) as self._on_progress:
-            return Result(style, self.restyler(style), self)
+        with self.stages("restyle", note) as on_progress:
+            return Result(style, self.restyler(style, on_progress), self)
 
     def __iter__(self) -> Iterator[Result]:
         for index in range(len(self)):
@@ -298,11 +297,19 @@ def _anonymous(
 
 def _technical(report: dict[str, Any]) -> dict[str, object]:
     """A report without names, hashes, texts and paths."""
-    left_out = ("inputs", "weights", "config", "provenance")
+    left_out = ("inputs", "weights", "config", "provenance", "request")
     reconstruction = {name: value for name, value in report["reconstruction"].items() if name != "reasons"}
     bound = {part: terms for part, terms in report["licenses"].items() if terms["means"] == BINDING}
     kept = {name: value for name, value in report.items() if name not in left_out}
     return kept | {"reconstruction": reconstruction, "licenses": bound, "method": {"kind": report["method"]["kind"]}}
+
+
+def _again(request: Request, model: LoadedModel) -> list[str] | None:
+    """The arguments that make a result again; ``None`` where something was in memory."""
+    try:
+        return request.args() if model.named else None
+    except UserError:
+        return None
 
 
 def _same_geometry(first: Gaussians, second: Gaussians) -> bool:

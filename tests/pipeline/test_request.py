@@ -1,0 +1,91 @@
+"""One value for what is asked for: from the command line and back, through a report and a second run."""
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+
+import anystyle
+from anystyle import Controls, ExportOptions, Mixture, PoseOptions, Request, ViewOptions
+from anystyle.commands import stylize
+from anystyle.errors import UserError
+
+ARGS = [
+    ["photos/", "--text", "blue ink", "views.take=3"],
+    ["a.jpg", "b.jpg", "--image", "x.png", "--text", "then words", "--image", "y.png"],
+    ["photos/", "--text=--dashes", "--strength", "0.0,0.5", "--scale", "2.0", "seed=3"],
+    ["photos/", "--image", "x.png", "--text", "ink", "--mix", "0.25,1.0"],
+    ["photos/", "--text", "ink", "--mask", "sphere:0,0,1.5,0.25,soft=0.1", "--mask", "box:-1,-1,0,1,1,2"],
+    ["photos/", "--text", "dots@like:0,0,1,0.5,0.1@color", "--image", "x.png@sphere:0,0,1,2"],
+    ["scenes=procedural", "scene=2", "--text", "ink", "--export", "html,spz", "--no-provenance"],
+    ["./-photos", "./a=b", "--text", "ink"],
+]
+
+
+@pytest.mark.parametrize("args", ARGS)
+def test_arguments_are_a_request_and_back(args):
+    request = Request.from_args(args)
+    assert Request.from_args(request.args()) == request
+    assert json.loads(json.dumps(request.args())) == request.args()
+
+
+def test_styles_have_the_order_in_which_they_are_typed():
+    assert Request.from_args(ARGS[1]).styles == (Path("x.png"), "then words", Path("y.png"))
+    assert Request.from_args(ARGS[3]).styles[0] == Mixture(Path("x.png"), "ink", 0.25)
+
+
+def test_values_of_python_are_the_request_of_the_command_line():
+    made = Request.made(
+        "photos/", ["ink"], [Controls(strength=0.5)], model="tiny", views=ViewOptions(take=3, short_side=56),
+        poses=PoseOptions("known", "cameras/"), export=ExportOptions(formats=["html"]), video={"frames": 2}, seed=None,
+    )  # fmt: skip
+    words = "views.short_side=56 views.take=3 poses=known poses_from=cameras/ export.formats=[html] video.frames=2"
+    typed = Request.from_args(["photos/", "--text", "ink", "--strength", "0.5", "model=tiny", *words.split()])
+    assert Request.from_args(made.args()).config == typed.config and made.inputs == ("photos",)
+    assert made.views == typed.views and made.poses == typed.poses == PoseOptions("known", "cameras/")
+    assert made.export.formats == ["html"] and made.config.video.frames == 2 and made.seed == 0
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        Request(styles=(torch.zeros(3, 8, 8),)),
+        Request(styles=(Mixture("a", "b", 0.5), Mixture("a", "c", 0.5))),
+        Request(styles=("a",), controls=(Controls(0.5), Controls(1.0, preserve_color=1.0))),
+    ],
+)
+def test_what_has_no_command_line_is_told(request_):
+    with pytest.raises(UserError, match="have no command line"):
+        request_.args()
+
+
+@pytest.mark.parametrize(
+    ("args", "message"),
+    [
+        (["photos/", "--text", "ink", "--export", "html", "export.formats=[spz]"], "formats are named twice"),
+        (["--text", "ink", "-m"], "-m is a flag of Hydra"),
+        (["--again", "missing.json"], "missing.json"),
+    ],
+)
+def test_arguments_that_make_no_sense_are_a_line(args, message):
+    with pytest.raises(UserError, match=message):
+        Request.from_args(args)
+
+
+def test_a_report_makes_its_result_again(photographs, tmp_path):
+    args = ["--text", "dots", "--strength", "0.5", "views.short_side=56", "views.take=2", "video.frames=2", "seed=7"]
+    stylize.main([str(photographs), *args, "--out", str(tmp_path / "first")])
+    report = tmp_path / "first" / "report.json"
+    assert json.loads(report.read_text())["request"] == Request.from_args([str(photographs), *args]).args()
+    stylize.main(["--again", str(report), "--out", str(tmp_path / "second")])
+    files = [path.relative_to(tmp_path / "first") for path in (tmp_path / "first").rglob("*") if path.is_file()]
+    assert len(files) > 6
+    for file in files:
+        if file.name != "report.json":  # it has times
+            assert (tmp_path / "first" / file).read_bytes() == (tmp_path / "second" / file).read_bytes(), file
+
+
+def test_a_result_of_something_in_memory_has_no_request(photographs, tmp_path):
+    (result,) = anystyle.stylize(photographs, "dots", model=anystyle.load(), views=ViewOptions(56, take=2))
+    assert result.report["request"] is None
