@@ -20,6 +20,7 @@ from anystyle.io.arrays import read_tensors
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import read_json
 from anystyle.paths import inside
+from anystyle.ranges import AtLeastOne
 from anystyle.types import Cameras, Views
 
 
@@ -42,13 +43,11 @@ class Re10kScenes(SceneSource):
         *,
         root: str = "re10k",
         split: Literal["train", "test"] = "train",
-        short_side: int = 252,
-        multiple: int | None = None,
+        short_side: AtLeastOne = 252,
+        multiple: AtLeastOne | None = None,
         patch_size: int = 14,
     ) -> None:
         multiple = patch_size if multiple is None else multiple
-        if short_side < 1 or multiple < 1:
-            raise UserError(f"short_side={short_side} and multiple={multiple}: give at least 1")
         self.folder = Path(root) / split
         self.short_side = short_side
         self.multiple = multiple

@@ -19,6 +19,7 @@ from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import read_json
 from anystyle.paths import inside, natural
+from anystyle.ranges import AtLeastOne
 from anystyle.types import Cameras, Views
 
 logger = logging.getLogger(__name__)
@@ -61,13 +62,11 @@ class FolderScenes(SceneSource):
         images: str = "images",
         cameras: str | None = None,
         index: str | None = None,
-        short_side: int = 448,
-        multiple: int | None = None,
+        short_side: AtLeastOne = 448,
+        multiple: AtLeastOne | None = None,
         patch_size: int = 14,
     ) -> None:
         multiple = patch_size if multiple is None else multiple
-        if short_side < 1 or multiple < 1:
-            raise UserError(f"short_side={short_side} and multiple={multiple}: give at least 1")
         self.root = Path(root)
         if not self.root.is_dir():
             raise UserError(f"root={root}: there is no such folder of scenes")
