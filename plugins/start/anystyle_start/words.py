@@ -14,7 +14,7 @@ from anystyle.pipeline.options import PoseOptions
 from anystyle.pipeline.styles import check_text
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import choices, compose, options
-from anystyle_viewer.start.library import Kind, Settings
+from anystyle_start.library import Kind, Settings
 
 QUALITIES = ("draft", "good", "best")
 
