@@ -13,7 +13,7 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.contracts import SceneSource
-from anystyle.data.folder import SourceImage, as_views, common_size, read_picture, room_for_views
+from anystyle.data.folder import SourceImage, as_views, common_size, read_picture, require_views
 from anystyle.data.images import image_size
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_tensors
@@ -94,7 +94,7 @@ class Re10kScenes(SceneSource):
             # A clip may be called anything, and views' names become those of files.
             name = f"{re.sub(r'[^A-Za-z0-9_-]', '_', self.name(scene))[:80]}_{view:05d}"
             size = common_size([image_size(frame, name)], short_side=self.short_side, multiple=self.multiple)
-            room_for_views(len(views) - len(pictures), size)
+            require_views(len(views) - len(pictures), size)
             pictures.append(read_picture(frame, name, size))
         return as_views(pictures, _cameras(clip["cameras"][views].double(), [source for _, source in pictures]))
 

@@ -11,7 +11,7 @@ from PIL import Image
 
 from anystyle.contracts import SceneSource
 from anystyle.data.camera_reader import StoredCamera
-from anystyle.data.folder import as_views, common_size, image_files, nested_image_files, read_picture, room_for_views
+from anystyle.data.folder import as_views, common_size, image_files, nested_image_files, read_picture, require_views
 from anystyle.data.images import image_size, readable
 from anystyle.data.names import short_names
 from anystyle.data.poses import read_poses, view_camera
@@ -104,7 +104,7 @@ class FolderScenes(SceneSource):
         views = list(views)
         if not views or not all(0 <= view < len(shots.paths) for view in views):
             raise UserError(f"views {views} of {self.name(scene)}: give at least one of 0 to {len(shots.paths) - 1}")
-        room_for_views(len(views), shots.size)
+        require_views(len(views), shots.size)
         pictures = [read_picture(shots.paths[view], shots.names[view], shots.size) for view in views]
         if not shots.cameras:
             return as_views(pictures)
