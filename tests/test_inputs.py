@@ -3,8 +3,6 @@
 import subprocess
 import sys
 
-import pytest
-
 DOORS = """
 import torch, anystyle
 from PIL import Image
@@ -61,14 +59,3 @@ def test_each_door_says_what_is_wrong_in_one_line(tmp_path):
     # In a process of its own, where no hook checks shapes before the values do.
     done = subprocess.run([sys.executable, "-c", DOORS], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-
-
-@pytest.mark.parametrize("words", [("batch_size=0",), ("batch_size=-3",), ("flip=2",), ("warmup=-1",)])
-def test_the_ranges_of_annotations_are_checked(words):
-    from anystyle.registry.catalog import catalog
-    from anystyle.registry.schema import fitted, options
-
-    name, _, value = words[0].partition("=")
-    known = {item.name: item for item in options(catalog().find("training", "stylization"))}
-    with pytest.raises(ValueError, match=f"{value} is given"):
-        fitted(float(value) if name == "flip" else int(value), known[name].hint)

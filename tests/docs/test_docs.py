@@ -147,8 +147,13 @@ def test_command_is_understood(page, line):
             flags, _ = importlib.import_module("anystyle_study.commands").COMMANDS[rest[0]]
             split(flags(), rest[1:])
         return
-    if command in ("film", "profile", "view"):
-        plugins = {"film": "film.command", "profile": "benchmark.command_profile", "view": "viewer.command"}
+    if command in ("film", "profile", "start", "view"):
+        plugins = {
+            "film": "film.command",
+            "profile": "benchmark.command_profile",
+            "start": "start.command",
+            "view": "viewer.command",
+        }
         module = f"anystyle_{plugins[command]}"
         split(importlib.import_module(module).parser(), rest)
         return

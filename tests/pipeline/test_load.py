@@ -76,7 +76,7 @@ def test_sites_have_injectors_of_their_own(tmp_path):
         ("{aggregator/*:flim}", "no injector is named 'flim'. Did you mean 'film'?"),
         ("{agregator/*:film}", r"no site is called 'agregator/\*' here; there are: head/tokens/0"),
         ("{head/*:{film:{hiden:3}}}", "has no option 'hiden'. Did you mean 'hidden'?"),
-        ("{head/*:{film:{hidden:a}}}", "option 'hidden': Value 'a'"),
+        ("{head/*:{film:{hidden:a}}}", "injector.hidden=a: Value 'a'"),
         ("{head/*:{film:{},lora:{}}}", "is not one injector; give its name, or {NAME: {option: value}}"),
         ("{head/*:3}", "3 is not one injector"),
     ],

@@ -38,14 +38,14 @@ def test_encoding_grows_linearly_and_too_many_views_are_refused_before_anything_
     assert estimate is not None and estimate[1] > 32 * 32 * 3 * 4
     needed = estimate[0] + 10 * estimate[1]
     monkeypatch.setattr(memory, "available", lambda device: int(needed / memory.USABLE) + 1)
-    memory.check(backbone, 9, (32, 32), torch.device("cpu"))
-    with pytest.raises(ValueError, match=r"12 views of 32x32 need .* set views.max_views=(9|10) "):
-        memory.check(backbone, 12, (32, 32), torch.device("cpu"))
+    memory.require_encoding(backbone, 9, (32, 32), torch.device("cpu"))
+    with pytest.raises(ValueError, match=r"12 views of 32x32: this takes .* set views.max_views=(9|10) "):
+        memory.require_encoding(backbone, 12, (32, 32), torch.device("cpu"))
     looked = []
     monkeypatch.setattr(memory, "encoding", lambda *given: looked.append(given))
     monkeypatch.setattr(memory, "available", lambda device: 10 * 32 * 32 * memory.PLENTY)
     for views, times in ((9, 0), (10, 1)):
-        memory.check(ToyBackbone(), views, (32, 32), torch.device("cpu"))
+        memory.require_encoding(ToyBackbone(), views, (32, 32), torch.device("cpu"))
         assert len(looked) == times
 
 
@@ -55,7 +55,7 @@ def test_without_values_there_is_no_estimate_and_the_log_says_why(look, caplog, 
     monkeypatch.setattr(backbone.aggregator, "forward", lambda stem: look(stem.data))
     assert memory.encoding(backbone, (32, 32)) is None
     assert "cannot run on tensors without values" in caplog.text
-    memory.check(backbone, 10**6, (32, 32), torch.device("cpu"))
+    memory.require_encoding(backbone, 10**6, (32, 32), torch.device("cpu"))
 
 
 def test_free_memory_is_known_here():

@@ -151,10 +151,10 @@ def test_harmonics_that_are_kept_are_taken_into_account():
 def test_memory_is_told_and_refused_before(monkeypatch):
     device = torch.device("cpu")
     monkeypatch.setattr(memory, "available", lambda device: 4 << 30)
-    line = splats.check_memory(1_000_000, 24, device)
+    line = splats.require_splat(1_000_000, 24, device)
     assert line == "1,000,000 Gaussians from 24 views take about 2.1 GiB"
     with pytest.raises(ValueError, match=r"set fewer views with splat\.cameras"):
-        splats.check_memory(3_000_000, 24, device)
+        splats.require_splat(3_000_000, 24, device)
 
 
 def test_what_it_takes_is_what_was_told():

@@ -1,6 +1,9 @@
 """A signature becomes a schema, and a node becomes an object."""
 
+import math
 import re
+from collections.abc import Mapping
+from typing import Annotated, Literal
 
 import pytest
 from hypothesis import assume, given
@@ -8,16 +11,22 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from anystyle.contracts import Injector, Placement, Renderer
-from anystyle.registry.build import build, build_all
+from anystyle.contracts import Correspondence, Injector, Loss, Metric, Placement, Renderer, StyleSource
+from anystyle.errors import UserError
+from anystyle.evaluation.base import Protocol
+from anystyle.methods.base import Method
+from anystyle.ranges import AtLeastOne, Fraction, Range
+from anystyle.registry.build import build, build_all, kind_of, plugin_of
 from anystyle.registry.catalog import PluginError, catalog
-from anystyle.registry.schema import literal, node, options
+from anystyle.registry.schema import literal, node, options, shown
+from anystyle.training.base import Training
 
 EVERYTHING = """
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 from anystyle.contracts import Placement
+from anystyle.ranges import AtLeastOne, Fraction, Positive
 
 class Everything(Placement):
     def __init__(
@@ -43,6 +52,11 @@ class Everything(Placement):
         choice_or_none: Literal["a", None] = None,
         weights: Mapping[str, float] = {"a": 1.0},
         anything: Any = None,
+        counted: AtLeastOne | None = None,
+        count_or_word: AtLeastOne | str = "auto",
+        pair: tuple[Fraction, Fraction] = (0.0, 1.0),
+        levels: Sequence[AtLeastOne] = (1,),
+        rates: Mapping[str, Positive] = {"a": 1.0},
     ) -> None:
         self.given = {name: value for name, value in locals().items() if name not in ("self", "__class__")}
 
@@ -91,6 +105,11 @@ def test_defaults_arrive_as_the_constructor_has_them(everything):
         ("choice_or_none", "a", "a"),
         ("weights", {"b": 2}, {"a": 1.0, "b": 2.0}),
         ("anything", [{"x": 1}], ({"x": 1},)),
+        ("counted", 3, 3),
+        ("count_or_word", 3, 3),
+        ("count_or_word", "all", "all"),
+        ("pair", [0.5, 1], (0.5, 1.0)),
+        ("levels", [1, 2], (1, 2)),
     ],
 )
 def test_values_are_converted(everything, name, value, expected):
@@ -121,12 +140,68 @@ def test_wrong_values_are_refused_at_composition_and_by_build(everything, name, 
         OmegaConf.update(node(everything), name, value)
     with pytest.raises(ValueError, match=re.escape(message)) as caught:
         build(Placement, {"_target_": everything.path, name: value})
-    assert f"option '{name}'" in str(caught.value)
+    assert str(caught.value).startswith(f"placement.{name}={value}: ")
+    assert str(caught.value).endswith("; see anystyle plugins placement everything")
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize(
+    ("name", "value", "expected"),
+    [
+        ("counted", 0, "int >= 1"),
+        ("count_or_word", 0, "int >= 1"),
+        ("pair", [0.5, 1.5], "0 <= float <= 1"),
+        ("levels", [2, 0], "int >= 1"),
+        ("rates", {"b": 0.0}, "float > 0"),
+        ("rates", {"b": math.inf}, "float > 0"),
+    ],
+)
+def test_numbers_out_of_range_are_refused_under_the_name_that_a_user_typed(everything, name, value, expected):
+    with pytest.raises(UserError, match=re.escape(f"placement.{name}={value}: expected {expected}; see")):
+        build(Placement, {"_target_": everything.path, name: value})
+    config = OmegaConf.create({"inner": {"_target_": everything.path, name: value}})
+    with pytest.raises(UserError, match=re.escape(f"inner.{name}=")):
+        build(Placement, config.inner)
+
+
+@pytest.mark.parametrize(
+    ("base", "name", "option", "value"),
+    [
+        (Injector, "lora", "rank", 0),
+        (Injector, "cross_attention", "num_tokens", 1),
+        (Loss, "clip_patch", "distortion", 1.5),
+        (Metric, "kid", "size", 74),
+        (Metric, "psnr", "most", 0.0),
+        (Correspondence, "rendered_depth", "tolerance", -1.0),
+        (Method, "branch", "coverage", 0.0),
+        (Renderer, "torch", "near", 0.0),
+        (Protocol, "paper", "frames", 0),
+        (Protocol, "paper", "num_styles", 0),
+        (StyleSource, "folder", "size", 0),
+        (Training, "stylization", "betas", [0.9, 1.0]),
+    ],
+)
+def test_ranges_of_the_core(base, name, option, value):
+    with pytest.raises(UserError, match=re.escape(f".{option}={value}: expected ")):
+        plugin_of(base, {"_target_": catalog().find(kind_of(base), name).path, option: value})
+
+
+@pytest.mark.parametrize(
+    ("hint", "text"),
+    [
+        (AtLeastOne | None, "int >= 1 | None"),
+        (Annotated[float, Range(gt=0, lt=1)], "0 < float < 1"),
+        (tuple[Fraction, ...], "tuple[0 <= float <= 1, ...]"),
+        (Annotated[int, Range(le=4)], "int <= 4"),
+        (Mapping[str, Literal["a", 2]], "Mapping[str, 'a' | 2]"),
+    ],
+)
+def test_types_are_shown_as_a_reader_writes_them(hint, text):
+    assert shown(hint) == text
+
+
 def test_length_of_a_tuple(everything):
-    with pytest.raises(ValueError, match="option 'three': 3 values are expected, and 2 are given"):
+    with pytest.raises(ValueError, match=r"placement\.three=.*: 3 values are expected, and 2 are given"):
         build(Placement, {"_target_": everything.path, "three": [1, 2]})
 
 
@@ -181,7 +256,7 @@ def test_required_option(plugin_folder):
     plugin_folder(code, needs="Needs")
     row = catalog().find("placement", "needs")
     assert OmegaConf.is_missing(node(row), "root")
-    with pytest.raises(ValueError, match=r"option 'root': it has no default; give it one with placement\.root="):
+    with pytest.raises(ValueError, match=r"placement\.root=.*: it has no default; give it one"):
         build(Placement, node(row))
     assert build(Placement, {"_target_": row.path, "root": "here"}).root == "here"
 

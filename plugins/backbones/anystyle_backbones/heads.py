@@ -123,10 +123,8 @@ class DptGeometry(nn.Module, Generic[Camera]):
         return by_views(decode_chunk, views, max(1, self.chunk // batch))
 
 
-def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, depth: int, chunk: int) -> None:
+def check_options(*, dim: int, heads: int, taps: Sequence[int], first: int, depth: int) -> None:
     """Refuse options of a backbone that contradict each other; heads read layers ``first`` to ``depth - 1``."""
-    if chunk < 1:
-        raise UserError(f"chunk is {chunk}; at least 1 view is decoded at a time")
     if dim % (4 * heads):
         raise UserError(f"dim {dim} with {heads} heads; the channels of a head must be a multiple of 4")
     if len(taps) != 4 or list(taps) != sorted(set(taps)) or taps[0] < first or taps[-1] != depth - 1:

@@ -7,7 +7,8 @@ import msgspec
 from msgspec import Meta, Struct
 
 from anystyle.errors import UserError, unknown
-from anystyle.io.documents import Positive, read_toml
+from anystyle.io.documents import read_toml
+from anystyle.ranges import Positive
 from anystyle_benchmark.track import Name
 
 METHODS = Path(__file__).parent / "methods"

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -22,6 +22,7 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.limits import require
 from anystyle.methods.order import canonical_order
 from anystyle.paths import expanded
+from anystyle.ranges import AtLeastOne, Count
 from anystyle.types import Cameras, Geometry, OnProgress, Progress, Reconstructed, Scene, Views, no_progress
 from anystyle_captures.cache import cached, key_of
 from anystyle_captures.fit_loop import FitLoop, FitOptions, FitProgress, FitResult
@@ -63,6 +64,8 @@ MAX_UNEXPLAINED = 0.01
 """Above this median fraction of unexplained pixels something moved: static captures have at most 0.0001, one of which
 4 % move 0.02."""
 
+Quality = Literal["draft", "good", "best", "full"]
+
 
 class Fit(Reconstruction):
     """Gaussians fitted to the photographs through the renderer, beginning with depths by stereo.
@@ -80,9 +83,6 @@ class Fit(Reconstruction):
         keep: Whether the fitted scene is cached, and read from the cache when the same photographs are fitted again
             with the same options.
         seed: Of all randomness.
-
-    Raises:
-        UserError: The quality is unknown, or a number is out of range.
     """
 
     needs_cameras = True
@@ -90,22 +90,15 @@ class Fit(Reconstruction):
     def __init__(
         self,
         *,
-        quality: str = "good",
-        num_gaussians: int | None = None,
-        num_steps: int | None = None,
-        degree: int = 0,
-        holdout: int = 8,
+        quality: Quality = "good",
+        num_gaussians: AtLeastOne | None = None,
+        num_steps: AtLeastOne | None = None,
+        degree: Count = 0,
+        holdout: Count = 8,
         state: str | None = None,
         keep: bool = True,
         seed: int = 0,
     ) -> None:
-        if quality not in PRESETS:
-            raise UserError(f"reconstruction.quality={quality}; choose one of {', '.join(PRESETS)}")
-        if holdout < 0 or degree < 0 or min(num_gaussians or 1, num_steps or 1) < 1:
-            raise UserError(
-                f"reconstruction: holdout={holdout}, degree={degree}, num_gaussians={num_gaussians} and "
-                f"num_steps={num_steps}; give numbers above 0, or holdout=0 to hold out no view"
-            )
         self.preset = PRESETS[quality]
         self.short_side, self.max_views = self.preset.short_side, MAX_VIEWS
         self.num_gaussians, self.num_steps = num_gaussians, num_steps

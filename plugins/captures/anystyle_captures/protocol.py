@@ -28,11 +28,12 @@ from anystyle.pipeline.cameras import scene_from_known
 from anystyle.pipeline.encode import encoder
 from anystyle.pipeline.poses import Verdict
 from anystyle.pipeline.styles import slug
+from anystyle.ranges import AtLeastOne, Count
 from anystyle.stylizer import Stylizer
 from anystyle.types import Scene, Style, Views, no_progress
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights, stand_ins
-from anystyle_captures.fit import Fit, fit_photographs, scene_of_fit
+from anystyle_captures.fit import Fit, Quality, fit_photographs, scene_of_fit
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import quality_of
 from anystyle_captures.structure_from_motion import StructureFromMotion
@@ -81,12 +82,12 @@ class Captures(Protocol):
         stylizer: Stylizer,
         captures: Sequence[str],
         poses: Literal["sfm", "known"] = "sfm",
-        quality: str = "good",
-        num_gaussians: int | None = None,
-        num_steps: int | None = None,
-        short_side: int | None = None,
-        holdout: int = 8,
-        take: int = 48,
+        quality: Quality = "good",
+        num_gaussians: AtLeastOne | None = None,
+        num_steps: AtLeastOne | None = None,
+        short_side: AtLeastOne | None = None,
+        holdout: Count = 8,
+        take: AtLeastOne = 48,
         lpips_backbone: Literal["alex", "vgg"] = "alex",
         weights: Weights = "auto",
     ) -> None:

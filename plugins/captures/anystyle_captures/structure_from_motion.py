@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from PIL import Image
 
-from anystyle.data.folder import Original, as_views, common_size, cover, room_for_views
+from anystyle.data.folder import Original, as_views, common_size, cover, require_views
 from anystyle.geometry.transforms import Similarity
 from anystyle.methods.order import canonical_order
 from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
@@ -70,7 +70,7 @@ class StructureFromMotion(PoseEstimator):
         size = common_size(
             [sizes[view] for view in registered], short_side=short_side, multiple=multiple, enlarge=enlarge
         )
-        room_for_views(len(registered), size)
+        require_views(len(registered), size)
         pictures, intrinsics = [], []
         for view in registered:
             original, photograph, lens = originals[view], photographs[view], model.lens(view)

@@ -6,9 +6,8 @@ import pytest
 import torch
 from torch.nn.functional import pad
 
-from anystyle.errors import UserError
 from anystyle_captures import fit as captures_fit
-from anystyle_captures.fit import Fit, fit_photographs
+from anystyle_captures.fit import fit_photographs
 from anystyle_captures.fit_loop import FitOptions
 from anystyle_captures.twins import held_out
 from anystyle_cpu_renderer.renderer import CpuRenderer
@@ -117,8 +116,3 @@ def test_a_file_that_is_no_state_is_left_as_it_is(photographs, tmp_path):
     with pytest.raises(ValueError, match=r"fit\.state is no state of a fit"):
         fit(photographs, state=state)
     assert state.read_bytes() == b"something else"
-
-
-def test_an_unknown_quality_is_refused():
-    with pytest.raises(UserError, match="quality=perfect; choose one of draft, good, best"):
-        Fit(quality="perfect")

@@ -130,5 +130,3 @@ def test_a_fit_without_cameras_is_refused(stylizer):
     views = Views(torch.nn.functional.interpolate(images, size=(42, 56))[None])
     with pytest.raises(ValueError, match="poses=sfm finds cameras"):
         SHORT(views, stylizer.encode, stylizer.renderer)
-    with pytest.raises(ValueError, match="reconstruction: holdout=-1"):
-        Fit(**QUICK, holdout=-1)

@@ -13,13 +13,14 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.contracts import SceneSource
-from anystyle.data.folder import SourceImage, as_views, common_size, read_picture, room_for_views
+from anystyle.data.folder import SourceImage, as_views, common_size, read_picture, require_views
 from anystyle.data.images import image_size
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_tensors
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import read_json
 from anystyle.paths import inside
+from anystyle.ranges import AtLeastOne
 from anystyle.types import Cameras, Views
 
 
@@ -42,13 +43,11 @@ class Re10kScenes(SceneSource):
         *,
         root: str = "re10k",
         split: Literal["train", "test"] = "train",
-        short_side: int = 252,
-        multiple: int | None = None,
+        short_side: AtLeastOne = 252,
+        multiple: AtLeastOne | None = None,
         patch_size: int = 14,
     ) -> None:
         multiple = patch_size if multiple is None else multiple
-        if short_side < 1 or multiple < 1:
-            raise UserError(f"short_side={short_side} and multiple={multiple}: give at least 1")
         self.folder = Path(root) / split
         self.short_side = short_side
         self.multiple = multiple
@@ -95,7 +94,7 @@ class Re10kScenes(SceneSource):
             # A clip may be called anything, and views' names become those of files.
             name = f"{re.sub(r'[^A-Za-z0-9_-]', '_', self.name(scene))[:80]}_{view:05d}"
             size = common_size([image_size(frame, name)], short_side=self.short_side, multiple=self.multiple)
-            room_for_views(len(views) - len(pictures), size)
+            require_views(len(views) - len(pictures), size)
             pictures.append(read_picture(frame, name, size))
         return as_views(pictures, _cameras(clip["cameras"][views].double(), [source for _, source in pictures]))
 

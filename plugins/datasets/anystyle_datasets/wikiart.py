@@ -14,6 +14,7 @@ from anystyle.data.captions import read_captions
 from anystyle.data.images import listing, read_square, readable
 from anystyle.errors import UserError
 from anystyle.io.documents import read_text
+from anystyle.ranges import AtLeastOne, Count
 from anystyle.types import Style
 
 logger = logging.getLogger(__name__)
@@ -62,16 +63,14 @@ class WikiArtStyles(StyleSource):
         exclude: Sequence[str] = (),
         files: str | None = None,
         split: Literal["train", "test", "all"] = "train",
-        text_only: int = 15000,
-        size: int = 256,
+        text_only: Count = 15000,
+        size: AtLeastOne = 256,
         crop: Literal["centre", "random"] = "centre",
     ) -> None:
         self.crop = crop
         self.root = Path(root)
         if not self.root.is_dir():
             raise UserError(f"root={root}: there is no such folder of paintings")
-        if size < 1 or text_only < 0:
-            raise UserError(f"size={size} and text_only={text_only}: give at least 1 and 0")
         self.size = size
         path = self.root / DESCRIPTIONS if descriptions is None else Path(descriptions)
         self.descriptions: dict[str, str] = {}

@@ -205,11 +205,11 @@ def test_keyframes_that_make_no_sense_are_a_line(change, expected, tmp_path):
         ({"path": "orbits"}, "Did you mean 'orbit'"),
         ({"path": "path.csv"}, "or a .json file of keyframes"),
         ({"path": "missing.json"}, "there is no file of keyframes missing.json"),
-        ({"turns": 2.0}, "video.turns=2.0 has no meaning with video.path=smooth"),
+        ({"turns": 2.0}, "video.turns=2 has no meaning with video.path=smooth"),
         ({"path": "orbit", "turns": 0.0}, "video.turns=0"),
         ({"baseline": 0.1}, "video.baseline=0.1 has no meaning with video.kind=pinhole"),
-        ({"kind": "stereo", "baseline": -1.0}, "video.baseline=-1"),
-        ({"height": 100_000}, "video.height=100000"),
+        ({"kind": "stereo", "baseline": -1.0}, "format.baseline=-1.0: expected float > 0"),
+        ({"height": 100_000}, "format.height=100000: expected 2 <= int <= 4320"),
     ],
 )
 def test_options_that_make_no_sense_are_a_line(options, expected):

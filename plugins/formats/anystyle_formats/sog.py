@@ -20,7 +20,7 @@ from scipy.spatial import KDTree
 from anystyle.contracts import Format
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import parse_json
-from anystyle.io.images import decodable, opened
+from anystyle.io.images import opened, require_pixels
 from anystyle.io.limits import require
 from anystyle.io.ply import MAX_DEGREE, from_smallest_three
 from anystyle.io.splats import near
@@ -98,7 +98,7 @@ class Sog(Format):
             def bytes_of(name: str, rows: int | None = count) -> NDArray[np.uint8]:
                 """Pixels in RGBA, row by row: rows 4."""
                 with opened(_member(archive, name), f"{path}: {name}") as image:
-                    decodable(image, 1 << 16)
+                    require_pixels(image, 1 << 16)
                     pixels = np.asarray(image.convert("RGBA")).reshape(-1, 4)
                 if len(pixels) < (rows or 0):
                     raise ValueError(f"{name} has {len(pixels):,} pixels for {rows:,} Gaussians")

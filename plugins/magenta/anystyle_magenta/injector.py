@@ -2,6 +2,7 @@
 
 from copy import copy
 from pathlib import Path
+from typing import Annotated
 
 import torch
 import torch.nn.functional as F
@@ -11,6 +12,7 @@ from torch import Tensor, nn
 from anystyle.contracts import Injector
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import CONSTANT
+from anystyle.ranges import AtLeastOne, Range
 from anystyle.types import Tokens
 from anystyle_magenta.networks import DIVISOR, STYLE_DIM, StyleTransfer
 from anystyle_magenta.pretrained import load_transfer
@@ -99,18 +101,13 @@ class MagentaInjector(Injector):
         *,
         dim: int,
         style_dim: int,
-        working_size: int = 224,
+        working_size: Annotated[int, Range(ge=MIN_SIDE)] = 224,
         coarse_to_fine: bool = True,
         gate: float = 0.0,
         pretrained: bool = True,
-        chunk: int = 8,
+        chunk: AtLeastOne = 8,
     ) -> None:
         super().__init__()
-        if working_size < MIN_SIDE or chunk < 1:
-            raise UserError(
-                f"injector.working_size={working_size} and chunk={chunk} leave nothing to stylize; give at least "
-                f"{MIN_SIDE} and 1"
-            )
         if pretrained and (dim, style_dim) != (3, STYLE_DIM):
             raise UserError(
                 f"injector=magenta stylizes colours, 3 channels, by the {STYLE_DIM} numbers of style_encoder=magenta; "

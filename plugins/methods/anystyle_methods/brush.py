@@ -1,7 +1,7 @@
 """A fitted scene repainted with strokes that are Gaussians."""
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -11,10 +11,10 @@ from torch import Tensor
 from torch.nn.functional import interpolate, normalize, pad
 
 from anystyle.contracts import Renderer
-from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.methods.base import Method
 from anystyle.methods.colors import fit_colors
+from anystyle.ranges import Count, NonNegative, Range
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
 from anystyle_methods.flow import blur, flow, structure_tensor
@@ -56,14 +56,11 @@ class Brush(Method):
         size: Of strokes, 1 for those of 5, 3 and 1.5 pixels of 384.
         jitter: How much the lightness of strokes varies, in standard deviations of the painting's.
         seed: Of where strokes lie, and of their lightness.
-
-    Raises:
-        UserError: A number is out of range.
     """
 
-    def __init__(self, *, size: float = 1.0, jitter: float = 0.5, seed: int = 0) -> None:
-        if not 0.1 <= size <= 10 or jitter < 0:
-            raise UserError(f"method.size={size} method.jitter={jitter}; give a size of 0.1 to 10 and no less than 0")
+    def __init__(
+        self, *, size: Annotated[float, Range(ge=0.1, le=10)] = 1.0, jitter: NonNegative = 0.5, seed: Count = 0
+    ) -> None:
         self.size, self.jitter, self.seed = size, jitter, seed
 
     @torch.no_grad()

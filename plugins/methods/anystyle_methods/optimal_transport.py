@@ -4,14 +4,14 @@ import math
 from collections.abc import Sequence
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from anystyle.errors import UserError
 from anystyle.losses.features import drawn_for_rows
+from anystyle.ranges import AtLeastOne, Positive, Range
 from anystyle_methods.nnfm import NNFM
 
 
@@ -31,9 +31,6 @@ class OptimalTransport(NNFM):
         epsilon: Weight of the entropy, in units of ``1 - cos``.
         iterations: Of Sinkhorn's algorithm.
         num_samples: Features of a view and of the style image that are drawn at random each time.
-
-    Raises:
-        UserError: A number is out of range.
     """
 
     def __init__(
@@ -43,16 +40,11 @@ class OptimalTransport(NNFM):
         layers: Sequence[str] = ("relu3_1", "relu3_2", "relu3_3"),
         size: int | None = 224,
         weight: float = 1.0,
-        capacity: float = 2.0,
-        epsilon: float = 0.01,
-        iterations: int = 50,
-        num_samples: int = 1024,
+        capacity: Annotated[float, Range(ge=1)] = 2.0,
+        epsilon: Positive = 0.01,
+        iterations: AtLeastOne = 50,
+        num_samples: AtLeastOne = 1024,
     ) -> None:
-        if capacity < 1 or epsilon <= 0 or iterations < 1 or num_samples < 1:
-            raise UserError(
-                f"capacity={capacity} epsilon={epsilon} iterations={iterations} num_samples={num_samples}; "
-                "give a capacity of 1 or more, epsilon above 0, and counts of 1 or more"
-            )
         super().__init__(network=network, layers=layers, size=size, weight=weight)
         self.capacity, self.epsilon, self.iterations, self.num_samples = capacity, epsilon, iterations, num_samples
 

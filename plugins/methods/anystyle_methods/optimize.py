@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 import torch.nn.functional as F
 
@@ -10,6 +10,7 @@ from anystyle.contracts import Loss
 from anystyle.errors import UserError
 from anystyle.losses.features import FeatureLoss
 from anystyle.methods.base import Method
+from anystyle.ranges import AtLeastOne, NonNegative, Share
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, Style, StyleEmbedding
 from anystyle.types.progress import OnProgress, no_progress
@@ -45,36 +46,29 @@ class Optimize(Method):
         self,
         *,
         losses: Mapping[str, Loss],
-        num_steps: int = 200,
-        colors_lr: float = 0.05,
-        opacities_lr: float = 0.0,
-        scales_lr: float = 0.0,
-        rotations_lr: float = 0.0,
-        means_lr: float = 0.0,
-        decay: float = 0.1,
+        num_steps: AtLeastOne = 200,
+        colors_lr: NonNegative = 0.05,
+        opacities_lr: NonNegative = 0.0,
+        scales_lr: NonNegative = 0.0,
+        rotations_lr: NonNegative = 0.0,
+        means_lr: NonNegative = 0.0,
+        decay: Share = 0.1,
         needs_image: bool = True,
         recolor: Recolor = "none",
-        style_size: int | None = None,
-        report_every: int = 25,
+        style_size: AtLeastOne | None = None,
+        report_every: AtLeastOne = 25,
         keep_harmonics: bool = False,
         seed: int = 0,
     ) -> None:
         if not losses:
             raise UserError("method=optimize has no loss to minimise; give loss=[nnfm,content], or a preset of it")
-        if num_steps < 1 or not 0 < decay <= 1 or report_every < 1:
-            raise UserError(
-                f"method: num_steps={num_steps}, report_every={report_every}, decay={decay}; steps are at least 1, "
-                "decay is above 0 and at most 1"
-            )
-        if recolor not in get_args(Recolor):
-            raise UserError(f"method.recolor={recolor}; choose one of {', '.join(get_args(Recolor))}")
         given = {
             "offsets": means_lr, "scales": scales_lr, "rotations": rotations_lr, "opacities": opacities_lr,
             "colors": colors_lr,
         }  # fmt: skip
         rates = {name: rate for name, rate in given.items() if rate}
-        if not rates or min(rates.values()) < 0:
-            raise UserError(f"method: learning rates are {(*given.values(),)}; give one above 0, and none below")
+        if not rates:
+            raise UserError("method: all learning rates are 0; give one above 0, such as method.colors_lr=0.05")
         self.losses = dict(losses)
         self.needs_image = needs_image or recolor != "none"
         self.recolor, self.style_size = recolor, style_size

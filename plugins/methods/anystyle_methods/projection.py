@@ -14,6 +14,7 @@ from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.methods.base import Method
 from anystyle.methods.colors import colors_alone, fit_colors
 from anystyle.paths import expanded
+from anystyle.ranges import Count
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, Style, StyleEmbedding
 from anystyle.types.progress import OnProgress, Progress, no_progress
@@ -33,10 +34,8 @@ class Projection(Method):
     """
 
     def __init__(
-        self, *, images: str | None = None, steps: int = 8, damping: float = 0.01, keep_harmonics: bool = False
+        self, *, images: str | None = None, steps: Count = 8, damping: float = 0.01, keep_harmonics: bool = False
     ) -> None:
-        if steps < 0:
-            raise UserError(f"method.steps={steps}; give 0 or more")
         self.keep_harmonics = keep_harmonics
         self.images, self.steps, self.damping = None if images is None else expanded(images), steps, damping
 

@@ -11,6 +11,7 @@ from anystyle.contracts import Loss
 from anystyle.errors import UserError
 from anystyle.losses.features import FeatureLoss, objective
 from anystyle.methods.base import Method
+from anystyle.ranges import AtLeastOne, Positive
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, Style, StyleEmbedding, Stylization
 from anystyle.types.progress import OnProgress, Progress, no_progress
@@ -30,12 +31,10 @@ class RefineEmbedding(Method):
     """
 
     def __init__(
-        self, *, losses: Mapping[str, Loss], num_steps: int = 30, learning_rate: float = 0.05, seed: int = 0
+        self, *, losses: Mapping[str, Loss], num_steps: AtLeastOne = 30, learning_rate: Positive = 0.05, seed: int = 0
     ) -> None:
         if not losses:
             raise UserError("method=embedding has no loss to minimise; give loss=[style,content]")
-        if num_steps < 1 or learning_rate <= 0:
-            raise UserError(f"method: {num_steps=} {learning_rate=}; give 1 or more, and a rate above 0")
         self.losses, self.num_steps, self.learning_rate, self.seed = dict(losses), num_steps, learning_rate, seed
 
     @classmethod

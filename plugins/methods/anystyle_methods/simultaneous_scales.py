@@ -6,8 +6,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.errors import UserError
 from anystyle.losses.features import FeatureLoss, Features, features_to_compare, mean_where, style_images
+from anystyle.ranges import AtLeastOne
 from anystyle.types import Stylization
 from anystyle.vision.feature_cache import identity
 from anystyle.vision.statistics import mean_std
@@ -33,15 +33,13 @@ class SimultaneousScales(FeatureLoss):
         *,
         network: str = "vgg19",
         layers: Sequence[str] = ("relu1_1", "relu2_1", "relu3_1", "relu4_1", "relu5_1"),
-        scales: int = 3,
+        scales: AtLeastOne = 3,
         gram_weight: float = 1e3,
         moments_weight: float = 1e4,
         size: int | None = None,
         weight: float = 1.0,
     ) -> None:
         super().__init__(network, layers, size, weight)
-        if scales < 1:
-            raise UserError(f"loss.simultaneous_scales.scales={scales}; give at least 1")
         self.scales, self.gram_weight, self.moments_weight = scales, gram_weight, moments_weight
 
     def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: Features) -> Float[Tensor, ""]:

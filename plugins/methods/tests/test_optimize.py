@@ -81,8 +81,8 @@ def test_colours_are_matched_after():
     [
         (["method=optimize"], "no loss to minimise"),
         (["method=nnfm", "method.colors_lr=0"], "give one above 0"),
-        (["method=nnfm", "method.means_lr=-1"], "none below"),
-        (["method=nnfm", "method.num_steps=0"], "at least 1"),
+        (["method=nnfm", "method.means_lr=-1"], "method.means_lr=-1.0: expected float >= 0"),
+        (["method=nnfm", "method.num_steps=0"], "method.num_steps=0: expected int >= 1"),
         (["method=nnfm", "method.recolor=sometimes"], "recolor"),
     ],
 )

@@ -5,7 +5,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from math import acos, degrees, inf, nan
 from pathlib import Path
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 import torch
@@ -13,7 +13,7 @@ from jaxtyping import Float, Float64
 from torch import Tensor
 
 from anystyle.contracts import Metric
-from anystyle.errors import UserError
+from anystyle.ranges import Range
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Comparison
 from anystyle.vision.preprocess import checked
@@ -45,10 +45,8 @@ class GeometrySurvival(Metric):
     totals: Tensor
     rows: Tensor
 
-    def __init__(self, *, min_side: int = 512) -> None:
+    def __init__(self, *, min_side: Annotated[int, Range(ge=16)] = 512) -> None:
         super().__init__()
-        if min_side < 16:
-            raise UserError(f"geometry_survival.min_side is {min_side}; at least 16 pixels are needed")
         self.min_side = min_side
         self._last: tuple[tuple[Tensor, ...], np.ndarray] | None = None
         self.add_state("totals", torch.zeros(3, dtype=torch.float64), dist_reduce_fx="sum")

@@ -10,7 +10,7 @@ from PIL import Image, ImageOps
 
 from anystyle.errors import UserError
 from anystyle.evaluation.names import folded
-from anystyle.io.images import decodable, opened
+from anystyle.io.images import opened, require_pixels
 from anystyle.paths import natural
 
 log = logging.getLogger(__name__)
@@ -89,7 +89,7 @@ def spread(entries: Sequence[_T], count: int) -> list[_T]:
 def read_picture(path: Path) -> Image.Image:
     """An image as RGB, upright, transparency over white, without any metadata."""
     with opened(path) as image:
-        decodable(image, _LONGEST)
+        require_pixels(image, _LONGEST)
         upright = ImageOps.exif_transpose(image).convert("RGBA")
     return Image.alpha_composite(Image.new("RGBA", upright.size, "white"), upright).convert("RGB")
 

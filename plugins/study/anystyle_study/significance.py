@@ -2,13 +2,13 @@
 
 import math
 from dataclasses import replace
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from jaxtyping import Float
 from scipy import special, stats
 
-from anystyle.errors import UserError
+from anystyle.ranges import Range
 from anystyle_study.contract import Alternative, Responses, StudyTest, TestResult, Unit, generalization
 from anystyle_study.statistics import Crossing, superiority, t_interval, t_pvalue
 
@@ -21,9 +21,9 @@ class Significance(StudyTest):
         confidence: Level of the intervals.
     """
 
-    def __init__(self, *, alternative: Alternative = "two-sided", confidence: float = 0.95) -> None:
-        if not 0 < confidence < 1:
-            raise UserError(f"confidence={confidence}: expected a number between 0 and 1, such as 0.95")
+    def __init__(
+        self, *, alternative: Alternative = "two-sided", confidence: Annotated[float, Range(gt=0, lt=1)] = 0.95
+    ) -> None:
         self.alternative: Alternative = alternative
         self.confidence = confidence
 

@@ -10,10 +10,10 @@ from torch import Tensor
 
 from anystyle.contracts import StyleSource
 from anystyle.data.style_folder import FolderStyles
-from anystyle.errors import UserError
+from anystyle.ranges import AtLeastOne, Count, Fraction
 from anystyle.types import Style
 from anystyle_tiny.procedural.captions import COLORS, WORDS, join_names
-from anystyle_tiny.procedural.layout import Draw
+from anystyle_tiny.procedural.layout import Draw, Side
 from anystyle_tiny.procedural.patterns import BRUSHWORK, PATTERNS
 from anystyle_tiny.procedural.phrases import PHOTO_TEXTS, draw_phrase
 from anystyle_tiny.procedural.styles import SPLITS, ProceduralStyles, StyleTraits, draw_palette, paint_style
@@ -44,17 +44,15 @@ class CaptionedPictures(StyleSource):
     def __init__(
         self,
         *,
-        size: int = 256,
-        num_styles: int = 12000,
-        seed: int = 0,
+        size: Side = 256,
+        num_styles: AtLeastOne = 12000,
+        seed: Count = 0,
         split: Literal["train", "validation", "heldout"] = "train",
         photographs: str | None = None,
         paintings: str | None = None,
-        pictures: float = 0.2,
+        pictures: Fraction = 0.2,
         retouch: bool = True,
     ) -> None:
-        if not 0 <= pictures <= 1:
-            raise UserError(f"styles.pictures={pictures}: give a number from 0 to 1")
         self.procedural = ProceduralStyles(size=size, num_styles=num_styles, seed=seed, split=split)
         self.photographs = None if photographs is None else FolderStyles(root=photographs, size=size)
         self.paintings = None if paintings is None else FolderStyles(root=paintings, size=size)

@@ -7,9 +7,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.errors import UserError
 from anystyle.geometry.warp import depth_around, reproject
 from anystyle.metrics.base import RowMean
+from anystyle.ranges import Positive
 from anystyle.types import Comparison
 
 
@@ -27,10 +27,8 @@ class DepthAgreement(RowMean):
     better: ClassVar[Mapping[str, str]] = {"depth_agreement": "higher"}
     lacking: ClassVar[str] = "no two views with depth and cameras (folders give both by --depth)"
 
-    def __init__(self, *, tolerance: float = 0.05) -> None:
+    def __init__(self, *, tolerance: Positive = 0.05) -> None:
         super().__init__()
-        if tolerance <= 0:
-            raise UserError(f"depth_agreement.tolerance is {tolerance}; it must be positive")
         self.tolerance = tolerance
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:

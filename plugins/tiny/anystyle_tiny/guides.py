@@ -14,6 +14,7 @@ from anystyle.evaluation.base import Evaluation, Progress, Protocol, Row, requir
 from anystyle.evaluation.judge import SceneFigures, aggregate, judge_scene, mean
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import to_pil
+from anystyle.ranges import AtLeastOne
 from anystyle.stylizer import Stylizer
 from anystyle.types import Comparison, Scene, Style, Views
 
@@ -46,13 +47,10 @@ class TextAndImage(Protocol):
         metrics: Mapping[str, Metric],
         scenes: SceneSource | None,
         styles: StyleSource | None,
-        num_scenes: int = 4,
-        num_styles: int = 10,
-        num_views: int = 3,
+        num_scenes: AtLeastOne = 4,
+        num_styles: AtLeastOne = 10,
+        num_views: AtLeastOne = 3,
     ) -> None:
-        for name, value in (("num_scenes", num_scenes), ("num_styles", num_styles), ("num_views", num_views)):
-            if value < 1:
-                raise UserError(f"{name}={value}: give at least 1")
         self.stylizer = stylizer
         self.metrics = dict(metrics)
         self.scenes, self.styles = required(scenes, "scenes"), required(styles, "styles")

@@ -5,8 +5,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.errors import UserError
 from anystyle.injectors.base import TokenInjector, zeroed
+from anystyle.ranges import AtLeastOne
 
 
 class HyperNetwork(TokenInjector):
@@ -30,14 +30,12 @@ class HyperNetwork(TokenInjector):
         *,
         dim: int,
         style_dim: int,
-        width: int = 16,
-        hidden: int = 256,
+        width: AtLeastOne = 16,
+        hidden: AtLeastOne = 256,
         gain: float = 1.0,
         special_tokens: bool = False,
     ) -> None:
         super().__init__(gain, special_tokens)
-        if width < 1 or hidden < 1:
-            raise UserError(f"injector.width={width} and hidden={hidden} leave no network; give at least 1 each")
         self.dim, self.width = dim, width
         self.fc = nn.Sequential(nn.Linear(style_dim, hidden), nn.ReLU(), nn.Linear(hidden, hidden), nn.ReLU())
         self.down = nn.Linear(hidden, (2 * dim + 1) * width)

@@ -1,6 +1,7 @@
 """Losses of the tiny experiments."""
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import torch
 import torch.nn.functional as F
@@ -10,6 +11,7 @@ from torch import Tensor
 
 from anystyle.contracts import Loss
 from anystyle.errors import UserError
+from anystyle.ranges import NonNegative, Range
 from anystyle.types import Stylization
 
 
@@ -26,10 +28,8 @@ class Checkerboard(Loss):
         weight: In the objective; values are near 0.01.
     """
 
-    def __init__(self, *, period: int = 14, weight: float = 40.0) -> None:
+    def __init__(self, *, period: Annotated[int, Range(ge=2)] = 14, weight: float = 40.0) -> None:
         super().__init__()
-        if period < 2:
-            raise UserError(f"loss.checkerboard.period is {period}; give the side of a patch, 2 pixels or more")
         self.period = period
         self.weight = weight
 
@@ -54,10 +54,8 @@ class EdgeAwareSmoothness(Loss):
         weight: In the objective.
     """
 
-    def __init__(self, *, sharpness: float = 20.0, weight: float = 1.0) -> None:
+    def __init__(self, *, sharpness: NonNegative = 20.0, weight: float = 1.0) -> None:
         super().__init__()
-        if sharpness < 0:
-            raise UserError(f"loss.edge_aware_smoothness.sharpness is {sharpness}; give 0 or more")
         self.sharpness, self.weight = sharpness, weight
 
     def forward(self, result: Stylization) -> Float[Tensor, ""]:

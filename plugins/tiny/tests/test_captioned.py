@@ -1,7 +1,6 @@
 """Captioned pictures: phrases mean what they say, and pictures are retouched as their words tell."""
 
 import numpy as np
-import pytest
 import torch
 from kornia.color import rgb_to_grayscale
 from PIL import Image
@@ -65,5 +64,3 @@ def test_pictures_are_left_as_they_are_where_nothing_is_to_be_retouched(tmp_path
         shown = [style for style in styles if (style.image[0] - flat).abs().max() < 1e-3]
         assert abs(len(shown) - expected) <= 10 * (0 < pictures < 1)
         assert all(style.text == ("",) for style in shown)
-    with pytest.raises(ValueError, match=r"styles\.pictures=2\.0: give a number from 0 to 1"):
-        CaptionedPictures(size=8, pictures=2.0)

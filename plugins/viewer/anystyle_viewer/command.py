@@ -9,7 +9,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, split
-from anystyle.cli.run import show
 from anystyle.errors import UserError
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model
@@ -20,6 +19,8 @@ from anystyle.pipeline.restyle import Restyler
 from anystyle.pipeline.saved import UNSTYLED, read_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.stylize import encode_inputs
+from anystyle.registry.build import build
+from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import only_options
 from anystyle.registry.socket import Command
 from anystyle.vision.weights import license_lines, licenses
@@ -78,7 +79,7 @@ class View(Command):
         if arguments.no_provenance:
             raise UserError("--no-provenance is of the page that --html writes; add --html FILE")
         if arguments.input is None:
-            _serve_start(arguments, overrides)
+            _open_start_page(arguments, overrides)
         else:
             _serve_scene(arguments, overrides)
 
@@ -94,16 +95,12 @@ def _write_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None
     print(f"{arguments.html}: {len(saved.styles)} styles, {size:.2f} MB; open it in any browser")
 
 
-def _serve_start(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
-    from anystyle_viewer.start.server import StartServer
-
+def _open_start_page(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:
     if overrides:
         raise UserError(f"{overrides[0]}: without an input, options are chosen on the page; name an input")
-    with StartServer(arguments.keep, arguments.port) as server:
-        print(f"{server.url} makes scenes of what is dropped there; Ctrl-C ends it", flush=True)
-        show(server.url)
-        while True:
-            time.sleep(3600)
+    if "start" not in catalog().names("command"):
+        raise UserError("without an input, the page of anystyle-start opens, which is not installed; name an input")
+    build(Command, "start")(["--port", str(arguments.port), "--keep", str(arguments.keep)])
 
 
 def _serve_scene(arguments: argparse.Namespace, overrides: Sequence[str]) -> None:

@@ -8,7 +8,6 @@ import shutil
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
-from typing import get_args
 
 from anystyle import paths
 from anystyle.cli.arguments import new_parser, parse
@@ -102,7 +101,7 @@ def _presets(kind: str, names: Sequence[str]) -> Iterator[str]:
 
 def in_full(plugin: Plugin) -> Iterator[str]:
     """One plugin, imported: its documentation, and every option with type and default."""
-    from anystyle.registry.schema import options
+    from anystyle.registry.schema import options, shown
 
     known = options(plugin)
     loaded = plugin.load()
@@ -118,17 +117,9 @@ def in_full(plugin: Plugin) -> Iterator[str]:
     prefix = f"{plugin.kind}.{plugin.name}" if kind_named(plugin.kind).many else plugin.kind
     for option in known:
         default = "  (must be given)" if option.required else f" = {option.default!r}"
-        yield f"  {prefix}.{option.name}: {_hint(option.hint)}{default}"
+        yield f"  {prefix}.{option.name}: {shown(option.hint)}{default}"
         if option.name in described:
             yield from _hanging(" " * 6, described[option.name])
-
-
-def _hint(hint: object) -> str:
-    text = hint.__name__ if isinstance(hint, type) and not get_args(hint) else str(hint)
-    for name, sign in (("ge", ">="), ("gt", ">"), ("le", "<="), ("lt", "<")):
-        text = re.sub(rf"([(,] ?){name}=", rf"\1{sign} ", text)
-    text = re.sub(r"Annotated\[(\w+), msgspec\.Meta\((.*?)\)\]", r"\1 \2", text)
-    return re.sub(r"\b(typing|collections\.abc)\.", "", text)
 
 
 def arguments(function: object) -> dict[str, str]:

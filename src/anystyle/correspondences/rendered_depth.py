@@ -6,6 +6,7 @@ from torch import Tensor
 from anystyle.contracts import Correspondence
 from anystyle.errors import UserError
 from anystyle.geometry.warp import depth_around, reproject
+from anystyle.ranges import NonNegative
 from anystyle.types import Flow, Frames
 
 
@@ -18,9 +19,7 @@ class RenderedDepth(Correspondence):
         tolerance: How much farther than the target's own depth a point may be, relative, and still be seen.
     """
 
-    def __init__(self, *, tolerance: float = 0.02) -> None:
-        if tolerance < 0:
-            raise UserError(f"rendered_depth.tolerance is {tolerance}; it must not be negative")
+    def __init__(self, *, tolerance: NonNegative = 0.02) -> None:
         self.tolerance = tolerance
 
     @torch.no_grad()

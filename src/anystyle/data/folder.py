@@ -98,7 +98,7 @@ def read_views(
     """
     shots, problems = _shots(inputs, max_views)
     size = common_size([shot.size for shot in shots], short_side=short_side, multiple=multiple, enlarge=enlarge)
-    room_for_views(len(shots), size)
+    require_views(len(shots), size)
 
     def covered(name: str, shot: _Shot) -> tuple[Image.Image, SourceImage]:
         return read_picture(shot.path, name, size) if shot.frame is None else cover(name, shot.frame, shot.size, size)
@@ -107,7 +107,7 @@ def read_views(
     return as_views(pictures), [source for _, source in pictures]
 
 
-def room_for_views(count: int, size: tuple[int, int]) -> None:
+def require_views(count: int, size: tuple[int, int]) -> None:
     """Refuse views that memory does not hold, before a pixel of them is decoded."""
     # Of bytes, of floating-point numbers, and stacked.
     require(

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from anystyle.errors import one_line
 from anystyle.examples import resolved
-from anystyle.io.images import Picture, decodable, opened, rounded_to_8_bits
+from anystyle.io.images import Picture, opened, require_pixels, rounded_to_8_bits
 
 logger = logging.getLogger(__name__)
 
@@ -63,7 +63,7 @@ def open_alpha(source: Picture, name: str = "", *, longest: int = 4096) -> Image
 
 
 def _upright(image: Image.Image, source: Picture, longest: int) -> Image.Image:
-    decodable(image, longest)
+    require_pixels(image, longest)
     factor = max(1, max(image.size) // longest)
     whole = rounded_to_8_bits(image, source)
     return ImageOps.exif_transpose(whole if factor == 1 else _averaging(whole).reduce(factor))

@@ -11,7 +11,7 @@ from PIL import Image
 
 from anystyle.contracts import SceneSource
 from anystyle.data.camera_reader import StoredCamera
-from anystyle.data.folder import as_views, common_size, image_files, nested_image_files, read_picture, room_for_views
+from anystyle.data.folder import as_views, common_size, image_files, nested_image_files, read_picture, require_views
 from anystyle.data.images import image_size, readable
 from anystyle.data.names import short_names
 from anystyle.data.poses import read_poses, view_camera
@@ -19,6 +19,7 @@ from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
 from anystyle.io.documents import read_json
 from anystyle.paths import inside, natural
+from anystyle.ranges import AtLeastOne
 from anystyle.types import Cameras, Views
 
 logger = logging.getLogger(__name__)
@@ -61,13 +62,11 @@ class FolderScenes(SceneSource):
         images: str = "images",
         cameras: str | None = None,
         index: str | None = None,
-        short_side: int = 448,
-        multiple: int | None = None,
+        short_side: AtLeastOne = 448,
+        multiple: AtLeastOne | None = None,
         patch_size: int = 14,
     ) -> None:
         multiple = patch_size if multiple is None else multiple
-        if short_side < 1 or multiple < 1:
-            raise UserError(f"short_side={short_side} and multiple={multiple}: give at least 1")
         self.root = Path(root)
         if not self.root.is_dir():
             raise UserError(f"root={root}: there is no such folder of scenes")
@@ -105,7 +104,7 @@ class FolderScenes(SceneSource):
         views = list(views)
         if not views or not all(0 <= view < len(shots.paths) for view in views):
             raise UserError(f"views {views} of {self.name(scene)}: give at least one of 0 to {len(shots.paths) - 1}")
-        room_for_views(len(views), shots.size)
+        require_views(len(views), shots.size)
         pictures = [read_picture(shots.paths[view], shots.names[view], shots.size) for view in views]
         if not shots.cameras:
             return as_views(pictures)

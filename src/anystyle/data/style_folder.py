@@ -10,6 +10,7 @@ from anystyle.data.captions import captions_file, read_captions
 from anystyle.data.folder import image_files
 from anystyle.data.images import listing, read_square, readable
 from anystyle.errors import UserError
+from anystyle.ranges import AtLeastOne
 from anystyle.types import Style
 
 logger = logging.getLogger(__name__)
@@ -27,12 +28,10 @@ class FolderStyles(StyleSource):
         captions: A file in ``root``; ``None`` takes :func:`~anystyle.data.captions.captions_file`, if there is one.
     """
 
-    def __init__(self, *, root: str = "styles", size: int = 256, captions: str | None = None) -> None:
+    def __init__(self, *, root: str = "styles", size: AtLeastOne = 256, captions: str | None = None) -> None:
         folder = Path(root)
         if not folder.is_dir():
             raise UserError(f"root={root}: there is no such folder of style images")
-        if size < 1:
-            raise UserError(f"size={size}: give at least 1")
         self.paths = readable(image_files(folder))
         if not self.paths:
             raise UserError(f"root={root}: there are no images in it")

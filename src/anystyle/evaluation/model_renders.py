@@ -22,6 +22,7 @@ from anystyle.evaluation.pairing import CAMERAS, pair
 from anystyle.io.atomic import atomic_path
 from anystyle.methods.base import Method
 from anystyle.methods.branch import Branch
+from anystyle.ranges import AtLeastOne
 from anystyle.stylizer import Stylizer
 from anystyle.types import Scene, Style, Views
 
@@ -56,14 +57,11 @@ class ModelRenders(Protocol):
         guide: Literal["image", "text"] = "image",
         variant: Variant = "reference",
         scene_names: Sequence[str] = (),
-        num_scenes: int | None = None,
-        num_styles: int | None = 50,
-        frames: int = 16,
+        num_scenes: AtLeastOne | None = None,
+        num_styles: AtLeastOne | None = 50,
+        frames: AtLeastOne = 16,
         square: bool = True,
     ) -> None:
-        for name, value in (("num_scenes", num_scenes), ("num_styles", num_styles), ("frames", frames)):
-            if value is not None and value < 1:
-                raise UserError(f"{name}={value}: give at least 1")
         self.stylizer, self.metrics, self.method = stylizer, metrics, method or Branch()
         self.scenes, self.styles = required(scenes, "scenes"), required(styles, "styles")
         self.guide, self.frames, self.square = guide, frames, square

@@ -11,7 +11,8 @@ import msgspec
 from anystyle.evaluation.base import SCENE, Evaluation, Row
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.atomic import atomic_path, write_json
-from anystyle.io.documents import Count, Figure, as_number, fit, read_json
+from anystyle.io.documents import Figure, as_number, fit, read_json
+from anystyle.ranges import Count
 
 FILE = "metrics.json"
 

@@ -1,11 +1,13 @@
 """Cross-attention: every token looks at a few tokens made of the style."""
 
+from typing import Annotated
+
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from anystyle.errors import UserError
 from anystyle.injectors.base import TokenInjector, zeroed
+from anystyle.ranges import AtLeastOne, Range
 
 
 class CrossAttention(TokenInjector):
@@ -28,18 +30,13 @@ class CrossAttention(TokenInjector):
         *,
         dim: int,
         style_dim: int,
-        num_tokens: int = 8,
-        heads: int = 4,
-        head_dim: int = 32,
+        num_tokens: Annotated[int, Range(ge=2)] = 8,
+        heads: AtLeastOne = 4,
+        head_dim: AtLeastOne = 32,
         gain: float = 1.0,
         special_tokens: bool = False,
     ) -> None:
         super().__init__(gain, special_tokens)
-        if num_tokens < 2 or heads < 1 or head_dim < 1:
-            raise UserError(
-                f"injector.num_tokens={num_tokens}, heads={heads} and head_dim={head_dim} leave nothing to attend to; "
-                "give at least 2, 1 and 1"
-            )
         self.num_tokens, self.heads = num_tokens, heads
         width = heads * head_dim
         self.style_tokens = nn.Linear(style_dim, num_tokens * width)

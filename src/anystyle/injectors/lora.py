@@ -3,8 +3,8 @@
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.errors import UserError
 from anystyle.injectors.base import TokenInjector, zeroed
+from anystyle.ranges import AtLeastOne
 
 
 class LoRA(TokenInjector):
@@ -29,14 +29,12 @@ class LoRA(TokenInjector):
         *,
         dim: int,
         style_dim: int,
-        rank: int = 16,
+        rank: AtLeastOne = 16,
         alpha: float = 16.0,
         gain: float = 1.0,
         special_tokens: bool = False,
     ) -> None:
         super().__init__(gain, special_tokens)
-        if rank < 1:
-            raise UserError(f"injector.rank is {rank}; give at least 1")
         rank = min(rank, dim)
         self.factor = alpha / rank
         self.strength = nn.Linear(style_dim, rank)

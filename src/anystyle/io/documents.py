@@ -9,7 +9,7 @@ import stat
 import tomllib
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar
 
 import msgspec
 
@@ -17,8 +17,6 @@ from anystyle.errors import UserError, one_line
 
 T = TypeVar("T")
 
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-Count = Annotated[int, msgspec.Meta(ge=0)]
 Figure = float | Literal["inf", "-inf"] | None
 """A number as JSON can hold it: ``None`` is not a number, and infinities are words."""
 

@@ -77,7 +77,7 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
         raise UserError(f"{what} is a damaged image ({one_line(error)[:200] or type(error).__name__})") from None
 
 
-def decodable(image: Image.Image, longest: int) -> None:
+def require_pixels(image: Image.Image, longest: int) -> None:
     """Refuse an image that takes too much memory; JPEG files are decoded at 1/2 to 1/8 size, not below ``longest``."""
     too_large = _too_large(image)
     image.draft("RGB", (longest, longest))

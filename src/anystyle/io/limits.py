@@ -22,10 +22,19 @@ def free() -> int:
     return max(0, min(left))
 
 
-def require(needed: int, what: str, advice: str) -> None:
-    """Raise a UserError if ``needed`` bytes are not free; it names what needs them and gives advice."""
-    # Below 64 MiB it is not worth reading the system's files.
-    if needed > 1 << 26 and needed > USABLE * (left := free()):
+def require(needed: int | float, what: str, advice: str, left: int | None = None) -> None:
+    """Raise a UserError if ``needed`` bytes are not free; it names what needs them and gives advice.
+
+    Args:
+        needed: Bytes.
+        what: Takes them.
+        advice: What needs fewer.
+        left: The free bytes; ``None`` are those of this process, see :func:`free`.
+    """
+    if left is None and needed <= 1 << 26:  # for so little it is not worth reading the system's files
+        return
+    left = free() if left is None else left
+    if needed > USABLE * left:
         raise UserError(f"{what}: this takes {gib(needed)} of memory, and {gib(left)} are free; {advice}")
 
 

@@ -9,8 +9,8 @@ from kornia.geometry.transform import get_perspective_transform, warp_perspectiv
 from torch import Tensor
 
 from anystyle.contracts import Loss, StyleEncoder
-from anystyle.errors import UserError
 from anystyle.losses.features import Reference, drawn_for_rows, reference_embeddings, resized
+from anystyle.ranges import AtLeastOne, Fraction
 from anystyle.types import Stylization
 from anystyle.vision.eager_backward import eager_backward
 
@@ -38,21 +38,16 @@ class ClipPatch(Loss):
         self,
         *,
         style_encoder: StyleEncoder,
-        crops: int = 16,
-        crop_size: int = 64,
-        distortion: float = 0.5,
+        crops: AtLeastOne = 16,
+        crop_size: AtLeastOne = 64,
+        distortion: Fraction = 0.5,
         shared_crop: bool = False,
-        size: int | None = 224,
-        batch: int = 16,
+        size: AtLeastOne | None = 224,
+        batch: AtLeastOne = 16,
         reference: Reference = "photograph",
         weight: float = 4.0,
     ) -> None:
         super().__init__()
-        for name, count in (("crops", crops), ("crop_size", crop_size), ("batch", batch)):
-            if count < 1:
-                raise UserError(f"loss.clip_patch.{name}={count}: give at least 1")
-        if not 0 <= distortion <= 1:
-            raise UserError(f"loss.clip_patch.distortion={distortion}: give a fraction between 0 and 1")
         self._encoder = (style_encoder,)  # in a tuple, so that it is no submodule
         self.crops, self.crop_size, self.distortion, self.shared_crop = crops, crop_size, distortion, shared_crop
         self.size, self.batch, self.weight = size, batch, weight

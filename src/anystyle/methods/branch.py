@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import torch
 
-from anystyle.errors import UserError
 from anystyle.geometry.harmonics import rgb_from_constant
 from anystyle.methods.base import Method
 from anystyle.methods.colors import colors_alone, covering_views, fit_colors, largest_shown
+from anystyle.ranges import Count, Share
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
 
@@ -32,12 +32,8 @@ class Branch(Method):
     """
 
     def __init__(
-        self, *, fit_colors: int = 4, coverage: float = 0.95, refine_strokes: int = 0, keep_harmonics: bool = False
+        self, *, fit_colors: Count = 4, coverage: Share = 0.95, refine_strokes: Count = 0, keep_harmonics: bool = False
     ) -> None:
-        if fit_colors < 0 or refine_strokes < 0:
-            raise UserError(f"method: {fit_colors=} {refine_strokes=}; give numbers of steps, 0 or more")
-        if not 0 < coverage <= 1:
-            raise UserError(f"method.coverage={coverage}: give a share above 0 and up to 1")
         self.fit_colors, self.coverage = fit_colors, coverage
         self.refine_strokes, self.keep_harmonics = refine_strokes, keep_harmonics
 

@@ -2,14 +2,14 @@
 
 import warnings
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.errors import UserError
 from anystyle.metrics.base import NetworkMetric, image_vectors, pairs, stacked, with_style_images
+from anystyle.ranges import Range
 from anystyle.types import Comparison
 from anystyle.vision import embeddings
 from anystyle.vision.weights import Weights
@@ -30,10 +30,8 @@ class KID(NetworkMetric):
     stylized: list[Tensor]
     style: list[Tensor]
 
-    def __init__(self, *, size: int = 299, weights: Weights = "auto") -> None:
+    def __init__(self, *, size: Annotated[int, Range(ge=75)] = 299, weights: Weights = "auto") -> None:
         super().__init__()
-        if size < 75:
-            raise UserError(f"kid.size is {size}; the network reads 75 pixels and more")
         self.size = size
         self.inception = embeddings.load_art_inception(weights)
         self.declare(self.inception.source)

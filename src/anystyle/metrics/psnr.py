@@ -7,8 +7,8 @@ from jaxtyping import Float
 from torch import Tensor
 from torchmetrics.functional.image import peak_signal_noise_ratio
 
-from anystyle.errors import UserError
 from anystyle.metrics.base import Pairs, RowMean, mean_per_row
+from anystyle.ranges import Positive
 from anystyle.types import Comparison
 
 
@@ -28,10 +28,8 @@ class PSNR(RowMean):
 
     better: ClassVar[Mapping[str, str]] = {"psnr": "higher"}
 
-    def __init__(self, *, most: float = 100.0) -> None:
+    def __init__(self, *, most: Positive = 100.0) -> None:
         super().__init__()
-        if most <= 0:
-            raise UserError(f"psnr.most is {most}; it must be positive")
         self.most = most
 
     def of_rows(self, comparison: Comparison) -> Float[Tensor, " R"]:

@@ -116,7 +116,8 @@ def encoder(stylizer: Stylizer) -> Callable[[Views], Scene]:
 
 def _single_pass(given: ReadViews, stylizer: Stylizer, options: ViewOptions, stages: Stages) -> Capture:
     num_views, (height, width) = len(given.sources), given.views.size
-    memory.check(stylizer.backbone, min(num_views, options.max_views or num_views), given.views.size, stylizer.device)
+    at_once = min(num_views, options.max_views or num_views)
+    memory.require_encoding(stylizer.backbone, at_once, given.views.size, stylizer.device)
     with stages("encode", f"{num_views} views of {width}x{height}"):
         return encode_groups(
             partial(_reconstructed, stylizer=stylizer, reconstruction=given.reconstruction),

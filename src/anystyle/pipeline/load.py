@@ -100,7 +100,7 @@ def published_by(config: DictConfig) -> Published:
     return published
 
 
-def room_for_backbone(config: DictConfig, *, learns: bool = False) -> None:
+def require_weights(config: DictConfig, *, learns: bool = False) -> None:
     """Refuse a backbone whose weights memory does not hold, before there is one.
 
     Args:
@@ -149,7 +149,7 @@ def assemble(config: DictConfig, *, learns: bool = False) -> tuple[Stylizer, dic
     branch_options(config)
     files = {part: weights_file(name) for part, name in config.weights.items() if name is not None}
     if "backbone" not in files:
-        room_for_backbone(config)
+        require_weights(config)
     for file in set(files.values()):
         require(file.stat().st_size, f"the weights in {file}", _SMALLER)
     sums = {file: sha256(file) for file in set(files.values()) if file.is_file()}

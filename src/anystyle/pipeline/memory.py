@@ -13,9 +13,8 @@ from torch.utils import _pytree as pytree
 from torch.utils._python_dispatch import TorchDispatchMode
 
 from anystyle.contracts import Backbone
-from anystyle.errors import UserError
 from anystyle.io import limits
-from anystyle.io.limits import USABLE, gib
+from anystyle.io.limits import USABLE
 
 _log = logging.getLogger(__name__)
 
@@ -102,17 +101,19 @@ def available(device: torch.device) -> int | None:
     return limits.free() if device.type == "cpu" else None
 
 
-def check(backbone: Backbone, num_views: int, size: tuple[int, int], device: torch.device) -> None:
+def require_encoding(backbone: Backbone, num_views: int, size: tuple[int, int], device: torch.device) -> None:
     """Raise a UserError that says how many views fit if these do not, before anything is computed."""
     free = available(device)
     if free is None or num_views * size[0] * size[1] * PLENTY <= USABLE * free:
         return
     estimate = encoding(backbone, size)
-    if estimate is None or (needed := estimate[0] + estimate[1] * num_views) <= USABLE * free:
+    if estimate is None:
         return
     fits = int((USABLE * free - estimate[0]) / estimate[1]) if estimate[1] else 0
     advice = f"{fits} fit: set views.max_views={fits}" if fits >= 2 else "not even two fit: set a smaller size"
-    raise UserError(
-        f"{num_views} views of {size[1]}x{size[0]} need {gib(needed)} beside the weights, and {gib(free)} are free; "
-        f"{advice} (groups that overlap), views.short_side or views.take"
+    limits.require(
+        estimate[0] + estimate[1] * num_views,
+        f"{num_views} views of {size[1]}x{size[0]}",
+        f"{advice} (groups that overlap), views.short_side or views.take",
+        free,
     )

@@ -6,13 +6,15 @@ its own.
 
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 from anystyle.contracts import Injector
 from anystyle.errors import UserError
 from anystyle.paths import expanded
+from anystyle.ranges import AtLeastOne, Range
 from anystyle.registry.build import choice
 from anystyle.registry.catalog import catalog
+from anystyle.registry.schema import check_fields
 
 AXES = ("opencv", "y", "z")
 """Axes: x right, y down, z forward; x right, y up, z back; x right, y forward, z up. All are right-handed."""
@@ -28,12 +30,12 @@ class BranchOptions:
     """
 
     styled: list[str] = field(default_factory=lambda: ["rotation", "color"])
-    sh_degree: int = 0
+    sh_degree: Annotated[int, Range(ge=0, le=4)] = 0
     single_view: bool = False
     injectors: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        _between("branch.sh_degree", self.sh_degree, 0, 4)
+        check_fields(self, "branch")
         for one in self.injectors.values():
             choice(Injector, one)
 
@@ -55,22 +57,19 @@ class ViewOptions:
             passers-by; other photographs show what is behind. ``empty``: nothing, as where a photograph is transparent.
     """
 
-    short_side: int | None = None
+    short_side: Annotated[int, Range(ge=1, le=1 << 16)] | None = None
     resize: bool = True
-    take: int | None = None
-    max_views: int | None = None
-    overlap: int | None = None
+    take: AtLeastOne | None = None
+    max_views: AtLeastOne | None = None
+    overlap: AtLeastOne | None = None
     masks: str | None = None
     masked: str = "ignored"
 
     def __post_init__(self) -> None:
+        check_fields(self, "views")
         _expect("views.masked", self.masked, ("ignored", "empty"))
         if self.masks is not None and not expanded(self.masks).is_dir():
             raise UserError(f"views.masks={self.masks}: there is no folder of masks")
-        _between("views.short_side", self.short_side, 1, 1 << 16)
-        _between("views.take", self.take, 1, 1 << 20)
-        _between("views.max_views", self.max_views, 1, 1 << 20)
-        _between("views.overlap", self.overlap, 1, 1 << 20)
         if self.short_side is not None and not self.resize:
             raise UserError(f"views.short_side={self.short_side} with views.resize=false; give one of them")
 
@@ -136,21 +135,16 @@ class SplatOptions:
         activated: Whether a file holds lengths and opacities in [0, 1] where its format has logarithms and logits.
     """
 
-    cameras: int = 24
+    cameras: Annotated[int, Range(ge=1, le=1 << 16)] = 24
     folder: str | None = None
     up: str | None = None
     activated: bool = False
 
     def __post_init__(self) -> None:
         _expect("splat.up", str(self.up), ("None", *AXES))
-        _between("splat.cameras", self.cameras, 1, 1 << 16)
+        check_fields(self, "splat")
 
 
 def _expect(option: str, value: str, choices: Collection[str]) -> None:
     if value not in choices:
         raise UserError(f"{option}={value}; choose one of {', '.join(choices)}")
-
-
-def _between(option: str, value: int | float | None, low: int | float, high: int | float) -> None:
-    if value is not None and not low <= value <= high:
-        raise UserError(f"{option}={value}; give a number from {low} to {high}")

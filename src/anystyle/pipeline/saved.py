@@ -16,10 +16,11 @@ from anystyle.data.camera_reader import StoredCamera
 from anystyle.data.names import distinct, short_names
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError
-from anystyle.io.documents import Count, read_json, read_text, regular
+from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.export import in_axes
 from anystyle.pipeline.provenance import MADE_OF, note
+from anystyle.ranges import Count
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, StyledScene

@@ -13,10 +13,9 @@ from anystyle.data.camera_reader import StoredCamera
 from anystyle.data.folder import SourceImage, covering
 from anystyle.data.names import short_names
 from anystyle.data.poses import view_camera
-from anystyle.errors import UserError
 from anystyle.geometry.cameras import look_at
 from anystyle.geometry.harmonics import constant_from_rgb
-from anystyle.io.limits import USABLE
+from anystyle.io.limits import require
 from anystyle.pipeline import memory
 from anystyle.pipeline.encode import EncodedCapture, encoder, scene_report
 from anystyle.pipeline.export import in_axes
@@ -55,7 +54,7 @@ def encode_saved(
         saved = in_axes("opencv", given)
         gaussians = unstyled_of(saved).to(stylizer.device)
         cameras, sources, origin = cameras_of(path, saved, views, options, patch, stylizer.backbone.resolution)
-        line = check_memory(gaussians.means.shape[1], len(sources), stylizer.device)
+        line = require_splat(gaussians.means.shape[1], len(sources), stylizer.device)
     with stages("encode", f"{line}; cameras {origin}"):
         scene = scene_of_splat(gaussians, cameras.to(stylizer.device), stylizer.render, encoder(stylizer))
     capture = Capture.of(scene)
@@ -72,13 +71,12 @@ def memory_needed(num_gaussians: int, num_views: int) -> int:
     return num_gaussians * (BYTES + BYTES_A_VIEW * num_views)
 
 
-def check_memory(num_gaussians: int, num_views: int, device: torch.device) -> str:
-    """A line on what a scene will take."""
-    needed, free = memory_needed(num_gaussians, num_views), memory.available(device)
-    line = f"{num_gaussians:,} Gaussians from {num_views} views take about {needed / 2**30:.2g} GiB"
-    if free is not None and needed > USABLE * free:
-        raise UserError(f"{line}, and {free / 2**30:.2g} GiB are free; set fewer views with splat.cameras")
-    return line
+def require_splat(num_gaussians: int, num_views: int, device: torch.device) -> str:
+    """Refuse a scene that memory does not hold; a line on what it will take."""
+    needed, what = memory_needed(num_gaussians, num_views), f"{num_gaussians:,} Gaussians from {num_views} views"
+    if (free := memory.available(device)) is not None:
+        require(needed, what, "set fewer views with splat.cameras", free)
+    return f"{what} take about {needed / 2**30:.2g} GiB"
 
 
 def cameras_of(

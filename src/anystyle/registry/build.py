@@ -66,7 +66,7 @@ def plugin_of(base: type, config: "DictConfig | Mapping[str, Any] | str") -> tup
         return plugin, _checked(plugin, {})
     given = _container(config)
     plugin = catalog().owner(kind_of(base), str(given.pop("_target_", None)))
-    return plugin, _checked(plugin, given)
+    return plugin, _checked(plugin, given, _key(config))
 
 
 def choice(base: type, value: Any) -> dict[str, Any]:
@@ -102,8 +102,15 @@ def _container(config: Any) -> dict[str, Any]:
     return {str(key): value for key, value in container.items()}
 
 
-def _checked(plugin: Plugin, given: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of all options, as the constructor expects them."""
+def _key(config: Any) -> str:
+    """Where a node stands in the whole configuration; nothing for a node by itself."""
+    from omegaconf import OmegaConf
+
+    return str(config._get_full_key(None) or "") if OmegaConf.is_config(config) else ""
+
+
+def _checked(plugin: Plugin, given: Mapping[str, Any], key: str = "") -> dict[str, Any]:
+    """The values of all options, as the constructor expects them; ``key`` is where a user gives them."""
     from omegaconf import OmegaConf
     from omegaconf.errors import OmegaConfBaseException
 
@@ -113,20 +120,22 @@ def _checked(plugin: Plugin, given: Mapping[str, Any]) -> dict[str, Any]:
         if name not in names:
             raise UserError(f"{plugin} has no option '{name}'.{did_you_mean(name, names)} Options: {', '.join(names)}")
     merged = node(plugin)
+    key = key or (f"{plugin.kind}.{plugin.name}" if kind_named(plugin.kind).many else plugin.kind)
     values: dict[str, Any] = {}
     for item in known:
         try:
             if item.name in given:
                 OmegaConf.update(merged, item.name, plain(given[item.name]))
             if OmegaConf.is_missing(merged, item.name):
-                where = f"{plugin.kind}.{plugin.name}" if kind_named(plugin.kind).many else plugin.kind
-                raise UserError(f"it has no default; give it one with {where}.{item.name}=...")
+                raise UserError("it has no default; give it one")
             value = merged[item.name]
             plain_value = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
             values[item.name] = fitted(plain_value, item.hint)
             if values[item.name] != values[item.name]:
                 raise UserError("nan is not a valid value")
         except (OmegaConfBaseException, ValueError) as error:
-            message = str(error).partition("\n")[0]
-            raise UserError(f"{plugin}, option '{item.name}': {message}") from error
+            message, value = str(error).partition("\n")[0], given.get(item.name, "...")
+            raise UserError(
+                f"{key}.{item.name}={value}: {message}; see anystyle plugins {plugin.kind} {plugin.name}"
+            ) from error
     return values

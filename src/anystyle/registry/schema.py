@@ -3,6 +3,7 @@
 import copy
 import functools
 import inspect
+import math
 import re
 import types
 import typing
@@ -14,14 +15,11 @@ from typing import Annotated, Any
 
 import msgspec
 
-from anystyle.errors import one_line
+from anystyle.errors import UserError, one_line
 from anystyle.registry.catalog import Plugin, PluginError, base_of, kind_named
 
 if typing.TYPE_CHECKING:
     from omegaconf import DictConfig
-
-AtLeastOne = Annotated[int, msgspec.Meta(ge=1)]
-Fraction = Annotated[float, msgspec.Meta(ge=0, le=1)]
 
 REQUIRED: Any = inspect.Parameter.empty
 _PLAIN = (int, float, bool, str)
@@ -141,7 +139,7 @@ def option(hint: Any) -> Any:
 
     ``int``, ``float``, ``bool``, ``str`` and paths stand for themselves, as do unions of them; sequences become lists,
     ``Literal`` of texts or of numbers an enumeration, so that an error lists the choices. The range of an
-    ``Annotated[int, msgspec.Meta(ge=1)]`` is checked by :func:`fitted`.
+    ``Annotated[int, msgspec.Meta(ge=1)]``, such as those of :mod:`anystyle.ranges`, is checked by :func:`fitted`.
     """
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is Annotated:
@@ -163,7 +161,12 @@ def option(hint: Any) -> Any:
 
 
 def _union(members: tuple[Any, ...]) -> Any:
-    return typing.Union[members] if all(item in _PLAIN for item in members) else Any  # noqa: UP007 (of a value)
+    bare = tuple(map(_bare, members))
+    return typing.Union[bare] if all(item in _PLAIN for item in bare) else Any  # noqa: UP007 (of a value)
+
+
+def _bare(hint: Any) -> Any:
+    return typing.get_args(hint)[0] if typing.get_origin(hint) is Annotated else hint
 
 
 def _element(arguments: tuple[Any, ...]) -> Any:
@@ -196,22 +199,24 @@ def plain(value: Any) -> Any:
 
 
 def fitted(value: Any, hint: Any) -> Any:
-    """A checked value as a constructor expects it: sequences as tuples unless ``hint`` says list, choices as given."""
+    """A checked value as a constructor expects it: sequences as tuples unless ``hint`` says list, choices as given.
+
+    Raises:
+        ValueError: A number is out of its range, or a tuple has another length.
+    """
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if isinstance(value, Enum):
         return value.value
     if origin is Annotated:
-        try:
-            msgspec.convert(value, hint)
-        except msgspec.ValidationError as error:
-            raise ValueError(f"{value} is given; {one_line(error)[:1].lower()}{one_line(error)[1:]}") from None
+        check(value, hint)
         return fitted(value, arguments[0])
     if origin in (typing.Union, types.UnionType):
         if value is None:
             return None
         inner = [item for item in arguments if item is not type(None)]
         sequences = [item for item in inner if typing.get_origin(item) in _SEQUENCES]
-        best = inner if len(inner) == 1 else sequences[:1] if isinstance(value, list) else []
+        same = [item for item in inner if _bare(item) is type(value)]
+        best = inner if len(inner) == 1 else sequences[:1] if isinstance(value, list) else same
         return fitted(value, best[0]) if best else value
     if isinstance(value, list):
         return _fitted_sequence(value, origin or hint, arguments)
@@ -227,3 +232,60 @@ def _fitted_sequence(value: list[Any], origin: Any, arguments: tuple[Any, ...]) 
         return tuple(fitted(item, hint) for item, hint in zip(value, arguments, strict=True))
     items = [fitted(item, arguments[0] if arguments else Any) for item in value]
     return items if origin is list else tuple(items)
+
+
+def check(value: Any, hint: Any) -> None:
+    """Refuse a value of another type than ``hint``, out of its range, or not finite where there is a range.
+
+    Raises:
+        ValueError: It says what is expected, and the ``description`` of a range if it has one.
+    """
+    try:
+        msgspec.convert(value, hint)
+        valid = not isinstance(value, float) or math.isfinite(value)
+    except msgspec.ValidationError:
+        valid = False
+    if not valid:
+        remedies = [f"; {meta.description}" for meta in _metas(hint) if meta.description]
+        raise ValueError(f"expected {shown(hint)}{''.join(remedies)}")
+
+
+def check_fields(options: Any, group: str) -> None:
+    """Refuse fields of a dataclass of options that are out of the range of their annotations.
+
+    Raises:
+        UserError: It names the option as ``group.field``.
+    """
+    for name, hint in typing.get_type_hints(type(options), include_extras=True).items():
+        value = getattr(options, name)
+        try:
+            fitted(value, hint)
+        except ValueError as error:
+            raise UserError(f"{group}.{name}={value}: {error}") from None
+
+
+def _metas(hint: Any) -> list[msgspec.Meta]:
+    own = [hint] if isinstance(hint, msgspec.Meta) else []
+    return own + [meta for part in typing.get_args(hint) for meta in _metas(part)]
+
+
+def shown(hint: Any) -> str:
+    """An annotation as a reader would write it: ``int >= 1``, ``0 <= float <= 1 | None``."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is Annotated:
+        name, meta = shown(arguments[0]), next(iter(_metas(hint)), msgspec.Meta())
+        low = [f"{bound} {sign}" for bound, sign in ((meta.ge, "<="), (meta.gt, "<")) if bound is not None]
+        high = [f"{sign} {bound}" for bound, sign in ((meta.le, "<="), (meta.lt, "<")) if bound is not None]
+        if low and not high:
+            bound, sign = low[0].split()
+            return f"{name} {sign.replace('<', '>')} {bound}"
+        return " ".join([*low, name, *high])
+    if origin in (typing.Union, types.UnionType):
+        return " | ".join(map(shown, arguments))
+    if origin is typing.Literal:
+        return " | ".join(map(repr, arguments))
+    if arguments and isinstance(origin, type):
+        return f"{origin.__name__}[{', '.join(map(shown, arguments))}]"
+    if hint is Ellipsis:
+        return "..."
+    return "None" if hint is type(None) else getattr(hint, "__name__", str(hint))

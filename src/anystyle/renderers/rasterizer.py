@@ -11,6 +11,7 @@ from torch import Tensor
 from anystyle.contracts import Renderer
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import degree_of
+from anystyle.ranges import NonNegative, Positive, Share
 from anystyle.types import Cameras, Gaussians, Renders
 
 
@@ -26,9 +27,9 @@ class RendererOptions:
     """
 
     background: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    near: float = 1e-10
-    far: float = 1e10
-    eps2d: float = 0.3
+    near: Positive = 1e-10
+    far: Positive = 1e10
+    eps2d: NonNegative = 0.3
 
 
 class Rasterizer(RendererOptions, Renderer):
@@ -59,7 +60,7 @@ class CappedRasterizer(Rasterizer):
             used, 0.99 in gsplat 1.6.
     """
 
-    alpha_cap: float = 0.999
+    alpha_cap: Share = 0.999
 
 
 def check(gaussians: Gaussians, cameras: Cameras, background: Sequence[float], near: float) -> None:

@@ -14,7 +14,7 @@ from torch.utils.data import DataLoader, Dataset
 from anystyle.contracts import SceneSource, StyleSource
 from anystyle.errors import UserError, one_line
 from anystyle.training.collate import blurred_views, fit_views, mirror_views, stack_styles, stack_views
-from anystyle.training.sampling import any_views, bounded_views, bounds, check_counts, check_sides, generator
+from anystyle.training.sampling import any_views, bounded_views, bounds, check_sides, generator
 from anystyle.types import Style, Value, Views
 
 logger = logging.getLogger(__name__)
@@ -92,7 +92,6 @@ class SceneBatches:
         pool: int | None = None,
     ) -> None:
         low, high = bounds("context_views", context_views)
-        check_counts(batch_size=batch_size, images=images, pool=pool, width=width)
         if heights is not None:
             check_sides(*bounds("heights", heights), width=width, multiple=multiple)
         if len(scenes) == 0:

@@ -8,8 +8,6 @@ import torch
 from torch import nn
 from torch.optim.lr_scheduler import LambdaLR
 
-from anystyle.errors import UserError
-
 
 def learning_rate(
     step: int, *, peak: float, total: int, warmup: int = 100, start: float = 0.01, floor: float = 1e-5
@@ -44,13 +42,6 @@ def decayed_adamw(
     """AdamW on the trainable parameters of a module; the rate falls to ``floor * lr`` at the last of ``steps``."""
     optimizer = torch.optim.AdamW(decayed_groups([module], lr=lr, weight_decay=weight_decay), betas=betas)
     return scheduled(optimizer, total=steps - warmup, warmup=warmup, floor=floor * lr)
-
-
-def check_rates(**rates: int | float) -> None:
-    """Refuse learning rates, and factors of them, that are not positive and finite."""
-    for name, rate in rates.items():
-        if not 0 < rate < math.inf:
-            raise UserError(f"training.{name}={rate}: give a number above 0")
 
 
 def decayed_groups(modules: Sequence[nn.Module], *, lr: float, weight_decay: float) -> list[dict[str, Any]]:

@@ -15,7 +15,8 @@ from omegaconf import DictConfig, OmegaConf
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import folder_lock
-from anystyle.io.documents import Count, plain, read_json
+from anystyle.io.documents import plain, read_json
+from anystyle.ranges import Count
 from anystyle.registry.compose import changes, flat
 
 UNBOUND = (

@@ -19,7 +19,7 @@ from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import Header, load_part, save_part, sha256
 from anystyle.io.documents import Figure, as_number, kept_json
 from anystyle.paths import expanded
-from anystyle.pipeline.load import assemble, branch_header, make_scenes, room_for_backbone, weights_file
+from anystyle.pipeline.load import assemble, branch_header, make_scenes, require_weights, weights_file
 from anystyle.pipeline.provenance import commit
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
@@ -161,7 +161,7 @@ def make_training(config: DictConfig) -> Training:
     if "stylizer" in arguments:
         parts["stylizer"] = assemble(config, learns=True)[0]
     if "backbone" in arguments:
-        room_for_backbone(config, learns=True)
+        require_weights(config, learns=True)
         parts["backbone"] = _with_weights(config, "backbone", build(Backbone, config.backbone))
     if "style_encoder" in arguments:
         parts["style_encoder"] = _with_weights(config, "style_encoder", build(StyleEncoder, config.style_encoder))

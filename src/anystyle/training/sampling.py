@@ -52,13 +52,6 @@ def bounds(name: str, pair: Sequence[int]) -> tuple[int, int]:
     return pair[0], pair[1]
 
 
-def check_counts(least: int = 1, **counts: int | None) -> None:
-    """Refuse options of a training that are below the least value; ``None`` passes."""
-    for name, count in counts.items():
-        if count is not None and count < least:
-            raise UserError(f"training.{name}={count}: give at least {least}")
-
-
 def check_sides(low: int, high: int, *, width: int | None, multiple: int) -> None:
     """Refuse heights between which no multiple of the backbone's patch lies, and a width that is none."""
     if -(-low // multiple) > high // multiple:

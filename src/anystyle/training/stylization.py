@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import torch
@@ -14,18 +14,19 @@ from torch import Tensor, nn
 from anystyle.contracts import Loss, SceneSource, StyleSource, neutral_embedding
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
-from anystyle.io.documents import Count
 from anystyle.io.sheet import to_pil
 from anystyle.losses.features import objective
-from anystyle.registry.schema import AtLeastOne, Fraction
+from anystyle.ranges import AtLeastOne, Count, Fraction, NonNegative, Positive, Range
 from anystyle.stylizer import Stylizer
 from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
-from anystyle.training.optim import check_rates, scheduled, trainable
+from anystyle.training.optim import scheduled, trainable
 from anystyle.training.sampling import generator
 from anystyle.training.scene_cache import EncodedScenes
 from anystyle.training.trainer import log_picture
 from anystyle.types import Gaussians, Renders, Scene, Style, StyleEmbedding, Stylization, Views
+
+Beta = Annotated[float, Range(ge=0, lt=1)]
 
 
 class StylizationTraining(Training):
@@ -81,7 +82,7 @@ class StylizationTraining(Training):
         view_power: float = 2.0,
         spread: Literal["any", "bounded"] = "bounded",
         heights: Sequence[int] | None = (224, 448),
-        width: int | None = 448,
+        width: AtLeastOne | None = 448,
         flip: Fraction = 0.5,
         min_scale: Fraction = 1.0,
         pool: AtLeastOne | None = None,
@@ -89,14 +90,14 @@ class StylizationTraining(Training):
         text_ratio: Fraction = 0.25,
         text_step_images: bool = True,
         alternation: Literal["coin", "strict"] = "coin",
-        learning_rate: float = 1e-4,
-        aggregator_rate: float = 0.3,
-        injector_rate: float | None = None,
+        learning_rate: Positive = 1e-4,
+        aggregator_rate: Positive = 0.3,
+        injector_rate: Positive | None = None,
         learn_copies: bool = True,
-        betas: Sequence[float] = (0.9, 0.95),
+        betas: tuple[Beta, Beta] = (0.9, 0.95),
         warmup: Count = 100,
-        weight_decay: float = 0.05,
-        floor: float = 1e-5,
+        weight_decay: NonNegative = 0.05,
+        floor: NonNegative = 1e-5,
         decay_steps: AtLeastOne | None = None,
         preview_every: Count = 0,
         preview_texts: Sequence[str] = ("blue and yellow swirling brush strokes", "orange and navy stripes"),
@@ -104,9 +105,6 @@ class StylizationTraining(Training):
         super().__init__()
         injector_rate = aggregator_rate if injector_rate is None else injector_rate
         self.rates = {"aggregator_rate": aggregator_rate, "injector_rate": injector_rate}
-        check_rates(learning_rate=learning_rate, **self.rates)
-        if len(betas) != 2 or not all(0 <= beta < 1 for beta in betas):
-            raise UserError(f"training.betas={list(betas)}: give two numbers of at least 0 and below 1")
         if not losses:
             raise UserError("there is nothing to learn from; add loss=[content,style,clip_directional]")
         self.stylizer = stylizer
@@ -122,7 +120,7 @@ class StylizationTraining(Training):
         self.encoded = EncodedScenes(stylizer.encode, cache_scenes)
         self.text_ratio, self.alternation = text_ratio, alternation
         self.text_step_images = text_step_images
-        self.learning_rate, self.betas, self.weight_decay = learning_rate, (betas[0], betas[1]), weight_decay
+        self.learning_rate, self.betas, self.weight_decay = learning_rate, betas, weight_decay
         self.warmup, self.floor, self.decay_steps = warmup, floor, decay_steps
         self.preview_every, self.preview_texts = preview_every, preview_texts
         self.seed = 0

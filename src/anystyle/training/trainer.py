@@ -5,7 +5,7 @@ import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field, make_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import lightning.pytorch as pl
 import numpy as np
@@ -16,50 +16,30 @@ from numpy.typing import NDArray
 from omegaconf import DictConfig, OmegaConf
 
 from anystyle.errors import UserError, one_line, unknown
-from anystyle.registry.schema import option
+from anystyle.ranges import AtLeastOne, Count, NonNegative, Positive, Range
+from anystyle.registry.schema import check, option
 from anystyle.training.callbacks import ProgressLines, StepSeed, StepThroughput
 from anystyle.training.safeguards import FiniteLoss, SkipOutliers
 
-
-def _at_least(least: int, expected: str = "") -> tuple[Callable[[Any], bool], str]:
-    return lambda value: type(value) is int and value >= least, expected or f"give a whole number, at least {least}"
-
-
-def _between(low: float, high: float, expected: str) -> tuple[Callable[[Any], bool], str]:
-    return lambda value: value is None or low < float(value) < high, expected
-
-
-def _one_of(*values: object) -> tuple[Callable[[Any], bool], str]:
-    return lambda value: value in values, f"choose from {', '.join(str(value).lower() for value in values)}"
-
-
-MAX_WORKERS = 256
-
-RANGES: Mapping[str, tuple[Callable[[Any], bool], str]] = {
-    "seed": (lambda value: type(value) is int and 0 <= value < 1 << 63, "give a whole number, at least 0"),
-    "workers": (
-        lambda value: type(value) is int and 0 <= value <= MAX_WORKERS,
-        f"give a number of processes, at most {MAX_WORKERS}; 0 reads in the training's own",
-    ),
-    "validation_steps": _at_least(0, "give a number of steps, 0 for no validation"),
-    "checkpoint.every_steps": _at_least(1),
-    "checkpoint.every_minutes": _between(0.0, np.inf, "give minutes above 0"),
-    "average": _between(0.0, 1.0, "the average's decay is between 0 and 1, such as 0.999; null keeps none"),
-    "explosion": _between(1.0, np.inf, "a loss may vary; give a factor above 1, such as 1000, or null to let it grow"),
-    "resume": _one_of("auto", "never", "changed"),
-    "loggers": (OmegaConf.is_list, "give a list, such as loggers=[tensorboard]"),
-    **{name: _one_of(True, False) for name in ("fast_dev_run", "skip_outliers", "export.half")},
-    "trainer.max_steps": _at_least(1, "the schedule needs an end; give at least 1"),
-    **{
-        f"trainer.{name}": _at_least(1)
-        for name in ("log_every_n_steps", "val_check_interval", "accumulate_grad_batches", "num_nodes")
-    },
-    "trainer.max_time": (lambda value: value is None or isinstance(value, str), "give days and time as DD:HH:MM:SS"),
-    "trainer.profiler": (lambda value: value is None or isinstance(value, str), "give simple, advanced or pytorch"),
-    "trainer.deterministic": _one_of(None, True, False, "warn"),
-    "trainer.gradient_clip_val": (lambda value: value is None or float(value) >= 0, "give a norm, or null"),
+RANGES: Mapping[str, Any] = {
+    "seed": Annotated[int, Range(ge=0, le=(1 << 63) - 1)],
+    "workers": Annotated[int, Range(ge=0, le=256, description="0 reads in the training's own process")],
+    "validation_steps": Count,
+    "checkpoint.every_steps": AtLeastOne,
+    "checkpoint.every_minutes": Positive,
+    "average": Annotated[float, Range(gt=0, lt=1, description="a decay such as 0.999, or null")] | None,
+    "explosion": Annotated[float, Range(gt=1, description="a factor such as 1000, or null to let losses grow")] | None,
+    "resume": Literal["auto", "never", "changed"],
+    "loggers": Annotated[list[str], Range(description="such as loggers=[tensorboard]")],
+    "trainer.max_time": Annotated[str, Range(description="days and time as DD:HH:MM:SS")] | None,
+    "trainer.profiler": Annotated[str, Range(description="simple, advanced or pytorch")] | None,
+    "trainer.deterministic": bool | Literal["warn"] | None,
+    "trainer.gradient_clip_val": NonNegative | None,
+    "trainer.accumulate_grad_batches": AtLeastOne | None,
+    **dict.fromkeys(("fast_dev_run", "skip_outliers", "export.half"), bool),
+    **{f"trainer.{name}": AtLeastOne for name in ("max_steps", "log_every_n_steps", "val_check_interval", "num_nodes")},
 }
-"""For each option the test of a value, and what is expected."""
+"""Type and range of options that no constructor declares."""
 
 
 _OURS = (
@@ -80,16 +60,12 @@ TrainerOptions = make_dataclass(
 
 def check_options(config: DictConfig) -> None:
     """Check the options of the run and those of the trainer, as ``conf/train.yaml`` composes them."""
-    for key, (is_valid, expected) in RANGES.items():
+    for key, hint in RANGES.items():
         value = OmegaConf.select(config, key, default=None)
-        if value is None and key == "trainer.accumulate_grad_batches":
-            continue
         try:
-            valid = is_valid(value)
-        except (TypeError, ValueError):  # not a number at all
-            valid = False
-        if not valid:
-            raise UserError(f"{key}={value}: {expected}")
+            check(OmegaConf.to_container(value) if OmegaConf.is_config(value) else value, hint)
+        except ValueError as error:
+            raise UserError(f"{key}={value}: {error}") from None
     trainer, precision = config.trainer, str(config.trainer.precision)
     if trainer.accelerator == "cpu" and precision.startswith("16"):
         raise UserError(

@@ -12,6 +12,7 @@ from anystyle import contracts
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.published import Published
+from anystyle.ranges import AtLeastOne
 from anystyle_backbones import scratch as initial
 from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.anysplat.adapter import Adapter
@@ -133,12 +134,12 @@ class AnySplat(contracts.Backbone):
         voxel_size: float = 0.002,
         scale_unit: float = 0.001,
         scale_max: float = 0.3,
-        chunk: int = 4,
+        chunk: AtLeastOne = 4,
         checkpointing: bool = False,
         init: Literal["published", "scratch"] = "published",
     ) -> None:
         super().__init__()
-        check_options(dim=dim, heads=heads, taps=taps, first=0, depth=depth, chunk=chunk)
+        check_options(dim=dim, heads=heads, taps=taps, first=0, depth=depth)
         if 2 * dim % camera_heads:
             raise UserError(
                 f"camera_heads is {camera_heads}, which does not divide the camera head's {2 * dim} channels"

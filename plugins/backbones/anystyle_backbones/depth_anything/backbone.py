@@ -14,6 +14,7 @@ from anystyle.errors import UserError
 from anystyle.geometry.harmonics import CONSTANT
 from anystyle.nn.tokens import IMAGENET_MEAN, IMAGENET_STD
 from anystyle.published import Published
+from anystyle.ranges import AtLeastOne
 from anystyle_backbones import scratch as initial
 from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.depth_anything.adapter import Adapter
@@ -115,14 +116,14 @@ class DepthAnything(contracts.Backbone):
         rotations: Literal["published", "camera"] = "published",
         scale_min: float = 1e-5,
         scale_max: float = 30.0,
-        chunk: int = 4,
+        chunk: AtLeastOne = 4,
         checkpointing: bool = False,
         init: Literal["published", "scratch"] = "published",
     ) -> None:
         super().__init__()
         if not 1 <= alternate_from < depth:
             raise UserError(f"alternate_from is {alternate_from}; give a block from 1 to depth - 1 = {depth - 1}")
-        check_options(dim=dim, heads=heads, taps=taps, first=alternate_from, depth=depth, chunk=chunk)
+        check_options(dim=dim, heads=heads, taps=taps, first=alternate_from, depth=depth)
         if init == "scratch" and gaussian_features < 24:
             raise UserError(f"gaussian_features is {gaussian_features}; init=scratch needs 24, for three colours")
         self.patch_size = patch_size

@@ -11,7 +11,8 @@ import numpy as np
 from anystyle.data.camera_reader import CameraReader, StoredCamera
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_array
-from anystyle.io.documents import Positive, read_json
+from anystyle.io.documents import read_json
+from anystyle.ranges import Positive
 from anystyle_captures.camera_files import samples
 from anystyle_captures.camera_files.lens import MAX_SIDE, Lens
 from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL, by_name, camera, finished, rigid

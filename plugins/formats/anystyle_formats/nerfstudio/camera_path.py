@@ -12,7 +12,8 @@ from msgspec import Meta
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.io.documents import Positive, read_json
+from anystyle.io.documents import read_json
+from anystyle.ranges import Positive
 from anystyle.types import Cameras
 
 FPS = 24.0

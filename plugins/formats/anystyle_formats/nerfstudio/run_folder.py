@@ -21,9 +21,10 @@ from anystyle.data.names import short_names
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError, one_line
 from anystyle.geometry.transforms import Similarity
-from anystyle.io.documents import MAX_YAML, Positive, read_json, read_text
+from anystyle.io.documents import MAX_YAML, read_json, read_text
 from anystyle.io.splats import Offset, Remarks, offset_of
 from anystyle.pipeline.saved import cameras_beside
+from anystyle.ranges import Positive
 from anystyle.types import Cameras
 
 TRANSFORMS, CONFIG = "dataparser_transforms.json", "config.yml"

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from anystyle.contracts import Correspondence
 from anystyle.errors import UserError
+from anystyle.ranges import AtLeastOne
 from anystyle.types import Flow, Frames
 from anystyle.vision.feature_cache import CACHE
 from anystyle.vision.weights import Source, Weights, locate, published
@@ -42,12 +43,10 @@ class Raft(Correspondence):
         self,
         *,
         checkpoint: Literal["raft_things", "raft_large"] = "raft_things",
-        iterations: int = 32,
+        iterations: AtLeastOne = 32,
         visibility: Literal["cycle", "frame"] = "cycle",
         weights: Weights = "auto",
     ) -> None:
-        if iterations < 1:
-            raise UserError(f"raft.iterations is {iterations}; at least 1 is needed")
         file = locate(checkpoint, weights)
         self.network = None if file is None else network.load(checkpoint, file)
         source = Source(checkpoint, stand_in="window_matching") if file is None else published(checkpoint, file)

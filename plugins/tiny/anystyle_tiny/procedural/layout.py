@@ -2,17 +2,19 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from anystyle.ranges import Range
 from anystyle_tiny.procedural import raycast as rc
 from anystyle_tiny.procedural import solids as sd
 from anystyle_tiny.procedural import textures as tx
 from anystyle_tiny.procedural.volumes import sine
 
 Array = NDArray[np.float64]
+Side = Annotated[int, Range(ge=8, le=4096)]
 T = TypeVar("T")
 
 # Natural colours in sRGB; a scene mixes some of them with vivid ones.

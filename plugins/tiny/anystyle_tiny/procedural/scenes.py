@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 from anystyle.contracts import SceneSource
 from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
+from anystyle.ranges import AtLeastOne, Count
 from anystyle.types import Cameras, Views
-from anystyle_tiny.procedural.layout import Draw, World, lay_out, unit_circle
+from anystyle_tiny.procedural.layout import Draw, Side, World, lay_out, unit_circle
 from anystyle_tiny.procedural.raycast import EXTENT, ROOM, cast
 from anystyle_tiny.procedural.solids import SOLIDS
 from anystyle_tiny.procedural.volumes import volumes
@@ -63,25 +64,16 @@ class ProceduralScenes(SceneSource):
     def __init__(
         self,
         *,
-        size: int | None = None,
-        width: int | None = None,
-        num_scenes: int = 10000,
-        views: int = 6,
-        seed: int = 0,
+        size: Side | None = None,
+        width: Side | None = None,
+        num_scenes: AtLeastOne = 10000,
+        views: AtLeastOne = 6,
+        seed: Count = 0,
         split: Literal["train", "validation", "heldout"] = "train",
-        samples: int = 2,
+        samples: AtLeastOne = 2,
         resolution: int = 112,
     ) -> None:
         size = resolution if size is None else size
-        sides, counts = {"size": size, "width": width or size}, {"num_scenes": num_scenes, "views": views}
-        for name, value in sides.items():
-            if not 8 <= value <= 4096:
-                raise UserError(f"{name}={value}: procedural scenes are rendered at 8 to 4096 pixels a side")
-        for name, value in (counts | {"samples": samples, "seed": seed + 1}).items():
-            if value < 1:
-                raise UserError(
-                    f"seed={seed}: give at least 0" if name == "seed" else f"{name}={value}: give at least 1"
-                )
         self.size, self.num_scenes, self.views, self.samples = (size, width or size), num_scenes, views, samples
         self.seed, self.split = seed, split
         self._shots: LRUCache[int, Shot] = LRUCache(4)

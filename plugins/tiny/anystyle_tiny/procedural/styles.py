@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
@@ -11,9 +11,10 @@ from torch import Tensor
 
 from anystyle.contracts import StyleSource
 from anystyle.errors import UserError
+from anystyle.ranges import AtLeastOne, Count, Range
 from anystyle.types import Style
 from anystyle_tiny.procedural.captions import COLORS, DIRECTIONS, SCALES, describe
-from anystyle_tiny.procedural.layout import Draw, unit_circle
+from anystyle_tiny.procedural.layout import Draw, Side, unit_circle
 from anystyle_tiny.procedural.patterns import BRUSHWORK, FREQUENCY, PATTERNS, WASH, paint
 from anystyle_tiny.procedural.volumes import scramble, volumes
 
@@ -56,18 +57,12 @@ class ProceduralStyles(StyleSource):
     def __init__(
         self,
         *,
-        size: int = 64,
-        num_styles: int = 20000,
-        seed: int = 0,
+        size: Side = 64,
+        num_styles: AtLeastOne = 20000,
+        seed: Count = 0,
         split: Literal["train", "validation", "heldout"] = "train",
-        max_colors: int = 3,
+        max_colors: Annotated[int, Range(ge=1, le=3)] = 3,
     ) -> None:
-        if not 8 <= size <= 4096:
-            raise UserError(f"size={size}: procedural styles are painted at 8 to 4096 pixels a side")
-        if num_styles < 1 or not 1 <= max_colors <= 3 or seed < 0:
-            raise UserError(
-                f"num_styles={num_styles}, max_colors={max_colors}, seed={seed}: give at least 1, 1 to 3, at least 0"
-            )
         self.size, self.num_styles, self.seed, self.split = size, num_styles, seed, split
         self.max_colors = max_colors
 

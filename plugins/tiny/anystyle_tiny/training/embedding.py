@@ -9,9 +9,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from anystyle.io.documents import Count, Positive
 from anystyle.nn.words import with_made_up_word
-from anystyle.registry.schema import AtLeastOne
+from anystyle.ranges import AtLeastOne, Count, Positive
 from anystyle.training.optim import decayed_adamw
 from anystyle.vision import networks
 from anystyle_tiny.style_encoder import KNOTS, SIDE, Tiny, colors, shorter_side

@@ -11,8 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
-from anystyle.io.documents import Count, Positive
-from anystyle.registry.schema import AtLeastOne
+from anystyle.ranges import AtLeastOne, Count, Positive
 from anystyle.training.optim import decayed_adamw
 from anystyle.vision.features import walk
 from anystyle.vision.statistics import pooled_moments

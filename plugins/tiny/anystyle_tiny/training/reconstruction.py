@@ -15,8 +15,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
-from anystyle.io.documents import Count, Positive
-from anystyle.registry.schema import AtLeastOne
+from anystyle.ranges import AtLeastOne, Count, Positive
 from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import decayed_adamw

@@ -21,6 +21,7 @@ from anystyle.evaluation.pairing import Cell, Pairing
 from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle.methods.base import Method
 from anystyle.paths import expanded
+from anystyle.ranges import AtLeastOne, Count
 from anystyle.stylizer import Stylizer
 
 PHOTOGRAPHS = "photographs"
@@ -59,16 +60,14 @@ class Tables(Protocol):
         table: str | None = None,
         guides: Sequence[Literal["image", "text"]] = ("image", "text"),
         methods: Sequence[str] | None = None,
-        photographs: int = 1,
+        photographs: Count = 1,
         variant: Variant = "reference",
         scene_names: Sequence[str] = SCENES,
-        num_styles: int = NUM_STYLES,
-        frames: int = NUM_FRAMES,
-        size: int = 448,
+        num_styles: AtLeastOne = NUM_STYLES,
+        frames: AtLeastOne = NUM_FRAMES,
+        size: AtLeastOne = 448,
         missing: Literal["refuse", "allow"] = "refuse",
     ) -> None:
-        if size < 1:
-            raise UserError(f"size={size}: give at least 1")
         self.stylizer, self.method = stylizer, method
         self.metrics = _metrics_of(metrics, table)
         self.folder = _complete_folder(root, scene_names, num_styles, frames, guides, methods, missing)
@@ -209,9 +208,6 @@ def _complete_folder(
     """The folder; a UserError if something in it is missing."""
     if root is None:
         raise UserError("root is not given; add root=FOLDER, which holds content, styles and methods")
-    for name, value in (("num_styles", num_styles), ("frames", frames)):
-        if value < 1:
-            raise UserError(f"{name}={value}: give at least 1")
     folder = PaperFolder(expanded(root), tuple(scene_names), num_styles, frames)
     folder.require(texts="text" in guides, methods=methods, missing=missing)
     return folder

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from anystyle.contracts import Placement
+from anystyle.ranges import AtLeastOne
 from anystyle.types import Site
 
 
@@ -13,9 +14,7 @@ class ToyPlacement(Placement):
         num_sites: How many.
     """
 
-    def __init__(self, *, num_sites: int = 2) -> None:
-        if num_sites < 1:
-            raise ValueError(f"num_sites={num_sites}: give at least 1")
+    def __init__(self, *, num_sites: AtLeastOne = 2) -> None:
         self.num_sites = num_sites
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:

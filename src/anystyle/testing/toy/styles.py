@@ -1,8 +1,11 @@
 """Stripes: styles whose texts say exactly what is in the image."""
 
+from typing import Annotated
+
 import torch
 
 from anystyle.contracts import StyleSource
+from anystyle.ranges import AtLeastOne, Range
 from anystyle.types import Style
 
 COLORS = {"red": (0.8, 0.1, 0.1), "green": (0.1, 0.6, 0.2), "blue": (0.1, 0.2, 0.8), "white": (0.95, 0.95, 0.95)}
@@ -16,9 +19,7 @@ class ToyStyles(StyleSource):
         period: Pixels from stripe to stripe.
     """
 
-    def __init__(self, *, size: int = 64, period: int = 16) -> None:
-        if size < 1 or period < 2:
-            raise ValueError(f"size={size}, period={period}: give at least 1 and 2 pixels")
+    def __init__(self, *, size: AtLeastOne = 64, period: Annotated[int, Range(ge=2)] = 16) -> None:
         self.size = size
         self.period = period
         names = list(COLORS)

@@ -1,10 +1,11 @@
 """The sign test: how often ours won, against the toss of a coin."""
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
 from scipy.stats import binom, binomtest
 
+from anystyle.ranges import Range
 from anystyle_study.contract import Responses, StudyTest, TestResult, Unit, generalization
 
 
@@ -17,9 +18,7 @@ class ToyStudyTest(StudyTest):
 
     units: ClassVar[tuple[Unit, ...]] = ("participant", "item")
 
-    def __init__(self, *, confidence: float = 0.95) -> None:
-        if not 0 < confidence < 1:
-            raise ValueError(f"confidence={confidence}: give a share between 0 and 1")
+    def __init__(self, *, confidence: Annotated[float, Range(gt=0, lt=1)] = 0.95) -> None:
         self.confidence = confidence
 
     def __call__(self, responses: Responses) -> TestResult:

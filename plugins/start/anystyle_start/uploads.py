@@ -16,7 +16,7 @@ from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.io.atomic import atomic_path
 from anystyle.registry.catalog import catalog
-from anystyle_viewer.start.library import ACTIVE, Kind, Library
+from anystyle_start.library import ACTIVE, Kind, Library
 
 PART = 8 << 20
 """The largest part of a file in bytes."""

@@ -13,7 +13,7 @@ from viewer_scene import write_scene
 
 from anystyle.examples import resolved
 from anystyle.types import Gaussians
-from anystyle_viewer.start.server import StartServer
+from anystyle_start.server import StartServer
 from browsing import page, same_window  # noqa: F401
 from chromium import SOFTWARE_GL, browser, find_chromium, until
 from program import Program

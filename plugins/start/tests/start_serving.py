@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from anystyle_viewer.start.server import StartServer
+from anystyle_start.server import StartServer
 
 PRETENDED = """
 import json, sys, time

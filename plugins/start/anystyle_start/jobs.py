@@ -11,8 +11,8 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from anystyle_viewer.start.library import ACTIVE, Job, Library, Record, Settings
-from anystyle_viewer.start.progress import State, follow
+from anystyle_start.library import ACTIVE, Job, Library, Record, Settings
+from anystyle_start.progress import State, follow
 
 _log = logging.getLogger(__name__)
 PATIENCE = 15.0

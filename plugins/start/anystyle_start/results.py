@@ -15,8 +15,8 @@ from anystyle.examples import examples
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import read_json
 from anystyle.registry.catalog import catalog
-from anystyle_viewer.start.library import ERROR
-from anystyle_viewer.start.uploads import SIDE
+from anystyle_start.library import ERROR
+from anystyle_start.uploads import SIDE
 
 ALL = "all"
 """Instead of the number of a style."""

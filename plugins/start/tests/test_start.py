@@ -7,10 +7,10 @@ import pytest
 from start_serving import Client, jpeg, pretended
 
 from anystyle.errors import UserError
-from anystyle_viewer.start.library import Library, Settings
-from anystyle_viewer.start.progress import State, follow
-from anystyle_viewer.start.server import StartServer
-from anystyle_viewer.start.words import command_words, shown_command
+from anystyle_start.library import Library, Settings
+from anystyle_start.progress import State, follow
+from anystyle_start.server import StartServer
+from anystyle_start.words import command_words, shown_command
 from chromium import until
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from anystyle_viewer.start.library import ERROR
+from anystyle_start.library import ERROR
 
 IDLE = 120
 """Seconds without a browser after which a viewer ends."""

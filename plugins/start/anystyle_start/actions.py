@@ -15,14 +15,14 @@ from anystyle.errors import UserError
 from anystyle.examples import PREFIX, examples, resolved
 from anystyle.io.documents import parse_json
 from anystyle.registry.compose import choices
+from anystyle_start import results
+from anystyle_start.jobs import Jobs
+from anystyle_start.library import ACTIVE, Library, Record, Settings
+from anystyle_start.live import Viewers
+from anystyle_start.progress import steps_of
+from anystyle_start.uploads import LIMITS, PART, Uploads, save_pictures, small_pictures, suffixes
+from anystyle_start.words import QUALITIES, command_words, painting_names, shown_command
 from anystyle_viewer.server import MAX_UPLOAD, store_upload
-from anystyle_viewer.start import results
-from anystyle_viewer.start.jobs import Jobs
-from anystyle_viewer.start.library import ACTIVE, Library, Record, Settings
-from anystyle_viewer.start.live import Viewers
-from anystyle_viewer.start.progress import steps_of
-from anystyle_viewer.start.uploads import LIMITS, PART, Uploads, save_pictures, small_pictures, suffixes
-from anystyle_viewer.start.words import QUALITIES, command_words, painting_names, shown_command
 
 _FAILED = re.compile(r"no cameras are found: (.*?)(?:; (reconstruction=.*) does without)?")
 _MAX_MESSAGE = 256 * 1024

@@ -11,7 +11,7 @@ from anystyle.pipeline.request import Request, parser
 from anystyle.pipeline.styles import check_text
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import choices
-from anystyle_viewer.start.library import Kind, Settings
+from anystyle_start.library import Kind, Settings
 
 QUALITIES = ("draft", "good", "best")
 

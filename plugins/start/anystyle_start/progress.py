@@ -4,7 +4,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from anystyle_viewer.start.library import ERROR, Kind
+from anystyle_start.library import ERROR, Kind
 
 _LINE = re.compile(r"(\w+) (.*) …")
 _COUNT = re.compile(r"(\d+)(?: of |/)(\d+)")

@@ -21,9 +21,9 @@ from waitress.wasyncore import close_all
 
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import folder_lock
+from anystyle_start.actions import Actions
+from anystyle_start.uploads import PART
 from anystyle_viewer.server import LOOPBACK, MAX_UPLOAD, refusal
-from anystyle_viewer.start.actions import Actions
-from anystyle_viewer.start.uploads import PART
 
 _log = logging.getLogger(__name__)
 _JSON, _HTML = "application/json", "text/html; charset=utf-8"
@@ -48,7 +48,7 @@ class Application:
 
     def __init__(self, actions: Actions) -> None:
         self.actions, self.token = actions, secrets.token_urlsafe(24)
-        pages = files("anystyle_viewer") / "start" / "pages"
+        pages = files("anystyle_start") / "pages"
         texts = {name: (pages / name).read_text(encoding="utf-8") for name in ("start.html", "start.css", "start.js")}
         page = Template(texts["start.html"]).substitute(token=self.token)
         self._static = {
