@@ -24,7 +24,7 @@ from anystyle import paths
 from anystyle.commands.plugins import arguments
 from anystyle.registry import packages
 from anystyle.registry.builtin import BUILTIN, KINDS
-from anystyle.registry.catalog import Plugin, catalog, kinds
+from anystyle.registry.catalog import Plugin, catalog, kind_named, kinds
 from anystyle.registry.compose import compose
 from anystyle.registry.schema import options
 from anystyle.registry.source_docs import peek
@@ -188,13 +188,13 @@ def test_no_preset_has_a_plugins_name():
 
 @pytest.mark.parametrize(("kind", "name"), presets())
 def test_presets_compose(kind, name, tmp_path):
-    chosen = f"[{name}]" if KINDS[kind].many else name
+    chosen = f"[{name}]" if kind_named(kind).many else name
     losses = "{loss: []}, " if kind == "method" else ""  # which a preset of a method names
     (tmp_path / "config.yaml").write_text(
         f"defaults: [{losses}{{{kind}: {chosen}}}, _self_]\nhydra: {{searchpath: ['file://{paths.CONF}', 'anystyle://']}}\n"
     )
     node = compose("config", conf=tmp_path)[kind]
-    node = node[name] if KINDS[kind].many else node
+    node = node[name] if kind_named(kind).many else node
     assert catalog().owner(kind, node._target_).kind == kind
 
 

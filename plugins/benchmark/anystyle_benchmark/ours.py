@@ -12,14 +12,13 @@ import anystyle
 from anystyle.cli.arguments import split
 from anystyle.cli.run import run
 from anystyle.commands.stylize import given_controls, parser
-from anystyle.data.folder import SourceImage
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.options import PoseOptions
 from anystyle.registry.compose import compose, options
-from anystyle.types import Cameras
+from anystyle.types import Cameras, SourceImage
 from anystyle_benchmark.job import SECONDS, AskedStyle, read_job
 
 

@@ -12,11 +12,11 @@ import numpy as np
 import torch
 from PIL import Image
 
-from anystyle.data.folder import Original, as_views, common_size, cover, room_for_views
+from anystyle.contracts import PosedViews, PoseEstimator, Verdict
+from anystyle.data.folder import as_views, common_size, cover, room_for_views
 from anystyle.geometry.transforms import Similarity
 from anystyle.methods.order import canonical_order
-from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
-from anystyle.types import Cameras, OnProgress, Progress
+from anystyle.types import Cameras, OnProgress, Original, Progress
 from anystyle_captures.cache import cached, key_of
 from anystyle_captures.sfm.model import MIN_VIEWS, SEARCHES, Lens, Photograph, SearchOptions, SparseModel
 from anystyle_captures.sfm.trust import judge

@@ -12,8 +12,8 @@ from jaxtyping import Float
 from omegaconf import DictConfig
 from torch import Tensor
 
+from anystyle.contracts import Method
 from anystyle.io.sheet import save_png, to_pil
-from anystyle.methods.base import Method
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.load import LoadedModel
 from anystyle.types import Gaussians, StyledScene

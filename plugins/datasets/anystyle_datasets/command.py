@@ -10,11 +10,11 @@ from inspect import signature
 from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, parse, subcommand
+from anystyle.contracts import Command
 from anystyle.data.images import SUFFIXES
 from anystyle.errors import UserError
 from anystyle.evaluation.paper_folder import PaperFolder
 from anystyle.io.atomic import atomic_path
-from anystyle.registry.socket import Command
 from anystyle_datasets import preparing
 from anystyle_datasets.captioning import DEFAULT_MODEL, PROMPT, caption_folder, chat_captioner, transformers_captioner
 from anystyle_datasets.checking import Report, check, guess, locate, same_pictures, words

@@ -10,10 +10,9 @@ from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn.functional import interpolate, normalize, pad
 
-from anystyle.contracts import Renderer
+from anystyle.contracts import Method, Renderer
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
-from anystyle.methods.base import Method
 from anystyle.methods.colors import fit_colors
 from anystyle.stylizer import Stylizer
 from anystyle.types import Cameras, Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress

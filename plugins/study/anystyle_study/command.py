@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from anystyle.cli.arguments import parse, subcommand
-from anystyle.registry.socket import Command
+from anystyle.contracts import Command
 
 SUBCOMMANDS = {
     "design": "from folders of results to a study: sets, positions, orders, pictures",

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, split
 from anystyle.cli.run import show
+from anystyle.contracts import Command
 from anystyle.errors import UserError
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model
@@ -21,7 +22,6 @@ from anystyle.pipeline.saved import UNSTYLED, read_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.stylize import encode_inputs
 from anystyle.registry.compose import compose, only_options, options
-from anystyle.registry.socket import Command
 from anystyle.vision.weights import license_lines, licenses
 from anystyle_viewer.session import CACHE_SIZE, Session
 

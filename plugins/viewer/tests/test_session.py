@@ -11,7 +11,7 @@ from viewer_scene import FOCAL, SIZE, camera, write_scene
 
 from anystyle.cli.launch import main
 from anystyle.commands import stylize
-from anystyle.methods.base import Method
+from anystyle.contracts import Method
 from anystyle.methods.branch import Branch
 from anystyle.pipeline.controls import blended, with_colors_of
 from anystyle.pipeline.restyle import Restyler

@@ -5,8 +5,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from anystyle.contracts.protocol import Evaluation, Row
 from anystyle.data.images import open_image
-from anystyle.evaluation.base import Evaluation, Row
 from anystyle.evaluation.run_table import Column, Line, half_width
 from anystyle.evaluation.tables import STAND_IN, number, titled
 from anystyle.io.atomic import atomic_path

@@ -7,9 +7,9 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
+from anystyle.contracts.protocol import Evaluation
 from anystyle.errors import UserError
 from anystyle.evaluation import record
-from anystyle.evaluation.base import Evaluation
 from anystyle.io.documents import kept_json, read_yaml
 from anystyle.registry.jobs import swept
 

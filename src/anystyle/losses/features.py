@@ -16,11 +16,10 @@ from torch.utils.weak import WeakIdKeyDictionary
 
 from anystyle.contracts import Loss, StyleEncoder
 from anystyle.errors import UserError
-from anystyle.types import Renders, Stylization
+from anystyle.types import Renders, Source, Stylization
 from anystyle.vision import networks
 from anystyle.vision.eager_backward import eager_backward
 from anystyle.vision.feature_cache import identity
-from anystyle.vision.weights import Source
 
 
 def style_images(result: Stylization) -> tuple[Float[Tensor, "B 3 h w"], Bool[Tensor, " B"]] | None:

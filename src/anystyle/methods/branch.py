@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import torch
 
+from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.methods.base import Method
 from anystyle.methods.colors import colors_alone, covering_views, fit_colors, largest_shown
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress

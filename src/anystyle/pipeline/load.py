@@ -16,6 +16,7 @@ from anystyle.contracts import (
     Backbone,
     Injector,
     Loss,
+    Method,
     Placement,
     Reconstruction,
     Renderer,
@@ -25,7 +26,6 @@ from anystyle.contracts import (
 from anystyle.errors import UserError, did_you_mean
 from anystyle.io.checkpoint import Header, has_header, load_part, read_header, sha256
 from anystyle.io.limits import require
-from anystyle.methods.base import Method
 from anystyle.methods.branch import Branch
 from anystyle.paths import expanded
 from anystyle.pipeline.options import BranchOptions

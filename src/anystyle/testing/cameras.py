@@ -1,4 +1,4 @@
-"""What a reader of stored cameras promises: see :class:`anystyle.data.camera_reader.CameraReader`."""
+"""What a reader of stored cameras promises: see :class:`anystyle.contracts.CameraReader`."""
 
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.contracts import CameraReader, StoredCamera
 from anystyle.data.folder import image_files
 from anystyle.data.names import matched
 from anystyle.errors import UserError

@@ -1,4 +1,4 @@
-"""What a method promises: see :class:`anystyle.methods.base.Method`."""
+"""What a method promises: see :class:`anystyle.contracts.Method`."""
 
 from contextlib import suppress
 from functools import cache
@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from anystyle.branch import COLOR, StyleBranch, sites_of
-from anystyle.methods.base import Method
+from anystyle.contracts import Method
 from anystyle.stylizer import Stylizer
 from anystyle.testing import asserts
 from anystyle.testing.inputs import images, views

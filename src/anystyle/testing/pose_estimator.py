@@ -1,15 +1,15 @@
-"""What an estimator of cameras promises: see :class:`anystyle.pipeline.poses.PoseEstimator`."""
+"""What an estimator of cameras promises: see :class:`anystyle.contracts.PoseEstimator`."""
 
 from functools import cache
 
 from PIL import Image
 
-from anystyle.data.folder import Original
+from anystyle.contracts import PosedViews, PoseEstimator, Verdict
 from anystyle.io.sheet import to_pil
-from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
 from anystyle.testing import asserts
 from anystyle.testing.reconstruction import photographs
 from anystyle.testing.subject import Subject
+from anystyle.types import Original
 
 Plugin = Subject[PoseEstimator]
 

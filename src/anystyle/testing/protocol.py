@@ -1,4 +1,4 @@
-"""What a protocol promises: see :class:`anystyle.evaluation.base.Protocol`."""
+"""What a protocol promises: see :class:`anystyle.contracts.Protocol`."""
 
 import functools
 import json
@@ -9,7 +9,7 @@ from typing import Any
 
 import torch
 
-from anystyle.evaluation.base import Evaluation, Progress, Protocol
+from anystyle.contracts.protocol import Evaluation, Protocol
 from anystyle.testing import asserts
 from anystyle.testing.subject import Subject, seeded
 from anystyle.testing.toy.metric import ToyMetric
@@ -72,7 +72,7 @@ def runtime() -> dict[str, Any]:
     }
 
 
-def _run(plugin: Plugin, folder: str | None = None, progress: Progress = lambda stage, done, total: None) -> Evaluation:
+def _run(plugin: Plugin, folder: str | None = None, progress: OnStep = lambda stage, done, total: None) -> Evaluation:
     with tempfile.TemporaryDirectory() as new, seeded(0):
         return plugin.build(**runtime()).run(Path(folder or new), progress)
 

@@ -1,4 +1,4 @@
-"""What a training promises: see :class:`anystyle.training.base.Training`."""
+"""What a training promises: see :class:`anystyle.contracts.Training`."""
 
 import inspect
 import logging
@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from anystyle.contracts import SceneSource, StyleEncoder, StyleSource
+from anystyle.contracts.training import Training
 from anystyle.testing import asserts
 from anystyle.testing.subject import Subject, seeded
 from anystyle.testing.toy.backbone import ToyBackbone
@@ -23,7 +24,6 @@ from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.testing.toy.styles import ToyStyles
 from anystyle.testing.toy.stylizer import ToyStylizer
-from anystyle.training.base import Training
 from anystyle.training.callbacks import StepSeed
 from anystyle.training.data import StepData
 from anystyle.types import Value

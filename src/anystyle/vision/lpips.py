@@ -8,10 +8,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.errors import UserError
+from anystyle.types import Source
 from anystyle.vision import networks, weights
 from anystyle.vision.features import FeatureNetwork, Frozen
 from anystyle.vision.preprocess import shrunk
-from anystyle.vision.weights import Source, Weights, bundled, locate, published
+from anystyle.vision.weights import Weights, bundled, locate, published
 
 Backbone = Literal["alex", "vgg"]
 

@@ -28,6 +28,7 @@ from anystyle.io.checkpoint import sha256
 from anystyle.io.documents import read_toml, regular
 from anystyle.paths import expanded
 from anystyle.registry.packages import packages
+from anystyle.types import Source
 
 log = logging.getLogger(__name__)
 
@@ -198,24 +199,6 @@ def binding(lines: Iterable[str]) -> tuple[str, ...]:
 
 Weights = Literal["auto", "published", "stand_in"]
 """``published`` requires published weights, ``stand_in`` takes a stand-in, ``auto`` does so where they are missing."""
-
-
-@dataclass(frozen=True)
-class Source:
-    """The weights of one network.
-
-    Figures of a stand-in for a network are comparable with those of the same stand-in only.
-    """
-
-    network: str
-    file: str = ""  # its name, empty if none was read
-    sha256: str = ""  # of its content, in hexadecimal
-    stand_in: str | None = None
-
-    @property
-    def identity(self) -> str:
-        """Equal for equal weights."""
-        return f"{self.network}:{self.stand_in}:{self.sha256}"
 
 
 def locate(network: str, choice: Weights) -> Path | None:

@@ -8,7 +8,7 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.contracts import CameraReader, StoredCamera
 from anystyle.errors import UserError
 from anystyle_captures.camera_files import samples
 from anystyle_captures.camera_files.lens import Lens

@@ -8,7 +8,7 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.contracts import CameraReader, StoredCamera
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_array
 from anystyle.io.documents import Positive, read_json

@@ -15,9 +15,9 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
+from anystyle.contracts.training import Training, required
 from anystyle.io.documents import Count, Positive
 from anystyle.registry.schema import AtLeastOne
-from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import decayed_adamw
 from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Tokens, Views

@@ -1,0 +1,63 @@
+"""How a scene comes to be, and how it is shown."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import ClassVar
+
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.registry.pluggable import Pluggable
+from anystyle.types import Cameras, Gaussians, OnProgress, Reconstructed, Renders, Scene, Views, no_progress
+
+
+class Renderer(Pluggable, ABC):
+    """A differentiable 3DGS rasteriser."""
+
+    devices: ClassVar[tuple[str, ...]] = ()
+    """The types of device that it runs on, as in ``torch.device.type``; empty for any."""
+    priority: ClassVar[int] = 0
+    """``renderer=auto`` takes the renderer of the highest priority among those that run on the tensors' device, of
+    equal ones the first by name, and gives it the options ``background, near, far, eps2d``. 0: never taken; 1: plain
+    PyTorch; 10: the kernels that come with anystyle."""
+
+    @abstractmethod
+    def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        """Render every camera of every scene, differentiable in the Gaussians and the camera poses."""
+
+
+class Reconstruction(Pluggable, ABC):
+    """From the views of one scene to the scene that is styled; run once per scene."""
+
+    needs_cameras: ClassVar[bool] = False
+    """Whether views must come with cameras. One that does takes all views at once; others may get them in groups."""
+
+    short_side: int | None = None
+    """Shorter side in pixels that it is best given views at; smaller photographs stay as they are. ``None`` is the
+    backbone's resolution."""
+
+    max_views: int = 48
+    """The most photographs of a scene that are read where ``views.take`` sets no number."""
+
+    @abstractmethod
+    def __call__(
+        self,
+        views: Views,
+        encode: Callable[[Views], Scene],
+        renderer: Renderer,
+        *,
+        points: Sequence[Float[Tensor, "_ 3"]] | None = None,
+        on_progress: OnProgress = no_progress,
+    ) -> Reconstructed:
+        """Reconstruct one scene, in the frame of its cameras where these are known.
+
+        Args:
+            views: A batch of one; with cameras if they are needed.
+            encode: Encodes views in the backbone's single pass.
+            renderer: Differentiable; the one that will show the scene.
+            points: For each view, sparse points in world space that it shows, where some are known.
+            on_progress: Called every few seconds.
+
+        Raises:
+            UserError: The views do not suffice, or lack cameras.
+        """
