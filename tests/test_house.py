@@ -121,6 +121,30 @@ def test_packages_are_packages():
     assert [str(folder) for folder in sorted(folders) if not (folder / "__init__.py").is_file()] == []
 
 
+def test_a_name_means_one_thing():
+    """No class has the name of another, but for a part that has the name of its contract, and no alias that of a class.
+
+    In the framework and the packages that its users need; programs built on it have words of their own.
+    """
+    programs = {paths.PLUGINS / name for name in ("benchmark", "comfyui", "film", "start")}
+    meanings: defaultdict[str, dict[str, str]] = defaultdict(dict)
+    for path in SHIPPED:
+        if programs & {*path.parents}:
+            continue
+        for node in nodes_of(path):
+            if isinstance(node, ast.ClassDef):
+                if f"contracts.{node.name}" not in map(ast.unparse, node.bases):
+                    meanings[node.name][place(path, node)] = "a class"
+            elif isinstance(node, ast.Assign) and re.match("[A-Z][a-z]", name := ast.unparse(node.targets[0])):
+                meanings[name].setdefault(place(path, node), ast.unparse(node.value))
+    found = {
+        name: places
+        for name, places in meanings.items()
+        if len(places) > 1 and ("a class" in places.values() or len({*places.values()}) > 1)
+    }
+    assert found == {}
+
+
 def shipped() -> list[Plugin]:
     """The built-in plugins, and those of the folders that come with the package."""
     local = [row for row in catalog() if row.root is not None and row.root.is_relative_to(paths.PLUGINS)]

@@ -28,8 +28,7 @@ from anystyle.errors import UserError, one_line, unknown
 from anystyle.evaluation.comparisons import Reader, read
 from anystyle.evaluation.judge import SceneFigures as Found
 from anystyle.evaluation.judge import judge_scene, mean
-from anystyle.evaluation.pairing import CAMERAS
-from anystyle.evaluation.pairing import Cell as Paired
+from anystyle.evaluation.pairing import CAMERAS, StylizedImages
 from anystyle.io.atomic import atomic_path, write_json
 from anystyle.io.documents import Figure, as_figure, as_number, kept_json, read_json
 from anystyle.registry.catalog import catalog
@@ -226,7 +225,7 @@ class Judge:
         for style in map(self.inputs.style, styles):
             folder = Cell(unit.method, unit.seed, unit.scene, style.name).images(self.root)
             comparison = self._reader(
-                Paired(
+                StylizedImages(
                     scene=scene.name,
                     style=style.name,
                     frames=scene.views,

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.errors import UserError
-from anystyle.losses.features import FeatureLoss, Features, features_to_compare, mean_where, style_images
+from anystyle.losses.features import FeatureFn, FeatureLoss, features_to_compare, mean_where, style_images
 from anystyle.types import Stylization
 from anystyle.vision.feature_cache import identity
 from anystyle.vision.statistics import mean_std
@@ -44,7 +44,7 @@ class SimultaneousScales(FeatureLoss):
             raise UserError(f"loss.simultaneous_scales.scales={scales}; give at least 1")
         self.scales, self.gram_weight, self.moments_weight = scales, gram_weight, moments_weight
 
-    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: Features) -> Float[Tensor, ""]:
+    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: FeatureFn) -> Float[Tensor, ""]:
         styles = style_images(result)
         if styles is None:
             return images.new_zeros(())

@@ -13,7 +13,7 @@ SUBCOMMANDS = {
 }
 
 
-class Study(Command):
+class StudyCommand(Command):
     """Design, run, analyse and plan user studies."""
 
     def __call__(self, words: Sequence[str]) -> None:

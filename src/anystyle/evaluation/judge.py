@@ -15,7 +15,7 @@ from anystyle.contracts import Metric
 from anystyle.contracts.protocol import SCENE, Evaluation, Row
 from anystyle.errors import UserError
 from anystyle.evaluation.comparisons import Reader
-from anystyle.evaluation.pairing import Cell, Pairing
+from anystyle.evaluation.pairing import Pairing, StylizedImages
 from anystyle.paths import natural
 from anystyle.types import Comparison, OnStep
 from anystyle.vision.preprocess import checked
@@ -62,7 +62,7 @@ def judge_pairing(
         raise UserError("there is nothing to judge; give at least one stylized image with its photograph")
     reader, steps, total = Reader(), count(), len(pairing.cells)
 
-    def comparisons(cells: Sequence[Cell]) -> Iterator[Comparison]:
+    def comparisons(cells: Sequence[StylizedImages]) -> Iterator[Comparison]:
         for cell in cells:
             progress(stage, next(steps), total)
             yield reader(cell)

@@ -45,29 +45,31 @@ def kinds() -> list[str]:
     return [*KINDS, *catalog().names(_KIND)]
 
 
-class Kind(NamedTuple):
+class KindInfo(NamedTuple):
     """What a kind's contract says of its plugins: see :class:`~anystyle.registry.pluggable.Pluggable`."""
 
     many: bool
     runtime: tuple[str, ...]
 
 
-def kind_named(kind: str) -> Kind:
+def kind_named(kind: str) -> KindInfo:
     """A kind of plugin; a PluginError where there is none, or its package cannot be imported."""
     if kind in KINDS:
         return _declared(KINDS[kind])
     contract = base_of(kind)
-    return Kind(contract.many, contract.runtime)
+    return KindInfo(contract.many, contract.runtime)
 
 
 @cache
-def _declared(target: str) -> Kind:
+def _declared(target: str) -> KindInfo:
     """What a contract of the core says, read from its source: importing it would import torch."""
     module, _, name = target.partition(":")
     tree = ast.parse((paths.PACKAGE.parent / module.replace(".", "/")).with_suffix(".py").read_bytes())
     body = next(node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name)
     values = {ast.unparse(node.targets[0]): node.value for node in body if isinstance(node, ast.Assign)}
-    return Kind(*(ast.literal_eval(values[key]) if key in values else getattr(Pluggable, key) for key in Kind._fields))
+    return KindInfo(
+        *(ast.literal_eval(values[key]) if key in values else getattr(Pluggable, key) for key in KindInfo._fields)
+    )
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.io.colmap import Camera, Model
 from anystyle_captures.camera_files import colmap_files, samples
+from anystyle_captures.camera_files.conversion import by_name, camera, finished
 from anystyle_captures.camera_files.lens import Lens
-from anystyle_captures.camera_files.poses import by_name, camera, finished
 
 _log = logging.getLogger(__name__)
 _POLYNOMIAL = frozenset(

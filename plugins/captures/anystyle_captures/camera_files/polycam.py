@@ -12,8 +12,8 @@ from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.io.documents import Positive, read_json
 from anystyle_captures.camera_files import samples
+from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL, camera, finished, rigid
 from anystyle_captures.camera_files.lens import MAX_SIDE, Lens
-from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL, camera, finished, rigid
 from anystyle_captures.camera_files.xml import starts_with
 
 Side = Annotated[float, msgspec.Meta(ge=1, le=MAX_SIDE)]

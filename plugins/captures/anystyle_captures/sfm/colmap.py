@@ -16,6 +16,7 @@ from PIL import Image
 
 import pycolmap  # isort: skip
 
+from anystyle.types import OnStep
 from anystyle_captures.sfm.model import (
     MIN_VIEWS,
     Photograph,

@@ -17,7 +17,7 @@ from anystyle.errors import UserError
 from anystyle.evaluation import published_figures, record
 from anystyle.evaluation.judge import judge_pairing
 from anystyle.evaluation.model_renders import ModelRenders, Variant, suffix_of, write_picture
-from anystyle.evaluation.pairing import Cell, Pairing
+from anystyle.evaluation.pairing import Pairing, StylizedImages
 from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
 from anystyle.paths import expanded
 from anystyle.stylizer import Stylizer
@@ -139,11 +139,11 @@ class Tables(Protocol):
             method=self.method,
         )
 
-    def _cell(self, out: Path, scene: str, style: str, images: Mapping[int, Path]) -> Cell:
+    def _cell(self, out: Path, scene: str, style: str, images: Mapping[int, Path]) -> StylizedImages:
         """Images of a scene in a style, by the places of their photographs."""
         places = sorted(images)
         content = self._content(out, scene, image_size(images[places[0]]))
-        return Cell(
+        return StylizedImages(
             scene=scene,
             style=style,
             frames=tuple(f"{place:03d}" for place in places),
