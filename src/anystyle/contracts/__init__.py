@@ -3,12 +3,11 @@
 1. :mod:`~anystyle.contracts.backbone`: the five parts of a feed-forward reconstruction network
 2. :mod:`~anystyle.contracts.style`: style encoders, and the injectors and placements by which style enters a network
 3. :mod:`~anystyle.contracts.cameras`: cameras that programs stored for photographs, and cameras that are estimated
-4. :mod:`~anystyle.contracts.scene`: reconstructions and renderers
-5. :mod:`~anystyle.contracts.method`: how an encoded scene takes a style
-6. :mod:`~anystyle.contracts.sources`: scenes and styles to learn from and to be judged on
-7. :mod:`~anystyle.contracts.objective` and :mod:`~anystyle.contracts.training`: losses, and what trains with them
-8. :mod:`~anystyle.contracts.metric` and :mod:`~anystyle.contracts.protocol`: what is measured, and on what
-9. :mod:`~anystyle.contracts.format` and :mod:`~anystyle.contracts.command`: files, and words of the command line
+4. :mod:`~anystyle.contracts.scene`: renderers, reconstructions, and methods by which a scene takes a style
+5. :mod:`~anystyle.contracts.sources`: scenes and styles to learn from and to be judged on
+6. :mod:`~anystyle.contracts.scores`: losses, metrics and the correspondence of pixels
+7. :mod:`~anystyle.contracts.training` and :mod:`~anystyle.contracts.protocol`: what learns, and how it is judged
+8. :mod:`~anystyle.contracts.format` and :mod:`~anystyle.contracts.command`: files, and words of the command line
 
 A plugin inherits from one of these classes, implements its abstract methods and is listed in one line of TOML.
 ``anystyle.testing`` holds each contract as plain functions; ``anystyle plugins check`` runs them, on an instance built
@@ -31,36 +30,22 @@ if TYPE_CHECKING:
     )
     from anystyle.contracts.command import Command
     from anystyle.contracts.format import Format
-    from anystyle.contracts.method import Method
-    from anystyle.contracts.metric import Correspondence, Metric
-    from anystyle.contracts.objective import Loss
     from anystyle.contracts.protocol import Evaluation, Protocol, Row
-    from anystyle.contracts.scene import Reconstruction, Renderer
+    from anystyle.contracts.scene import Method, Reconstruction, Renderer
+    from anystyle.contracts.scores import Correspondence, Loss, Metric
     from anystyle.contracts.sources import SceneSource, StyleSource
     from anystyle.contracts.style import Injector, Placement, StyleEncoder, neutral_embedding
     from anystyle.contracts.training import BatchSource, Training
     from anystyle.registry.pluggable import Pluggable
 
-_HOMES = {
-    "backbone": ("Adapter", "Aggregator", "Backbone", "Embedder", "GaussianHead", "GeometryHead"),
-    "cameras": ("CameraReader", "PoseEstimator", "PosedViews", "StoredCamera", "Undistortion", "Verdict"),
-    "command": ("Command", "Pluggable"),
-    "format": ("Format",),
-    "method": ("Method",),
-    "metric": ("Correspondence", "Metric"),
-    "objective": ("Loss",),
-    "protocol": ("Evaluation", "Protocol", "Row"),
-    "scene": ("Reconstruction", "Renderer"),
-    "sources": ("SceneSource", "StyleSource"),
-    "style": ("Injector", "Placement", "StyleEncoder", "neutral_embedding"),
-    "training": ("BatchSource", "Training"),
-}
+_MODULES = ("command", "protocol", "cameras", "sources", "backbone", "style", "scene", "scores", "format", "training")
 
 
 def __getattr__(name: str) -> Any:
-    for module, names in _HOMES.items():
-        if name in names:
-            return getattr(importlib.import_module(f"{__name__}.{module}"), name)
+    for module in _MODULES if name in __all__ else ():
+        found = vars(importlib.import_module(f"{__name__}.{module}"))
+        if name in found:
+            return found[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 

@@ -27,7 +27,7 @@ from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, OnProgress, Renders, StyledScene, no_progress
-from anystyle.vision.weights import BINDING, binding, license_lines, licenses
+from anystyle.vision.weights import License, binding, license_lines, licenses
 
 VERSIONS = {name: version(name) for name in ("anystyle", "torch", "numpy")}
 WRITTEN = "scene, renders and video"
@@ -300,7 +300,7 @@ def _technical(report: dict[str, Any]) -> dict[str, object]:
     """A report without names, hashes, texts and paths."""
     left_out = ("inputs", "weights", "config", "provenance")
     reconstruction = {name: value for name, value in report["reconstruction"].items() if name != "reasons"}
-    bound = {part: terms for part, terms in report["licenses"].items() if terms["means"] == BINDING}
+    bound = {part: terms for part, terms in report["licenses"].items() if License.named(terms["license"]).binds}
     kept = {name: value for name, value in report.items() if name not in left_out}
     return kept | {"reconstruction": reconstruction, "licenses": bound, "method": {"kind": report["method"]["kind"]}}
 

@@ -1,4 +1,4 @@
-"""What is measured."""
+"""What is minimised and what is measured."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -7,10 +7,25 @@ from typing import Any, ClassVar
 
 import torchmetrics
 from jaxtyping import Float
-from torch import Tensor
+from torch import Tensor, nn
 
 from anystyle.registry.pluggable import Pluggable
-from anystyle.types import Comparison, Flow, Frames, Source
+from anystyle.types import Comparison, Flow, Frames, Source, Stylization
+
+
+class Loss(Pluggable, nn.Module, ABC):
+    """One unweighted term of the objective. The framework may pass ``style_encoder`` to the constructor."""
+
+    many = True
+    runtime = ("style_encoder",)
+
+    weight: float
+    needs_unstyled: bool = False
+    """Set by an instance that compares with renders of the unstyled scene, which the training then makes as well."""
+
+    @abstractmethod
+    def forward(self, result: Stylization) -> Float[Tensor, ""]:
+        """The term's value for a batch; the framework multiplies by ``weight``."""
 
 
 class Metric(Pluggable, torchmetrics.Metric, ABC):
