@@ -24,7 +24,7 @@ from anystyle import paths
 from anystyle.commands.plugins import arguments
 from anystyle.registry import packages
 from anystyle.registry.builtin import BUILTIN, KINDS
-from anystyle.registry.catalog import Plugin, catalog, kinds
+from anystyle.registry.catalog import Plugin, catalog, kind_named, kinds
 from anystyle.registry.compose import compose
 from anystyle.registry.schema import options
 from anystyle.registry.source_docs import peek
@@ -121,6 +121,30 @@ def test_packages_are_packages():
     assert [str(folder) for folder in sorted(folders) if not (folder / "__init__.py").is_file()] == []
 
 
+def test_a_name_means_one_thing():
+    """No class has the name of another, but for a part that has the name of its contract, and no alias that of a class.
+
+    In the framework and the packages that its users need; programs built on it have words of their own.
+    """
+    programs = {paths.PLUGINS / name for name in ("benchmark", "comfyui", "film", "start")}
+    meanings: defaultdict[str, dict[str, str]] = defaultdict(dict)
+    for path in SHIPPED:
+        if programs & {*path.parents}:
+            continue
+        for node in nodes_of(path):
+            if isinstance(node, ast.ClassDef):
+                if f"contracts.{node.name}" not in map(ast.unparse, node.bases):
+                    meanings[node.name][place(path, node)] = "a class"
+            elif isinstance(node, ast.Assign) and re.match("[A-Z][a-z]", name := ast.unparse(node.targets[0])):
+                meanings[name].setdefault(place(path, node), ast.unparse(node.value))
+    found = {
+        name: places
+        for name, places in meanings.items()
+        if len(places) > 1 and ("a class" in places.values() or len({*places.values()}) > 1)
+    }
+    assert found == {}
+
+
 def shipped() -> list[Plugin]:
     """The built-in plugins, and those of the folders that come with the package."""
     local = [row for row in catalog() if row.root is not None and row.root.is_relative_to(paths.PLUGINS)]
@@ -188,13 +212,13 @@ def test_no_preset_has_a_plugins_name():
 
 @pytest.mark.parametrize(("kind", "name"), presets())
 def test_presets_compose(kind, name, tmp_path):
-    chosen = f"[{name}]" if KINDS[kind].many else name
+    chosen = f"[{name}]" if kind_named(kind).many else name
     losses = "{loss: []}, " if kind == "method" else ""  # which a preset of a method names
     (tmp_path / "config.yaml").write_text(
         f"defaults: [{losses}{{{kind}: {chosen}}}, _self_]\nhydra: {{searchpath: ['file://{paths.CONF}', 'anystyle://']}}\n"
     )
     node = compose("config", conf=tmp_path)[kind]
-    node = node[name] if KINDS[kind].many else node
+    node = node[name] if kind_named(kind).many else node
     assert catalog().owner(kind, node._target_).kind == kind
 
 
@@ -223,7 +247,8 @@ def test_no_imports_run_in_a_circle():
 
 def test_importing_anystyle_costs_nothing():
     code = (
-        "import sys, anystyle; print(sorted(n for n in sys.modules if n.split('.')[0] in ('torch', 'hydra', 'numpy')))"
+        "import sys, anystyle.contracts.command;"
+        "print(sorted(n for n in sys.modules if n.split('.')[0] in ('torch', 'hydra', 'numpy')))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -69,9 +69,9 @@ def main() -> None:
 
 def _of_plugin(word: str, rest: list[str]) -> None:
     """Run the command that a plugin package adds."""
+    from anystyle.contracts.command import Command
     from anystyle.registry.build import build
     from anystyle.registry.catalog import catalog
-    from anystyle.registry.socket import Command
 
     if word in catalog().names("command"):
         build(Command, word)(rest)

@@ -10,8 +10,7 @@ from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Injector
 from anystyle.geometry.texturing import single_view_colors
-from anystyle.types import Attributes, Scene, Site, StyleEmbedding, Tokens, contiguous
-from anystyle.vision.weights import Source
+from anystyle.types import Attributes, Scene, Site, Source, StyleEmbedding, Tokens, contiguous
 
 ATTRIBUTES = ("opacity", "scale", "rotation", "color")
 COLOR = "color"

@@ -25,13 +25,12 @@ import torch
 from torch import Tensor
 from torch.nn.functional import interpolate
 
-from anystyle.contracts import Renderer
+from anystyle.contracts import PosedViews, Renderer
 from anystyle.data.folder import read_originals
 from anystyle.data.images import read_image
 from anystyle.errors import UserError
 from anystyle.io import colmap
 from anystyle.io.sheet import to_pil
-from anystyle.pipeline.poses import PosedViews
 from anystyle.types import Views, no_progress
 from anystyle_captures.fit import Fit, fit_photographs
 from anystyle_captures.initial import from_stereo

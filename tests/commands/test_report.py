@@ -12,8 +12,8 @@ from scipy import stats
 
 from anystyle.cli.run import run
 from anystyle.commands import report as command
+from anystyle.contracts.protocol import Evaluation, Row
 from anystyle.evaluation import plots, record
-from anystyle.evaluation.base import Evaluation, Row
 from anystyle.evaluation.run_table import Line
 from anystyle.evaluation.tables import STAND_IN
 

@@ -7,9 +7,9 @@ from collections import Counter
 import pytest
 
 from anystyle.commands import report as command
+from anystyle.contracts.protocol import Evaluation
 from anystyle.evaluation import published_figures as published
 from anystyle.evaluation import record
-from anystyle.evaluation.base import Evaluation
 from real_data import ROOT
 
 TRANSCRIPT = ROOT.parent / "reference" / "paper_tables.json"

@@ -7,10 +7,10 @@ import pytest
 from PIL import Image
 from scipy import stats
 
+from anystyle.contracts.protocol import Evaluation
 from anystyle.evaluation import published_figures as published
 from anystyle.evaluation import record, runs
 from anystyle.evaluation import run_table as report
-from anystyle.evaluation.base import Evaluation
 from anystyle.evaluation.tables import STAND_IN
 
 

@@ -7,8 +7,8 @@ import math
 
 import pytest
 
+from anystyle.contracts.protocol import Evaluation, Row
 from anystyle.evaluation import record
-from anystyle.evaluation.base import Evaluation, Row
 from anystyle.evaluation.tables import STAND_IN, Table, escape_latex, escape_markdown, number
 
 FOUND = Evaluation(

@@ -3,13 +3,13 @@
 import torch
 from torch import Tensor
 
-from anystyle.geometry.projection import FRUSTUM_MARGIN, MIN_ALPHA, Splats, covariances, project
+from anystyle.geometry.projection import FRUSTUM_MARGIN, MIN_ALPHA, ProjectedGaussians, covariances, project
 from renderers.scenes import cameras, gaussians
 
 SIZE = (30, 40)
 
 
-def projected(distance: float) -> tuple[Splats, Tensor, Tensor, Tensor, Tensor]:
+def projected(distance: float) -> tuple[ProjectedGaussians, Tensor, Tensor, Tensor, Tensor]:
     """Splats; and of the Gaussians they are of: places in camera axes, covariances there, opacities; intrinsics."""
     scene, views = gaussians(1, 300, dtype=torch.float64), cameras(1, 1, SIZE, distance=distance, dtype=torch.float64)
     shapes = covariances(scene.rotations[0], scene.scales[0])

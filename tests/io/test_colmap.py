@@ -15,8 +15,8 @@ def model():
     return colmap.Model(
         cameras={1: colmap.Camera("PINHOLE", (48, 64), (50.0, 51.0, 32.5, 23.5))},
         photographs={
-            3: colmap.Photograph("a.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-            7: colmap.Photograph("b.png", 1, (w, x, y, z), (0.1, -0.2, 3.0)),
+            3: colmap.PosedImage("a.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+            7: colmap.PosedImage("b.png", 1, (w, x, y, z), (0.1, -0.2, 3.0)),
         },
         points=np.array([[0.5, 1.5, 2.5], [3.0, -1.0, 0.25]]),
         colors=np.array([[1, 2, 3], [250, 128, 0]], np.uint8),

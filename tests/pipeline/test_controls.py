@@ -13,15 +13,15 @@ from scipy.spatial.transform import Rotation, Slerp
 import anystyle
 from anystyle import Controls, ViewOptions
 from anystyle.commands import stylize
-from anystyle.data.folder import Original, covering, read_views
+from anystyle.contracts import PosedViews
+from anystyle.data.folder import covering, read_views
 from anystyle.data.images import to_tensor
 from anystyle.geometry.harmonics import colors, constant_from_rgb
 from anystyle.pipeline.controls import LUMA, SeenScene, blended, rescaled, with_colors_of
 from anystyle.pipeline.masks import Alike, Box, Photographs, Sphere, inside, mask_files, parsed
-from anystyle.pipeline.poses import PosedViews
 from anystyle.pipeline.request import Request
 from anystyle.renderers.torch import TorchRenderer
-from anystyle.types import Cameras, Gaussians
+from anystyle.types import Cameras, Gaussians, Original
 from anystyle_captures.structure_from_motion import StructureFromMotion
 from cards import World, arc
 

@@ -13,7 +13,7 @@ import pytest
 import anystyle.registry.catalog as module
 from anystyle.contracts import Placement
 from anystyle.registry.builtin import BUILTIN, KINDS
-from anystyle.registry.catalog import PluginError, catalog, plugin
+from anystyle.registry.catalog import PluginError, base_of, catalog, kind_named, plugin
 
 GOOD = """
 from anystyle.contracts import Placement
@@ -213,6 +213,9 @@ def test_decorator_for_notebooks(monkeypatch):
 
 def test_every_kind_has_rows_and_a_contract():
     assert set(BUILTIN) == set(KINDS)
+    for kind in KINDS:  # what is read from a contract's source is what the class says
+        contract = base_of(kind)
+        assert kind_named(kind) == (contract.many, contract.runtime)
 
 
 def test_catalog_imports_neither_torch_nor_hydra():

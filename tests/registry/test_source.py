@@ -1,5 +1,6 @@
 """The catalog seen through Hydra."""
 
+import re
 from itertools import count
 
 import pytest
@@ -14,7 +15,7 @@ from anystyle.errors import UserError
 from anystyle.registry.build import build
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import choices
+from anystyle.registry.compose import changes, choices
 from anystyle.registry.packages import groups, package_presets
 from anystyle.registry.source import PluginSource, register
 from anystyle.registry.untrusted import MOVED, check_saved
@@ -30,7 +31,6 @@ class Deep(Placement):
 """
 LOSSES = """
 from anystyle.contracts import Loss
-from anystyle.registry.untrusted import MOVED, check_saved
 class One(Loss):
     def __init__(self, *, weight: float = 1.0, layers: tuple[int, ...] = (1, 2)) -> None:
         super().__init__()
@@ -138,14 +138,28 @@ def test_a_saved_configuration_is_checked_before_anything_is_built(saved, messag
         check_saved(saved, "file")
 
 
-def test_a_saved_configuration_names_classes_that_have_moved_by_their_present_paths():
-    with pytest.warns(
-        DeprecationWarning, match=r"anystyle_anysplat\.AnySplat is anystyle_backbones\.anysplat\.AnySplat"
-    ):
-        saved = check_saved({"backbone": {"_target_": "anystyle_anysplat.AnySplat", "depth": 2}}, "file")
-    assert saved == {"backbone": {"_target_": catalog().find("backbone", "anysplat").path, "depth": 2}}
+@pytest.mark.parametrize(
+    ("kind", "name", "before"),
+    [
+        ("backbone", "anysplat", "anystyle_anysplat.AnySplat"),
+        ("placement", "aggregator", "anystyle.placements.aggregator.Aggregator"),
+    ],
+)
+def test_a_saved_configuration_names_classes_that_have_moved_by_their_present_paths(kind, name, before):
+    now = catalog().find(kind, name).path
+    with pytest.warns(DeprecationWarning, match=re.escape(f"file: {before} is {now} now")):
+        saved = check_saved({kind: {"_target_": before, "depth": 2}}, "file")
+    assert saved == {kind: {"_target_": now, "depth": 2}}
+    assert changes({f"{kind}._target_": before}, {f"{kind}._target_": now}) == ""
+    with pytest.raises(UserError, match="not a registered plugin"):
+        check_saved({kind: {"_target_": f"{before}s"}}, "file")
+
+
+def test_rows_of_moved_classes_lead_to_plugins():
+    paths = [plugin.path for plugin in catalog()]
     for old, new in MOVED.items():
-        assert any(plugin.path.startswith(new) for plugin in catalog()), old
+        assert old.endswith(".") == new.endswith(".")
+        assert any(path == new or (new.endswith(".") and path.startswith(new)) for path in paths), old
 
 
 def test_source_lists_the_catalog(composed):

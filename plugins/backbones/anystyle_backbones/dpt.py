@@ -84,7 +84,7 @@ class Fusion(nn.Module):
         return _resized(self.project(self.refine(x)), size)
 
 
-class Chain(nn.ModuleList):
+class FusionChain(nn.ModuleList):
     """Fusions from the coarsest level to the finest."""
 
     def __init__(self, dim: int, *, rectified: bool) -> None:
@@ -143,7 +143,7 @@ class Dpt(nn.Module):
             ]
         )
         self.reduce = nn.ModuleList(nn.Conv2d(width, features, 3, padding=1, bias=False) for width in channels)
-        self.fusions = Chain(features, rectified=rectified)
+        self.fusions = FusionChain(features, rectified=rectified)
         self.neck = nn.Conv2d(features, features // 2, 3, padding=1)
         self.output = nn.Sequential(
             nn.Conv2d(features // 2, hidden, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(hidden, outputs, 1)

@@ -70,10 +70,10 @@ class DptGaussians(nn.Module):
         return self.dpt.predict_(decoded.add_(direct)).unflatten(0, (batch, count))
 
 
-Camera = TypeVar("Camera", bound=nn.Module)
+_Camera = TypeVar("_Camera", bound=nn.Module)
 
 
-class DptGeometry(nn.Module, Generic[Camera]):
+class DptGeometry(nn.Module, Generic[_Camera]):
     """Cameras from the last tap's leading token, and a DPT for depth; in the weights' precision throughout.
 
     Args:
@@ -85,10 +85,10 @@ class DptGeometry(nn.Module, Generic[Camera]):
     """
 
     def __init__(
-        self, camera: Camera, depth: Dpt, *, taps: Sequence[int], chunk: int, aligner: Aligner | None = None
+        self, camera: _Camera, depth: Dpt, *, taps: Sequence[int], chunk: int, aligner: Aligner | None = None
     ) -> None:
         super().__init__()
-        self.camera: Camera = camera
+        self.camera: _Camera = camera
         self.depth = depth
         self.taps = tuple(taps)
         self.chunk = chunk

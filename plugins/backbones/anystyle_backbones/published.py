@@ -8,18 +8,18 @@ from torch import Tensor, nn
 from anystyle.errors import UserError
 from anystyle.io.checkpoint import differences, fill
 
-Rules = Sequence[tuple[str, str]]
+RenamingRules = Sequence[tuple[str, str]]
 """Regular expressions and what takes the place of what they match."""
 
 
-def renamed(key: str, rules: Rules) -> str:
+def renamed(key: str, rules: RenamingRules) -> str:
     """A key after all rules, one after the other."""
     for pattern, replacement in rules:
         key = re.sub(pattern, replacement, key)
     return key
 
 
-def dpt_rules(part: str) -> Rules:
+def dpt_rules(part: str) -> RenamingRules:
     """The rules from names of :class:`anystyle_backbones.dpt.Dpt` to VGGT's; ``part`` matches the decoders' names."""
     # Levels count from 0 here and from 1 there.
     return (

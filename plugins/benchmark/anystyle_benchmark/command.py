@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from importlib import import_module
 
 from anystyle.cli.arguments import subcommand
+from anystyle.contracts import Command
 from anystyle.registry.catalog import catalog
-from anystyle.registry.socket import Command
 
 SUBCOMMANDS = {
     "run": "render a track's scenes in its styles, each method in a process of its own",

@@ -15,7 +15,7 @@ from torch.utils import _pytree as pytree
 
 import anystyle
 from anystyle.cli.arguments import new_parser, split
-from anystyle.contracts import Renderer
+from anystyle.contracts import Command, Renderer
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.pipeline import memory
@@ -23,7 +23,6 @@ from anystyle.pipeline.load import default_device, make_method, weights_file
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
-from anystyle.registry.socket import Command
 from anystyle.types import Style, StyleEmbedding, Views
 from anystyle.vision.weights import MissingWeights
 

@@ -25,18 +25,16 @@ from anystyle.commands.evaluate import make_metrics
 from anystyle.contracts import Metric
 from anystyle.data.images import open_image
 from anystyle.errors import UserError, one_line, unknown
-from anystyle.evaluation.base import Progress
 from anystyle.evaluation.comparisons import Reader, read
 from anystyle.evaluation.judge import SceneFigures as Found
 from anystyle.evaluation.judge import judge_scene, mean
-from anystyle.evaluation.pairing import CAMERAS
-from anystyle.evaluation.pairing import Cell as Paired
+from anystyle.evaluation.pairing import CAMERAS, StylizedImages
 from anystyle.io.atomic import atomic_path, write_json
 from anystyle.io.documents import Figure, as_figure, as_number, kept_json, read_json
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
 from anystyle.registry.schema import runtime_arguments
-from anystyle.types import Comparison, Style
+from anystyle.types import Comparison, OnStep, Style
 from anystyle.vision import weights
 from anystyle_benchmark.results import (
     Cell,
@@ -110,7 +108,7 @@ class Judge:
         self.metrics = make([name for name in named if name in (chosen or named)], [read(path) for path in images])
         self._reader, self._said = Reader(), set[str]()
 
-    def __call__(self, specs: Sequence[Spec], lock: Lock, progress: Progress) -> Figures:
+    def __call__(self, specs: Sequence[Spec], lock: Lock, progress: OnStep) -> Figures:
         """The figures of these methods; ``progress`` is called for every scene of each."""
         units = [
             Unit(spec.name, seed, scene.name, guide)
@@ -227,7 +225,7 @@ class Judge:
         for style in map(self.inputs.style, styles):
             folder = Cell(unit.method, unit.seed, unit.scene, style.name).images(self.root)
             comparison = self._reader(
-                Paired(
+                StylizedImages(
                     scene=scene.name,
                     style=style.name,
                     frames=scene.views,

@@ -10,13 +10,12 @@ import torch
 
 import anystyle
 from anystyle.cli.run import run
-from anystyle.data.folder import SourceImage
 from anystyle.errors import UserError
 from anystyle.io.atomic import write_json
 from anystyle.io.sheet import save_png, to_pil
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.request import Request
-from anystyle.types import Cameras
+from anystyle.types import Cameras, SourceImage
 from anystyle_benchmark.job import SECONDS, AskedStyle, read_job
 
 

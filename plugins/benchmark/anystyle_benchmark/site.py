@@ -15,10 +15,10 @@ from PIL import Image
 
 from anystyle.data.images import open_image
 from anystyle.errors import UserError
-from anystyle.evaluation.base import Progress
 from anystyle.evaluation.tables import number
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.documents import Figure, as_number, fit, kept_json
+from anystyle.types import OnStep
 from anystyle_benchmark.command_judge import cost, scene_cost
 from anystyle_benchmark.judge import photographs
 from anystyle_benchmark.results import Cell, CellFigures, Figures, Interval, Record, TableRow
@@ -53,7 +53,7 @@ class Drawn(NamedTuple):
     bar: tuple[float, ...] | None
 
 
-def build(inputs: Inputs, root: Path, figures: Figures, out: Path, megabytes: float, progress: Progress) -> Made:
+def build(inputs: Inputs, root: Path, figures: Figures, out: Path, megabytes: float, progress: OnStep) -> Made:
     """Write the site of judged results.
 
     Args:
@@ -241,7 +241,7 @@ def _place(cell: CellFigures) -> Cell:
     return Cell(cell.method, cell.seed, cell.scene, cell.style)
 
 
-def _write(sources: Mapping[str, Sequence[Path]], folder: Path, megabytes: float, progress: Progress) -> Made:
+def _write(sources: Mapping[str, Sequence[Path]], folder: Path, megabytes: float, progress: OnStep) -> Made:
     """Write the pictures in the best quality in which the folder is not larger than allowed."""
     most, others = megabytes * 1e6, _size(folder)
     sample = list(sources.values())[:: max(1, len(sources) // _SAMPLE)]

@@ -14,10 +14,11 @@ from PIL import Image
 from torch import Tensor
 from torch.nn.functional import interpolate
 
+from anystyle.contracts import Verdict
+from anystyle.contracts.protocol import SCENE, Evaluation, Protocol, Row
 from anystyle.data.folder import read_originals, read_views
 from anystyle.data.photo_masks import masked_views
 from anystyle.errors import UserError
-from anystyle.evaluation.base import SCENE, Evaluation, Progress, Protocol, Row
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.documents import as_number, read_json
 from anystyle.io.sheet import to_pil
@@ -26,11 +27,10 @@ from anystyle.paths import expanded
 from anystyle.pipeline.camera_files import from_files
 from anystyle.pipeline.cameras import scene_from_known
 from anystyle.pipeline.encode import encoder
-from anystyle.pipeline.poses import Verdict
 from anystyle.pipeline.styles import slug
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.stylizer import Stylizer
-from anystyle.types import Scene, Style, Views, no_progress
+from anystyle.types import OnStep, Scene, Style, Views, no_progress
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights, stand_ins
 from anystyle_captures.fit import Fit, Quality, fit_photographs, scene_of_fit
@@ -104,7 +104,7 @@ class Captures(Protocol):
         small = {"num_gaussians": 100, "num_steps": 4, "short_side": 48, "holdout": 4}
         return {"captures": [str(folder / "wall")], "poses": "known", "weights": "stand_in", **small}
 
-    def run(self, out: Path, progress: Progress) -> Evaluation:
+    def run(self, out: Path, progress: OnStep) -> Evaluation:
         """Judge each capture; the record of one that is finished is read."""
         records: dict[str, dict[str, Any]] = {}
         rows: list[Row] = []

@@ -12,13 +12,13 @@ import numpy as np
 import torch
 from PIL import Image
 
-from anystyle.data.folder import Original, as_views, common_size, cover, require_views
+from anystyle.contracts import PosedViews, PoseEstimator, Verdict
+from anystyle.data.folder import as_views, common_size, cover, require_views
 from anystyle.geometry.transforms import Similarity
 from anystyle.methods.order import canonical_order
-from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
-from anystyle.types import Cameras, OnProgress, Progress
+from anystyle.types import Cameras, OnProgress, Original, Progress
 from anystyle_captures.cache import cached, key_of
-from anystyle_captures.sfm.model import MIN_VIEWS, SEARCHES, Lens, Photograph, SearchOptions, SparseModel
+from anystyle_captures.sfm.model import MIN_VIEWS, SEARCHES, Photograph, SearchOptions, SimpleRadial, SparseModel
 from anystyle_captures.sfm.trust import judge
 
 logger = logging.getLogger(__name__)
@@ -159,7 +159,7 @@ def find_cameras(
     return FoundCameras(model.reordered(order), Verdict(**values["verdict"]), from_cache)
 
 
-def _undistorted(lens: Lens, size: tuple[int, int], picture: Image.Image) -> Image.Image:
+def _undistorted(lens: SimpleRadial, size: tuple[int, int], picture: Image.Image) -> Image.Image:
     """A picture drawn on a photograph of this height and width, such as a mask, without the lens's distortion."""
     return Image.fromarray(lens.undistorted(np.array(picture.convert("RGB").resize((size[1], size[0])))))
 

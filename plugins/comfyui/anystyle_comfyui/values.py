@@ -11,8 +11,8 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.contracts import Method
 from anystyle.io.sheet import save_png, to_pil
-from anystyle.methods.base import Method
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.load import LoadedModel
 from anystyle.pipeline.request import Request

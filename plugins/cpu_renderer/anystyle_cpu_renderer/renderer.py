@@ -91,7 +91,9 @@ class _Splatting(torch.autograd.Function):
                     scene = scene._replace(shapes=ctx.kept[0][2])
                 else:
                     stages.shape(scene, run)
-                into = stages.Scene._make([*(total[b].numpy() for total in sums[:5]), np.zeros_like(scene.shapes)])
+                into = stages.SceneArrays._make(
+                    [*(total[b].numpy() for total in sums[:5]), np.zeros_like(scene.shapes)]
+                )
                 for v, view in enumerate(views[b]):
                     if ctx.kept:
                         splats, tiles, _ = ctx.kept[0]
@@ -107,17 +109,19 @@ class _Splatting(torch.autograd.Function):
         return *(total if wanted else None for total, wanted in zip(sums, needed, strict=True)), None
 
 
-def _read(tensors: list[Tensor], settings: _Settings) -> tuple[list[stages.Scene], list[list[stages.View]]]:
+def _read(
+    tensors: list[Tensor], settings: _Settings
+) -> tuple[list[stages.SceneArrays], list[list[stages.CameraArrays]]]:
     """The arguments of the kernels: the scenes, their covariances allocated but not computed, and the views of each."""
     *gaussians, poses, origins, intrinsics = (tensor.detach() for tensor in tensors)
     rows = [[tensor[b].contiguous().numpy() for tensor in gaussians] for b in range(len(poses))]
-    scenes = [stages.Scene._make([*row, np.empty((len(row[0]), 6), np.float32)]) for row in rows]
+    scenes = [stages.SceneArrays._make([*row, np.empty((len(row[0]), 6), np.float32)]) for row in rows]
     rotation, translation = poses[..., :3, :3].flatten(-2), poses[..., :3, 3]
     focal, center = intrinsics.diagonal(dim1=-2, dim2=-1)[..., :2], intrinsics[..., :2, 2]
     cameras = torch.cat([rotation, translation, origins, focal, center], dim=-1).contiguous().numpy()
     limits = np.array([settings.width, settings.height, settings.near, settings.far, settings.eps2d])
     tables = _tables(degree_of(gaussians[-1].shape[2]))
-    return scenes, [[stages.View(camera, limits, tables) for camera in row] for row in cameras]
+    return scenes, [[stages.CameraArrays(camera, limits, tables) for camera in row] for row in cameras]
 
 
 def _tables(degree: int) -> np.ndarray:

@@ -14,7 +14,7 @@ CHUNK = 8192
 """Gaussians per job; fixed, so that the order of summation does not depend on the number of threads."""
 
 
-class Scene(NamedTuple):
+class SceneArrays(NamedTuple):
     """Gaussians of one scene, or their gradients; ``shapes`` are packed covariances."""
 
     means: np.ndarray
@@ -25,7 +25,7 @@ class Scene(NamedTuple):
     shapes: np.ndarray
 
 
-class View(NamedTuple):
+class CameraArrays(NamedTuple):
     """One camera, as arguments of the kernels in :mod:`anystyle_cpu_renderer.projection`."""
 
     camera: np.ndarray
@@ -33,7 +33,7 @@ class View(NamedTuple):
     tables: np.ndarray
 
 
-class Splats(NamedTuple):
+class SortedSplats(NamedTuple):
     """The splats of one view.
 
     Args:
@@ -68,12 +68,12 @@ class Tiles(NamedTuple):
     offsets: np.ndarray
 
 
-Run = Callable[..., Iterator[Any]]
+Mapper = Callable[..., Iterator[Any]]
 """``map``, or its equivalent on threads; results are in order."""
 
 
 @contextmanager
-def workers() -> Iterator[Run]:
+def workers() -> Iterator[Mapper]:
     """Run jobs on as many threads as PyTorch uses."""
     threads = torch.get_num_threads()
     if threads == 1:
@@ -90,7 +90,7 @@ def chunks(rows: np.ndarray) -> tuple[range, list[int]]:
     return starts, [min(start + CHUNK, len(rows)) for start in starts]
 
 
-def shape(scene: Scene, run: Run) -> None:
+def shape(scene: SceneArrays, run: Mapper) -> None:
     """Write the covariances of a scene."""
 
     def job(start: int, stop: int) -> None:
@@ -99,7 +99,7 @@ def shape(scene: Scene, run: Run) -> None:
     list(run(job, *chunks(scene.means)))
 
 
-def shape_backward(scene: Scene, into: Scene, run: Run) -> None:
+def shape_backward(scene: SceneArrays, into: SceneArrays, run: Mapper) -> None:
     """Write the gradients of rotations and scales, given those of the covariances."""
 
     def job(start: int, stop: int) -> None:
@@ -110,7 +110,7 @@ def shape_backward(scene: Scene, into: Scene, run: Run) -> None:
     list(run(job, *chunks(scene.means)))
 
 
-def project(scene: Scene, view: View, height: int, run: Run) -> Splats:
+def project(scene: SceneArrays, view: CameraArrays, height: int, run: Mapper) -> SortedSplats:
     """Project the visible Gaussians of a scene into a view."""
     number = len(scene.means)
     data, owners = np.empty((number, projection.SPLAT), np.float32), np.empty(number, np.int32)
@@ -126,11 +126,18 @@ def project(scene: Scene, view: View, height: int, run: Run) -> Splats:
     raster.arrange(data, rows, raster.nearest_first(data, rows), nearest, ranks)
     offsets = np.empty(-(-height // raster.HEIGHT) + 1, np.int64)
     lists = raster.rows_of(nearest, offsets)
-    return Splats(nearest, owners[rows], ranks, lists, offsets)
+    return SortedSplats(nearest, owners[rows], ranks, lists, offsets)
 
 
 def project_backward(
-    scene: Scene, view: View, splats: Splats, moments: np.ndarray, into: Scene, shaped: bool, posed: bool, run: Run
+    scene: SceneArrays,
+    view: CameraArrays,
+    splats: SortedSplats,
+    moments: np.ndarray,
+    into: SceneArrays,
+    shaped: bool,
+    posed: bool,
+    run: Mapper,
 ) -> np.ndarray:
     """Accumulate gradients of a view into ``into``, except for rotations and scales; unless ``shaped``, of colours."""
 
@@ -147,7 +154,7 @@ def project_backward(
 
 
 def blend(
-    splats: Splats, cap: np.float32, image: np.ndarray, last: np.ndarray, run: Run, *, keep: bool = False
+    splats: SortedSplats, cap: np.float32, image: np.ndarray, last: np.ndarray, run: Mapper, *, keep: bool = False
 ) -> list[Tiles]:
     """Write the image ``[5, H, W]`` of splats, and the index ``[H, W]`` of the last entry that each pixel blended."""
 
@@ -160,14 +167,14 @@ def blend(
 
 
 def blend_backward(
-    splats: Splats,
+    splats: SortedSplats,
     kept: list[Tiles],
     cap: np.float32,
     image: np.ndarray,
     last: np.ndarray,
     d_image: np.ndarray,
     shaped: bool,
-    run: Run,
+    run: Mapper,
 ) -> np.ndarray:
     """The moments ``[n, MOMENTS]`` of splats, given the gradient of their image; lists tiles again if none are kept.
 

@@ -41,7 +41,7 @@ IMAGE_FOLDERS: dict[str, str | None] = {
 
 
 @dataclass
-class Report:
+class FolderReport:
     """What a folder holds, the words (``use``) that train on it, and the command that it needs before, if any."""
 
     layout: Layout
@@ -56,7 +56,7 @@ class Report:
     problems: list[str] = field(default_factory=list)
 
 
-def check(root: Path, *, layout: Layout | None = None, min_views: int = 2, decode: bool = True) -> Report:
+def check(root: Path, *, layout: Layout | None = None, min_views: int = 2, decode: bool = True) -> FolderReport:
     """Look at every file of a folder of scenes or styles.
 
     The layout is recognised if none is given; scenes with fewer views than ``min_views`` are reported. Without
@@ -126,7 +126,7 @@ def words(**options: object) -> str:
     return shlex.join(f"{key}={text}" if plain.fullmatch(text) else override(key, text) for key, text in pairs)
 
 
-def _scenes(root: Path, min_views: int, decode: bool) -> Report:
+def _scenes(root: Path, min_views: int, decode: bool) -> FolderReport:
     index = "train_index.json" if (root / "train_index.json").is_file() else None
     names: list[str] = [] if index is None else read_json(root / index, list[str], what="JSON list of folder names")
     nested = unindexed(root) if index is None else []
@@ -141,7 +141,7 @@ def _scenes(root: Path, min_views: int, decode: bool) -> Report:
     elif images in REDUCED and (index or nested):
         options = {"scenes": "dl3dv", "scenes__root": root}
         options |= {} if images == "images_8" else {"scenes__images": images}
-    report = Report("scenes", words(**options))
+    report = FolderReport("scenes", words(**options))
     report.problems += [f"{name}: in {index}, and not there" for name in names if not (root / name).is_dir()]
     archives = packed(root)
     if archives or nested:
@@ -157,7 +157,7 @@ def _scenes(root: Path, min_views: int, decode: bool) -> Report:
     return report
 
 
-def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_views: int, decode: bool) -> None:
+def _scene(folder: Path, images: str, cameras: str | None, report: FolderReport, min_views: int, decode: bool) -> None:
     inside = folder / images if (folder / images).is_dir() else folder
     paths = image_files(inside)
     good = _look(paths, report, decode)
@@ -181,16 +181,16 @@ def _scene(folder: Path, images: str, cameras: str | None, report: Report, min_v
     _count(report, str(folder), len(known), min_views)
 
 
-def _count(report: Report, scene: str, views: int, min_views: int) -> None:
+def _count(report: FolderReport, scene: str, views: int, min_views: int) -> None:
     report.views[views] += 1
     report.scenes += views >= min_views
     if views < min_views:
         report.problems.append(f"{scene}: {views} views, fewer than {min_views}")
 
 
-def _re10k(root: Path, min_views: int, decode: bool) -> Report:
+def _re10k(root: Path, min_views: int, decode: bool) -> FolderReport:
     use = words(scenes="re10k", scenes__root=root, scenes__short_side=360, scenes__multiple=1)
-    report = Report("re10k", use)
+    report = FolderReport("re10k", use)
     for split in ("train", "test"):
         lists = {path.stem for path in (root / split).glob("*.txt")}
         there = (root / split / "index.json").is_file()
@@ -215,8 +215,8 @@ def _re10k(root: Path, min_views: int, decode: bool) -> Report:
     return report
 
 
-def _styles(root: Path, min_views: int, decode: bool) -> Report:
-    report = Report("styles", words(styles="folder", styles__root=root))
+def _styles(root: Path, min_views: int, decode: bool) -> FolderReport:
+    report = FolderReport("styles", words(styles="folder", styles__root=root))
     captions = captions_file(root)
     if captions is None:
         report.prepare = shlex.join(["anystyle", "data", "prepare", "styles", str(root)])
@@ -225,9 +225,9 @@ def _styles(root: Path, min_views: int, decode: bool) -> Report:
     return report
 
 
-def _wikiart(root: Path, min_views: int, decode: bool) -> Report:
+def _wikiart(root: Path, min_views: int, decode: bool) -> FolderReport:
     paths = sorted(path for path in root.rglob("*") if path.suffix.lower() in SUFFIXES and path.is_file())
-    report = Report("wikiart", words(styles="wikiart", styles__root=root))
+    report = FolderReport("wikiart", words(styles="wikiart", styles__root=root))
     if not (root / DESCRIPTIONS).is_file():
         report.problems.append(
             f"{root / DESCRIPTIONS} is not there: paintings are described by their folders; "
@@ -247,7 +247,7 @@ def _wikiart(root: Path, min_views: int, decode: bool) -> Report:
     return report
 
 
-def _described(paths: Sequence[Path], root: Path, captions: Path, report: Report, decode: bool) -> set[str]:
+def _described(paths: Sequence[Path], root: Path, captions: Path, report: FolderReport, decode: bool) -> set[str]:
     """Check images against a file of captions; the result is the images' paths below the root."""
     texts = read_captions(captions) if captions.is_file() else {}
     report.texts = sum(bool(texts.get(path.relative_to(root).as_posix())) for path in _look(paths, report, decode))
@@ -256,7 +256,7 @@ def _described(paths: Sequence[Path], root: Path, captions: Path, report: Report
     return present
 
 
-def _look(sources: Sequence[P], report: Report, decode: bool, titles: Sequence[str] | None = None) -> list[P]:
+def _look(sources: Sequence[P], report: FolderReport, decode: bool, titles: Sequence[str] | None = None) -> list[P]:
     """Those images that can be read; the others are problems. Titles name encoded bytes in messages."""
     good = []
     with ThreadPoolExecutor(4) as pool:

@@ -10,14 +10,14 @@ from inspect import signature
 from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, parse, subcommand
+from anystyle.contracts import Command
 from anystyle.data.images import SUFFIXES
 from anystyle.errors import UserError
 from anystyle.evaluation.paper_folder import PaperFolder
 from anystyle.io.atomic import atomic_path
-from anystyle.registry.socket import Command
 from anystyle_datasets import preparing
 from anystyle_datasets.captioning import DEFAULT_MODEL, PROMPT, caption_folder, chat_captioner, transformers_captioner
-from anystyle_datasets.checking import Report, check, guess, locate, same_pictures, words
+from anystyle_datasets.checking import FolderReport, check, guess, locate, same_pictures, words
 from anystyle_datasets.preparing import ARCHIVE
 from anystyle_datasets.wikiart import DESCRIPTIONS
 
@@ -115,7 +115,7 @@ def check_command(arguments: argparse.Namespace) -> None:
     print(f"next      {report.prepare or f'anystyle train experiment=paper_head {report.use}'}")
 
 
-def lines(report: Report) -> Iterator[str]:
+def lines(report: FolderReport) -> Iterator[str]:
     """A report as lines of a label and a value."""
     scenes = report.layout in ("scenes", "re10k")
     yield f"layout    {report.layout}"

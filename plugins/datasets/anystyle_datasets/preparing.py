@@ -6,7 +6,7 @@ import logging
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from functools import partial
 from itertools import count
@@ -27,14 +27,13 @@ from anystyle.evaluation.paper_folder import NUM_STYLES, SCENES
 from anystyle.io import video
 from anystyle.io.atomic import PARTIAL, atomic_path, write_json
 from anystyle.io.documents import kept_json, read_text
+from anystyle.types import OnStep
 from anystyle_datasets.checking import exported, packed, same_pictures, unindexed
 from anystyle_datasets.wikiart import DESCRIPTIONS, PAINTINGS, TEST_FILES, read_list
 
 log = logging.getLogger(__name__)
 S = TypeVar("S", Path, str)
 
-Progress = Callable[[str, int, int], None]
-"""Called with the name of a stage, the number of finished steps and their total."""
 ARCHIVE = "evaluation_and_splits.zip"
 """The archive of AnyStyle's authors: scenes and styles of their tables, descriptions, and the list of test styles."""
 DESCRIBED = "style_descriptions.txt"
@@ -46,7 +45,7 @@ SIDE = 448
 """Photographs of the tables are taken where their shorter side has this many pixels, if they come in several sizes."""
 
 
-def dl3dv(root: Path, progress: Progress) -> str:
+def dl3dv(root: Path, progress: OnStep) -> str:
     """Unpack the scenes of DL3DV that are still packed, and write ``train_index.json``.
 
     Scenes that ``test_index.json`` names, if there is one, are not in it.
@@ -81,7 +80,7 @@ def _unpack(path: Path) -> None:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def re10k(root: Path, progress: Progress) -> str:
+def re10k(root: Path, progress: OnStep) -> str:
     """Write chunks of frames and cameras for the camera lists ``{train,test}/CLIP.txt`` of RealEstate10K.
 
     A list has an address in its first line, then a line a frame: time in microseconds and the 18 numbers of a chunk's
@@ -202,7 +201,7 @@ def _film(path: Path, times: Sequence[int]) -> Iterator[tuple[int, bytes]]:
 
 def wikiart(
     root: Path,
-    progress: Progress,
+    progress: OnStep,
     *,
     archive: Path | None = None,
     stylos: Path | None = None,
@@ -240,7 +239,7 @@ def wikiart(
     )
 
 
-def _unpack_tables(root: Path, progress: Progress) -> None:
+def _unpack_tables(root: Path, progress: OnStep) -> None:
     tables = exported(root)
     if not tables:
         return
@@ -277,7 +276,7 @@ def _write_lines(path: Path, lines: Iterable[str]) -> None:
         temporary.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
 
 
-def styles(root: Path, progress: Progress) -> str:
+def styles(root: Path, progress: OnStep) -> str:
     """Write ``captions.jsonl`` with a line for each picture of a folder of styles, empty where nothing describes it."""
     paths = image_files(root)
     if not paths:
@@ -292,7 +291,7 @@ def styles(root: Path, progress: Progress) -> str:
 
 def tables(
     root: Path,
-    progress: Progress,
+    progress: OnStep,
     *,
     archive: Path | None = None,
     captures: Sequence[Path] = (),

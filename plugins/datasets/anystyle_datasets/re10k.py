@@ -13,7 +13,7 @@ from PIL import Image
 from torch import Tensor
 
 from anystyle.contracts import SceneSource
-from anystyle.data.folder import SourceImage, as_views, common_size, read_picture, require_views
+from anystyle.data.folder import as_views, common_size, read_picture, require_views
 from anystyle.data.images import image_size
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_tensors
@@ -21,7 +21,7 @@ from anystyle.io.cache import LRUCache
 from anystyle.io.documents import read_json
 from anystyle.paths import inside
 from anystyle.ranges import AtLeastOne
-from anystyle.types import Cameras, Views
+from anystyle.types import Cameras, SourceImage, Views
 
 
 class Re10kScenes(SceneSource):

@@ -9,13 +9,12 @@ from omegaconf import DictConfig
 
 from anystyle.cli.arguments import new_parser, split
 from anystyle.cli.launch import job_folder, launch
-from anystyle.contracts import Format, Renderer
+from anystyle.contracts import Command, Format, Renderer
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
 from anystyle.pipeline.saved import read_saved, with_stored_cameras
 from anystyle.registry.build import build
 from anystyle.registry.compose import options
-from anystyle.registry.socket import Command
 
 CONF = Path(__file__).parent / "conf"
 KEYS = """\

@@ -112,7 +112,7 @@ class Glb(Format):
         with reading(path, "GLB file") as remarks:
             chunks = dict(_chunks(path.read_bytes()))
             document = parse_json(chunks[_JSON], _Document, source=str(path), what="GLB file")
-            file = _File(remarks, document, chunks.get(_BIN, b""))
+            file = _GlbFile(remarks, document, chunks.get(_BIN, b""))
             shown = document.scene if document.scene is not None else 0
             order = [index for index in range(len(document.scenes)) if index != shown]
             scenes = {index: file.scene(index) for index in [*order, shown]}
@@ -224,7 +224,7 @@ class _Document:
 
 
 @dataclass(frozen=True)
-class _File:
+class _GlbFile:
     remarks: Remarks
     document: _Document
     binary: bytes

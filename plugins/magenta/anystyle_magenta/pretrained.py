@@ -14,8 +14,9 @@ from torch import Tensor, nn
 from anystyle.errors import UserError
 from anystyle.io.checkpoint import load_part
 from anystyle.io.documents import read_json
+from anystyle.types import Source
 from anystyle.vision import weights
-from anystyle.vision.weights import Source, published
+from anystyle.vision.weights import published
 from anystyle_magenta.networks import StyledConv, StylePrediction, StyleTransfer, TextTower
 
 SENTENCES, GUESSES = "minilm", "magenta_phrases"

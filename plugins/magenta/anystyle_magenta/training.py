@@ -11,10 +11,10 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import SceneSource, StyleSource
+from anystyle.contracts.training import Training, required
 from anystyle.errors import UserError
 from anystyle.nn.words import with_made_up_word
 from anystyle.ranges import AtLeastOne, Count, Positive
-from anystyle.training.base import Training, required
 from anystyle.training.optim import decayed_adamw
 from anystyle.training.sampling import generator
 from anystyle.types import Value

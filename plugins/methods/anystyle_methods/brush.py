@@ -10,9 +10,8 @@ from scipy.spatial import KDTree
 from torch import Tensor
 from torch.nn.functional import interpolate, normalize, pad
 
-from anystyle.contracts import Renderer
+from anystyle.contracts import Method, Renderer
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
-from anystyle.methods.base import Method
 from anystyle.methods.colors import fit_colors
 from anystyle.ranges import Count, NonNegative, Range
 from anystyle.stylizer import Stylizer

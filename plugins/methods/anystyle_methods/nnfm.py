@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from anystyle.losses.features import FeatureLoss, Features, mean_where, style_images
+from anystyle.losses.features import FeatureFn, FeatureLoss, mean_where, style_images
 from anystyle.types import Stylization
 
 
@@ -37,7 +37,7 @@ class NNFM(FeatureLoss):
     def example(cls, folder: Path) -> dict[str, object]:
         return {"network": "texture", "layers": ("relu3_1", "relu3_2"), "size": 48}
 
-    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: Features) -> Float[Tensor, ""]:
+    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: FeatureFn) -> Float[Tensor, ""]:
         styles = style_images(result)
         if styles is None:
             return images.new_zeros(())

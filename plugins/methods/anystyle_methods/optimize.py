@@ -6,15 +6,13 @@ from typing import Any, Literal
 
 import torch.nn.functional as F
 
-from anystyle.contracts import Loss
+from anystyle.contracts import Loss, Method
 from anystyle.errors import UserError
 from anystyle.losses.features import FeatureLoss
-from anystyle.methods.base import Method
 from anystyle.ranges import AtLeastOne, NonNegative, Share
 from anystyle.stylizer import Stylizer
-from anystyle.types import Gaussians, Scene, Style, StyleEmbedding
+from anystyle.types import Gaussians, Scene, Source, Style, StyleEmbedding
 from anystyle.types.progress import OnProgress, no_progress
-from anystyle.vision.weights import Source
 from anystyle_methods.scene_loop import SceneLoop
 
 Recolor = Literal["none", "before", "after", "both"]

@@ -7,11 +7,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.contracts import Method
 from anystyle.data.folder import image_files, read_picture
 from anystyle.data.images import to_tensor
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.methods.base import Method
 from anystyle.methods.colors import colors_alone, fit_colors
 from anystyle.paths import expanded
 from anystyle.ranges import Count

@@ -7,15 +7,13 @@ from pathlib import Path
 
 import torch
 
-from anystyle.contracts import Loss
+from anystyle.contracts import Loss, Method
 from anystyle.errors import UserError
 from anystyle.losses.features import FeatureLoss, objective
-from anystyle.methods.base import Method
 from anystyle.ranges import AtLeastOne, Positive
 from anystyle.stylizer import Stylizer
-from anystyle.types import Gaussians, Scene, Style, StyleEmbedding, Stylization
+from anystyle.types import Gaussians, Scene, Source, Style, StyleEmbedding, Stylization
 from anystyle.types.progress import OnProgress, Progress, no_progress
-from anystyle.vision.weights import Source
 
 
 class RefineEmbedding(Method):

@@ -6,7 +6,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.losses.features import FeatureLoss, Features, features_to_compare, mean_where, style_images
+from anystyle.losses.features import FeatureFn, FeatureLoss, features_to_compare, mean_where, style_images
 from anystyle.ranges import AtLeastOne
 from anystyle.types import Stylization
 from anystyle.vision.feature_cache import identity
@@ -42,7 +42,7 @@ class SimultaneousScales(FeatureLoss):
         super().__init__(network, layers, size, weight)
         self.scales, self.gram_weight, self.moments_weight = scales, gram_weight, moments_weight
 
-    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: Features) -> Float[Tensor, ""]:
+    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: FeatureFn) -> Float[Tensor, ""]:
         styles = style_images(result)
         if styles is None:
             return images.new_zeros(())

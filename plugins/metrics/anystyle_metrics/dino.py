@@ -9,9 +9,10 @@ from torch import Tensor, nn
 
 from anystyle.nn.attention import Block
 from anystyle.nn.tokens import normalised
+from anystyle.types import Source
 from anystyle.vision import networks
 from anystyle.vision.features import Frozen, load_frozen
-from anystyle.vision.weights import Source, Weights, find, locate, published, read
+from anystyle.vision.weights import Weights, find, locate, published, read
 
 DEPTH, HEAD, RESOLUTION = 12, 64, 224
 """Blocks, channels of an attention head, and the side in pixels that position embeddings are stored for."""

@@ -15,7 +15,7 @@ _ADDRESS = re.compile(r"(http://127\.0\.0\.1:\d+/) ")
 
 
 @dataclass
-class Viewer:
+class ViewerProcess:
     """A viewer: starting while it has neither an address nor an error."""
 
     process: subprocess.Popen[str]
@@ -32,10 +32,10 @@ class Viewers:
 
     def __init__(self, program: Sequence[str]) -> None:
         self.program = tuple(program)
-        self._viewers: dict[str, Viewer] = {}
+        self._viewers: dict[str, ViewerProcess] = {}
         self._lock = threading.Lock()
 
-    def start(self, scene: str, results: Path, keep: Path, words: Sequence[str]) -> Viewer:
+    def start(self, scene: str, results: Path, keep: Path, words: Sequence[str]) -> ViewerProcess:
         """The viewer of a scene, started unless it runs."""
         with self._lock:
             viewer = self._viewers.get(scene)
@@ -50,11 +50,11 @@ class Viewers:
                     errors="replace",
                     start_new_session=True,
                 )
-                viewer = self._viewers[scene] = Viewer(process)
+                viewer = self._viewers[scene] = ViewerProcess(process)
                 threading.Thread(target=_follow, args=(viewer,), daemon=True).start()
             return viewer
 
-    def of(self, scene: str) -> Viewer | None:
+    def of(self, scene: str) -> ViewerProcess | None:
         """The viewer of a scene, where one runs or has failed."""
         viewer = self._viewers.get(scene)
         return None if viewer is None or (viewer.process.poll() is not None and not viewer.error) else viewer
@@ -77,7 +77,7 @@ class Viewers:
             self.close(scene)
 
 
-def _follow(viewer: Viewer) -> None:
+def _follow(viewer: ViewerProcess) -> None:
     assert viewer.process.stdout is not None
     with viewer.process.stdout as lines:
         for line in lines:

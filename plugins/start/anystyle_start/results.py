@@ -24,7 +24,7 @@ ARCHIVE = "zip"
 
 
 @dataclass(frozen=True)
-class Reconstruction:
+class ReconstructionFacts:
     """What ``report.json`` says of how the scene was made."""
 
     registered: int = 0
@@ -43,7 +43,7 @@ class Report:
     gaussians: int = 0
     views: int = 0
     inputs: list[str] = field(default_factory=list)
-    reconstruction: Reconstruction = field(default_factory=Reconstruction)
+    reconstruction: ReconstructionFacts = field(default_factory=ReconstructionFacts)
     licenses: dict[str, dict[str, str]] = field(default_factory=dict)
 
 

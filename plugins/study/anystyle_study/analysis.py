@@ -18,7 +18,7 @@ from anystyle_study.statistics import Crossing, Effect, Variation, agreement, ef
 
 
 @dataclass(frozen=True)
-class Settings:
+class AnalysisOptions:
     """Options of an analysis."""
 
     scale: Scale = field(default_factory=Scale)  # the answer scale
@@ -116,14 +116,14 @@ class Analysis:
 
     questions: tuple[QuestionAnalysis, ...]
     checks: Checks
-    settings: Settings
+    settings: AnalysisOptions
     records: Records
 
 
 def analyze(
     records: Records,
     tests: Mapping[str, StudyTest],
-    settings: Settings = Settings(),
+    settings: AnalysisOptions = AnalysisOptions(),
     progress: Callable[[str], None] = lambda _: None,
 ) -> Analysis:
     """Check the answers and test every question."""
@@ -140,7 +140,7 @@ def analyze(
     return Analysis(tuple(questions), checks, settings, records)
 
 
-def _question(responses: Responses, tests: Mapping[str, StudyTest], settings: Settings) -> QuestionAnalysis:
+def _question(responses: Responses, tests: Mapping[str, StudyTest], settings: AnalysisOptions) -> QuestionAnalysis:
     results = [NamedResult(name, test(responses.at(unit))) for name, test in tests.items() for unit in test.units]
     scores, counts = np.unique(responses.deviations + responses.scale.midpoint, return_counts=True)
     levels = responses.scale.levels if len(responses.scale.levels) <= 11 else ()

@@ -26,14 +26,14 @@ _NUMBERED = (
 
 
 @dataclass(frozen=True)
-class Column:
+class AnswerColumn:
     """How the numbers of a column are written."""
 
     mark: str  # the decimal mark that they show; empty if they show none, or both
     semicolons: bool = False  # whether semicolons separate the cells of the table
 
     @classmethod
-    def of(cls, cells: Sequence[str], *, semicolons: bool = False) -> "Column":
+    def of(cls, cells: Sequence[str], *, semicolons: bool = False) -> "AnswerColumn":
         """The column of these cells."""
         marks = {
             mark for cell in map(_joined, cells) for mark in [_mark(cell)] if mark and _NUMBER[mark].fullmatch(cell)
@@ -105,7 +105,7 @@ def _pairs(group: Sequence[str]) -> dict[str, float] | None:
     found: dict[str, float] = {}
     for label in group:
         word, _, text = label.rpartition("=")
-        value = Column("").number(text)
+        value = AnswerColumn("").number(text)
         if not word or value is None:
             return None
         found[plain(word)] = value

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from anystyle.cli.arguments import parse, subcommand
-from anystyle.registry.socket import Command
+from anystyle.contracts import Command
 
 SUBCOMMANDS = {
     "design": "from folders of results to a study: sets, positions, orders, pictures",
@@ -13,7 +13,7 @@ SUBCOMMANDS = {
 }
 
 
-class Study(Command):
+class StudyCommand(Command):
     """Design, run, analyse and plan user studies."""
 
     def __call__(self, words: Sequence[str]) -> None:

@@ -24,7 +24,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import explain
 from anystyle.registry.packages import presets
 from anystyle_study import figures, report, wording
-from anystyle_study.analysis import Analysis, Settings, analyze, as_json
+from anystyle_study.analysis import Analysis, AnalysisOptions, analyze, as_json
 from anystyle_study.cells import given_scale, given_words
 from anystyle_study.contract import Scale, StudyTest
 from anystyle_study.design import Sources, design
@@ -225,7 +225,7 @@ def analyze_command(arguments: argparse.Namespace) -> None:
     labels = given_words(arguments.labels, scales.values() or [scale])
     given = {"failed_checks": arguments.failed_checks, "missing_share": arguments.missing}
     given |= {"straight_lining": arguments.exclude_straight_lining or None}
-    settings = Settings(
+    settings = AnalysisOptions(
         scale=scale,
         scales=scales,
         rules=msgspec.structs.replace(rules, **{name: value for name, value in given.items() if value is not None}),

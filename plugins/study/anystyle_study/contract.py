@@ -12,8 +12,8 @@ from typing import ClassVar, Literal
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from anystyle.contracts import Pluggable
 from anystyle.errors import UserError
-from anystyle.registry.socket import Socket
 
 Unit = Literal["response", "participant", "item"]
 """What a test counts as one independent observation."""
@@ -195,7 +195,7 @@ class TestResult:
         return cls(*values, method=method, note=reason)
 
 
-class StudyTest(Socket, ABC):
+class StudyTest(Pluggable, ABC):
     """A statistical test of one question.
 
     Swapping ours and theirs (negating every deviation) negates the estimate. Answers that do not allow the test, such

@@ -79,7 +79,7 @@ def design(sources: Sources, plan: Plan, out: Path) -> Study:
 
 
 def _usable(
-    results: Mapping[str, pictures.Results], styles: Mapping[str, Path], contents: Mapping[str, list[Path]]
+    results: Mapping[str, pictures.ResultPaths], styles: Mapping[str, Path], contents: Mapping[str, list[Path]]
 ) -> tuple[set[tuple[str, str]], list[str]]:
     """The scenes and styles that all folders have, and why others are left out."""
     usable, left_out = set(), []

@@ -19,7 +19,7 @@ _T = TypeVar("_T")
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 _LONGEST = 4096
 
-Results = Mapping[tuple[str, str], Sequence[Path]]
+ResultPaths = Mapping[tuple[str, str], Sequence[Path]]
 """One method's frames of each scene and style, in order."""
 
 
@@ -40,7 +40,7 @@ def _frames(folder: Path, kind: str) -> dict[str, list[Path]]:
     return {entry.stem if entry.is_file() else entry.name: frames for entry, frames in entries if frames}
 
 
-def find_results(method: str, folder: Path) -> Results:
+def find_results(method: str, folder: Path) -> ResultPaths:
     """Results laid out as ``SCENE/STYLE.png`` or ``SCENE/STYLE/FRAMES``."""
     if not folder.is_dir():
         raise UserError(f"method {method}: {folder} is no folder")

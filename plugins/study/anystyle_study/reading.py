@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from anystyle.errors import UserError, unknown
-from anystyle_study.cells import Column, plain, scale_words
+from anystyle_study.cells import AnswerColumn, plain, scale_words
 from anystyle_study.files import read_sheet
 from anystyle_study.protocol import Check, Study
 from anystyle_study.wide import long_rows
@@ -149,7 +149,7 @@ def _answers(
     if not placed and study is None:
         raise UserError(f"{source} does not say where ours was: give the design with --study, or add ours_is")
     columns = {
-        name: Column.of([row.get(name, "") for row in rows], semicolons=semicolons)
+        name: AnswerColumn.of([row.get(name, "") for row in rows], semicolons=semicolons)
         for name in ("score", "expected", "seconds")
     }
     questions = () if study is None else study.plan.questions

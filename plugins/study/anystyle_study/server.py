@@ -21,7 +21,7 @@ from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import parse_json
 from anystyle_study.protocol import PICTURES, Participant, Study
-from anystyle_study.store import Answer, Claim, Fact, Message, Refused, Store
+from anystyle_study.store import Claim, Fact, PostedAnswer, Refused, SessionMessage, Store
 
 _log = logging.getLogger(__name__)
 _JSON = "application/json"
@@ -81,7 +81,7 @@ def write_page(study: Study, folder: Path, out: Path) -> None:
         path.write_text(page, encoding="utf-8")
 
 
-class Application:
+class StudyApplication:
     """The WSGI application of one study: its page, its pictures, and the answers posted to it."""
 
     def __init__(self, *, study: Study, folder: Path, store: Store) -> None:
@@ -129,10 +129,10 @@ class Application:
             participant = self._study.participant(session["participant"])
             assert participant is not None
             return session | {"sets": sequence(self._study, participant)}
-        handlers: dict[str, tuple[type[Message], Callable[[Any, str], Any]]] = {
-            "/answers": (Answer, self._store.add),
+        handlers: dict[str, tuple[type[SessionMessage], Callable[[Any, str], Any]]] = {
+            "/answers": (PostedAnswer, self._store.add),
             "/facts": (Fact, self._store.note),
-            "/finish": (Message, self._store.finish),
+            "/finish": (SessionMessage, self._store.finish),
         }
         if path not in handlers:
             raise Refused(404, "there is nothing here")
@@ -151,7 +151,7 @@ def serve(study: Study, folder: Path, database: Path, *, host: str, port: int, r
     """
     with closing(Store(study=study, path=database)) as store:
         server: Any = create_server(
-            Application(study=study, folder=folder, store=store),
+            StudyApplication(study=study, folder=folder, store=store),
             host=host,
             port=port,
             ipv6=":" in host,

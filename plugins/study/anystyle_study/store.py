@@ -28,14 +28,14 @@ class Claim(Struct, frozen=True, forbid_unknown_fields=True):
     token: Annotated[str, Meta(pattern=r"^[0-9a-f]{32}$")]
 
 
-class Message(Struct, frozen=True, forbid_unknown_fields=True):
+class SessionMessage(Struct, frozen=True, forbid_unknown_fields=True):
     """A message of a session; without more fields, a request to finish."""
 
     study: str
     participant: str
 
 
-class Answer(Message, frozen=True, forbid_unknown_fields=True):
+class PostedAnswer(SessionMessage, frozen=True, forbid_unknown_fields=True):
     """One answer; ``side`` is empty for a comparison, ``A`` or ``B`` for a rating."""
 
     item: str
@@ -47,7 +47,7 @@ class Answer(Message, frozen=True, forbid_unknown_fields=True):
     revision: Annotated[int, Meta(ge=1, lt=1_000_000)]
 
 
-class Fact(Message, frozen=True, forbid_unknown_fields=True):
+class Fact(SessionMessage, frozen=True, forbid_unknown_fields=True):
     """A text about the participant: consent, a demographic, a comment."""
 
     name: str
@@ -102,7 +102,7 @@ class Store:
         """Close the file."""
         self._database.close()
 
-    def _belongs(self, message: Claim | Message) -> None:
+    def _belongs(self, message: Claim | SessionMessage) -> None:
         if message.study != self._study.id:
             raise Refused(400, "this belongs to another study")
 
@@ -168,7 +168,7 @@ class Store:
             if not database.execute("UPDATE sessions SET token = NULL WHERE person = ?", (person,)).rowcount:
                 raise UserError(f"no session of {person!r} exists; give the code or id that the participant entered")
 
-    def add(self, message: Answer, token: str) -> None:
+    def add(self, message: PostedAnswer, token: str) -> None:
         """Store one answer."""
         participant = self._authorized(message, token)
         question = self._questions.get(message.question)
@@ -197,7 +197,7 @@ class Store:
             query = "INSERT OR REPLACE INTO facts VALUES (?, ?, ?)"
             database.execute(query, (message.participant, message.name, message.value))
 
-    def finish(self, message: Message, token: str) -> dict[str, str]:
+    def finish(self, message: SessionMessage, token: str) -> dict[str, str]:
         """Completion code and address, once every answer is stored."""
         participant = self._authorized(message, token)
         expected = len(participant.order) * sum(len(question.sides) for question in self._questions.values())
@@ -211,7 +211,7 @@ class Store:
         plan = self._study.plan
         return {"code": plan.completion_code, "url": plan.completion_url.replace("{code}", plan.completion_code)}
 
-    def _authorized(self, message: Message, token: str) -> Participant:
+    def _authorized(self, message: SessionMessage, token: str) -> Participant:
         self._belongs(message)
         query = "SELECT token FROM sessions WHERE participant = ?"
         with self._lock:

@@ -12,8 +12,8 @@ from scipy import stats
 from study_cases import answer_rows, small_study, write_csv
 
 from anystyle.evaluation import published_figures
-from anystyle_study.analysis import Settings, analyze, as_json
-from anystyle_study.command import Study
+from anystyle_study.analysis import AnalysisOptions, analyze, as_json
+from anystyle_study.command import StudyCommand
 from anystyle_study.contract import Scale
 from anystyle_study.protocol import Rules
 from anystyle_study.reading import read_responses
@@ -45,7 +45,7 @@ def study(*arguments, cwd, check=None):
 def analysis(tmp_path_factory):
     rows = answer_rows(people=20, items=10, questions=QUESTIONS)
     path = write_csv(tmp_path_factory.mktemp("answers") / "r.csv", rows)
-    return analyze(read_responses([path]), TESTS, Settings())
+    return analyze(read_responses([path]), TESTS, AnalysisOptions())
 
 
 def test_every_test_is_run_at_every_unit(analysis):
@@ -60,7 +60,7 @@ def test_every_test_is_run_at_every_unit(analysis):
 
 def test_the_published_tests_come_from_the_plain_scores(tmp_path):
     rows = answer_rows(people=20, items=10)
-    found = as_json(analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, Settings()))
+    found = as_json(analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, AnalysisOptions()))
     scores = np.array([score if side == "A" else 6 - score for _, _, _, score, side in rows]).reshape(20, 10)
     tests = {(row["name"], row["unit"]): row for row in found["questions"]["style"]["tests"]}
     for unit, values in (("response", scores.ravel()), ("participant", scores.mean(1)), ("item", scores.mean(0))):
@@ -79,7 +79,7 @@ def test_the_papers_p_values_take_every_answer_for_a_person(tmp_path):
     scores = np.repeat(np.arange(1, 6), printed["counts"])
     rows = [(f"P{index // 20}", f"S{index % 20}", "style", score, "A") for index, score in enumerate(scores)]
     less: dict = {"one_sample_t": OneSampleT(alternative="less"), "wilcoxon": Wilcoxon(alternative="less")}
-    found = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), less, Settings(alternative="less"))
+    found = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), less, AnalysisOptions(alternative="less"))
     tests = {(row["name"], row["unit"]): row for row in as_json(found)["questions"]["style"]["tests"]}
     for row in printed["tests"]:
         assert f"{tests[row['test'], row['unit']]['pvalue']:.2e}" == row["pvalue"]
@@ -105,7 +105,7 @@ def test_the_report_says_what_response_level_tests_do(analysis):
 
 def test_nothing_reassures_about_participants_who_are_too_few(tmp_path):
     rows = answer_rows(people=4, items=10)
-    few = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, Settings())
+    few = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, AnalysisOptions())
     assert "too few to show how much people differ" in response_level(few)
 
 
@@ -138,7 +138,7 @@ def test_a_verdict_is_a_preference_or_comparable_and_never_both(tmp_path, shift,
     latent = shift + random.normal(0, 0.6, (30, 20)) + (random.normal(0, 0.5, (30, 1)) if spread > 1 else 0)
     latent += random.normal(0, 0.8, (1, 20)) if spread > 1 else 0
     latent -= latent.mean() - shift
-    found = judged(tmp_path, np.clip(np.rint(latent), -2, 2).astype(int), Settings(margin=0.25))
+    found = judged(tmp_path, np.clip(np.rint(latent), -2, 2).astype(int), AnalysisOptions(margin=0.25))
     (question,) = found.questions
     text = verdict(found, question)
     assert text.startswith(words)
@@ -176,11 +176,11 @@ def test_no_verdict_where_most_are_excluded_or_one_is_left(tmp_path):
     rows = [(*row, "") for row in answer_rows(people=10, items=8, shift=-1.5)]
     rows += [(f"P{person:02d}", "check", "style", 1 if person < 6 else 5, "", 5) for person in range(10)]
     path = write_csv(tmp_path / "r.csv", rows, "participant,item,question,score,ours_is,expected")
-    found = analyze(read_responses([path]), TESTS, Settings())
+    found = analyze(read_responses([path]), TESTS, AnalysisOptions())
     assert verdict(found, found.questions[0]) == "No conclusion is possible: 6 of 10 participants were excluded."
     assert "6 were left out (6 for more than 0 attention checks failed)" in took_part(found)
     one = answer_rows(people=1, items=8, shift=-1.5)
-    found = analyze(read_responses([write_csv(tmp_path / "s.csv", one)]), TESTS, Settings())
+    found = analyze(read_responses([write_csv(tmp_path / "s.csv", one)]), TESTS, AnalysisOptions())
     assert "No conclusion is possible: one participant" in verdict(found, found.questions[0])
 
 
@@ -229,7 +229,7 @@ def test_the_text_names_what_is_missing(tmp_path):
     path = write_csv(tmp_path / "a.csv", rows, "participant,item,question,side,score")
     records = read_responses([path], designed)
     scales = {"style": Scale(), "content": Scale(1, 5)}
-    settings = Settings(scales=scales, rules=Rules(missing_share=1.0, failed_checks=None), study=designed)
+    settings = AnalysisOptions(scales=scales, rules=Rules(missing_share=1.0, failed_checks=None), study=designed)
     found = analyze(records, {"one_sample_t": TESTS["one_sample_t"]}, settings)
     assert took_part(found).endswith(
         "9 answers are missing (style 4, content 5), of P01: style 4; P02: content 5. Those outside of the scale count "
@@ -264,7 +264,7 @@ def test_no_text_gets_out_of_hand(tmp_path):
     rows = [(*row[:2], f"style {evil}", *row[3:]) for row in rows]
     rows[0] = (*rows[0][:5], "=HYPERLINK(1) <img src=x onerror=alert(1)>")
     path = write_csv(tmp_path / "r.csv", rows, "participant,item,question,score,ours_is,comment")
-    found = analyze(read_responses([path]), {"one_sample_t": OneSampleT()}, Settings())
+    found = analyze(read_responses([path]), {"one_sample_t": OneSampleT()}, AnalysisOptions())
     page = report_html(found, title=evil)
     parser = Texts()
     parser.feed(page)
@@ -281,7 +281,7 @@ def test_no_text_gets_out_of_hand(tmp_path):
 @pytest.mark.parametrize(("people", "items"), [(1, 6), (6, 1), (1, 1), (6, 6)])
 def test_answers_that_say_little_give_a_report_all_the_same(tmp_path, people, items, score):
     rows = [(*row[:3], score if row[4] == "A" else 6 - score, row[4]) for row in answer_rows(people, items)]
-    found = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, Settings())
+    found = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, AnalysisOptions())
     content = json.loads(json.dumps(as_json(found), allow_nan=False))
     for row in content["questions"]["style"]["tests"]:
         assert row["pvalue"] is not None or row["note"]
@@ -336,6 +336,6 @@ def test_errors_leave_nothing(tmp_path, words, told, monkeypatch):
     write_csv(tmp_path / "r.csv", answer_rows(people=4, items=4))
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ValueError) as error:
-        Study()(["analyze", *words])
+        StudyCommand()(["analyze", *words])
     assert told in str(error.value)
     assert not (tmp_path / "out").exists()

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from study_cases import answer_rows, write_csv
 
-from anystyle_study.cells import Column, given_scale, given_words, scale_words
+from anystyle_study.cells import AnswerColumn, given_scale, given_words, scale_words
 from anystyle_study.checks import Rules, check
 from anystyle_study.contract import Scale
 from anystyle_study.reading import read_responses
@@ -228,7 +228,7 @@ def test_answers_are_read_as_spreadsheets_write_them(tmp_path, rows, caplog, wri
     ],
 )
 def test_numbers_of_a_column(cells, semicolons, numbers):
-    column = Column.of(cells, semicolons=semicolons)
+    column = AnswerColumn.of(cells, semicolons=semicolons)
     assert [column.number(cell) for cell in cells] == pytest.approx(numbers, nan_ok=True) or numbers == [None] * 6
     assert [column.number(cell) is None for cell in cells] == [number is None for number in numbers]
 
@@ -247,7 +247,7 @@ def test_words_without_a_score_are_listed_with_what_to_type(tmp_path, rows):
     for labels in ([AB[:4]], [AB, ["No difference=2"]], [[*AB[:4], AB[0]]]):
         with pytest.raises(ValueError, match="--labels"):
             given_words(labels, [Scale()])
-    assert Column("").score("5: no difference", words) is None
+    assert AnswerColumn("").score("5: no difference", words) is None
     assert given_scale([AB * 2]) == Scale(1, 10)
     assert given_scale([["a=1", "b=9"]]) == Scale()
 

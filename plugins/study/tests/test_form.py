@@ -11,7 +11,7 @@ import pytest
 from study_cases import small_study
 from study_serving import answer, kept_answers, post, serving
 
-from anystyle_study.command import Study
+from anystyle_study.command import StudyCommand
 from anystyle_study.reading import read_responses
 from anystyle_study.server import render, sequence, write_page
 from chromium import LOADED, start, until
@@ -168,7 +168,7 @@ def test_a_second_browser_is_told_until_the_code_is_released(page, designed, tmp
         start(page, f"{url}?p=P04")  # what the first browser had kept is not here
         page.wait("document.getElementById('codeerror').textContent.includes('another browser')")
         assert kept_answers(database, "P04") == chosen
-        Study()(["form", str(folder), "--database", str(database), "--release", "P04"])
+        StudyCommand()(["form", str(folder), "--database", str(database), "--release", "P04"])
         assert "P04 can go on" in capsys.readouterr().out
         start(page, f"{url}?p=P04")
         page.wait(f"document.getElementById('place').textContent === '2 of 5' && {LOADED}")

@@ -18,7 +18,7 @@ from study_cases import small_study
 from study_serving import PATIENCE, answer, claim, kept_answers, post, serving, token_of
 
 from anystyle_study.server import write_page
-from anystyle_study.store import Answer, Claim, Fact, Message, Refused, Store
+from anystyle_study.store import Claim, Fact, PostedAnswer, Refused, SessionMessage, Store
 from chromium import until
 
 
@@ -182,10 +182,10 @@ def test_the_end_is_told_once_every_answer_is_kept(designed, store):
     for item in order:
         for question, side in sides:
             with pytest.raises(Refused, match=r"\d+ answers are missing"):
-                store.finish(Message(study.id, "P01"), token_of("P01"))
-            message = msgspec.convert(answer(study, "P01", item, question, 2, side), Answer)
+                store.finish(SessionMessage(study.id, "P01"), token_of("P01"))
+            message = msgspec.convert(answer(study, "P01", item, question, 2, side), PostedAnswer)
             store.add(message, token_of("P01"))
-    assert store.finish(Message(study.id, "P01"), token_of("P01")) == {"code": "", "url": ""}
+    assert store.finish(SessionMessage(study.id, "P01"), token_of("P01")) == {"code": "", "url": ""}
     assert len(store.claim(Claim(study.id, "P01", token_of("P01")))["answers"]) == 3 * len(order)
 
 
@@ -193,7 +193,7 @@ def test_changed_answers_and_comments(designed, store, tmp_path):
     study, _ = designed
     store.claim(Claim(study.id, "P01", token_of("P01")))
     for score, revision in ((2, 1), (4, 2)):
-        message = msgspec.convert(answer(study, "P01", "set-001", score=score, revision=revision), Answer)
+        message = msgspec.convert(answer(study, "P01", "set-001", score=score, revision=revision), PostedAnswer)
         store.add(message, token_of("P01"))
     for value in ("=1+1", "=1+2"):
         store.note(Fact(study.id, "P01", "comment", value), token_of("P01"))

@@ -9,14 +9,14 @@ from typing import Any
 import torch
 
 from anystyle.contracts import Metric, SceneSource, StyleSource
+from anystyle.contracts.protocol import Evaluation, Protocol, Row, required
 from anystyle.errors import UserError
-from anystyle.evaluation.base import Evaluation, Progress, Protocol, Row, required
 from anystyle.evaluation.judge import SceneFigures, aggregate, judge_scene, mean
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import to_pil
 from anystyle.ranges import AtLeastOne
 from anystyle.stylizer import Stylizer
-from anystyle.types import Comparison, Scene, Style, Views
+from anystyle.types import Comparison, OnStep, Scene, Style, Views
 
 GUIDES = ("text", "image")
 DEPTH_CHANGE = "depth_change"
@@ -57,7 +57,7 @@ class TextAndImage(Protocol):
         self.num_scenes, self.num_styles = min(num_scenes, len(self.scenes)), min(num_styles, len(self.styles))
         self.num_views = num_views
 
-    def run(self, out: Path, progress: Progress) -> Evaluation:
+    def run(self, out: Path, progress: OnStep) -> Evaluation:
         options = {name: getattr(self, name) for name in ("num_scenes", "num_styles", "num_views")}
         figures: dict[str, dict[str, dict[str, SceneFigures]]] = {guide: {} for guide in GUIDES}
         runs = [(scene, guide) for scene in range(self.num_scenes) for guide in GUIDES]

@@ -53,7 +53,7 @@ class Tiny(StyleEncoder):
         self.dim = dim
         self.neutral = "a photo"
         self.image_tower = ImageTower(dim)
-        self.text_tower = TextTower(dim, text_width, text_layers, buckets, max_words)
+        self.text_tower = TinyTextTower(dim, text_width, text_layers, buckets, max_words)
         self.palette_head = nn.Linear(dim, 3 * KNOTS)
         nn.init.constant_(self.palette_head.bias, 0.5)
         self.register_buffer("image_mean", torch.zeros(dim))
@@ -119,7 +119,7 @@ class ImageTower(nn.Module):
         return F.normalize(self.head(read), dim=-1)
 
 
-class TextTower(nn.Module):
+class TinyTextTower(nn.Module):
     """From texts to raw vectors of unit norm."""
 
     def __init__(self, dim: int, width: int, layers: int, buckets: int, max_words: int) -> None:
@@ -127,7 +127,7 @@ class TextTower(nn.Module):
         self.max_words = max_words
         self.table = WordTable(buckets, width)
         self.positions = nn.Parameter(0.1 * torch.randn(max_words, width))
-        self.blocks = nn.ModuleList(Block(width) for _ in range(layers))
+        self.blocks = nn.ModuleList(TextBlock(width) for _ in range(layers))
         self.norm = nn.LayerNorm(width)
         self.head = nn.Linear(width, dim)
 
@@ -150,7 +150,7 @@ class TextTower(nn.Module):
         return (steps + start[:, None]).clamp_max(self.max_words - 1)
 
 
-class Block(nn.Module):
+class TextBlock(nn.Module):
     """A pre-norm transformer layer."""
 
     def __init__(self, width: int, heads: int = 4) -> None:

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, split
+from anystyle.contracts import Command
 from anystyle.errors import UserError
 from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.load import load_model
@@ -22,7 +23,6 @@ from anystyle.pipeline.stylize import encode_inputs
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import only_options
-from anystyle.registry.socket import Command
 from anystyle.vision.weights import license_lines, licenses
 from anystyle_viewer.session import CACHE_SIZE, Session
 

@@ -10,7 +10,7 @@ from PIL import Image
 from viewer_scene import FOCAL, SIZE, camera, write_scene
 
 from anystyle.commands import stylize
-from anystyle.methods.base import Method
+from anystyle.contracts import Method
 from anystyle.methods.branch import Branch
 from anystyle.pipeline.controls import blended, with_colors_of
 from anystyle.pipeline.restyle import Restyler

@@ -16,9 +16,9 @@ from anystyle.cli.arguments import new_parser, split
 from anystyle.cli.launch import checked_seed, describe, job_folder, launch, override, returned, with_sweep
 from anystyle.cli.run import run, words_of
 from anystyle.contracts import Correspondence, Metric, StyleEncoder, StyleSource
+from anystyle.contracts.protocol import Evaluation, Protocol
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
-from anystyle.evaluation.base import Evaluation, Progress, Protocol
 from anystyle.evaluation.config_lock import bind
 from anystyle.evaluation.runs import job_order
 from anystyle.io.checkpoint import read_header
@@ -30,6 +30,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.registry.jobs import command_line
 from anystyle.registry.schema import runtime_arguments
 from anystyle.registry.untrusted import check_saved
+from anystyle.types import OnStep
 
 BRANCH = "branch.safetensors"
 FOLDERS = ("content", "style", "stylized", "depth")
@@ -244,7 +245,7 @@ def configured(config: DictConfig, folder: Path) -> DictConfig:
     return merged
 
 
-def progress_lines() -> Progress:
+def progress_lines() -> OnStep:
     """Prints a line for each stage, and another every ten seconds."""
     printed: dict[str, float] = {}
 

@@ -62,7 +62,7 @@ def overview(known: Catalog) -> Iterator[str]:
     column = max(map(len, kinds())) + 3
     for kind in kinds():
         names = ", ".join(known.names(kind)) or "-"
-        title = f"{kind}{'*' if kind in KINDS and KINDS[kind].many else ''}"
+        title = f"{kind}{'*' if kind in KINDS and kind_named(kind).many else ''}"
         yield from _hanging(f"{title:<{column}}", names)
     yield ""
     yield "* several at once, as in loss=[content,style]. More: anystyle plugins KIND [NAME]"

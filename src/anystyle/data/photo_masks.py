@@ -12,11 +12,10 @@ from jaxtyping import Float
 from PIL import Image, ImageChops
 from torch import Tensor
 
-from anystyle.data.folder import Original, SourceImage
 from anystyle.data.images import SUFFIXES, listing, open_alpha, open_image, to_tensor
 from anystyle.errors import UserError
 from anystyle.io import video
-from anystyle.types import Views
+from anystyle.types import Original, SourceImage, Views
 
 MAX_ASPECT_ERROR = 0.02
 """A mask may differ by this fraction from its photograph's aspect."""

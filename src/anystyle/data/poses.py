@@ -6,13 +6,19 @@ from pathlib import Path
 
 import torch
 
-from anystyle.data.camera_reader import StoredCamera, readers
-from anystyle.data.folder import SourceImage
+from anystyle.contracts import CameraReader, StoredCamera
 from anystyle.data.names import differences, matched
 from anystyle.errors import UserError
-from anystyle.types import Cameras
+from anystyle.registry.build import build
+from anystyle.registry.catalog import catalog
+from anystyle.types import Cameras, SourceImage
 
 _log = logging.getLogger(__name__)
+
+
+def readers() -> list[CameraReader]:
+    """All readers of the catalog, by rank."""
+    return sorted((build(CameraReader, name) for name in catalog().names("cameras")), key=lambda reader: reader.rank)
 
 
 def view_camera(camera: StoredCamera, source: SourceImage) -> Cameras:

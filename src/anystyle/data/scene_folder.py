@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image
 
-from anystyle.contracts import SceneSource
-from anystyle.data.camera_reader import StoredCamera
+from anystyle.contracts import SceneSource, StoredCamera
 from anystyle.data.folder import as_views, common_size, image_files, nested_image_files, read_picture, require_views
 from anystyle.data.images import image_size, readable
 from anystyle.data.names import short_names

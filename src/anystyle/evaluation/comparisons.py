@@ -14,7 +14,7 @@ from torch import Tensor
 from anystyle.data.images import image_size, open_image, to_tensor
 from anystyle.errors import UserError
 from anystyle.evaluation.names import Names
-from anystyle.evaluation.pairing import Cell
+from anystyle.evaluation.pairing import StylizedImages
 from anystyle.io.arrays import read_array, read_arrays
 from anystyle.io.documents import read_json
 from anystyle.io.limits import require
@@ -34,7 +34,7 @@ class Reader:
         self._reference = lru_cache(256)(read)
         self._depth = lru_cache(1)(_read_depths)
 
-    def __call__(self, cell: Cell) -> Comparison:
+    def __call__(self, cell: StylizedImages) -> Comparison:
         """One cell as a batch of one; a UserError where a file cannot be read or sizes differ."""
         sizes = [image_size(path) for path in (*cell.stylized, *cell.content)]
         require(
@@ -89,7 +89,7 @@ def _read_depths(paths: tuple[Path | None, ...]) -> Float[Tensor, "1 V H W"]:
     return torch.stack([torch.zeros_like(first) if path is None else maps[path] for path in paths])[None]
 
 
-def _read_cameras(cell: Cell, size: tuple[int, int]) -> Cameras | None:
+def _read_cameras(cell: StylizedImages, size: tuple[int, int]) -> Cameras | None:
     if cell.cameras is None:
         return None
     arrays = read_arrays(cell.cameras, ("world_from_camera", "intrinsics", "size"), ("frames",), what=_CAMERAS)

@@ -12,12 +12,12 @@ from typing import Any
 import torch
 
 from anystyle.contracts import Metric
+from anystyle.contracts.protocol import SCENE, Evaluation, Row
 from anystyle.errors import UserError
-from anystyle.evaluation.base import SCENE, Evaluation, Progress, Row
 from anystyle.evaluation.comparisons import Reader
-from anystyle.evaluation.pairing import Cell, Pairing
+from anystyle.evaluation.pairing import Pairing, StylizedImages
 from anystyle.paths import natural
-from anystyle.types import Comparison
+from anystyle.types import Comparison, OnStep
 from anystyle.vision.preprocess import checked
 
 log = logging.getLogger(__name__)
@@ -53,7 +53,7 @@ def judge(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]) -> E
 
 
 def judge_pairing(
-    metrics: Mapping[str, Metric], pairing: Pairing, progress: Progress, *, stage: str = "judge"
+    metrics: Mapping[str, Metric], pairing: Pairing, progress: OnStep, *, stage: str = "judge"
 ) -> Evaluation:
     """The figures of paired image files."""
     if not metrics:
@@ -62,7 +62,7 @@ def judge_pairing(
         raise UserError("there is nothing to judge; give at least one stylized image with its photograph")
     reader, steps, total = Reader(), count(), len(pairing.cells)
 
-    def comparisons(cells: Sequence[Cell]) -> Iterator[Comparison]:
+    def comparisons(cells: Sequence[StylizedImages]) -> Iterator[Comparison]:
         for cell in cells:
             progress(stage, next(steps), total)
             yield reader(cell)

@@ -13,18 +13,17 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.contracts import Metric, SceneSource, StyleSource
+from anystyle.contracts import Method, Metric, SceneSource, StyleSource
+from anystyle.contracts.protocol import Evaluation, Protocol, required
 from anystyle.errors import UserError
-from anystyle.evaluation.base import Evaluation, Progress, Protocol, required
 from anystyle.evaluation.comparisons import read_seconds, seconds_file, write_cameras
 from anystyle.evaluation.judge import judge_pairing
 from anystyle.evaluation.pairing import CAMERAS, pair
 from anystyle.io.atomic import atomic_path
-from anystyle.methods.base import Method
 from anystyle.methods.branch import Branch
 from anystyle.ranges import AtLeastOne
 from anystyle.stylizer import Stylizer
-from anystyle.types import Scene, Style, Views
+from anystyle.types import OnStep, Scene, Style, Views
 
 RENDER_CHUNK = 4
 Variant = Literal["reference", "corrected"]
@@ -79,7 +78,7 @@ class ModelRenders(Protocol):
         _indices(required(given["scenes"], "scenes"), given["scene_names"])
         required(given["styles"], "styles")
 
-    def run(self, out: Path, progress: Progress) -> Evaluation:
+    def run(self, out: Path, progress: OnStep) -> Evaluation:
         images = out / "images"
         self._render(images, progress)
         folders = (images / name for name in ("content", "style", "stylized", "depth"))
@@ -102,7 +101,7 @@ class ModelRenders(Protocol):
             "frames) over the number of input images",
         )
 
-    def _render(self, images: Path, progress: Progress) -> None:
+    def _render(self, images: Path, progress: OnStep) -> None:
         total, done = len(self.planned_scenes) * len(self.planned_styles), 0
         for name, index in self.planned_styles.items():
             path = images / "style" / f"{name}{self.suffix}"

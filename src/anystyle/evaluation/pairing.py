@@ -21,7 +21,7 @@ MissingImages = Literal["refuse", "allow"]
 
 
 @dataclass(frozen=True)
-class Cell:
+class StylizedImages:
     """The stylized images of one scene in one style, in order of their frames; ``reference`` is the style image.
 
     The scene's name is empty where the images lie in one flat folder. ``numbers`` are those of the frames in the
@@ -66,13 +66,13 @@ class Pairing:
     ``notes`` say what was left aside.
     """
 
-    cells: tuple[Cell, ...]
+    cells: tuple[StylizedImages, ...]
     missing: tuple[Gap, ...] = ()
     notes: tuple[str, ...] = ()
 
-    def scenes(self) -> dict[str, list[Cell]]:
+    def scenes(self) -> dict[str, list[StylizedImages]]:
         """The cells of each scene."""
-        scenes: dict[str, list[Cell]] = {}
+        scenes: dict[str, list[StylizedImages]] = {}
         for cell in self.cells:
             scenes.setdefault(cell.scene, []).append(cell)
         return scenes
@@ -287,7 +287,7 @@ class _Matcher:
                 f"({listing(scenes, 4)}); give --content the folder of SCENE/FRAME.png"
             )
         own = [any(reading.own[index] for cell in found.values() for reading in cell.values()) for index in (0, 1)]
-        cells: list[Cell] = []
+        cells: list[StylizedImages] = []
         gaps: list[Gap] = []
         for scene in sorted(scenes, key=natural):
             numbers, expected = self._expected(scene, own)
@@ -322,14 +322,14 @@ class _Matcher:
         places = dict(zip(frames, sequence(frames), strict=True))
         return {path: places[frame] for path, (_, frame) in labels.items()}, expected
 
-    def _cell(self, rows: Sequence[_Reading], numbers: Mapping[Path, int]) -> Cell:
+    def _cell(self, rows: Sequence[_Reading], numbers: Mapping[Path, int]) -> StylizedImages:
         scene, root = rows[0].scene, self.roots[1]
         cameras = None
         if root is not None:
             files = (root / folder / CAMERAS for folder in (scene, *self.depth.folders.find(scene), ""))
             cameras = next((file for file in files if file.is_file()), None)
         depth = tuple(row.depth for row in rows)
-        return Cell(
+        return StylizedImages(
             scene=scene,
             style=rows[0].style,
             frames=tuple(row.frame for row in rows),

@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from anystyle.contracts.protocol import Evaluation, Row
 from anystyle.data.images import open_image
-from anystyle.evaluation.base import Evaluation, Row
-from anystyle.evaluation.run_table import Column, Line, half_width
+from anystyle.evaluation.run_table import ColumnKey, Line, half_width
 from anystyle.evaluation.tables import STAND_IN, number, titled
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import Cell, contact_sheet
@@ -79,14 +79,14 @@ def examples(evaluation: Evaluation, path: Path) -> None:
         sheet.save(temporary)
 
 
-def bars(lines: Sequence[Line], columns: Sequence[Column], better: Mapping[str, str], path: Path) -> bool:
+def bars(lines: Sequence[Line], columns: Sequence[ColumnKey], better: Mapping[str, str], path: Path) -> bool:
     """Draw a panel for each figure, in it a bar for each variant or published method; ``False`` without any figure.
 
     Several seeds are dots, with the 95 % interval of their mean.
     """
     # Figures of stand-ins are marked below their panels, and have no bars of their own.
     titles: dict[str, None] = {}
-    shown: dict[Column, dict[str, Line]] = {}
+    shown: dict[ColumnKey, dict[str, Line]] = {}
     for line in lines:
         title = line.title + "\npublished" * (line.origin == "published")
         titles[title := title + f"\n{line.state}" * bool(line.state)] = None
@@ -115,7 +115,7 @@ def bars(lines: Sequence[Line], columns: Sequence[Column], better: Mapping[str, 
     return True
 
 
-def _bar(axis: Any, level: int, line: Line, column: Column) -> list[float]:
+def _bar(axis: Any, level: int, line: Line, column: ColumnKey) -> list[float]:
     """Draw a value, its seeds and its interval if there are several; return all ends."""
     value, seeds = line.value(*column), line.values(column)
     axis.barh(level, value, color=COLORS[line.origin], height=0.66)

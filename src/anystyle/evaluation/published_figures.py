@@ -59,7 +59,7 @@ class _Row(msgspec.Struct):
     origin: str | None = None
 
 
-class _File(msgspec.Struct):
+class _PublishedFile(msgspec.Struct):
     sources: dict[str, str]
     rows: list[_Row]
     aliases: dict[str, str] = {}
@@ -68,8 +68,8 @@ class _File(msgspec.Struct):
 
 
 @lru_cache(1)
-def _bundled() -> _File:
-    return read_json(BUNDLED, _File)
+def _bundled() -> _PublishedFile:
+    return read_json(BUNDLED, _PublishedFile)
 
 
 def tables() -> dict[str, PublishedTable]:
@@ -92,7 +92,7 @@ def load(more: Sequence[Path] = ()) -> list[PublishedFigure]:
     for path in more:
         what = f"file of published figures, with 'sources' and 'rows' as in {BUNDLED.name}"
         try:
-            figures += _cells(read_json(path, _File, what=what))
+            figures += _cells(read_json(path, _PublishedFile, what=what))
         except UserError:
             raise
         except (KeyError, ValueError) as error:  # an unknown source, or a text that is no figure
@@ -100,7 +100,7 @@ def load(more: Sequence[Path] = ()) -> list[PublishedFigure]:
     return figures
 
 
-def _cells(stored: _File) -> list[PublishedFigure]:
+def _cells(stored: _PublishedFile) -> list[PublishedFigure]:
     return [
         PublishedFigure(
             method=row.method,

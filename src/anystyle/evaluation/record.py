@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import msgspec
 
-from anystyle.evaluation.base import SCENE, Evaluation, Row
+from anystyle.contracts.protocol import SCENE, Evaluation, Row
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.atomic import atomic_path, write_json
 from anystyle.io.documents import Figure, as_number, fit, read_json

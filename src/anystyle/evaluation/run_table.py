@@ -17,7 +17,7 @@ from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.sheet import Cell, TextCard
 from anystyle.paths import natural
 
-Column = tuple[str, str]
+ColumnKey = tuple[str, str]
 """A scene and the name of a figure."""
 
 ALL = ""
@@ -38,12 +38,12 @@ class Line:
     title: str
     origin: Literal["ours", "stand-in", "published", "none"]
     source: str
-    samples: Mapping[Column, tuple[float, ...]] = field(default_factory=dict)
+    samples: Mapping[ColumnKey, tuple[float, ...]] = field(default_factory=dict)
     state: str = ""
     runs: tuple[Run, ...] = ()
-    printed: Mapping[Column, str] = field(default_factory=dict)
+    printed: Mapping[ColumnKey, str] = field(default_factory=dict)
 
-    def values(self, column: Column) -> list[float]:
+    def values(self, column: ColumnKey) -> list[float]:
         """The values of a figure that are not ``nan``."""
         return [value for value in self.samples.get(column, ()) if not math.isnan(value)]
 
@@ -52,7 +52,7 @@ class Line:
         values = self.values((scene, name))
         return math.fsum(values) / len(values) if values else math.nan
 
-    def cell(self, column: Column) -> str:
+    def cell(self, column: ColumnKey) -> str:
         """A figure as text, with the half-width of its interval where there are several seeds."""
         if self.state or column in self.printed:
             return self.state or self.printed[column]
@@ -86,7 +86,7 @@ def lines_of(runs: Sequence[Run]) -> tuple[list[Line], dict[str, str]]:
             continue
         states = "/".join(sorted({run.state for run in members} - {"finished"}))
         title += f" ({len(members) - len(finished)} of {len(members)} seeds {states})" if states else ""
-        samples: dict[Column, tuple[float, ...]] = {}
+        samples: dict[ColumnKey, tuple[float, ...]] = {}
         stand_ins: set[str] = set()
         records = [run.record() for run in finished]
         missing = sum(record.missing() for record in records)
@@ -131,8 +131,8 @@ def published_lines(figures: Sequence[PublishedFigure]) -> tuple[list[Line], lis
 
 
 def _published_line(title: str, source: str, items: Sequence[PublishedFigure]) -> Line:
-    samples: dict[Column, tuple[float, ...]] = {}
-    printed: dict[Column, str] = {}
+    samples: dict[ColumnKey, tuple[float, ...]] = {}
+    printed: dict[ColumnKey, str] = {}
     for item in items:
         # A paper repeats rows in a later table, where it marks nothing.
         samples.setdefault((item.scene, item.figure), (item.value,))
@@ -146,7 +146,7 @@ def paper_table(
     """A table of the paper as it is printed, our rows below those of each block, contradictions in its notes."""
     printed = [item for item in figures if (item.source, item.table) == (form.source, name)]
     theirs = [_published_line(method, "", list(items)) for method, items in groupby(printed, lambda item: item.method)]
-    columns: list[Column] = []
+    columns: list[ColumnKey] = []
     rows: list[tuple[str, ...]] = []
     for block, names in (form.blocks or {"": form.figures}).items():
         columns = columns_of([*theirs, *ours], names, form.scenes)
@@ -183,7 +183,7 @@ def scenes_of(lines: Sequence[Line], names: Sequence[str]) -> list[str]:
     return list(dict.fromkeys(scene for line in lines for scene, name in line.samples if scene and name in names))
 
 
-def columns_of(lines: Sequence[Line], names: Sequence[str], scenes: Sequence[str]) -> list[Column]:
+def columns_of(lines: Sequence[Line], names: Sequence[str], scenes: Sequence[str]) -> list[ColumnKey]:
     """The figures of each scene for which any row has a value, then those that exist only over all scenes."""
     known = {column for line in lines for column in line.samples}
     columns = [(scene, name) for scene in scenes for name in names]
@@ -195,7 +195,7 @@ def columns_of(lines: Sequence[Line], names: Sequence[str], scenes: Sequence[str
 
 def table(
     lines: Sequence[Line],
-    columns: Sequence[Column],
+    columns: Sequence[ColumnKey],
     better: Mapping[str, str],
     *,
     notes: Sequence[str] = (),

@@ -7,15 +7,15 @@ from itertools import product
 from pathlib import Path
 from typing import Any, Literal
 
+from anystyle.contracts.protocol import Evaluation
 from anystyle.errors import UserError
 from anystyle.evaluation import record
-from anystyle.evaluation.base import Evaluation
 from anystyle.io.documents import kept_json, read_yaml
 from anystyle.registry.jobs import swept
 
 OVERRIDES = Path(".hydra") / "overrides.yaml"
 
-State = Literal["finished", "unfinished", "failed", "missing"]
+RunState = Literal["finished", "unfinished", "failed", "missing"]
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Run:
 
     folder: Path
     words: tuple[str, ...]
-    state: State
+    state: RunState
     evaluation: Path | None = None
     logged: Mapping[str, float] = field(default_factory=dict)
 
@@ -77,7 +77,7 @@ def _run(folder: Path) -> Run:
         if "provenance" not in stored and (value is None or type(value) in (int, float))
     }
     evaluation = _evaluation(folder)
-    state: State = "unfinished" if (folder / "last.ckpt").is_file() else "failed"
+    state: RunState = "unfinished" if (folder / "last.ckpt").is_file() else "failed"
     if evaluation or logged or any(folder.glob("*.safetensors")):
         state = "finished"
     return Run(folder, words, state, evaluation, logged)

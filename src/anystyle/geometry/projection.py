@@ -17,7 +17,7 @@ FRUSTUM_MARGIN = 0.15
 
 
 @dataclass(frozen=True)
-class Splats(Value):
+class ProjectedGaussians(Value):
     """Gaussians as one image shows them, nearest first.
 
     Args:
@@ -52,7 +52,7 @@ def project(
     near: float,
     far: float,
     eps2d: float,
-) -> Splats:
+) -> ProjectedGaussians:
     """Project the Gaussians between ``near`` and ``far`` that an image shows, differentiable in all tensors.
 
     Means and covariances are in world space; ``size`` is height and width in pixels. ``eps2d`` is added to the
@@ -85,4 +85,4 @@ def project(
     kept = seen.nonzero().squeeze(1)
     kept = kept[depth[kept].argsort(stable=True)]
     conics = torch.stack([yy[kept], -xy[kept], xx[kept]], dim=-1) / determinant[kept, None]
-    return Splats(index[kept], position[kept], conics, radii[kept], depth[kept])
+    return ProjectedGaussians(index[kept], position[kept], conics, radii[kept], depth[kept])

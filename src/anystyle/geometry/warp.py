@@ -32,7 +32,7 @@ def sample_at(image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"]) -
     return F.grid_sample(image, grid, mode="bilinear", padding_mode="zeros", align_corners=False)
 
 
-class Splat(NamedTuple):
+class ForwardWarp(NamedTuple):
     """A forward-warped image: the weighted mean of what falls onto each pixel, or 0, and the sum of weights."""
 
     image: Float[Tensor, "M C H W"]
@@ -41,7 +41,7 @@ class Splat(NamedTuple):
 
 def softmax_splat(
     image: Float[Tensor, "M C H W"], flow: Float[Tensor, "M 2 H W"], importance: Float[Tensor, "M 1 H W"]
-) -> Splat:
+) -> ForwardWarp:
     """Move pixels along a flow, (x, y) in pixels, onto their four neighbours, weighted by ``exp(importance)``.
 
     Softmax splatting (Niklaus and Liu, CVPR 2020) as the published consistency script uses it: what falls outside is
@@ -64,7 +64,7 @@ def softmax_splat(
         contribution = source * (bilinear * inside).flatten(1)[:, None]
         total.scatter_add_(2, index[:, None].expand_as(contribution), contribution)
     image_sum, weight_sum = total[:, :channels], total[:, channels:]
-    return Splat(
+    return ForwardWarp(
         image=(image_sum / (weight_sum + 1e-7)).unflatten(2, (height, width)),
         weight=weight_sum.unflatten(2, (height, width)),
     )

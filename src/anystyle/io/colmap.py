@@ -36,7 +36,7 @@ class Camera:
 
 
 @dataclass(frozen=True)
-class Photograph:
+class PosedImage:
     """A posed image: file, number of its camera, unit quaternion wxyz and translation of camera from world."""
 
     name: str
@@ -50,7 +50,7 @@ class Model:
     """A sparse model: cameras and images by number, ``N x 3`` positions in the world and their sRGB bytes."""
 
     cameras: Mapping[int, Camera]
-    photographs: Mapping[int, Photograph]
+    photographs: Mapping[int, PosedImage]
     points: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     colors: NDArray[np.uint8] = field(default_factory=lambda: np.zeros((0, 3), np.uint8))
 
@@ -71,7 +71,7 @@ def pinhole_model(
         x, y, z, w = quaternions[number - 1].tolist()
         tx, ty, tz = camera_from_world[number - 1, :3, 3].tolist()
         cameras[number] = Camera("PINHOLE", size, (fx, fy, cx, cy))
-        photographs[number] = Photograph(name, number, (w, x, y, z), (tx, ty, tz))
+        photographs[number] = PosedImage(name, number, (w, x, y, z), (tx, ty, tz))
     return Model(cameras, photographs, points, colors)
 
 

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.losses.features import FeatureLoss, Features
+from anystyle.losses.features import FeatureLoss
 from anystyle.types import Stylization
 
 
@@ -35,7 +35,7 @@ class Content(FeatureLoss):
         super().__init__(network, layers, size, weight)
         self.reduction: Literal["mean", "sum"] = reduction
 
-    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: Features) -> Float[Tensor, ""]:
+    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: FeatureFn) -> Float[Tensor, ""]:
         layers = zip(features(), self.targets(result.views.images), strict=True)
         scale = 1 if self.reduction == "mean" else 1 / len(images)
         return torch.stack([scale * F.mse_loss(*pair, reduction=self.reduction) for pair in layers]).sum()

@@ -16,11 +16,10 @@ from torch.utils.weak import WeakIdKeyDictionary
 
 from anystyle.contracts import Loss, StyleEncoder
 from anystyle.errors import UserError
-from anystyle.types import Renders, Stylization
+from anystyle.types import Renders, Source, Stylization
 from anystyle.vision import networks
 from anystyle.vision.eager_backward import eager_backward
 from anystyle.vision.feature_cache import identity
-from anystyle.vision.weights import Source
 
 
 def style_images(result: Stylization) -> tuple[Float[Tensor, "B 3 h w"], Bool[Tensor, " B"]] | None:
@@ -101,7 +100,7 @@ def reference_embeddings(
     return features_to_compare(reference_images(result, reference), (identity(encoder), size), embed)[0]
 
 
-Features = Callable[[], list[Float[Tensor, "M _ _ _"]]]
+FeatureFn = Callable[[], list[Float[Tensor, "M _ _ _"]]]
 """Gives features of images when they are needed: a style without an image needs none."""
 
 
@@ -139,7 +138,7 @@ class FeatureLoss(Loss):
         return eager_backward(value, result.renders.color.flatten(0, 1))
 
     @abstractmethod
-    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: Features) -> Float[Tensor, ""]:
+    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: FeatureFn) -> Float[Tensor, ""]:
         """The loss of images in place of the renders of ``result``; ``features`` gives theirs, of ``layers``."""
 
     def features(
@@ -174,7 +173,7 @@ class StatisticsLoss(FeatureLoss):
     def statistics(self, features: Float[Tensor, "M C h w"]) -> Float[Tensor, "M K D"]:
         """The statistics of one layer's features: K parts of D numbers each."""
 
-    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: Features) -> Float[Tensor, ""]:
+    def compare(self, result: Stylization, images: Float[Tensor, "M 3 H W"], features: FeatureFn) -> Float[Tensor, ""]:
         styles = style_images(result)
         if styles is None:
             return images.new_zeros(())

@@ -1,43 +1,5 @@
-"""The contract of a method: an encoded scene and a style to stylized Gaussians."""
+"""Deprecated, and gone in 0.3: see :mod:`anystyle.contracts`."""
 
-from abc import ABC, abstractmethod
+from anystyle.deprecated import moved
 
-from anystyle.registry.socket import Socket
-from anystyle.stylizer import Stylizer
-from anystyle.types import Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
-from anystyle.vision.weights import Source
-
-
-class Method(Socket, ABC):
-    """Stylizes one scene at a time; a constructor argument ``losses`` is passed by the framework, by name."""
-
-    @property
-    def sources(self) -> tuple[Source, ...]:
-        """The networks that it uses beside the stylizer's, for reports."""
-        return ()
-
-    @abstractmethod
-    def __call__(
-        self,
-        stylizer: Stylizer,
-        scene: Scene,
-        style: Style,
-        embedding: StyleEmbedding,
-        *,
-        on_progress: OnProgress = no_progress,
-    ) -> Gaussians:
-        """Stylize one scene, without changing it.
-
-        Args:
-            stylizer: Encoded the scene and the style, and renders.
-            scene: A batch of one.
-            style: Image, text, or neither where the style is a point between two; a batch of one.
-            embedding: The style, embedded by the stylizer's encoder.
-            on_progress: Called every few seconds.
-
-        Returns:
-            In the scene's frame, free of gradients.
-
-        Raises:
-            UserError: The style or the stylizer lacks what the method needs.
-        """
+__getattr__ = moved(__name__, "anystyle.contracts")

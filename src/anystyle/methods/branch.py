@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import torch
 
+from anystyle.contracts import Method
 from anystyle.geometry.harmonics import rgb_from_constant
-from anystyle.methods.base import Method
 from anystyle.methods.colors import colors_alone, covering_views, fit_colors, largest_shown
 from anystyle.ranges import Count, Share
 from anystyle.stylizer import Stylizer

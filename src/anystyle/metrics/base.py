@@ -14,13 +14,13 @@ from torchmetrics.utilities import dim_zero_cat
 
 from anystyle.contracts import Metric
 from anystyle.errors import UserError
-from anystyle.types import Comparison
+from anystyle.types import Comparison, Source
 from anystyle.vision import preprocess
 from anystyle.vision.embeddings import SourcedNetwork
 from anystyle.vision.feature_cache import CACHE, batch_size
 from anystyle.vision.lpips import Lpips
 from anystyle.vision.preprocess import checked, finite
-from anystyle.vision.weights import Source, checksums, stand_ins
+from anystyle.vision.weights import checksums, stand_ins
 
 
 class Pairs(NamedTuple):

@@ -4,14 +4,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from anystyle.data.camera_reader import StoredCamera, readers
-from anystyle.data.folder import SourceImage, covering, image_files, read_picture
+from anystyle.contracts import StoredCamera
+from anystyle.data.folder import covering, image_files, read_picture
 from anystyle.data.images import to_tensor
 from anystyle.data.names import short_names
-from anystyle.data.poses import read_poses, view_camera
+from anystyle.data.poses import read_poses, readers, view_camera
 from anystyle.errors import UserError
 from anystyle.pipeline.cameras import KnownCameras
-from anystyle.types import Cameras, Views
+from anystyle.types import Cameras, SourceImage, Views
 
 MAX_ASPECT_ERROR = 0.02
 """A stored camera's image may differ by this fraction from the photograph's aspect."""

@@ -13,9 +13,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Renderer
-from anystyle.data.folder import SourceImage
 from anystyle.errors import UserError
-from anystyle.types import Cameras, Gaussians
+from anystyle.types import Cameras, Gaussians, SourceImage
 
 LUMA = (0.2126, 0.7152, 0.0722)
 """Shares of red, green and blue in the brightness of sRGB (ITU-R BT.709)."""

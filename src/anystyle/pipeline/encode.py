@@ -11,7 +11,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.contracts import Reconstruction
-from anystyle.data.folder import SourceImage
 from anystyle.data.names import distinct
 from anystyle.errors import UserError
 from anystyle.geometry.transforms import Similarity
@@ -26,7 +25,7 @@ from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import slug
 from anystyle.registry.catalog import catalog
 from anystyle.stylizer import Stylizer
-from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, Views
+from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Scene, SourceImage, Views
 from anystyle.types.shapes import ShapeError, check_value
 
 RENDER_CHUNK = 4

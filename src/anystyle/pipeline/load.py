@@ -16,6 +16,7 @@ from anystyle.contracts import (
     Backbone,
     Injector,
     Loss,
+    Method,
     Placement,
     Reconstruction,
     Renderer,
@@ -25,7 +26,6 @@ from anystyle.contracts import (
 from anystyle.errors import UserError, did_you_mean
 from anystyle.io.checkpoint import Header, has_header, load_part, read_header, sha256
 from anystyle.io.limits import require
-from anystyle.methods.base import Method
 from anystyle.methods.branch import Branch
 from anystyle.paths import expanded
 from anystyle.pipeline.options import BranchOptions, ViewOptions
@@ -43,7 +43,7 @@ _log = logging.getLogger(__name__)
 
 PARTS = ("backbone", "style_encoder", "branch")
 PRECISIONS = ("fp32", "bf16", "reference")
-State = Mapping[str, Tensor]
+StateDict = Mapping[str, Tensor]
 _SMALLER = "choose a smaller one with model=NAME"
 
 
@@ -286,7 +286,7 @@ def default_device() -> torch.device:
 def build_and_load(
     config: DictConfig,
     ours: Mapping[str, Path],
-    published: Mapping[str, State],
+    published: Mapping[str, StateDict],
     style_encoder: StyleEncoder | None = None,
 ) -> tuple[Stylizer, dict[str, Header]]:
     """Build the parts and load each from our file or from a published state dict, which is taken without a copy.
@@ -322,7 +322,7 @@ def build_and_load(
 
 
 def _style_encoder(
-    config: DictConfig, ours: Mapping[str, Path], published: Mapping[str, State], headers: dict[str, Header]
+    config: DictConfig, ours: Mapping[str, Path], published: Mapping[str, StateDict], headers: dict[str, Header]
 ) -> StyleEncoder:
     with _on_meta("style_encoder" in published):
         encoder = build(StyleEncoder, config.style_encoder)

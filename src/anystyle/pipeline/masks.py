@@ -9,14 +9,14 @@ from jaxtyping import Float
 from kornia.filters import gaussian_blur2d
 from torch import Tensor
 
-from anystyle.data.folder import SourceImage, nested_image_files
+from anystyle.data.folder import nested_image_files
 from anystyle.data.images import open_image, to_tensor
 from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.methods.colors import fit_colors
 from anystyle.pipeline.controls import Mask, SeenScene
-from anystyle.types import Gaussians
+from anystyle.types import Gaussians, SourceImage
 
 Vector = tuple[float, float, float]
 

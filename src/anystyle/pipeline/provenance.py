@@ -12,14 +12,14 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.data.folder import SourceImage, files_of
+from anystyle.data.folder import files_of
 from anystyle.data.names import short_names
 from anystyle.examples import FOLDER, examples
 from anystyle.io import video
 from anystyle.io.checkpoint import sha256
 from anystyle.io.documents import parse_json
 from anystyle.paths import SHARED, text_of
-from anystyle.types import StyledScene
+from anystyle.types import SourceImage, StyledScene
 from anystyle.vision.weights import binding
 
 MADE_OF = "made of "

@@ -8,21 +8,20 @@ from pathlib import Path
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.contracts import Backbone, Reconstruction
-from anystyle.data.folder import SourceImage, covering, files_of, read_originals, read_views
+from anystyle.contracts import Backbone, PosedViews, PoseEstimator, Reconstruction, Verdict
+from anystyle.data.folder import covering, files_of, read_originals, read_views
 from anystyle.data.photo_masks import find_masks, masked_views, with_masks
 from anystyle.errors import UserError
 from anystyle.io import video
 from anystyle.paths import expanded
 from anystyle.pipeline.cameras import KnownCameras, from_views
 from anystyle.pipeline.options import PoseOptions, ViewOptions
-from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
 from anystyle.pipeline.saved import is_scene_file
 from anystyle.pipeline.stages import Stages
 from anystyle.reconstructions.feedforward import Feedforward
 from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
-from anystyle.types import Cameras, Views
+from anystyle.types import Cameras, SourceImage, Views
 
 _log = logging.getLogger(__name__)
 

@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
-from anystyle.methods.base import Method
 from anystyle.pipeline.controls import FIELDS, Controls, Mask, SeenScene, applied
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.styles import EmbeddedStyle

@@ -17,7 +17,6 @@ from anystyle.errors import UserError
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json
 from anystyle.io.sheet import Cell, save_png, style_sheet, thumbnails, to_pil
-from anystyle.methods.base import Method
 from anystyle.pipeline.encode import EncodedCapture
 from anystyle.pipeline.export import export_styles, film
 from anystyle.pipeline.load import LoadedModel
@@ -29,7 +28,7 @@ from anystyle.pipeline.stages import Stages
 from anystyle.pipeline.styles import EmbeddedStyle
 from anystyle.registry.catalog import catalog
 from anystyle.types import Cameras, Gaussians, Renders, StyledScene
-from anystyle.vision.weights import BINDING, binding, license_lines, licenses
+from anystyle.vision.weights import License, binding, license_lines, licenses
 
 VERSIONS = {name: version(name) for name in ("anystyle", "torch", "numpy")}
 WRITTEN = "scene, renders and video"
@@ -299,7 +298,7 @@ def _technical(report: dict[str, Any]) -> dict[str, object]:
     """A report without names, hashes, texts and paths."""
     left_out = ("inputs", "weights", "config", "provenance", "request")
     reconstruction = {name: value for name, value in report["reconstruction"].items() if name != "reasons"}
-    bound = {part: terms for part, terms in report["licenses"].items() if terms["means"] == BINDING}
+    bound = {part: terms for part, terms in report["licenses"].items() if License.named(terms["license"]).binds}
     kept = {name: value for name, value in report.items() if name not in left_out}
     return kept | {"reconstruction": reconstruction, "licenses": bound, "method": {"kind": report["method"]["kind"]}}
 

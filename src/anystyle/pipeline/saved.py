@@ -11,8 +11,7 @@ import torch
 from msgspec import Meta
 from safetensors import SafetensorError, safe_open
 
-from anystyle.contracts import Format
-from anystyle.data.camera_reader import StoredCamera
+from anystyle.contracts import Format, StoredCamera
 from anystyle.data.names import distinct, short_names
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError

@@ -9,8 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.data.camera_reader import StoredCamera
-from anystyle.data.folder import SourceImage, covering
+from anystyle.contracts import StoredCamera
+from anystyle.data.folder import covering
 from anystyle.data.names import short_names
 from anystyle.data.poses import view_camera
 from anystyle.geometry.cameras import look_at
@@ -24,7 +24,7 @@ from anystyle.pipeline.options import SplatOptions, ViewOptions
 from anystyle.pipeline.saved import cameras_beside, read_unturned, saved_cameras, unstyled_of
 from anystyle.pipeline.stages import Stages
 from anystyle.stylizer import Stylizer
-from anystyle.types import Cameras, Gaussians, Geometry, Renders, Scene, StyledScene, Views
+from anystyle.types import Cameras, Gaussians, Geometry, Renders, Scene, SourceImage, StyledScene, Views
 
 ELEVATIONS = (10.0, 35.0)
 """Degrees above the scene's middle, of two rings of chosen cameras."""

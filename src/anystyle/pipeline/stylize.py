@@ -9,10 +9,9 @@ from types import MappingProxyType
 import torch
 from torch import Tensor
 
-from anystyle.contracts import Reconstruction
+from anystyle.contracts import Method, Reconstruction
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory
-from anystyle.methods.base import Method
 from anystyle.pipeline.controls import Controls
 from anystyle.pipeline.encode import EncodedCapture, encode
 from anystyle.pipeline.load import LoadedModel, first_views, load_model

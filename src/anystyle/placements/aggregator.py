@@ -6,7 +6,7 @@ from anystyle.contracts import Placement
 from anystyle.types import Site, matching_sites
 
 
-class Aggregator(Placement):
+class AggregatorPlacement(Placement):
     """Style enters a copy of the aggregator, and reaches the copied head through its features alone.
 
     Args:

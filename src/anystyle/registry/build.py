@@ -17,7 +17,7 @@ T = TypeVar("T")
 def kind_of(base: type) -> str:
     """The kind of plugin whose contract a class is."""
     name = f"{base.__module__}:{base.__qualname__}"
-    known = {row.base: kind for kind, row in KINDS.items()}
+    known = {target: kind for kind, target in KINDS.items()}
     known |= {row.target: row.name for row in catalog() if row.kind == "kind"}
     if name not in known:
         raise PluginError(f"{name} is not the contract of any kind of plugin")

@@ -2,48 +2,31 @@
 
 import tomllib
 from pathlib import Path
-from typing import NamedTuple
 
-
-class Kind(NamedTuple):
-    """A socket that plugins fit.
-
-    Args:
-        base: The contract, as ``module:Class``.
-        many: Whether a configuration holds several at once.
-        runtime: Constructor arguments that the framework passes by name, and that are no options.
-    """
-
-    base: str
-    many: bool = False
-    runtime: tuple[str, ...] = ()
-
-
-KINDS: dict[str, Kind] = {
-    "backbone": Kind("anystyle.contracts:Backbone"),
-    "style_encoder": Kind("anystyle.contracts:StyleEncoder"),
-    "placement": Kind("anystyle.contracts:Placement"),
-    "injector": Kind("anystyle.contracts:Injector", runtime=("dim", "style_dim", "site")),
-    "renderer": Kind("anystyle.contracts:Renderer"),
-    "cameras": Kind("anystyle.data.camera_reader:CameraReader"),
-    "pose_estimator": Kind("anystyle.pipeline.poses:PoseEstimator"),
-    "reconstruction": Kind("anystyle.contracts:Reconstruction"),
-    "method": Kind("anystyle.methods.base:Method", runtime=("losses",)),
-    "loss": Kind("anystyle.contracts:Loss", many=True, runtime=("style_encoder",)),
-    "metric": Kind("anystyle.contracts:Metric", many=True, runtime=("style_encoder", "correspondence")),
-    "correspondence": Kind("anystyle.contracts:Correspondence"),
-    "scenes": Kind("anystyle.contracts:SceneSource", runtime=("resolution", "patch_size")),
-    "styles": Kind("anystyle.contracts:StyleSource"),
-    "training": Kind(
-        "anystyle.training.base:Training",
-        runtime=("backbone", "renderer", "style_encoder", "stylizer", "losses", "features"),
-    ),
-    "protocol": Kind(
-        "anystyle.evaluation.base:Protocol", runtime=("stylizer", "method", "metrics", "scenes", "styles")
-    ),
-    "format": Kind("anystyle.contracts:Format", runtime=("activated", "renderer")),
-    "command": Kind("anystyle.registry.socket:Command"),
+KINDS = {
+    kind: f"anystyle.contracts.{contract}"
+    for kind, contract in {
+        "backbone": "backbone:Backbone",
+        "style_encoder": "style:StyleEncoder",
+        "placement": "style:Placement",
+        "injector": "style:Injector",
+        "renderer": "scene:Renderer",
+        "cameras": "cameras:CameraReader",
+        "pose_estimator": "cameras:PoseEstimator",
+        "reconstruction": "scene:Reconstruction",
+        "method": "scene:Method",
+        "loss": "scores:Loss",
+        "metric": "scores:Metric",
+        "correspondence": "scores:Correspondence",
+        "scenes": "sources:SceneSource",
+        "styles": "sources:StyleSource",
+        "training": "training:Training",
+        "protocol": "protocol:Protocol",
+        "format": "format:Format",
+        "command": "command:Command",
+    }.items()
 }
+"""For each kind its contract, as ``module:Class``."""
 
 OPTIONS = {
     "branch": "anystyle.pipeline.options:BranchOptions",

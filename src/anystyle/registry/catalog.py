@@ -7,6 +7,7 @@ with :func:`plugin`. A package declares a kind of its own with an entry point ``
 contract.
 """
 
+import ast
 import importlib
 import logging
 import os
@@ -17,7 +18,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import msgspec
 
@@ -25,8 +26,8 @@ from anystyle import paths
 from anystyle.errors import UserError, one_line, unknown
 from anystyle.io.documents import read_toml
 from anystyle.paths import expanded
-from anystyle.registry.builtin import BUILTIN, KINDS, Kind
-from anystyle.registry.socket import Socket
+from anystyle.registry.builtin import BUILTIN, KINDS
+from anystyle.registry.pluggable import Pluggable
 
 VARIABLE = "ANYSTYLE_PLUGINS"
 _PREFIX = "anystyle."
@@ -44,12 +45,31 @@ def kinds() -> list[str]:
     return [*KINDS, *catalog().names(_KIND)]
 
 
-def kind_named(kind: str) -> Kind:
+class KindInfo(NamedTuple):
+    """What a kind's contract says of its plugins: see :class:`~anystyle.registry.pluggable.Pluggable`."""
+
+    many: bool
+    runtime: tuple[str, ...]
+
+
+def kind_named(kind: str) -> KindInfo:
     """A kind of plugin; a PluginError where there is none, or its package cannot be imported."""
     if kind in KINDS:
-        return KINDS[kind]
+        return _declared(KINDS[kind])
     contract = base_of(kind)
-    return Kind(f"{contract.__module__}:{contract.__qualname__}", contract.many, contract.runtime)
+    return KindInfo(contract.many, contract.runtime)
+
+
+@cache
+def _declared(target: str) -> KindInfo:
+    """What a contract of the core says, read from its source: importing it would import torch."""
+    module, _, name = target.partition(":")
+    tree = ast.parse((paths.PACKAGE.parent / module.replace(".", "/")).with_suffix(".py").read_bytes())
+    body = next(node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name)
+    values = {ast.unparse(node.targets[0]): node.value for node in body if isinstance(node, ast.Assign)}
+    return KindInfo(
+        *(ast.literal_eval(values[key]) if key in values else getattr(Pluggable, key) for key in KindInfo._fields)
+    )
 
 
 @dataclass(frozen=True)
@@ -87,7 +107,8 @@ class Plugin:
         base = base_of(self.kind)  # first: where its package is not installed, this makes it importable
         loaded = self.defined if self.defined is not None else _import(self)
         if not (isinstance(loaded, type) and issubclass(loaded, base)):
-            raise PluginError(f"{self} must inherit from {base.__module__}.{base.__qualname__}")
+            home = base.__module__.rpartition(".")[0] if self.kind in KINDS else base.__module__
+            raise PluginError(f"{self} must inherit from {home}.{base.__qualname__}")
         return loaded
 
 
@@ -102,16 +123,16 @@ def location_in(error: BaseException, module: str) -> str:
     return f" ({Path(frames[-1][0]).name}, line {frames[-1][1]})" if frames else ""
 
 
-def base_of(kind: str) -> type[Socket]:
+def base_of(kind: str) -> type[Pluggable]:
     """Import the contract of a kind; a PluginError where there is none, or its package cannot be imported."""
     if kind in KINDS:
-        module, _, name = KINDS[kind].base.partition(":")
+        module, _, name = KINDS[kind].partition(":")
         return getattr(importlib.import_module(module), name)
     if not (declared := catalog().declarations(_KIND, kind)):
         raise PluginError(unknown("kind of plugin", kind, kinds()))
     contract = _import(declared[0])
-    if not (isinstance(contract, type) and issubclass(contract, Socket)):
-        raise PluginError(f"{declared[0]} must inherit from {Socket.__module__}.{Socket.__qualname__}")
+    if not (isinstance(contract, type) and issubclass(contract, Pluggable)):
+        raise PluginError(f"{declared[0]} must inherit from {Pluggable.__module__}.{Pluggable.__qualname__}")
     return contract
 
 

@@ -21,6 +21,7 @@ from anystyle.registry.catalog import catalog, kinds
 from anystyle.registry.packages import groups, presets
 from anystyle.registry.schema import literal
 from anystyle.registry.source import register
+from anystyle.registry.untrusted import present
 
 VERSION_BASE = "1.3"
 ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
@@ -195,7 +196,11 @@ def _place(text: str) -> str:
 
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """The first five values that are not what they were, in words; empty where all are."""
+    """The first five values that are not what they were, in words; empty where all are.
+
+    A class that has moved is what it was.
+    """
+    before = {key: present(str(value)) if key.endswith("_target_") else value for key, value in before.items()}
     changed = sorted(key for key in {*before, *now} if not _same(before.get(key), now.get(key)))
     shown = [f"{key} {before.get(key)} -> {now.get(key)}" for key in changed[:5]]
     return ", ".join([*shown, *(["…"] if len(changed) > 5 else [])])

@@ -10,7 +10,7 @@ from anystyle.errors import UserError
 from anystyle.registry.catalog import catalog
 
 MOVED: dict[str, str] = tomllib.loads(Path(__file__).with_name("moved.toml").read_text(encoding="utf-8"))
-"""The beginnings of the paths of classes that have moved, and the present ones."""
+"""Paths of classes that have moved, and the present ones; those that end in ``.`` are of packages."""
 
 
 def check_saved(config: Mapping[str, Any], source: object) -> dict[str, Any]:
@@ -44,9 +44,15 @@ def check_saved(config: Mapping[str, Any], source: object) -> dict[str, Any]:
     return checked(config, "")
 
 
-def _moved(path: str, source: object) -> str:
+def present(path: str) -> str:
+    """The present path of a class, which may have moved."""
     for old, new in MOVED.items():
-        if path.startswith(old):
-            warnings.warn(f"{source}: {path} is {new}{path[len(old) :]} now", DeprecationWarning, stacklevel=4)
+        if path == old or (old.endswith(".") and path.startswith(old)):
             return new + path[len(old) :]
     return path
+
+
+def _moved(path: str, source: object) -> str:
+    if (now := present(path)) != path:
+        warnings.warn(f"{source}: {path} is {now} now", DeprecationWarning, stacklevel=4)
+    return now

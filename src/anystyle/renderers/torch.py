@@ -7,7 +7,7 @@ from torch.nn.functional import normalize
 from torch.utils.checkpoint import checkpoint
 
 from anystyle.geometry.harmonics import colors
-from anystyle.geometry.projection import MIN_ALPHA, Splats, covariances, project
+from anystyle.geometry.projection import MIN_ALPHA, ProjectedGaussians, covariances, project
 from anystyle.renderers.rasterizer import CappedRasterizer, at_least_single
 from anystyle.types import Cameras, Gaussians
 
@@ -50,7 +50,11 @@ class TorchRenderer(CappedRasterizer):
         return self._blend(splats, opacities[splats.index], payload, cameras.size)
 
     def _blend(
-        self, splats: Splats, opacities: Float[Tensor, " n"], payload: Float[Tensor, "n 4"], size: tuple[int, int]
+        self,
+        splats: ProjectedGaussians,
+        opacities: Float[Tensor, " n"],
+        payload: Float[Tensor, "n 4"],
+        size: tuple[int, int],
     ) -> Float[Tensor, "5 H W"]:
         height, width = size
         rows = []

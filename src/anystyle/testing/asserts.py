@@ -11,7 +11,7 @@ from torch import Tensor
 from anystyle.testing.subject import Subject
 from anystyle.types import Cameras, Value
 
-Source = TypeVar("Source", bound=Sized)
+_Source = TypeVar("_Source", bound=Sized)
 
 ONE_LINE = r"\A.+\Z"
 """Matches error messages of one line."""
@@ -79,7 +79,7 @@ def srgb(images: Tensor, what: str) -> None:
     assert valid, f"{what}: {images.dtype} from {low:.3g} to {high:.3g} on {images.device}, not float32 in [0, 1]"
 
 
-def copies(plugin: Subject[Source]) -> Iterator[tuple[str, Source]]:
+def copies(plugin: Subject[_Source]) -> Iterator[tuple[str, _Source]]:
     """The source itself, its copy in a worker, and a new instance."""
     source = plugin.instance
     yield "this source", source

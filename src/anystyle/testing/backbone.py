@@ -14,12 +14,10 @@ from anystyle.testing.subject import Subject
 from anystyle.types import Attributes, Cameras, Clusters, Gaussians, Geometry, Scene, Tokens, Views, untouched
 from anystyle.types.shapes import check_value
 
-Plugin = Subject[Backbone]
-
 PARTS = ("embedder", "aggregator", "geometry_head", "gaussian_head", "adapter")
 
 
-def test_encodes_views(plugin: Plugin) -> None:
+def test_encodes_views(plugin: Subject[Backbone]) -> None:
     """It has five parts, ``patch_size`` and ``resolution``, and encodes any number of views, square or not."""
     for name in PARTS:
         base = getattr(contracts, name.title().replace("_", ""))
@@ -33,7 +31,7 @@ def test_encodes_views(plugin: Plugin) -> None:
 
 
 @torch.no_grad()
-def test_encodes_several_scenes_at_once(plugin: Plugin) -> None:
+def test_encodes_several_scenes_at_once(plugin: Subject[Backbone]) -> None:
     """A batch of scenes gives what each scene gives alone."""
     together = _views(plugin, batch=2)
     _assert_encodes(plugin, together)
@@ -48,7 +46,7 @@ def test_encodes_several_scenes_at_once(plugin: Plugin) -> None:
 
 
 @torch.no_grad()
-def test_numbers_are_finite(plugin: Plugin) -> None:
+def test_numbers_are_finite(plugin: Subject[Backbone]) -> None:
     """Nothing is NaN or infinite, not for black or white images either."""
     images = _views(plugin).images
     for given in (images, torch.zeros_like(images), torch.ones_like(images)):
@@ -56,7 +54,7 @@ def test_numbers_are_finite(plugin: Plugin) -> None:
         asserts.finite((scene, _gaussians(plugin.instance, scene)), "the encoded scene")
 
 
-def test_cameras_are_rigid_pinholes(plugin: Plugin) -> None:
+def test_cameras_are_rigid_pinholes(plugin: Subject[Backbone]) -> None:
     """Poses are rotations and translations, focal lengths positive, and the confidence of the depth at least 0."""
     geometry = _scene(plugin).geometry
     asserts.cameras(geometry.cameras, _views(plugin).size)
@@ -64,7 +62,7 @@ def test_cameras_are_rigid_pinholes(plugin: Plugin) -> None:
     assert lowest >= 0, f"a confidence of {lowest:.3g}"
 
 
-def test_gaussians_are_renderable(plugin: Plugin) -> None:
+def test_gaussians_are_renderable(plugin: Subject[Backbone]) -> None:
     """Opacities lie in [0, 1], scales are at least 0, and a padded Gaussian is transparent."""
     scene = _scene(plugin, batch=2)
     gaussians, clusters = _gaussians(plugin.instance, scene), scene.clusters
@@ -78,7 +76,7 @@ def test_gaussians_are_renderable(plugin: Plugin) -> None:
 
 
 @torch.no_grad()
-def test_every_site_is_visited(plugin: Plugin) -> None:
+def test_every_site_is_visited(plugin: Subject[Backbone]) -> None:
     """Every site, and no other, is passed to ``inject``, in the order of ``sites``, with the declared channels."""
     backbone, given = plugin.instance.freeze(), _views(plugin)
     visited: dict[str, Tokens] = {}
@@ -95,7 +93,7 @@ def test_every_site_is_visited(plugin: Plugin) -> None:
 
 
 @torch.no_grad()
-def test_injected_tokens_are_used(plugin: Plugin) -> None:
+def test_injected_tokens_are_used(plugin: Subject[Backbone]) -> None:
     """The network goes on with the tokens that ``inject`` returns: the same bits if they are the same."""
     backbone, scene = plugin.instance.freeze(), _scene(plugin)
     _assert_same_parts(backbone.aggregator, backbone.gaussian_head, scene, "without injection")
@@ -115,7 +113,7 @@ def test_injected_tokens_are_used(plugin: Plugin) -> None:
 
 
 @torch.no_grad()
-def test_encoding_twice_is_the_same(plugin: Plugin) -> None:
+def test_encoding_twice_is_the_same(plugin: Subject[Backbone]) -> None:
     """The same views give the same scene, bit for bit, and are left as they were."""
     backbone, given = plugin.instance.freeze(), _views(plugin)
     first = backbone.encode(given).map(Tensor.clone)
@@ -124,7 +122,7 @@ def test_encoding_twice_is_the_same(plugin: Plugin) -> None:
 
 
 @torch.no_grad()
-def test_copies_compute_the_same(plugin: Plugin) -> None:
+def test_copies_compute_the_same(plugin: Subject[Backbone]) -> None:
     """Deep copies of the aggregator and of the Gaussian head give the same bits, on weights of their own."""
     backbone, scene = plugin.instance.freeze(), _scene(plugin)
     aggregator, head = copy.deepcopy(backbone.aggregator), copy.deepcopy(backbone.gaussian_head)
@@ -134,7 +132,7 @@ def test_copies_compute_the_same(plugin: Plugin) -> None:
     _assert_same_parts(backbone.aggregator, backbone.gaussian_head, scene, "after the copy learned")
 
 
-def test_frozen_for_good(plugin: Plugin) -> None:
+def test_frozen_for_good(plugin: Subject[Backbone]) -> None:
     """After ``freeze`` nothing learns, and every module stays in ``eval`` mode."""
     backbone = plugin.build().freeze().train()
     active = [name for name, module in backbone.named_modules() if module.training]
@@ -142,7 +140,7 @@ def test_frozen_for_good(plugin: Plugin) -> None:
     assert not active, f"after `freeze()` and `train()`, still in training mode or learning: {active[:3]}"
 
 
-def test_attributes_carry_gradients(plugin: Plugin) -> None:
+def test_attributes_carry_gradients(plugin: Subject[Backbone]) -> None:
     """The adapter is differentiable in opacity, scale, rotation and colour."""
     scene = _scene(plugin)
     leaves: Attributes = scene.attributes.map(lambda tensor: tensor.clone().requires_grad_())
@@ -153,7 +151,7 @@ def test_attributes_carry_gradients(plugin: Plugin) -> None:
         asserts.gradient(getattr(leaves, name).grad, f"`attributes.{name}`")
 
 
-def _views(plugin: Plugin, *, batch: int = 1, number: int = 2, shape: tuple[int, int] = (3, 3)) -> Views:
+def _views(plugin: Subject[Backbone], *, batch: int = 1, number: int = 2, shape: tuple[int, int] = (3, 3)) -> Views:
     """Views of ``batch`` scenes; ``shape`` is height and width in patches."""
     patch = plugin.instance.patch_size
     return views(batch, number, (shape[0] * patch, shape[1] * patch))
@@ -161,7 +159,7 @@ def _views(plugin: Plugin, *, batch: int = 1, number: int = 2, shape: tuple[int,
 
 @cache
 @torch.no_grad()
-def _scene(plugin: Plugin, batch: int = 1) -> Scene:
+def _scene(plugin: Subject[Backbone], batch: int = 1) -> Scene:
     return plugin.instance.freeze().encode(_views(plugin, batch=batch))
 
 
@@ -170,7 +168,7 @@ def _gaussians(backbone: Backbone, scene: Scene) -> Gaussians:
 
 
 @torch.no_grad()
-def _assert_encodes(plugin: Plugin, given: Views) -> None:
+def _assert_encodes(plugin: Subject[Backbone], given: Views) -> None:
     """Hold all that ``encode`` returns, and the adapter's Gaussians, against the shapes their types declare."""
     backbone = plugin.instance.freeze()
     batch, number, _, height, width = given.images.shape

@@ -1,4 +1,4 @@
-"""What a reader of stored cameras promises: see :class:`anystyle.data.camera_reader.CameraReader`."""
+"""What a reader of stored cameras promises: see :class:`anystyle.contracts.CameraReader`."""
 
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,16 +8,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.contracts import CameraReader, StoredCamera
 from anystyle.data.folder import image_files
 from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.testing.subject import Subject
 
-Plugin = Subject[CameraReader]
 
-
-def test_reads_its_example(plugin: Plugin) -> None:
+def test_reads_its_example(plugin: Subject[CameraReader]) -> None:
     """Of the folder that ``example`` writes it reads a camera for each photograph: rigid, finite, of its aspect."""
     with _example(plugin) as (path, images):
         cameras = plugin.instance.read(path, images)
@@ -38,7 +36,7 @@ def test_reads_its_example(plugin: Plugin) -> None:
         assert all(same) and len(cameras) == len(again), "other cameras the second time"
 
 
-def test_finds_its_own_and_nothing_else(plugin: Plugin) -> None:
+def test_finds_its_own_and_nothing_else(plugin: Subject[CameraReader]) -> None:
     """It finds nothing in an empty folder, and a damaged file raises a UserError."""
     with tempfile.TemporaryDirectory() as folder:
         assert plugin.instance.find(Path(folder)) is None, "cameras in an empty folder"
@@ -51,13 +49,13 @@ def test_finds_its_own_and_nothing_else(plugin: Plugin) -> None:
             assert len(str(error).splitlines()) == 1, f"an error of more than a line: {error}"
 
 
-def _read_or_miss(plugin: Plugin, path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
+def _read_or_miss(plugin: Subject[CameraReader], path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
     found = plugin.instance.find(path)
     return {} if found is None else plugin.instance.read(found, images)
 
 
 @contextmanager
-def _example(plugin: Plugin) -> Iterator[tuple[Path, list[Path]]]:
+def _example(plugin: Subject[CameraReader]) -> Iterator[tuple[Path, list[Path]]]:
     """What the reader finds in its example, and the photographs."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

@@ -1,9 +1,9 @@
-"""What a command promises: see :class:`anystyle.registry.socket.Command`."""
+"""What a command promises: see :class:`anystyle.contracts.Command`."""
 
 import pytest
 
+from anystyle.contracts import Command
 from anystyle.errors import UserError
-from anystyle.registry.socket import Command
 from anystyle.testing.asserts import ONE_LINE
 from anystyle.testing.subject import Subject
 

@@ -11,13 +11,11 @@ from anystyle.testing.subject import Subject
 from anystyle.types import Flow, Frames
 from anystyle.types.shapes import check_value
 
-Plugin = Subject[Correspondence]
-
 SIZE = (96, 128)
 FOCAL, DEPTH = 100.0, 4.0
 
 
-def test_flow_has_the_shape_of_the_frames(plugin: Plugin) -> None:
+def test_flow_has_the_shape_of_the_frames(plugin: Subject[Correspondence]) -> None:
     """It gives one displacement and one visibility a pixel, for any number of pairs and any size."""
     for number, size in ((1, SIZE), (2, (128, 96))):
         flow = plugin.instance(_wall(number, size), _wall(number, size, shift=4))
@@ -25,7 +23,7 @@ def test_flow_has_the_shape_of_the_frames(plugin: Plugin) -> None:
         asserts.finite(flow, "the flow")
 
 
-def test_moved_cameras_are_followed(plugin: Plugin) -> None:
+def test_moved_cameras_are_followed(plugin: Subject[Correspondence]) -> None:
     """A wall moves against the camera by as many pixels, x first; what left the frame is not visible."""
     for shift, drop in ((0, 0), (6, 0), (0, 5)):
         flow = plugin.instance(_wall(1, SIZE), _wall(1, SIZE, shift=shift, drop=drop))
@@ -40,7 +38,7 @@ def test_moved_cameras_are_followed(plugin: Plugin) -> None:
     assert visible < 0.2, f"{100 * visible:.0f} % of the left margin visible after the wall moved left by 24 pixels"
 
 
-def test_pairs_are_independent(plugin: Plugin) -> None:
+def test_pairs_are_independent(plugin: Subject[Correspondence]) -> None:
     """A batch of pairs gives what each pair gives alone, and the same again; frames are left as they were."""
     source, target = _wall(2, SIZE), _wall(2, SIZE, shift=4)
     before = source.map(Tensor.clone)

@@ -13,12 +13,10 @@ from anystyle.testing.subject import Subject, seeded
 from anystyle.types import Site, Tokens
 from anystyle.types.shapes import check_value
 
-Plugin = Subject[Injector]
-
 STYLE_DIM, DIM = 24, 64
 
 
-def test_changes_nothing_at_initialisation(plugin: Plugin) -> None:
+def test_changes_nothing_at_initialisation(plugin: Subject[Injector]) -> None:
     """Before any training it returns the tokens bit for bit, for any number of channels, views and tokens."""
     for seed, dim in enumerate((DIM, DIM, 128)):
         injector = plugin.build(seed, dim=dim, style_dim=STYLE_DIM, site=Site("head/tokens", dim))
@@ -31,7 +29,7 @@ def test_changes_nothing_at_initialisation(plugin: Plugin) -> None:
             assert kept, f"{result.grid=}, {result.special=}, {result.data.dtype=}; return `tokens.with_patches(...)`"
 
 
-def test_learns_everywhere_by_the_second_step(plugin: Plugin) -> None:
+def test_learns_everywhere_by_the_second_step(plugin: Subject[Injector]) -> None:
     """It has parameters; after one optimiser step each has a gradient that is finite and not all 0."""
     parameters = dict(_trained(plugin).named_parameters())
     assert parameters, "no parameters"
@@ -40,7 +38,7 @@ def test_learns_everywhere_by_the_second_step(plugin: Plugin) -> None:
 
 
 @torch.no_grad()
-def test_style_matters_after_training(plugin: Plugin) -> None:
+def test_style_matters_after_training(plugin: Subject[Injector]) -> None:
     """After training, two styles change the same tokens differently, and finitely; the tokens that came in stay."""
     tokens = _tokens(1, 2, (3, 5), 5)
     before = tokens.data.clone()
@@ -51,7 +49,7 @@ def test_style_matters_after_training(plugin: Plugin) -> None:
 
 
 @torch.no_grad()
-def test_styles_of_a_batch_stay_apart(plugin: Plugin) -> None:
+def test_styles_of_a_batch_stay_apart(plugin: Subject[Injector]) -> None:
     """Each row of a batch gets its own style: a batch gives what its rows give alone."""
     tokens, style = _tokens(3, 2, (3, 5), 5), _style(3)
     together = _trained(plugin)(tokens, style).data
@@ -61,14 +59,14 @@ def test_styles_of_a_batch_stay_apart(plugin: Plugin) -> None:
 
 
 @torch.no_grad()
-def test_views_have_no_order(plugin: Plugin) -> None:
+def test_views_have_no_order(plugin: Subject[Injector]) -> None:
     """Views in another order give the same tokens in that order."""
     tokens, style, order = _tokens(2, 3, (3, 5), 5), _style(2), [2, 0, 1]
     reordered = _trained(plugin)(tokens.with_data(tokens.data[:, order]), style).data
     asserts.close(reordered, _trained(plugin)(tokens, style).data[:, order], "tokens of views in another order")
 
 
-def test_gradients_reach_tokens_and_style(plugin: Plugin) -> None:
+def test_gradients_reach_tokens_and_style(plugin: Subject[Injector]) -> None:
     """After training, it is differentiable in the tokens and in the style."""
     tokens, style = _tokens(1, 2, (3, 5), 5), _style(1).requires_grad_()
     data = tokens.data.clone().requires_grad_()
@@ -89,7 +87,7 @@ def _style(batch: int, seed: int = 0) -> Float[Tensor, "B D"]:
 
 @cache
 @torch.enable_grad()
-def _trained(plugin: Plugin) -> Injector:
+def _trained(plugin: Subject[Injector]) -> Injector:
     """After a step towards random tokens, so that no direction of the error is 0; with the gradients of the second."""
     injector = plugin.build(dim=DIM, style_dim=STYLE_DIM, site=Site("head/tokens", DIM))
     optimizer = torch.optim.Adam(injector.parameters(), lr=1e-2) if any(True for _ in injector.parameters()) else None

@@ -14,10 +14,8 @@ from anystyle.testing.subject import Subject, seeded
 from anystyle.types import Stylization
 from anystyle.types.shapes import check_tensor
 
-Plugin = Subject[Loss]
 
-
-def test_value_is_one_finite_number(plugin: Plugin) -> None:
+def test_value_is_one_finite_number(plugin: Subject[Loss]) -> None:
     """It has a ``weight``, and gives a finite number for any scenes, and for styles of an image or a text alone."""
     assert isinstance(getattr(_loss(plugin), "weight", None), int | float), "`weight` is no number; set it"
     for batch, number, size in ((1, 2, (80, 80)), (2, 3, (64, 80)), (1, 1, (96, 64))):
@@ -26,7 +24,7 @@ def test_value_is_one_finite_number(plugin: Plugin) -> None:
     _assert_number(_value(plugin, stylization(image=False)))
 
 
-def test_absent_images_are_not_read(plugin: Plugin) -> None:
+def test_absent_images_are_not_read(plugin: Subject[Loss]) -> None:
     """Where ``style.has_image`` is false, the pixels of that row change nothing."""
     result = stylization(2, 2)
     assert result.style.image is not None
@@ -38,7 +36,7 @@ def test_absent_images_are_not_read(plugin: Plugin) -> None:
     asserts.close(after, before, "the loss with other pixels where a style has no image", tolerance=1e-5)
 
 
-def test_value_is_reproducible(plugin: Plugin) -> None:
+def test_value_is_reproducible(plugin: Subject[Loss]) -> None:
     """After the same seed the same stylization gives the same number, and is left as it was."""
     result = stylization(1, 2)
     before = result.map(lambda tensor: tensor.detach().clone())
@@ -46,7 +44,7 @@ def test_value_is_reproducible(plugin: Plugin) -> None:
     asserts.same(result, before, "the stylization after the loss was computed")
 
 
-def test_something_learns_from_it(plugin: Plugin) -> None:
+def test_something_learns_from_it(plugin: Subject[Loss]) -> None:
     """It has a finite gradient in the renders, the Gaussians or what the backbone predicted."""
     result = stylization(1, 2)
     scene = result.scene.map(lambda t: t.detach().clone().requires_grad_(t.is_floating_point()))
@@ -58,11 +56,11 @@ def test_something_learns_from_it(plugin: Plugin) -> None:
 
 
 @cache
-def _loss(plugin: Plugin) -> Loss:
+def _loss(plugin: Subject[Loss]) -> Loss:
     return plugin.build(style_encoder=style_encoder()).eval()
 
 
-def _value(plugin: Plugin, result: Stylization) -> Tensor:
+def _value(plugin: Subject[Loss], result: Stylization) -> Tensor:
     with seeded(0):
         return _loss(plugin)(result)
 

@@ -1,4 +1,4 @@
-"""What a method promises: see :class:`anystyle.methods.base.Method`."""
+"""What a method promises: see :class:`anystyle.contracts.Method`."""
 
 from contextlib import suppress
 from functools import cache
@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from anystyle.branch import COLOR, StyleBranch, sites_of
-from anystyle.methods.base import Method
+from anystyle.contracts import Method
 from anystyle.stylizer import Stylizer
 from anystyle.testing import asserts
 from anystyle.testing.inputs import images, views
@@ -19,10 +19,8 @@ from anystyle.types import Gaussians, Scene, Style
 from anystyle.types.progress import Progress
 from anystyle.types.shapes import check_value
 
-Plugin = Subject[Method]
 
-
-def test_gives_gaussians(plugin: Plugin) -> None:
+def test_gives_gaussians(plugin: Subject[Method]) -> None:
     """It gives finite Gaussians of one scene, without gradients, which can be rendered."""
     gaussians, (stylizer, scene) = _once(plugin), _world()
     check_value(gaussians, Gaussians, "the method", B=1)
@@ -31,7 +29,7 @@ def test_gives_gaussians(plugin: Plugin) -> None:
     asserts.finite(stylizer.render(gaussians, scene.cameras), "renders of the stylized Gaussians")
 
 
-def test_leaves_the_scene_alone(plugin: Plugin) -> None:
+def test_leaves_the_scene_alone(plugin: Subject[Method]) -> None:
     """The scene and the stylizer's weights are left as they were, for the next style."""
     stylizer, scene = _world()
     before, weights = scene.map(torch.clone), {name: value.clone() for name, value in stylizer.state_dict().items()}
@@ -40,20 +38,20 @@ def test_leaves_the_scene_alone(plugin: Plugin) -> None:
     asserts.same(stylizer.state_dict(), weights, "weights of the stylizer")
 
 
-def test_gives_the_same_twice(plugin: Plugin) -> None:
+def test_gives_the_same_twice(plugin: Subject[Method]) -> None:
     """A new instance gives the same for the same scene and style, also where the caller turned gradients off."""
     with torch.no_grad():
         asserts.same(_run(plugin, *_world()), _once(plugin), "the Gaussians of a second run")
 
 
-def test_styles_may_lack_a_part(plugin: Plugin) -> None:
+def test_styles_may_lack_a_part(plugin: Subject[Method]) -> None:
     """A style that is a text alone, or an embedding alone, gives Gaussians or a ValueError."""
     for style in (Style(text=("deep blue",)), Style()):
         with suppress(ValueError):
             _run(plugin, *_world(), style)
 
 
-def test_progress_can_be_shown(plugin: Plugin) -> None:
+def test_progress_can_be_shown(plugin: Subject[Method]) -> None:
     """Every report of progress is one line, and has an image [3, height, width] in [0, 1] or none."""
     reports: list[Progress] = []
     _run(plugin, *_world(), on_progress=reports.append)
@@ -77,12 +75,14 @@ def _world() -> tuple[Stylizer, Scene]:
         return stylizer, stylizer.encode(views(1, 2, (16, 24)))
 
 
-def _run(plugin: Plugin, stylizer: Stylizer, scene: Scene, style: Style | None = None, **rest: Any) -> Gaussians:
+def _run(
+    plugin: Subject[Method], stylizer: Stylizer, scene: Scene, style: Style | None = None, **rest: Any
+) -> Gaussians:
     given = style or Style(image=images(1, (48, 40), seed=50))
     embedding = stylizer.embed(text="deep blue") if given.image is None else stylizer.embed(image=given.image)
     return plugin.build(losses={"toy": ToyLoss()})(stylizer, scene, given, embedding, **rest)
 
 
 @cache
-def _once(plugin: Plugin) -> Gaussians:
+def _once(plugin: Subject[Method]) -> Gaussians:
     return _run(plugin, *_world())

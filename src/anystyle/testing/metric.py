@@ -17,10 +17,8 @@ from anystyle.testing.subject import Subject
 from anystyle.testing.toy.correspondence import ToyCorrespondence
 from anystyle.types import Comparison
 
-Plugin = Subject[Metric]
 
-
-def test_figures_are_declared(plugin: Plugin) -> None:
+def test_figures_are_declared(plugin: Subject[Metric]) -> None:
     """``better`` says of each figure whether higher or lower is better, and ``compute`` returns exactly these."""
     better = getattr(plugin.cls, "better", None)
     declared = isinstance(better, Mapping) and better and set(better.values()) <= {"higher", "lower"}
@@ -32,20 +30,20 @@ def test_figures_are_declared(plugin: Plugin) -> None:
         assert scalar, f"`{name}` is {value!r}, not a floating-point tensor without axes"
 
 
-def test_too_little_is_not_an_error(plugin: Plugin) -> None:
+def test_too_little_is_not_an_error(plugin: Subject[Metric]) -> None:
     """Before any update the figures are ``nan``; after one image they are ``nan`` or numbers, never an error."""
     figures = _computed(build(plugin), [])
     assert all(bool(value.isnan()) for value in figures.values()), f"{figures} before any update, not nan"
     _computed(build(plugin), _rows(batch=1, number=1))
 
 
-def test_order_does_not_matter(plugin: Plugin) -> None:
+def test_order_does_not_matter(plugin: Subject[Metric]) -> None:
     """Taking in scenes in another order, or as one batch, gives the same figures."""
     for what, given in (("in another order", _rows()[::-1]), ("as one batch", [comparison(3)])):
         asserts.close(_computed(build(plugin), given), _figures(plugin), f"the figures of the same scenes {what}")
 
 
-def test_copies_and_processes_can_be_merged(plugin: Plugin) -> None:
+def test_copies_and_processes_can_be_merged(plugin: Subject[Metric]) -> None:
     """A clone or pickled copy continues from where it is, and two metrics merged give what one gives."""
     rows, metric, other = _rows(), build(plugin), build(plugin)
     _update(metric, rows[:2])
@@ -57,7 +55,7 @@ def test_copies_and_processes_can_be_merged(plugin: Plugin) -> None:
     asserts.close(_computed(metric, []), _figures(plugin), "the figures of two merged metrics; see `add_state`")
 
 
-def test_inputs_are_left_alone(plugin: Plugin) -> None:
+def test_inputs_are_left_alone(plugin: Subject[Metric]) -> None:
     """What was compared is left as it was, and after ``reset`` it gives the same bits again."""
     given, metric = comparison(2), build(plugin)
     before = given.map(Tensor.clone)
@@ -67,7 +65,7 @@ def test_inputs_are_left_alone(plugin: Plugin) -> None:
     asserts.same(_computed(metric, [given]), figures, "the same figures again")
 
 
-def build(plugin: Plugin) -> Metric:
+def build(plugin: Subject[Metric]) -> Metric:
     """A new metric, with what the framework passes to it."""
     return plugin.build(style_encoder=style_encoder(), correspondence=ToyCorrespondence())
 
@@ -85,7 +83,7 @@ def _rows(batch: int = 3, number: int = 3) -> list[Comparison]:
 
 
 @cache
-def _figures(plugin: Plugin) -> dict[str, Tensor]:
+def _figures(plugin: Subject[Metric]) -> dict[str, Tensor]:
     return _computed(build(plugin), _rows())
 
 

@@ -1,22 +1,20 @@
-"""What an estimator of cameras promises: see :class:`anystyle.pipeline.poses.PoseEstimator`."""
+"""What an estimator of cameras promises: see :class:`anystyle.contracts.PoseEstimator`."""
 
 from functools import cache
 
 from PIL import Image
 
-from anystyle.data.folder import Original
+from anystyle.contracts import PosedViews, PoseEstimator, Verdict
 from anystyle.io.sheet import to_pil
-from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
 from anystyle.testing import asserts
 from anystyle.testing.reconstruction import photographs
 from anystyle.testing.subject import Subject
-
-Plugin = Subject[PoseEstimator]
+from anystyle.types import Original
 
 MULTIPLE = 16
 
 
-def test_gives_cameras_or_a_verdict(plugin: Plugin) -> None:
+def test_gives_cameras_or_a_verdict(plugin: Subject[PoseEstimator]) -> None:
     """Of photographs it gives views with cameras, or the verdict alone, in which case the cameras ``failed``."""
     result = _once(plugin)
     assert isinstance(result, PosedViews | Verdict), f"a {type(result).__name__}"
@@ -27,7 +25,7 @@ def test_gives_cameras_or_a_verdict(plugin: Plugin) -> None:
     assert all(len(reason.splitlines()) == 1 for reason in verdict.reasons), f"reasons of one line: {verdict.reasons}"
 
 
-def test_views_have_cameras_and_sources(plugin: Plugin) -> None:
+def test_views_have_cameras_and_sources(plugin: Subject[PoseEstimator]) -> None:
     """All views have one size, a rigid camera, a source, and the points that they show, in the order of the input."""
     result = _once(plugin)
     if isinstance(result, Verdict):
@@ -45,7 +43,7 @@ def test_views_have_cameras_and_sources(plugin: Plugin) -> None:
         assert valid, f"points of shape {list(points.shape)} or that are not finite; give [_, 3] in world space"
 
 
-def test_gives_the_same_twice(plugin: Plugin) -> None:
+def test_gives_the_same_twice(plugin: Subject[PoseEstimator]) -> None:
     """A new instance gives the same cameras for the same photographs."""
     first, second = _once(plugin), _run(plugin)
     assert type(first) is type(second), "cameras one time, and none the other"
@@ -54,11 +52,11 @@ def test_gives_the_same_twice(plugin: Plugin) -> None:
 
 
 @cache
-def _once(plugin: Plugin) -> PosedViews | Verdict:
+def _once(plugin: Subject[PoseEstimator]) -> PosedViews | Verdict:
     return _run(plugin)
 
 
-def _run(plugin: Plugin) -> PosedViews | Verdict:
+def _run(plugin: Subject[PoseEstimator]) -> PosedViews | Verdict:
     views = photographs()
     originals = [
         Original(name, None, views.size, to_pil(picture), Image.Exif())

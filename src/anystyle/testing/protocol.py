@@ -1,4 +1,4 @@
-"""What a protocol promises: see :class:`anystyle.evaluation.base.Protocol`."""
+"""What a protocol promises: see :class:`anystyle.contracts.Protocol`."""
 
 import functools
 import json
@@ -9,18 +9,17 @@ from typing import Any
 
 import torch
 
-from anystyle.evaluation.base import Evaluation, Progress, Protocol
+from anystyle.contracts.protocol import Evaluation, Protocol
 from anystyle.testing import asserts
 from anystyle.testing.subject import Subject, seeded
 from anystyle.testing.toy.metric import ToyMetric
 from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.testing.toy.styles import ToyStyles
 from anystyle.testing.toy.stylizer import ToyStylizer
+from anystyle.types import OnStep
 
-Plugin = Subject[Protocol]
 
-
-def test_figures_are_numbers(plugin: Plugin) -> None:
+def test_figures_are_numbers(plugin: Subject[Protocol]) -> None:
     """It returns at least one figure, a float by its name; ``better`` names figures, ``provenance`` fits JSON."""
     evaluation = _first(plugin)
     assert isinstance(evaluation, Evaluation) and evaluation.figures, f"`run` returned {str(evaluation)[:100]}"
@@ -35,7 +34,7 @@ def test_figures_are_numbers(plugin: Plugin) -> None:
     json.dumps(dict(evaluation.provenance))
 
 
-def test_figures_are_reproducible(plugin: Plugin) -> None:
+def test_figures_are_reproducible(plugin: Subject[Protocol]) -> None:
     """A second run in a new folder gives the same figures, bit for bit, and reports progress."""
     calls: list[tuple[str, int, int]] = []
     second = _run(plugin, progress=lambda stage, done, total: calls.append((stage, done, total)))
@@ -43,7 +42,7 @@ def test_figures_are_reproducible(plugin: Plugin) -> None:
     assert calls and all(stage and 0 <= done <= total for stage, done, total in calls), f"`progress` got {calls[:4]}"
 
 
-def test_interrupted_runs_resume(plugin: Plugin) -> None:
+def test_interrupted_runs_resume(plugin: Subject[Protocol]) -> None:
     """Interrupted at any step and started again in the same folder, it gives what an uninterrupted run gives."""
     calls: list[int] = []
 
@@ -72,13 +71,15 @@ def runtime() -> dict[str, Any]:
     }
 
 
-def _run(plugin: Plugin, folder: str | None = None, progress: Progress = lambda stage, done, total: None) -> Evaluation:
+def _run(
+    plugin: Subject[Protocol], folder: str | None = None, progress: OnStep = lambda stage, done, total: None
+) -> Evaluation:
     with tempfile.TemporaryDirectory() as new, seeded(0):
         return plugin.build(**runtime()).run(Path(folder or new), progress)
 
 
 @functools.cache
-def _first(plugin: Plugin) -> Evaluation:
+def _first(plugin: Subject[Protocol]) -> Evaluation:
     return _run(plugin)
 
 

@@ -18,12 +18,10 @@ from anystyle.testing.toy.renderer import ToyRenderer
 from anystyle.types import Attributes, Gaussians, Geometry, Reconstructed, Views
 from anystyle.types.shapes import check_value
 
-Plugin = Subject[Reconstruction]
-
 SIZE, NUMBER = (48, 64), 4
 
 
-def test_makes_a_scene_of_the_views(plugin: Plugin) -> None:
+def test_makes_a_scene_of_the_views(plugin: Subject[Reconstruction]) -> None:
     """It gives cameras, depth and attributes of every view, its own Gaussians or none, and finite measures."""
     scene, measures = _once(plugin)
     sizes = {"B": 1, "V": NUMBER, "H": SIZE[0], "W": SIZE[1]}
@@ -36,7 +34,7 @@ def test_makes_a_scene_of_the_views(plugin: Plugin) -> None:
     assert all(math.isfinite(value) for value in measures.values()), f"measures that are not finite: {measures}"
 
 
-def test_cameras_are_kept_or_asked_for(plugin: Plugin) -> None:
+def test_cameras_are_kept_or_asked_for(plugin: Subject[Reconstruction]) -> None:
     """Where it needs cameras, the scene has those of the views, and views without them raise a ValueError."""
     if plugin.instance.needs_cameras:
         asserts.close(_once(plugin).scene.cameras, cameras(1, NUMBER, SIZE), "the scene's cameras")
@@ -44,7 +42,7 @@ def test_cameras_are_kept_or_asked_for(plugin: Plugin) -> None:
             _run(plugin, replace(photographs(), cameras=None))
 
 
-def test_gives_the_same_twice(plugin: Plugin) -> None:
+def test_gives_the_same_twice(plugin: Subject[Reconstruction]) -> None:
     """A new instance makes the same scene of the same views, and writes into none of them."""
     given, first = photographs(), _once(plugin).scene
     second = _run(plugin, given).scene
@@ -66,11 +64,11 @@ def photographs() -> Views:
     return Views(images[None], seen, names=tuple(f"view_{view}" for view in range(NUMBER)))
 
 
-def _run(plugin: Plugin, views: Views) -> Reconstructed:
+def _run(plugin: Subject[Reconstruction], views: Views) -> Reconstructed:
     with seeded(0), torch.no_grad():
         return plugin.build()(views, ToyBackbone(dim=12, depth=2).freeze().encode, ToyRenderer())
 
 
 @cache
-def _once(plugin: Plugin) -> Reconstructed:
+def _once(plugin: Subject[Reconstruction]) -> Reconstructed:
     return _run(plugin, photographs())

@@ -16,13 +16,11 @@ from anystyle.testing.subject import Subject
 from anystyle.types import Cameras, Gaussians, Renders
 from anystyle.types.shapes import check_value
 
-Plugin = Subject[Renderer]
-
 SIZE = (24, 32)
 GREY, RED, GREEN = (0.5, 0.5, 0.5), (0.9, 0.2, 0.1), (0.1, 0.8, 0.2)
 
 
-def test_renders_every_camera(plugin: Plugin) -> None:
+def test_renders_every_camera(plugin: Subject[Renderer]) -> None:
     """It renders any number of scenes, cameras and harmonics, of any size, within the declared ranges."""
     for batch, number, size, coefficients in ((1, 1, SIZE, 1), (2, 3, (33, 17), 4), (1, 2, (16, 16), 9)):
         renders = _render(plugin, gaussians(batch, 20, coefficients), cameras(batch, number, size))
@@ -33,7 +31,7 @@ def test_renders_every_camera(plugin: Plugin) -> None:
             assert low >= -1e-5 and (high <= 1 + 1e-5 or name == "depth"), f"`{name}` from {low:.4g} to {high:.4g}"
 
 
-def test_transparent_gaussians_are_invisible(plugin: Plugin) -> None:
+def test_transparent_gaussians_are_invisible(plugin: Subject[Renderer]) -> None:
     """Of nothing, alpha and depth are 0 and colour is constant; Gaussians of opacity 0 add nothing to a scene."""
     scene, seen = gaussians(1, 20), cameras(1, 2, SIZE)
     empty = _render(plugin, replace(scene, opacities=torch.zeros_like(scene.opacities)), seen)
@@ -44,7 +42,7 @@ def test_transparent_gaussians_are_invisible(plugin: Plugin) -> None:
     asserts.close(padded, _render(plugin, scene, seen), "renders with seven Gaussians of opacity 0 and scale 0")
 
 
-def test_order_and_norms_do_not_matter(plugin: Plugin) -> None:
+def test_order_and_norms_do_not_matter(plugin: Subject[Renderer]) -> None:
     """Gaussians in another order, or with quaternions of another norm, give the same picture; twice the same bits."""
     scene, seen = gaussians(1, 20), cameras(1, 2, SIZE)
     expected = _render(plugin, scene, seen)
@@ -56,7 +54,7 @@ def test_order_and_norms_do_not_matter(plugin: Plugin) -> None:
     asserts.same(_render(plugin, scene, seen), expected, "the same scene again")
 
 
-def test_batches_are_loops(plugin: Plugin) -> None:
+def test_batches_are_loops(plugin: Subject[Renderer]) -> None:
     """A batch of scenes and cameras gives what each camera of each scene gives alone."""
     scenes, seen = gaussians(2, 20), cameras(2, 3, SIZE)
     together = _render(plugin, scenes, seen)
@@ -66,7 +64,7 @@ def test_batches_are_loops(plugin: Plugin) -> None:
         asserts.close(mine, alone, f"camera {view} of scene {scene} of a batch against the same alone")
 
 
-def test_points_appear_where_they_project(plugin: Plugin) -> None:
+def test_points_appear_where_they_project(plugin: Subject[Renderer]) -> None:
     """A small Gaussian is seen at its projection, in OpenCV axes, at its own depth, and not from behind."""
     seen, point = cameras(1, 3, (40, 56)), torch.tensor([0.5, -0.3, 0.4])
     renders = _render(plugin, _single(point, size=0.05), seen)
@@ -85,7 +83,7 @@ def test_points_appear_where_they_project(plugin: Plugin) -> None:
     assert not bool(behind.alpha.any()), "a Gaussian behind the camera is seen"
 
 
-def test_near_hides_far(plugin: Plugin) -> None:
+def test_near_hides_far(plugin: Subject[Renderer]) -> None:
     """An opaque Gaussian hides what is behind it, and shows its own colour."""
     front, back = (_single(torch.tensor([0.0, 0.0, z]), size=1.0, color=c) for z, c in ((-1.0, RED), (1.0, GREEN)))
     for pair in ((front, back), (back, front)):
@@ -93,7 +91,7 @@ def test_near_hides_far(plugin: Plugin) -> None:
         assert float((middle - torch.tensor(RED)).abs().max()) < 0.03, f"{middle.tolist()} in front, not {RED}"
 
 
-def test_everything_carries_gradients(plugin: Plugin) -> None:
+def test_everything_carries_gradients(plugin: Subject[Renderer]) -> None:
     """It is differentiable in every field of the Gaussians and in the poses, also beside Gaussians of opacity 0."""
     device, scene, seen = _device(plugin), gaussians(1, 12), cameras(1, 2, SIZE)
     scene = replace(scene, opacities=scene.opacities.index_fill(1, torch.tensor([3]), 0.0))
@@ -107,7 +105,7 @@ def test_everything_carries_gradients(plugin: Plugin) -> None:
 
 
 @cache
-def _device(plugin: Plugin) -> str:
+def _device(plugin: Subject[Renderer]) -> str:
     """The CPU, unless the renderer says that it needs CUDA; skips the test where there is none."""
     try:
         plugin.instance(gaussians(1, 2), cameras(1, 1, (16, 16)))
@@ -121,7 +119,7 @@ def _device(plugin: Plugin) -> str:
 
 
 @torch.no_grad()
-def _render(plugin: Plugin, scene: Gaussians, seen: Cameras) -> Renders:
+def _render(plugin: Subject[Renderer], scene: Gaussians, seen: Cameras) -> Renders:
     device = _device(plugin)
     return plugin.instance(scene.to(device), seen.to(device)).to("cpu")
 

@@ -8,10 +8,8 @@ from anystyle.testing.subject import Subject
 from anystyle.types import Cameras, Views
 from anystyle.types.shapes import check_value
 
-Plugin = Subject[SceneSource]
 
-
-def test_views_are_images(plugin: Plugin) -> None:
+def test_views_are_images(plugin: Subject[SceneSource]) -> None:
     """It has scenes of distinct names; views are one batch of sRGB in [0, 1], with cameras and depth where known."""
     source = plugin.instance
     assert len(source) >= 1, "no scene; override `example`"
@@ -31,7 +29,7 @@ def test_views_are_images(plugin: Plugin) -> None:
     assert all(names) and len(set(names)) == len(names), f"names {names[:5]}"
 
 
-def test_any_view_can_be_read(plugin: Plugin) -> None:
+def test_any_view_can_be_read(plugin: Subject[SceneSource]) -> None:
     """Each view is the same read alone or with others, in any order; all views of a scene have one size."""
     selected = _selected(plugin.instance, 0)
     together = plugin.instance.read(0, selected)
@@ -41,7 +39,7 @@ def test_any_view_can_be_read(plugin: Plugin) -> None:
         assert views.names == together.select(order).names, f"names {views.names} of views read {what}"
 
 
-def test_reading_twice_is_the_same(plugin: Plugin) -> None:
+def test_reading_twice_is_the_same(plugin: Subject[SceneSource]) -> None:
     """A scene is the same bits whatever was read before, in this process or in a worker's copy."""
     selected = _selected(plugin.instance, 0)
     first = plugin.instance.read(0, selected).map(Tensor.clone)

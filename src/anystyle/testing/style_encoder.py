@@ -14,20 +14,18 @@ from anystyle.testing.inputs import images, noise
 from anystyle.testing.subject import Subject
 from anystyle.types.shapes import check_tensor
 
-Plugin = Subject[StyleEncoder]
-
 TEXTS = ("thick swirling strokes in deep blue", "red", "a mosaic of green and white tiles, seen from above")
 
 
 @torch.no_grad()
-def test_texts_become_vectors(plugin: Plugin) -> None:
+def test_texts_become_vectors(plugin: Subject[StyleEncoder]) -> None:
     """Texts, such as ``neutral``, give finite vectors of ``dim`` numbers, of norm 1 if ``unit_norm`` is set."""
     for texts in (_texts(plugin), [plugin.instance.neutral]):
         _assert_vectors(plugin, _frozen(plugin).embed_texts(texts), len(texts))
 
 
 @torch.no_grad()
-def test_images_become_vectors(plugin: Plugin) -> None:
+def test_images_become_vectors(plugin: Subject[StyleEncoder]) -> None:
     """Images of any size give finite vectors, of norm 1 if ``unit_norm`` is set; black and white ones too."""
     pictures = [images(2, size) for size in ((32, 32), (17, 31), (80, 48))]
     for given in (*pictures, torch.zeros(1, 3, 32, 32), torch.ones(1, 3, 32, 32)):
@@ -35,7 +33,7 @@ def test_images_become_vectors(plugin: Plugin) -> None:
 
 
 @torch.no_grad()
-def test_batches_are_loops(plugin: Plugin) -> None:
+def test_batches_are_loops(plugin: Subject[StyleEncoder]) -> None:
     """A batch gives what its members give alone, and the same bits again."""
     encoder, texts, pictures = _frozen(plugin), _texts(plugin), images(3, (32, 48))
     words, looks = encoder.embed_texts(texts), encoder.embed_images(pictures)
@@ -47,7 +45,7 @@ def test_batches_are_loops(plugin: Plugin) -> None:
 
 
 @torch.no_grad()
-def test_styles_differ(plugin: Plugin) -> None:
+def test_styles_differ(plugin: Subject[StyleEncoder]) -> None:
     """Different images, and different texts where it reads texts, have different vectors."""
     plain = torch.tensor([[0.9, 0.1, 0.1], [0.1, 0.1, 0.9]])[:, :, None, None].expand(2, 3, 32, 32)
     pairs = {"a red and a blue image": _frozen(plugin).embed_images(plain)}
@@ -57,7 +55,7 @@ def test_styles_differ(plugin: Plugin) -> None:
         assert float((vectors[0] - vectors[1]).norm()) > 1e-4, f"one vector for {what}"
 
 
-def test_empty_text_is_refused(plugin: Plugin) -> None:
+def test_empty_text_is_refused(plugin: Subject[StyleEncoder]) -> None:
     """An empty text raises a ValueError of one line, also among others; a text too long is refused or embedded."""
     for texts in ([""], [TEXTS[0], ""]):
         with pytest.raises(ValueError, match=ONE_LINE):
@@ -66,7 +64,7 @@ def test_empty_text_is_refused(plugin: Plugin) -> None:
         _assert_vectors(plugin, _frozen(plugin).embed_texts(["blue strokes " * 200]), 1)
 
 
-def test_images_carry_gradients(plugin: Plugin) -> None:
+def test_images_carry_gradients(plugin: Subject[StyleEncoder]) -> None:
     """``embed_images`` is differentiable in the images."""
     pictures = images(2, (32, 48)).requires_grad_()
     vectors = _frozen(plugin).embed_images(pictures)
@@ -74,15 +72,15 @@ def test_images_carry_gradients(plugin: Plugin) -> None:
     asserts.gradient(pictures.grad, "the images")
 
 
-def _texts(plugin: Plugin) -> list[str]:
+def _texts(plugin: Subject[StyleEncoder]) -> list[str]:
     return list(TEXTS) if plugin.instance.reads_texts else [plugin.instance.neutral] * len(TEXTS)
 
 
-def _frozen(plugin: Plugin) -> StyleEncoder:
+def _frozen(plugin: Subject[StyleEncoder]) -> StyleEncoder:
     return plugin.instance.requires_grad_(False).eval()
 
 
-def _assert_vectors(plugin: Plugin, vectors: Tensor, number: int) -> None:
+def _assert_vectors(plugin: Subject[StyleEncoder], vectors: Tensor, number: int) -> None:
     check_tensor(vectors, Float[Tensor, "M D"], "the encoder", M=number, D=plugin.instance.dim)
     asserts.finite(vectors, "the vectors")
     norms = vectors.detach().norm(dim=-1)

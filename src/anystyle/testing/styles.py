@@ -8,10 +8,8 @@ from anystyle.testing.subject import Subject
 from anystyle.types import Style
 from anystyle.types.shapes import check_value
 
-Plugin = Subject[StyleSource]
 
-
-def test_styles_have_an_image_or_a_text(plugin: Plugin) -> None:
+def test_styles_have_an_image_or_a_text(plugin: Subject[StyleSource]) -> None:
     """Each style is a batch of one on the CPU: an image in [0, 1], a text, or both; all images have one size."""
     assert len(plugin.instance) >= 1, "no style; override `example`"
     sizes: set[tuple[int, ...]] = set()
@@ -25,7 +23,7 @@ def test_styles_have_an_image_or_a_text(plugin: Plugin) -> None:
     assert len(sizes) <= 1, f"images of sizes {sorted(sizes)}; crop them to one"
 
 
-def test_reading_twice_is_the_same(plugin: Plugin) -> None:
+def test_reading_twice_is_the_same(plugin: Subject[StyleSource]) -> None:
     """A style is the same bits whatever was read before, in this process or in a worker's copy."""
     first = plugin.instance.read(0).map(Tensor.clone)
     plugin.instance.read(len(plugin.instance) - 1)

@@ -1,4 +1,4 @@
-"""What a training promises: see :class:`anystyle.training.base.Training`."""
+"""What a training promises: see :class:`anystyle.contracts.Training`."""
 
 import inspect
 import logging
@@ -14,6 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from anystyle.contracts import SceneSource, StyleEncoder, StyleSource
+from anystyle.contracts.training import Training
 from anystyle.testing import asserts
 from anystyle.testing.subject import Subject, seeded
 from anystyle.testing.toy.backbone import ToyBackbone
@@ -23,15 +24,12 @@ from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.testing.toy.styles import ToyStyles
 from anystyle.testing.toy.stylizer import ToyStylizer
-from anystyle.training.base import Training
 from anystyle.training.callbacks import StepSeed
 from anystyle.training.data import StepData
 from anystyle.types import Value
 
-Plugin = Subject[Training]
 
-
-def test_exports_what_it_trains(plugin: Plugin) -> None:
+def test_exports_what_it_trains(plugin: Subject[Training]) -> None:
     """``exports`` names at least one module with weights, and every name is an identifier."""
     exported = _make(plugin).exports()
     assert exported, "`exports` is empty; return {'backbone': self.backbone}, or whatever module learns"
@@ -40,7 +38,7 @@ def test_exports_what_it_trains(plugin: Plugin) -> None:
         assert valid, f"`exports` has {name!r}: {type(module).__name__}, not a module with weights by an identifier"
 
 
-def test_batches_are_functions_of_the_step(plugin: Plugin) -> None:
+def test_batches_are_functions_of_the_step(plugin: Subject[Training]) -> None:
     """A step's batch does not depend on earlier steps, so that a resumed run equals an uninterrupted one."""
     sources = _sources(plugin)
     source = _make(plugin).batches(*sources, seed=0)
@@ -52,7 +50,7 @@ def test_batches_are_functions_of_the_step(plugin: Plugin) -> None:
         asserts.same(again.batch(1, 0, 1), kept, f"the batch of step 1, asked again from {what}")
 
 
-def test_steps_train_what_is_exported(plugin: Plugin) -> None:
+def test_steps_train_what_is_exported(plugin: Subject[Training]) -> None:
     """Two steps change the weights of something that it exports, to finite ones, and to the same bits twice."""
     before, after = _weights(_make(plugin)), _trained(plugin)
     asserts.finite(after, "the weights after two steps")
@@ -61,13 +59,13 @@ def test_steps_train_what_is_exported(plugin: Plugin) -> None:
     asserts.same(_trained.__wrapped__(plugin), after, "the weights of a second run of two steps")
 
 
-def _make(plugin: Plugin) -> Training:
+def _make(plugin: Subject[Training]) -> Training:
     with seeded(0):
         parts = {"backbone": ToyBackbone(dim=12, depth=2), "stylizer": ToyStylizer(), "renderer": ToyRenderer()}
         return plugin.build(**parts, style_encoder=_encoder(plugin), losses={"toy": ToyLoss()})
 
 
-def _encoder(plugin: Plugin) -> StyleEncoder:
+def _encoder(plugin: Subject[Training]) -> StyleEncoder:
     """Of the class that the training's annotation asks for: a training may be made for one style encoder."""
     hint = typing.get_type_hints(plugin.cls.__init__).get("style_encoder")
     if inspect.isclass(hint) and issubclass(hint, StyleEncoder) and not inspect.isabstract(hint):
@@ -76,12 +74,12 @@ def _encoder(plugin: Plugin) -> StyleEncoder:
     return ToyStyleEncoder()
 
 
-def _sources(plugin: Plugin) -> tuple[SceneSource, StyleSource]:
+def _sources(plugin: Subject[Training]) -> tuple[SceneSource, StyleSource]:
     return plugin.cls.example_sources() or (ToyScenes(size=(32, 32)), ToyStyles(size=32, period=8))
 
 
 @cache
-def _trained(plugin: Plugin) -> dict[str, Tensor]:
+def _trained(plugin: Subject[Training]) -> dict[str, Tensor]:
     """The weights after two steps."""
     training = _make(plugin)
     source = training.batches(*_sources(plugin), seed=0)

@@ -1,48 +1,5 @@
-"""The contract of a training: a Lightning module that names its data and the weights that it exports."""
+"""Deprecated, and gone in 0.3: see :mod:`anystyle.contracts.training`."""
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
-from typing import ClassVar, Literal, TypeVar
+from anystyle.deprecated import moved
 
-import lightning.pytorch as pl
-from torch import nn
-
-from anystyle.contracts import SceneSource, StyleSource
-from anystyle.errors import UserError
-from anystyle.registry.socket import Socket
-from anystyle.training.data import BatchSource
-
-
-class Training(Socket, pl.LightningModule, ABC):
-    """What ``anystyle train`` trains: ``training_step`` and ``configure_optimizers`` are Lightning's.
-
-    The constructor names the parts it needs among ``backbone``, ``style_encoder``, ``renderer``, ``stylizer`` and
-    ``losses``, which the framework passes, and further options. A step takes its random numbers from the global
-    generator alone, which the framework seeds before every step: so a resumed run equals an uninterrupted one.
-    """
-
-    needs: ClassVar[tuple[Literal["scenes", "styles"], ...]] = ()
-    """The sources without which there are no batches; a run is refused before networks are loaded."""
-
-    @abstractmethod
-    def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> BatchSource:
-        """The batch of every step."""
-
-    @classmethod
-    def example_sources(cls) -> tuple[SceneSource, StyleSource] | None:
-        """Small scenes and styles that the contract's checks train on; ``None`` where any will do."""
-        return None
-
-    @abstractmethod
-    def exports(self) -> Mapping[str, nn.Module]:
-        """The modules whose weights are written at the end, by the part that they are, such as ``branch``."""
-
-
-Source = TypeVar("Source", SceneSource, StyleSource)
-
-
-def required(source: Source | None, kind: str) -> Source:
-    """A source that must be configured."""
-    if source is None:
-        raise UserError(f"this training needs {kind}; add {kind}=NAME (`anystyle plugins {kind}` lists them)")
-    return source
+__getattr__ = moved(__name__, "anystyle.contracts.training")

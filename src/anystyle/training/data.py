@@ -4,14 +4,14 @@ import logging
 import signal
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol, runtime_checkable
+from typing import Any, Literal
 
 import lightning.pytorch as pl
 import numpy as np
 import torch
 from torch.utils.data import DataLoader, Dataset
 
-from anystyle.contracts import SceneSource, StyleSource
+from anystyle.contracts import BatchSource, SceneSource, StyleSource
 from anystyle.errors import UserError, one_line
 from anystyle.training.collate import blurred_views, fit_views, mirror_views, stack_styles, stack_views
 from anystyle.training.sampling import any_views, bounded_views, bounds, check_sides, generator
@@ -48,15 +48,6 @@ class Batch(Value):
     def inputs(self) -> Views:
         """The context views."""
         return self.views.select(list(range(self.context)))
-
-
-@runtime_checkable
-class BatchSource(Protocol):
-    """A source of batches by step; a batch may say its ``num_images``, for the throughput."""
-
-    def batch(self, step: int, rank: int, world: int) -> Value:
-        """The rows of ``step`` of process ``rank`` of ``world``."""
-        ...
 
 
 class SceneBatches:

@@ -14,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 from torch import nn
 
 from anystyle.contracts import Backbone, Loss, Renderer, SceneSource, StyleEncoder, StyleSource
+from anystyle.contracts.training import Training, required
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import Header, load_part, save_part, sha256
@@ -25,7 +26,6 @@ from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
 from anystyle.registry.jobs import command_line
 from anystyle.registry.schema import runtime_arguments
-from anystyle.training.base import Training, required
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
 from anystyle.training.data import StepData
 from anystyle.training.resume import RECORD, Resumed, bound, exclusive, is_rank_zero, resumable

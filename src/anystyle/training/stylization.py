@@ -12,13 +12,13 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Loss, SceneSource, StyleSource, neutral_embedding
+from anystyle.contracts.training import Training, required
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import to_pil
 from anystyle.losses.features import objective
 from anystyle.ranges import AtLeastOne, Count, Fraction, NonNegative, Positive, Range
 from anystyle.stylizer import Stylizer
-from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import scheduled, trainable
 from anystyle.training.sampling import generator

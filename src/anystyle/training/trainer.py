@@ -108,7 +108,7 @@ def make_trainer(config: DictConfig, out: Path, callbacks: list[pl.Callback]) ->
         raise UserError(f"trainer: {one_line(error).rstrip('.!')}{remedy}") from None
 
 
-Picture = NDArray[np.uint8]
+PixelArray = NDArray[np.uint8]
 """Height, width, 3; sRGB levels."""
 
 EXTRAS = {"csv": "", "tensorboard": "tracking", "wandb": "wandb", "mlflow": "mlflow"}
@@ -134,7 +134,7 @@ def make_loggers(names: Sequence[str], out: Path, name: str = "run") -> list[Log
     return loggers
 
 
-def log_picture(logger: Logger, tag: str, picture: Picture, step: int) -> None:
+def log_picture(logger: Logger, tag: str, picture: PixelArray, step: int) -> None:
     """Log a picture under a tag at a step; tables take none."""
     if isinstance(logger, TensorBoardLogger):
         logger.experiment.add_image(tag, picture, step, dataformats="HWC")

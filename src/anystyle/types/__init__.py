@@ -20,8 +20,10 @@ from anystyle.types.network import (
     matching_sites,
     untouched,
 )
-from anystyle.types.progress import OnProgress, Progress, no_progress
+from anystyle.types.photographs import Original, SourceImage
+from anystyle.types.progress import OnProgress, OnStep, Progress, no_progress
 from anystyle.types.scene import Clusters, Gaussians, Reconstructed, Renders, Scene, StyledScene
+from anystyle.types.source import Source
 from anystyle.types.value import Value
 from anystyle.types.views import Cameras, Style, StyleEmbedding, TextMatch, Views
 
@@ -37,11 +39,15 @@ __all__ = [
     "Geometry",
     "Inject",
     "OnProgress",
+    "OnStep",
+    "Original",
     "Progress",
     "Reconstructed",
     "Renders",
     "Scene",
     "Site",
+    "Source",
+    "SourceImage",
     "Style",
     "StyleEmbedding",
     "StyledScene",

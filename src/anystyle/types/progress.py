@@ -25,6 +25,9 @@ class Progress:
 OnProgress = Callable[[Progress], None]
 """Called every few seconds."""
 
+OnStep = Callable[[str, int, int], None]
+"""Called with the name of a stage, the number of finished steps, and the number of all steps."""
+
 
 def no_progress(progress: Progress) -> None:
     """No-op progress callback."""

@@ -23,7 +23,7 @@ UNUSED = ("logit_scale", "input_resolution", "context_length", "vocab_size")
 """Tensors of published files that no embedding needs."""
 
 
-class Block(nn.Module):
+class ResidualAttentionBlock(nn.Module):
     """A pre-norm transformer block."""
 
     def __init__(self, width: int, activation: Callable[[Tensor], Tensor]) -> None:
@@ -44,7 +44,7 @@ class Transformer(nn.Module):
 
     def __init__(self, width: int, layers: int, activation: Callable[[Tensor], Tensor]) -> None:
         super().__init__()
-        self.resblocks = nn.ModuleList(Block(width, activation) for _ in range(layers))
+        self.resblocks = nn.ModuleList(ResidualAttentionBlock(width, activation) for _ in range(layers))
 
     def forward(self, x: Float[Tensor, "M L C"], *, causal: bool = False) -> Float[Tensor, "M L C"]:
         length = x.shape[1]

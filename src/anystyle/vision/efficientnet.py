@@ -33,11 +33,11 @@ class EfficientNetLite0(FeatureNetwork):
         super().__init__()
         self._conv_stem = SameConv(3, 32, 3, stride=2)
         self._bn0 = nn.BatchNorm2d(32, eps=1e-3)
-        blocks: list[Block] = []
+        blocks: list[MBConv] = []
         channels = 32
         for count, kernel, first_stride, expansion, width in STAGES:
             for index in range(count):
-                blocks.append(Block(channels, width, kernel, first_stride if index == 0 else 1, expansion))
+                blocks.append(MBConv(channels, width, kernel, first_stride if index == 0 else 1, expansion))
                 channels = width
         self._blocks = nn.ModuleList(blocks)
         self._conv_head = SameConv(channels, 1280, 1)
@@ -63,13 +63,13 @@ class EfficientNetLite0(FeatureNetwork):
         """The wide activations and the output of each block."""
         x = F.relu6(self._bn0(self._conv_stem((images - MEAN) / SCALE)))
         for block in self._blocks:
-            assert isinstance(block, Block)
+            assert isinstance(block, MBConv)
             wide = block.expand(x)
             x = block.project(x, wide)
             yield wide, x
 
 
-class Block(nn.Module):
+class MBConv(nn.Module):
     """An inverted residual block (Sandler et al. 2018, section 3.4) in two steps, because its middle is a layer."""
 
     def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, expansion: int) -> None:

@@ -5,12 +5,13 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from anystyle.types import Source
 from anystyle.vision import art_score, inception, networks
 from anystyle.vision.features import Frozen, freeze
 from anystyle.vision.lpips import STAND_IN_LAYERS, STAND_IN_SIDE
 from anystyle.vision.preprocess import shrunk
 from anystyle.vision.statistics import pooled_moments
-from anystyle.vision.weights import Source, Weights, bundled, locate, published
+from anystyle.vision.weights import Weights, bundled, locate, published
 
 
 class SourcedNetwork(Frozen):

@@ -8,12 +8,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from anystyle.errors import UserError
+from anystyle.types import Source
 from anystyle.vision import networks, weights
 from anystyle.vision.features import FeatureNetwork, Frozen
 from anystyle.vision.preprocess import shrunk
-from anystyle.vision.weights import Source, Weights, bundled, locate, published
+from anystyle.vision.weights import Weights, bundled, locate, published
 
-Backbone = Literal["alex", "vgg"]
+LpipsBackbone = Literal["alex", "vgg"]
 
 NETWORK = {"alex": "alexnet", "vgg": "vgg16"}
 LAYERS = {
@@ -66,7 +67,7 @@ class Lpips(Frozen):
         return self.compare(self.describe(preds), self.describe(target))
 
 
-def load(backbone: Backbone, choice: Weights = "auto") -> Lpips:
+def load(backbone: LpipsBackbone, choice: Weights = "auto") -> Lpips:
     """LPIPS with published weights, or with a stand-in: features of the texture network, all with equal weights."""
     name = NETWORK[backbone]
     file = locate(name, choice)

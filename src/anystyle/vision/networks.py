@@ -6,11 +6,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 from anystyle.errors import UserError
+from anystyle.types import Source
 from anystyle.vision import weights
 from anystyle.vision.efficientnet import EfficientNetLite0
 from anystyle.vision.features import FeatureNetwork, load_frozen
 from anystyle.vision.vgg import VGG16, VGG19, AlexNet, Texture
-from anystyle.vision.weights import Source, published
+from anystyle.vision.weights import published
 
 NETWORKS: dict[str, type[FeatureNetwork]] = {
     "vgg19": VGG19,

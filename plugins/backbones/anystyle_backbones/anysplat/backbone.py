@@ -17,7 +17,7 @@ from anystyle_backbones import scratch as initial
 from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.anysplat.adapter import Adapter
 from anystyle_backbones.anysplat.heads import CameraHead, GaussianHead, GeometryHead
-from anystyle_backbones.anysplat.keys import Checkpoints
+from anystyle_backbones.anysplat.keys import AnySplatCheckpoints
 from anystyle_backbones.anysplat.transformer import Aggregator, Embedder
 from anystyle_backbones.dpt import Dpt
 from anystyle_backbones.heads import check_options
@@ -73,7 +73,7 @@ class AnySplat(contracts.Backbone):
             :mod:`anystyle_backbones.scratch`). The computation is the same.
     """
 
-    published: ClassVar[Published | None] = Checkpoints()
+    published: ClassVar[Published | None] = AnySplatCheckpoints()
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

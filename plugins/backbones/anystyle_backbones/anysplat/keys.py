@@ -69,7 +69,7 @@ def _branch_name(key: str, layers: list[int]) -> str:
     return f"{_COPIES.get(part, part)}.{rest}"
 
 
-class Checkpoints(Published):
+class AnySplatCheckpoints(Published):
     """AnySplat's file, AnyStyle's checkpoints and VGGT's file."""
 
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:

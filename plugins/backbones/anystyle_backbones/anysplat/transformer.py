@@ -16,7 +16,7 @@ from anystyle.types import Features, Inject, Site, Tokens, untouched
 from anystyle_backbones.reference_view import Strategy, is_reference, reference_view
 
 
-class Dino(nn.Module):
+class DinoV2(nn.Module):
     """DINOv2's vision transformer with registers.
 
     ``grid`` is the side, in patches, that position embeddings are stored for; ``registers`` are dropped at the end.
@@ -97,7 +97,7 @@ class Embedder(contracts.Embedder):
         self.patch_size = patch_size
         self.reference: Strategy = reference
         self.patches = (
-            Dino(dim=dim, depth=depth, heads=heads, patch_size=patch_size, grid=grid, mlp_ratio=mlp_ratio)
+            DinoV2(dim=dim, depth=depth, heads=heads, patch_size=patch_size, grid=grid, mlp_ratio=mlp_ratio)
             if embed == "dino"
             else Patches(dim=dim, patch_size=patch_size)
         )

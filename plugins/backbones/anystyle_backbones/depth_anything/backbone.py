@@ -19,7 +19,7 @@ from anystyle_backbones import scratch as initial
 from anystyle_backbones.aligner import Aligner
 from anystyle_backbones.depth_anything.adapter import Adapter
 from anystyle_backbones.depth_anything.heads import HIDDEN, CameraDecoder, GaussianHead, GeometryHead
-from anystyle_backbones.depth_anything.keys import Checkpoints
+from anystyle_backbones.depth_anything.keys import DepthAnythingCheckpoints
 from anystyle_backbones.depth_anything.transformer import Aggregator, Embedder
 from anystyle_backbones.dpt import Dpt
 from anystyle_backbones.heads import check_options
@@ -68,7 +68,7 @@ class DepthAnything(contracts.Backbone):
             :mod:`anystyle_backbones.scratch`). The computation is the same.
     """
 
-    published: ClassVar[Published | None] = Checkpoints()
+    published: ClassVar[Published | None] = DepthAnythingCheckpoints()
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:

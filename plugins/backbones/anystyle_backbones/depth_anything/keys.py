@@ -41,7 +41,7 @@ def backbone_names(keys: Iterable[str]) -> dict[str, str]:
     return {key: renamed(key, _RULES) for key in keys}
 
 
-class Checkpoints(Published):
+class DepthAnythingCheckpoints(Published):
     """The files of Depth Anything 3 that see several views."""
 
     def without_prefix(self, state: Mapping[str, Tensor]) -> dict[str, Tensor]:

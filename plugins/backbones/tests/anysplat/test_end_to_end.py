@@ -20,7 +20,7 @@ from anystyle.types import Attributes, Gaussians, Scene, Site, StyleEmbedding, T
 from anystyle_backbones.anysplat import AnySplat, keys
 from oracle import assert_matches, fill_named, golden, smooth_image
 
-CHECKPOINTS = keys.Checkpoints()
+CHECKPOINTS = keys.AnySplatCheckpoints()
 PLACEMENTS = {"head": Head(), "agg": Full()}
 STYLED = {
     "none": ("color",),

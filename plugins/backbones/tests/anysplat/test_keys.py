@@ -21,7 +21,7 @@ PUBLISHED = {
     "depth_head": (62, 32_654_562),
     "gaussian_param_head": (64, 32_794_964),
 }
-CHECKPOINTS = keys.Checkpoints()
+CHECKPOINTS = keys.AnySplatCheckpoints()
 MASK = {"aggregator": (1, 1024)}
 
 

@@ -29,7 +29,7 @@ PUBLISHED = {
         "gs_head": (66, 35_628_486),
     },
 }
-CHECKPOINTS = keys.Checkpoints()
+CHECKPOINTS = keys.DepthAnythingCheckpoints()
 
 
 def preset(name: str) -> DepthAnything:

@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.contracts import CameraReader, StoredCamera
 from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.io.colmap import Camera, Model
 from anystyle_captures.camera_files import colmap_files, samples
+from anystyle_captures.camera_files.conversion import by_name, camera, finished
 from anystyle_captures.camera_files.lens import Lens
-from anystyle_captures.camera_files.poses import by_name, camera, finished
 
 _log = logging.getLogger(__name__)
 _POLYNOMIAL = frozenset(

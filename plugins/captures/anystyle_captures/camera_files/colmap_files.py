@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from anystyle.errors import UserError
-from anystyle.io.colmap import MODELS, NUM_PARAMETERS, Camera, Model, Photograph
+from anystyle.io.colmap import MODELS, NUM_PARAMETERS, Camera, Model, PosedImage
 from anystyle.io.documents import read_bytes
 from anystyle_captures.camera_files.lens import MAX_SIDE
 
@@ -92,12 +92,12 @@ def _camera(model: str, width: int, height: int, parameters: Sequence[float]) ->
     return camera
 
 
-def _photograph(pose: Sequence[float], camera: int, name: str) -> Photograph:
+def _photograph(pose: Sequence[float], camera: int, name: str) -> PosedImage:
     norm = float(np.linalg.norm(pose[:4]))
     if len(pose) != 7 or not np.isfinite(pose).all() or abs(norm - 1) > 1e-2:
         raise UserError(f"the pose of {name[:80]} is no rotation and translation")
     w, x, y, z = (value / norm for value in pose[:4])
-    return Photograph(name, camera, (w, x, y, z), (pose[4], pose[5], pose[6]))
+    return PosedImage(name, camera, (w, x, y, z), (pose[4], pose[5], pose[6]))
 
 
 def _text(data: bytes) -> str:

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
-from anystyle.data.camera_reader import Undistortion
+from anystyle.contracts import Undistortion
 from anystyle.errors import UserError
 from anystyle.io.colmap import Camera
 

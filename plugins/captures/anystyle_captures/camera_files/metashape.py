@@ -8,11 +8,11 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.contracts import CameraReader, StoredCamera
 from anystyle.errors import UserError
 from anystyle_captures.camera_files import samples
+from anystyle_captures.camera_files.conversion import by_name, camera, finished, rigid
 from anystyle_captures.camera_files.lens import Lens
-from anystyle_captures.camera_files.poses import by_name, camera, finished, rigid
 from anystyle_captures.camera_files.xml import number, numbers, read_xml, starts_with
 
 _log = logging.getLogger(__name__)

@@ -7,14 +7,14 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.contracts import CameraReader, StoredCamera
 from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.io.documents import read_json
 from anystyle.ranges import Positive
 from anystyle_captures.camera_files import samples
+from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL, camera, finished, rigid
 from anystyle_captures.camera_files.lens import MAX_SIDE, Lens
-from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL, camera, finished, rigid
 from anystyle_captures.camera_files.xml import starts_with
 
 Side = Annotated[float, msgspec.Meta(ge=1, le=MAX_SIDE)]

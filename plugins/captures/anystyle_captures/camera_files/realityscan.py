@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.contracts import CameraReader, StoredCamera
 from anystyle.data.images import image_size
 from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.io.documents import read_text
 from anystyle_captures.camera_files import samples
+from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL, by_name, camera, finished, rigid
 from anystyle_captures.camera_files.lens import Lens
-from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL, by_name, camera, finished, rigid
 from anystyle_captures.camera_files.xml import numbers, read_xml, starts_with
 
 _COLUMNS = {"z": "alt", "yaw": "heading", "f_35mm": "f", "px_norm": "px", "py_norm": "py"}

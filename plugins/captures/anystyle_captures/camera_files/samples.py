@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from anystyle.data.names import names_below
 from anystyle.io import colmap
+from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL
 from anystyle_captures.camera_files.lens import Lens
-from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL
 
 Poses = Sequence[Float64[np.ndarray, "4 4"]]
 
@@ -192,5 +192,5 @@ def write_colmap(folder: Path, images: Sequence[Path], world_from_camera: Poses,
         matrix = np.linalg.inv(pose)
         x, y, z, w = Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True).tolist()
         tx, ty, tz = matrix[:3, 3].tolist()
-        photographs[number] = colmap.Photograph(name, 1, (w, x, y, z), (tx, ty, tz))
+        photographs[number] = colmap.PosedImage(name, 1, (w, x, y, z), (tx, ty, tz))
     colmap.write(colmap.Model({1: colmap.Camera("OPENCV", lens.size, values)}, photographs), folder)

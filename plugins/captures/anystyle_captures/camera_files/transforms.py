@@ -8,14 +8,14 @@ from typing import Annotated
 import msgspec
 import numpy as np
 
-from anystyle.data.camera_reader import CameraReader, StoredCamera
+from anystyle.contracts import CameraReader, StoredCamera
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_array
 from anystyle.io.documents import read_json
 from anystyle.ranges import Positive
 from anystyle_captures.camera_files import samples
+from anystyle_captures.camera_files.conversion import OPENCV_FROM_OPENGL, by_name, camera, finished, rigid
 from anystyle_captures.camera_files.lens import MAX_SIDE, Lens
-from anystyle_captures.camera_files.poses import OPENCV_FROM_OPENGL, by_name, camera, finished, rigid
 
 _WHAT = "transforms.json of cameras"
 _MODELS = ("OPENCV", "OPENCV_FISHEYE", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL")

@@ -16,6 +16,7 @@ from PIL import Image
 
 import pycolmap  # isort: skip
 
+from anystyle.types import OnStep
 from anystyle_captures.sfm.model import (
     MIN_VIEWS,
     Photograph,
@@ -32,8 +33,6 @@ if threading.current_thread() is threading.main_thread():
     for _number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(_number, signal.getsignal(_number) or signal.SIG_DFL)
 
-Progress = Callable[[str, int, int], None]
-"""Called with the name of a stage, the number of finished steps and their total."""
 DEFAULT_FOCAL = 1.2
 """Initial focal length where nothing is known, in longer sides of the photograph."""
 CHUNK = 16
@@ -41,7 +40,7 @@ CHUNK = 16
 
 
 def search(
-    photographs: Sequence[Photograph], options: SearchOptions, *, ordered: bool, threads: int, progress: Progress
+    photographs: Sequence[Photograph], options: SearchOptions, *, ordered: bool, threads: int, progress: OnStep
 ) -> tuple[ViewGraph, list[list[SparseModel]]]:
     """Match photographs, and map them incrementally and globally."""
     with tempfile.TemporaryDirectory() as name:
@@ -76,7 +75,7 @@ def match(
     ordered: bool = False,
     pairs: Sequence[tuple[int, int]] | None = None,
     threads: int = 1,
-    progress: Progress = lambda stage, done, total: None,
+    progress: OnStep = lambda stage, done, total: None,
 ) -> ViewGraph:
     """Features and verified matches, written into COLMAP's database ``folder / "database.db"``.
 

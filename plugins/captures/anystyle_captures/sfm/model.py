@@ -71,7 +71,7 @@ def _number(value: object) -> float:
 
 
 @dataclass(frozen=True)
-class Lens:
+class SimpleRadial:
     """COLMAP's ``SIMPLE_RADIAL``: (X, Y) at z = 1 is seen at ``focal (1 + radial (X² + Y²)) (X, Y) + (x, y)``."""
 
     focal: float
@@ -84,17 +84,17 @@ class Lens:
         corner = hypot(self.x, self.y) / self.focal
         return abs(self.radial) * corner**3 * self.focal > NEGLIGIBLE
 
-    def pinhole(self) -> "Lens":
+    def pinhole(self) -> "SimpleRadial":
         """The lens without distortion of largest field of view whose image the photograph fills."""
         if not self.is_distorted():
-            return Lens(self.focal, self.x, self.y, 0.0)
+            return SimpleRadial(self.focal, self.x, self.y, 0.0)
         # The border pixel that limits the field of view: the nearest one of a barrel, the farthest of a pincushion.
         distorted = (min(self.x, self.y) if self.radial < 0 else hypot(self.x, self.y)) / self.focal
         radius = distorted
         for _ in range(8):  # Newton's method
             slope = max(1 + 3 * self.radial * radius**2, 0.1)
             radius -= (radius * (1 + self.radial * radius**2) - distorted) / slope
-        return Lens(self.focal * distorted / radius, self.x, self.y, 0.0)
+        return SimpleRadial(self.focal * distorted / radius, self.x, self.y, 0.0)
 
     @property
     def intrinsics(self) -> Float[Array, "3 3"]:
@@ -136,9 +136,9 @@ class SparseModel:
         """Which views have a camera."""
         return np.asarray(np.isfinite(self.world_from_camera).all((1, 2)))
 
-    def lens(self, view: int) -> Lens:
+    def lens(self, view: int) -> SimpleRadial:
         """The lens of a registered view."""
-        return Lens(*self.lenses[view].tolist())
+        return SimpleRadial(*self.lenses[view].tolist())
 
     def reordered(self, order: Sequence[int]) -> "SparseModel":
         """The same model, where view ``i`` becomes view ``order[i]``."""

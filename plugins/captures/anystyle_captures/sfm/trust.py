@@ -9,9 +9,9 @@ from jaxtyping import Bool, Float, Float64
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
+from anystyle.contracts import Verdict
 from anystyle.geometry.transforms import similarity_of_cameras
 from anystyle.paths import natural
-from anystyle.pipeline.poses import Verdict
 from anystyle_captures.sfm.model import MIN_VIEWS, SparseModel, VerifiedPair, ViewGraph
 
 Array = np.ndarray

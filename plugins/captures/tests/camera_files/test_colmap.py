@@ -19,8 +19,8 @@ def model():
     return colmap.Model(
         cameras={1: colmap.Camera("PINHOLE", (48, 64), (50.0, 51.0, 32.5, 23.5))},
         photographs={
-            3: colmap.Photograph("a.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
-            7: colmap.Photograph("b.png", 1, (w, x, y, z), (0.1, -0.2, 3.0)),
+            3: colmap.PosedImage("a.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+            7: colmap.PosedImage("b.png", 1, (w, x, y, z), (0.1, -0.2, 3.0)),
         },
         points=np.array([[0.5, 1.5, 2.5], [3.0, -1.0, 0.25]]),
         colors=np.array([[1, 2, 3], [250, 128, 0]], np.uint8),
@@ -85,7 +85,7 @@ def test_panoramas_and_unknown_models_are_refused_by_name(tmp_path, binary):
 @pytest.mark.parametrize("binary", [True, False])
 @pytest.mark.parametrize(("name", "encoding"), [("照片1.png", "gbk"), ("été.png", "latin-1")])
 def test_names_in_other_encodings_are_those_of_the_files(tmp_path, caplog, name, encoding, binary):
-    photographs = {1: colmap.Photograph("N", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))}
+    photographs = {1: colmap.PosedImage("N", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))}
     colmap.write(colmap.Model(model().cameras, photographs), tmp_path, binary=binary)
     file = tmp_path / ("images.bin" if binary else "images.txt")
     old, new = (b"N\0", name.encode(encoding) + b"\0") if binary else (b" N\n", b" " + name.encode(encoding) + b"\n")
@@ -98,7 +98,7 @@ def test_of_several_models_the_one_of_most_photographs_is_read(tmp_path, caplog)
     whole, images = model(), [tmp_path / "a.png", tmp_path / "b.png"]
     part = colmap.Model(whole.cameras, {3: whole.photographs[3]})
     other = colmap.Model(
-        whole.cameras, {n: colmap.Photograph(f"{n}.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) for n in range(9)}
+        whole.cameras, {n: colmap.PosedImage(f"{n}.png", 1, (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) for n in range(9)}
     )
     for number, each in enumerate((part, whole, other)):
         colmap.write(each, tmp_path / "sparse" / str(number))

@@ -8,7 +8,7 @@ import pytest
 from PIL import ExifTags, Image
 
 from anystyle_captures.sfm.colmap import match
-from anystyle_captures.sfm.model import Lens, Photograph, SearchOptions
+from anystyle_captures.sfm.model import Photograph, SearchOptions, SimpleRadial
 from anystyle_captures.sfm.trust import agreement
 from anystyle_captures.structure_from_motion import find_cameras
 from cards import World, arc, panorama
@@ -85,7 +85,7 @@ def test_no_feature_is_taken_of_what_is_masked(orbit, tmp_path):
 
 @pytest.mark.parametrize("radial", [-0.25, -0.05, 0.1])
 def test_undistorted_images_are_full_and_exact(radial):
-    lens = Lens(FOCAL, SIZE[1] / 2, SIZE[0] / 2, radial)
+    lens = SimpleRadial(FOCAL, SIZE[1] / 2, SIZE[0] / 2, radial)
     pinhole = lens.pinhole()
     pose = arc(3, 30)[0]
     undistorted = lens.undistorted(World(1).picture(pose, FOCAL, SIZE, radial))

@@ -21,13 +21,13 @@ FPS = 24.0
 _Side = Annotated[int, Meta(ge=1, le=1 << 15)]
 
 
-class _Frame(msgspec.Struct):
+class _PathFrame(msgspec.Struct):
     camera_to_world: Annotated[list[float], Meta(min_length=16, max_length=16)]
     fov: Annotated[float, Meta(gt=0, lt=180)]
 
 
-class _File(msgspec.Struct):
-    camera_path: Annotated[list[_Frame], Meta(max_length=100_000)]
+class _PathFile(msgspec.Struct):
+    camera_path: Annotated[list[_PathFrame], Meta(max_length=100_000)]
     render_height: _Side
     render_width: _Side
     camera_type: str = "perspective"
@@ -36,7 +36,7 @@ class _File(msgspec.Struct):
 
 
 @dataclass(frozen=True)
-class CameraPath:
+class CameraTrajectory:
     """A flight.
 
     Args:
@@ -48,12 +48,12 @@ class CameraPath:
     times: Float[Tensor, " V"]
 
 
-def read_camera_path(path: Path) -> CameraPath:
+def read_camera_path(path: Path) -> CameraTrajectory:
     """Read the frames of a path, which nerfstudio has interpolated between its keyframes.
 
     A frame has a pose with OpenGL's axes, by rows, and a vertical field of view in degrees.
     """
-    content = read_json(path, _File, what="camera path of nerfstudio")
+    content = read_json(path, _PathFile, what="camera path of nerfstudio")
     if content.camera_type.lower() != "perspective":
         raise UserError(f"{path} is a path of a camera of type {content.camera_type!r}; save one of type perspective")
     if not content.camera_path:
@@ -71,10 +71,10 @@ def read_camera_path(path: Path) -> CameraPath:
     intrinsics[:, 0, 2], intrinsics[:, 1, 2] = width / 2, height / 2
     fps = content.fps or (len(poses) / content.seconds if content.seconds else FPS)
     cameras = Cameras(poses.float()[None], intrinsics[None], (height, width))
-    return CameraPath(cameras, torch.arange(len(poses)) / fps)
+    return CameraTrajectory(cameras, torch.arange(len(poses)) / fps)
 
 
-def keyframes_of(path: CameraPath) -> dict[str, object]:
+def keyframes_of(path: CameraTrajectory) -> dict[str, object]:
     """A path as a file of keyframes, every frame one: seconds, poses with OpenCV's axes, fields of view in degrees."""
     fovs = 2 * torch.rad2deg(torch.atan(path.cameras.size[0] / 2 / path.cameras.intrinsics[0, :, 1, 1]))
     rows = zip(path.times.tolist(), path.cameras.world_from_camera[0].tolist(), fovs.tolist(), strict=True)

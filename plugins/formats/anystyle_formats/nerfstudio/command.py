@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from anystyle.cli.arguments import new_parser, parse, split, subcommand
-from anystyle.contracts import Renderer
+from anystyle.contracts import Command, Renderer
 from anystyle.data.names import distinct
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_directory, write_json
@@ -20,9 +20,8 @@ from anystyle.pipeline.splats import cameras_of
 from anystyle.pipeline.styles import slug
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose, options
-from anystyle.registry.socket import Command
 from anystyle.types import Gaussians, StyledScene
-from anystyle_formats.nerfstudio.camera_path import CameraPath, keyframes_of, read_camera_path
+from anystyle_formats.nerfstudio.camera_path import CameraTrajectory, keyframes_of, read_camera_path
 from anystyle_formats.nerfstudio.export import write_experiment
 from anystyle_formats.nerfstudio.run_folder import read_run
 
@@ -84,7 +83,7 @@ def path(words: Sequence[str]) -> None:
     print(f"{arguments.out}: {len(flight.times)} frames, {float(flight.times[-1]):.1f} s")
 
 
-def placed(flight: CameraPath, run: Path | None) -> CameraPath:
+def placed(flight: CameraTrajectory, run: Path | None) -> CameraTrajectory:
     """A path in OpenCV's axes, as the scene of its run is read; ``None`` is a run in its data's coordinates, z up."""
     cameras, up = flight.cameras, "z"
     if run is not None:

@@ -31,7 +31,7 @@ Half = tuple[Tensor, Tensor, Tensor, tuple[int, int]]
 """Of the recurrent unit: weights of the gates z and r, those of q, convolutions of the context, padding."""
 
 
-class Raft(Frozen):
+class RaftNetwork(Frozen):
     """RAFT large, 5.26 M parameters, under the keys of the original file without its prefix."""
 
     def __init__(self) -> None:
@@ -73,10 +73,10 @@ class Raft(Frozen):
         return upsample(flow, 0.25 * update.mask(state))
 
 
-def load(name: str = "raft_things", path: str | Path | None = None) -> Raft:
+def load(name: str = "raft_things", path: str | Path | None = None) -> RaftNetwork:
     """The network with published weights, ``raft_things`` or ``raft_large``, of either layout."""
     file = weights.find(name, path)
-    return load_frozen(Raft(), original_keys(weights.read(file)), file)
+    return load_frozen(RaftNetwork(), original_keys(weights.read(file)), file)
 
 
 _RENAMED = (  # torchvision's keys
@@ -134,9 +134,9 @@ class Encoder(nn.Module):
         super().__init__()
         self.conv1 = nn.Conv2d(3, 64, 7, stride=2, padding=3)
         self.norm1 = norm(64)
-        self.layer1 = nn.Sequential(Residual(64, 64, 1, norm), Residual(64, 64, 1, norm))
-        self.layer2 = nn.Sequential(Residual(64, 96, 2, norm), Residual(96, 96, 1, norm))
-        self.layer3 = nn.Sequential(Residual(96, 128, 2, norm), Residual(128, 128, 1, norm))
+        self.layer1 = nn.Sequential(ResidualBlock(64, 64, 1, norm), ResidualBlock(64, 64, 1, norm))
+        self.layer2 = nn.Sequential(ResidualBlock(64, 96, 2, norm), ResidualBlock(96, 96, 1, norm))
+        self.layer3 = nn.Sequential(ResidualBlock(96, 128, 2, norm), ResidualBlock(128, 128, 1, norm))
         self.conv2 = nn.Conv2d(128, 256, 1)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -144,7 +144,7 @@ class Encoder(nn.Module):
         return self.conv2(self.layer3(self.layer2(self.layer1(x))))
 
 
-class Residual(nn.Module):
+class ResidualBlock(nn.Module):
     """Two 3x3 convolutions beside their input."""
 
     def __init__(self, channels: int, width: int, stride: int, norm: Callable[[int], nn.Module]) -> None:

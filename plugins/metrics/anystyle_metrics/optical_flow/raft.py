@@ -12,9 +12,9 @@ from torch import Tensor
 from anystyle.contracts import Correspondence
 from anystyle.errors import UserError
 from anystyle.ranges import AtLeastOne
-from anystyle.types import Flow, Frames
+from anystyle.types import Flow, Frames, Source
 from anystyle.vision.feature_cache import CACHE
-from anystyle.vision.weights import Source, Weights, locate, published
+from anystyle.vision.weights import Weights, locate, published
 from anystyle_metrics.optical_flow import network
 from anystyle_metrics.optical_flow.matching import match
 from anystyle_metrics.optical_flow.visibility import cycle_visible, inside

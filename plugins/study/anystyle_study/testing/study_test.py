@@ -9,10 +9,8 @@ import numpy as np
 from anystyle.testing.subject import Subject
 from anystyle_study.contract import Responses, StudyTest, TestResult, Unit
 
-Plugin = Subject[StudyTest]
 
-
-def test_results_are_complete(plugin: Plugin) -> None:
+def test_results_are_complete(plugin: Subject[StudyTest]) -> None:
     """At each of its ``units`` it gives a p-value in [0, 1], an estimate in its interval, a count and its method."""
     units = getattr(plugin.cls, "units", None)
     assert units and set(units) <= set(get_args(Unit)), f"units={units!r}; declare a tuple of {get_args(Unit)}"
@@ -24,7 +22,7 @@ def test_results_are_complete(plugin: Plugin) -> None:
             assert low <= result.estimate <= high, f"{unit}: estimate {result.estimate}, interval {low} to {high}"
 
 
-def test_negative_means_ours(plugin: Plugin) -> None:
+def test_negative_means_ours(plugin: Subject[StudyTest]) -> None:
     """Where ours is preferred the estimate is negative; with ours and theirs swapped it is as large and positive."""
     for unit in plugin.cls.units:
         answers = _answers(-0.8)
@@ -34,7 +32,7 @@ def test_negative_means_ours(plugin: Plugin) -> None:
         assert symmetric, f"{unit}: an estimate of {ours:.6g} where ours is preferred, {theirs:.6g} swapped"
 
 
-def test_too_little_is_not_an_error(plugin: Plugin) -> None:
+def test_too_little_is_not_an_error(plugin: Subject[StudyTest]) -> None:
     """One answer, one participant, or answers without any variation give a result, never an error."""
     cases = {
         "a single answer": _answers(-0.8, participants=1, items=1),
@@ -50,7 +48,7 @@ def test_too_little_is_not_an_error(plugin: Plugin) -> None:
             assert told, f"{what} at unit {unit}: no p-value and no note; return `TestResult.untestable(...)`"
 
 
-def test_testing_twice_is_the_same(plugin: Plugin) -> None:
+def test_testing_twice_is_the_same(plugin: Subject[StudyTest]) -> None:
     """The same answers give the same result, and are left as they were."""
     for unit in plugin.cls.units:
         answers = _answers(-0.3).at(unit)
@@ -76,5 +74,5 @@ def _answers(mean: float, participants: int = 12, items: int = 5) -> Responses:
     )
 
 
-def _result(plugin: Plugin, answers: Responses, unit: Unit) -> TestResult:
+def _result(plugin: Subject[StudyTest], answers: Responses, unit: Unit) -> TestResult:
     return plugin.instance(answers.at(unit))

@@ -13,7 +13,7 @@ from anystyle_tiny.procedural import solids as sd
 from anystyle_tiny.procedural import textures as tx
 from anystyle_tiny.procedural.volumes import sine
 
-Array = NDArray[np.float64]
+Float64Array = NDArray[np.float64]
 Side = Annotated[int, Range(ge=8, le=4096)]
 T = TypeVar("T")
 
@@ -32,9 +32,9 @@ CLEARANCE = 0.6
 class World:
     """The tables of :mod:`anystyle_tiny.procedural.solids`, ``raycast`` and ``textures``."""
 
-    settings: Array
-    solids: Array
-    materials: Array
+    settings: Float64Array
+    solids: Float64Array
+    materials: Float64Array
 
 
 class Draw:
@@ -67,7 +67,7 @@ class Draw:
         """Cosine and sine of a uniform angle."""
         return unit_circle(self.between(-np.pi, np.pi))
 
-    def color(self, vividness: float) -> Array:
+    def color(self, vividness: float) -> Float64Array:
         """A linear colour; natural or, with probability ``vividness``, of any hue."""
         if self.chance(vividness):
             hue, saturation, value = self.between(0.0, 6.0), self.between(0.45, 0.9), self.between(0.45, 0.95)
@@ -92,8 +92,8 @@ class Builder:
     def __init__(self, draw: Draw, vividness: float) -> None:
         self.draw = draw
         self.vividness = vividness
-        self.solids: list[Array] = []
-        self.materials: list[Array] = []
+        self.solids: list[Float64Array] = []
+        self.materials: list[Float64Array] = []
 
     def material(self, kinds: tuple[int, ...], period: tuple[float, float], vividness: float | None = None) -> int:
         """Add a material of one of ``kinds`` and return its index."""
@@ -273,7 +273,7 @@ INDOORS: Makers = (_stack, _stack, _table, _chair, _lamp, _plant)
 OUTDOORS: Makers = (_stack, _tree, _house, _boulder, _pillar, _table)
 
 
-def _spread(build: Builder, makers: Makers, reach: float, eyes: Array, *, room: bool) -> None:
+def _spread(build: Builder, makers: Makers, reach: float, eyes: Float64Array, *, room: bool) -> None:
     """Stand groups of solids on the floor within ``reach`` of the middle, none inside another or before a camera."""
     draw = build.draw
     taken: list[tuple[float, float, float]] = [(float(x), float(z), CLEARANCE) for x, _, z in eyes]
@@ -290,7 +290,7 @@ def _spread(build: Builder, makers: Makers, reach: float, eyes: Array, *, room: 
                 break
 
 
-def _light(draw: Draw, settings: Array, *, room: bool, height: float) -> None:
+def _light(draw: Draw, settings: Float64Array, *, room: bool, height: float) -> None:
     strength, warm = draw.between(0.7, 1.3), draw.between(-0.12, 0.16)
     settings[rc.SUN : rc.SUN + 3] = strength * np.array([1.0 + warm, 1.0, 1.0 - 1.4 * warm])
     dim = draw.between(0.3, 0.75)
@@ -308,7 +308,7 @@ def _light(draw: Draw, settings: Array, *, room: bool, height: float) -> None:
     settings[rc.SPREAD] = draw.between(0.0, 0.16)
 
 
-def lay_out(draw: Draw, eyes: Array) -> World:
+def lay_out(draw: Draw, eyes: Float64Array) -> World:
     """Compose one scene around the origin, its floor at y = 0, for cameras at ``eyes`` (views x 3, metres, y up)."""
     room = draw.chance(0.55)
     build = Builder(draw, vividness=draw.between(0.1, 0.75))
@@ -346,7 +346,7 @@ def lay_out(draw: Draw, eyes: Array) -> World:
     return World(settings, np.stack(build.solids), np.stack(build.materials))
 
 
-def _pictures(build: Builder, settings: Array, height: float) -> None:
+def _pictures(build: Builder, settings: Float64Array, height: float) -> None:
     """Hang pictures and shelves on the walls."""
     draw = build.draw
     for axis in (0, 2):

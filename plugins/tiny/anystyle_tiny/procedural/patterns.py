@@ -19,7 +19,7 @@ ZIGZAG, SPLATTER, WASH, GEOMETRIC, SCALES, MARBLE, RINGS, PLAID, POINTS, FLOWERS
 FREQUENCY = (1.6, 7.0, 6.0, 6.0, 6.5, 5.5, 11.0, 6.0, 3.0, 5.5, 5.0, 3.4, 1.3, 3.0, 5.5, 3.2, 3.0, 3.6, 14.0, 4.0)
 
 
-Mixture = tuple[int, int, float, float]
+Blend = tuple[int, int, float, float]
 """Two colours of the palette, how far the way from the one to the other, and a shade."""
 
 
@@ -42,7 +42,7 @@ def _pick(i: int, j: int, salt: int, count: int) -> int:
 
 
 @compiled
-def _bands(phase: float, foot: float, count: int) -> Mixture:
+def _bands(phase: float, foot: float, count: int) -> Blend:
     """Bands of equal width in the order of the palette; at least two."""
     band = np.floor(phase)
     f = phase - band
@@ -52,13 +52,13 @@ def _bands(phase: float, foot: float, count: int) -> Mixture:
 
 
 @compiled
-def _dots(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
+def _dots(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
     i, j, dx, dy = _staggered(x, y)
     return 0, 1 + _pick(i, j, salt, count - 1), cover(0.32 - np.sqrt(dx * dx + dy * dy), foot), 1.0
 
 
 @compiled
-def _mosaic(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
+def _mosaic(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
     ix, iy = int(np.floor(x)), int(np.floor(y))
     best, second, ci, cj = 1e9, 1e9, 0, 0
     for di, dj in np.ndindex(3, 3):
@@ -76,7 +76,7 @@ def _mosaic(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
 
 
 @compiled
-def _bricks(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
+def _bricks(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
     row = np.floor(y)
     u = x * 0.5 + 0.5 * (int(row) & 1)
     column = np.floor(u)
@@ -88,7 +88,7 @@ def _bricks(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
 
 
 @compiled
-def _hatching(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Mixture:
+def _hatching(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Blend:
     tone = noise_at(noise, x * 0.09 + salt, y * 0.09, 0.37) + 0.15
     wobble = 0.35 * noise_at(noise, x * 0.2, y * 0.2, 1.7 + salt)
     f = y + wobble
@@ -103,7 +103,7 @@ def _hatching(x: float, y: float, foot: float, count: int, salt: int, noise: np.
 
 
 @compiled
-def _strokes(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Mixture:
+def _strokes(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Blend:
     """Dabs of paint along a slowly turning field, three layers deep."""
     ix, iy = int(np.floor(x)), int(np.floor(y))
     best, color, shade = -1.0, 0, 0.7
@@ -131,7 +131,7 @@ def _strokes(x: float, y: float, foot: float, count: int, salt: int, noise: np.n
 
 
 @compiled
-def _swirls(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Mixture:
+def _swirls(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Blend:
     """Strokes that curl around vortices."""
     x += 0.35 * noise_at(noise, x * 0.4 + salt, y * 0.4, 0.1)
     y += 0.35 * noise_at(noise, x * 0.4 + salt, y * 0.4, 2.1)
@@ -154,7 +154,7 @@ def _swirls(x: float, y: float, foot: float, count: int, salt: int, noise: np.nd
 
 
 @compiled
-def _splatter(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Mixture:
+def _splatter(x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Blend:
     """Drops of all sizes thrown on the first colour."""
     color, most = 0, 0.0
     for level in range(3):
@@ -181,7 +181,7 @@ def _splatter(x: float, y: float, foot: float, count: int, salt: int, noise: np.
 
 
 @compiled
-def _geometric(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
+def _geometric(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
     """Triangles, bars and disks over each other, each of one flat colour."""
     ix, iy = int(np.floor(x)), int(np.floor(y))
     best, color, shade = -1.0, 0, 0.9
@@ -210,7 +210,7 @@ def _geometric(x: float, y: float, foot: float, count: int, salt: int) -> Mixtur
 
 
 @compiled
-def _scales(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
+def _scales(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
     """Overlapping half disks in rows."""
     for step in range(2, -1, -1):
         row = int(np.floor(2.0 * y)) + step
@@ -226,7 +226,7 @@ def _scales(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
 
 
 @compiled
-def _flowers(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
+def _flowers(x: float, y: float, foot: float, count: int, salt: int) -> Blend:
     i, j, dx, dy = _staggered(x, y)
     dx, dy = dx + 0.1 * (chance(i, j, salt) - 0.5), dy + 0.1 * (chance(i, j, salt + 1) - 0.5)
     d = np.sqrt(dx * dx + dy * dy)
@@ -240,7 +240,7 @@ def _flowers(x: float, y: float, foot: float, count: int, salt: int) -> Mixture:
 
 
 @compiled
-def _wash(x: float, y: float, count: int, salt: int, noise: np.ndarray) -> Mixture:
+def _wash(x: float, y: float, count: int, salt: int, noise: np.ndarray) -> Blend:
     """Colours that run into each other."""
     t = 0.55 * y + 0.9 * rough(noise, x * 0.35 + 0.1 * salt, y * 0.35, 0.2, 1.0) + 0.5
     t = min(max(t * 0.75, 0.0), 0.9999) * (count - 1)
@@ -250,7 +250,7 @@ def _wash(x: float, y: float, count: int, salt: int, noise: np.ndarray) -> Mixtu
 
 
 @compiled
-def pattern_at(kind: int, x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Mixture:
+def pattern_at(kind: int, x: float, y: float, foot: float, count: int, salt: int, noise: np.ndarray) -> Blend:
     """Two colours of the palette, the mixture between them and a shade, at a place in periods."""
     if kind == PLAIN:
         t = y * 0.7 * count * 0.5 + 0.06 * rough(noise, x + salt, y, 0.3, 1.0)

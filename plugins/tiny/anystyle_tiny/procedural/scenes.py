@@ -18,7 +18,7 @@ from anystyle_tiny.procedural.raycast import EXTENT, ROOM, cast
 from anystyle_tiny.procedural.solids import SOLIDS
 from anystyle_tiny.procedural.volumes import volumes
 
-Array = NDArray[np.float64]
+Float64Array = NDArray[np.float64]
 
 SPLITS = ("train", "validation", "heldout")
 # Rejection looks at small square previews: what a scene is does not depend on the size it is rendered at.
@@ -34,7 +34,7 @@ class Shot(NamedTuple):
     """A scene that passed the inspection, with what rendering needs."""
 
     world: World
-    poses: Array
+    poses: Float64Array
     """World from camera in metres, y up; views x 4 x 4."""
     focal: float
     """In units of the shorter side."""
@@ -135,20 +135,22 @@ class ProceduralScenes(SceneSource):
         raise AssertionError(f"no acceptable scene in {ATTEMPTS} draws")
 
 
-def _cast(world: World, pose: Array, focal: float, color: Array, depth: Array, samples: int) -> NDArray[np.int64]:
+def _cast(
+    world: World, pose: Float64Array, focal: float, color: Float64Array, depth: Float64Array, samples: int
+) -> NDArray[np.int64]:
     labels = np.empty(depth.shape, np.int64)
     cast(world.settings, world.solids, world.materials, volumes(), pose, focal, color, depth, labels, samples)
     return labels
 
 
-def _develop(linear: Array, exposure: float) -> NDArray[np.uint8]:
+def _develop(linear: Float64Array, exposure: float) -> NDArray[np.uint8]:
     """8-bit sRGB-like levels of linear light: a soft shoulder, then a gamma of 2, which is exact everywhere."""
     light = linear * exposure
     light = light * (1.0 + light * 0.25) / (1.0 + light)
     return (np.sqrt(np.clip(light, 0.0, 1.0)) * 255.0 + 0.5).astype(np.uint8)
 
 
-def _look_at(eye: Array, target: Array, roll: float) -> Array:
+def _look_at(eye: Float64Array, target: Float64Array, roll: float) -> Float64Array:
     """World from camera; OpenCV axes in the camera, y up in the world."""
     forward = target - eye
     forward = forward / np.sqrt((forward * forward).sum())
@@ -162,7 +164,7 @@ def _look_at(eye: Array, target: Array, roll: float) -> Array:
     return pose
 
 
-def _path(draw: Draw, views: int) -> tuple[Array, float]:
+def _path(draw: Draw, views: int) -> tuple[Float64Array, float]:
     """Cameras along an arc that also rises, approaches and wanders; and the focal length in shorter sides."""
     arc, start = draw.between(0.18, 0.87), draw.between(-np.pi, np.pi)
     radius, height = draw.between(2.9, 4.4), draw.between(0.7, 2.0)
@@ -183,13 +185,13 @@ def _path(draw: Draw, views: int) -> tuple[Array, float]:
     return np.stack(poses), focal
 
 
-def _inspect(world: World, poses: Array, focal: float) -> Shot | None:
+def _inspect(world: World, poses: Float64Array, focal: float) -> Shot | None:
     """Accept or reject a scene by small previews of all its views."""
     if world.settings[ROOM] > 0:
         margin = np.abs(poses[:, :3, 3]) + 0.25
         if (margin[:, [0, 2]] > world.settings[EXTENT : EXTENT + 3 : 2]).any():
             return None
-    depths: list[Array] = []
+    depths: list[Float64Array] = []
     color = np.empty((PREVIEW, PREVIEW, 3))
     for pose in poses:
         depth = np.empty((PREVIEW, PREVIEW))
@@ -202,7 +204,7 @@ def _inspect(world: World, poses: Array, focal: float) -> Shot | None:
     return Shot(world, poses, focal, float(depths[0].mean()), EXPOSED / float(color.mean()))
 
 
-def _presentable(depth: Array, labels: NDArray[np.int64]) -> bool:
+def _presentable(depth: Float64Array, labels: NDArray[np.int64]) -> bool:
     """Whether nothing near fills the view and something stands in it."""
     counts = np.bincount(labels.ravel()) / labels.size
     if depth.min() < 0.9 or len(counts) <= SOLIDS:
@@ -212,7 +214,7 @@ def _presentable(depth: Array, labels: NDArray[np.int64]) -> bool:
     return bool(things.max() < 0.3 and 0.12 < things.sum() < 0.75 and (things > 0.01).sum() >= 3 and near.mean() < 0.3)
 
 
-def _shared(poses: Array, focal: float, depths: list[Array]) -> float:
+def _shared(poses: Float64Array, focal: float, depths: list[Float64Array]) -> float:
     """The smallest fraction of the first view's pixels that another view sees too."""
     grid = (np.arange(PREVIEW) + 0.5 - PREVIEW / 2) / (focal * PREVIEW)
     x, y = np.meshgrid(grid, grid)

@@ -15,8 +15,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, Renderer, SceneSource, StyleSource
+from anystyle.contracts.training import Training, required
 from anystyle.ranges import AtLeastOne, Count, Positive
-from anystyle.training.base import Training, required
 from anystyle.training.data import Batch, SceneBatches
 from anystyle.training.optim import decayed_adamw
 from anystyle.types import Attributes, Cameras, Features, Gaussians, Geometry, Renders, Tokens, Views

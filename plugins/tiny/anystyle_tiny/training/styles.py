@@ -9,8 +9,8 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from anystyle.contracts import SceneSource, StyleSource
+from anystyle.contracts.training import Training, required
 from anystyle.errors import UserError
-from anystyle.training.base import Training, required
 from anystyle.training.sampling import generator
 from anystyle.types import Value
 from anystyle_tiny.procedural.captions import SCALES

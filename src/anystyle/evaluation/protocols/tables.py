@@ -7,22 +7,22 @@ from typing import Any, Literal
 
 from PIL import Image
 
-from anystyle.contracts import Metric
+from anystyle.contracts import Method, Metric
+from anystyle.contracts.protocol import Evaluation, Protocol
 from anystyle.data.folder import read_picture
 from anystyle.data.images import image_size, read_square, to_tensor
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.style_folder import FolderStyles
 from anystyle.errors import UserError
 from anystyle.evaluation import published_figures, record
-from anystyle.evaluation.base import Evaluation, Progress, Protocol
 from anystyle.evaluation.judge import judge_pairing
 from anystyle.evaluation.model_renders import ModelRenders, Variant, suffix_of, write_picture
-from anystyle.evaluation.pairing import Cell, Pairing
+from anystyle.evaluation.pairing import Pairing, StylizedImages
 from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, PaperFolder
-from anystyle.methods.base import Method
 from anystyle.paths import expanded
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.stylizer import Stylizer
+from anystyle.types import OnStep
 
 PHOTOGRAPHS = "photographs"
 STYLE_SIZE = 256
@@ -97,7 +97,7 @@ class Tables(Protocol):
         (folder / "styles" / "captions.jsonl").write_text('{"image": "00.png", "text": "grey"}\n')
         return {"root": str(folder), "scene_names": ["Garden"], "num_styles": 1, "frames": 2, "size": 16}
 
-    def run(self, out: Path, progress: Progress) -> Evaluation:
+    def run(self, out: Path, progress: OnStep) -> Evaluation:
         rows = {
             (name := f"model_{guide}"): self._model(guide).run(out / "methods" / name, progress)
             for guide in self.guides
@@ -138,11 +138,11 @@ class Tables(Protocol):
             method=self.method,
         )
 
-    def _cell(self, out: Path, scene: str, style: str, images: Mapping[int, Path]) -> Cell:
+    def _cell(self, out: Path, scene: str, style: str, images: Mapping[int, Path]) -> StylizedImages:
         """Images of a scene in a style, by the places of their photographs."""
         places = sorted(images)
         content = self._content(out, scene, image_size(images[places[0]]))
-        return Cell(
+        return StylizedImages(
             scene=scene,
             style=style,
             frames=tuple(f"{place:03d}" for place in places),

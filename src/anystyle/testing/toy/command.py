@@ -5,8 +5,8 @@ import argparse
 from collections.abc import Sequence
 from typing import NoReturn
 
+from anystyle.contracts import Command
 from anystyle.errors import UserError
-from anystyle.registry.socket import Command
 
 
 class Parser(argparse.ArgumentParser):

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import torch
 
+from anystyle.contracts import Method
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
-from anystyle.methods.base import Method
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, Style, StyleEmbedding
 from anystyle.types.progress import OnProgress, no_progress

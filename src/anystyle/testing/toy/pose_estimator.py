@@ -4,9 +4,9 @@ from collections.abc import Sequence
 
 import torch
 
-from anystyle.data.folder import Original, as_views, common_size, cover
-from anystyle.pipeline.poses import PosedViews, PoseEstimator, Verdict
-from anystyle.types import Cameras, OnProgress, Progress
+from anystyle.contracts import PosedViews, PoseEstimator, Verdict
+from anystyle.data.folder import as_views, common_size, cover
+from anystyle.types import Cameras, OnProgress, Original, Progress
 
 
 class ToyPoseEstimator(PoseEstimator):

@@ -6,9 +6,10 @@ from pathlib import Path
 import torch
 
 from anystyle.contracts import SceneSource, StyleSource
-from anystyle.evaluation.base import Evaluation, Progress, Protocol, Row, required
+from anystyle.contracts.protocol import Evaluation, Protocol, Row, required
 from anystyle.io.atomic import atomic_path
 from anystyle.stylizer import Stylizer
+from anystyle.types import OnStep
 
 
 class ToyProtocol(Protocol):
@@ -29,7 +30,7 @@ class ToyProtocol(Protocol):
         self.style = required(styles, "styles").read(0)
         self.num_scenes = min(num_scenes, len(self.scenes))
 
-    def run(self, out: Path, progress: Progress) -> Evaluation:
+    def run(self, out: Path, progress: OnStep) -> Evaluation:
         rows: list[Row] = []
         for scene in range(self.num_scenes):
             progress("scenes", scene, self.num_scenes)

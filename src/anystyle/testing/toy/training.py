@@ -8,7 +8,7 @@ from msgspec import Meta
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, SceneSource, StyleSource
-from anystyle.training.base import Training, required
+from anystyle.contracts.training import Training, required
 from anystyle.training.data import Batch, SceneBatches
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float64
 from PIL import ExifTags, Image
 
-from anystyle.data.camera_reader import StoredCamera, Undistortion
+from anystyle.contracts import StoredCamera, Undistortion
 from anystyle.data.names import matched
 from anystyle.errors import UserError
 from anystyle.io.images import opened

@@ -1,0 +1,142 @@
+"""The contract of a backbone and of its five parts."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import ClassVar, final
+
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from anystyle.errors import UserError
+from anystyle.published import Published
+from anystyle.registry.pluggable import Pluggable
+from anystyle.types import (
+    Attributes,
+    Clusters,
+    Features,
+    Gaussians,
+    Geometry,
+    Inject,
+    Scene,
+    Site,
+    Source,
+    Tokens,
+    Views,
+    contiguous,
+    untouched,
+)
+
+
+class Embedder(nn.Module, ABC):
+    """From pixels to the tokens that every later part shares: the stem."""
+
+    @abstractmethod
+    def forward(self, images: Float[Tensor, "B V 3 H W"]) -> Tokens:
+        """Embed sRGB images in [0, 1]; any normalisation is the embedder's own."""
+
+
+class Aggregator(nn.Module, ABC):
+    """The transformer that lets views see each other, and is copied when style enters it."""
+
+    @property
+    @abstractmethod
+    def sites(self) -> tuple[Site, ...]:
+        """Where style may enter, named ``aggregator/...``, in the order of the computation."""
+
+    @abstractmethod
+    def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
+        """Turn the stem into tapped features, calling ``inject`` at every site."""
+
+
+class GeometryHead(nn.Module, ABC):
+    """Cameras and depth from features; never styled."""
+
+    @abstractmethod
+    def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
+        """Predict geometry at the size of the sRGB images in [0, 1], which it may look at."""
+
+
+class GaussianHead(nn.Module, ABC):
+    """One raw Gaussian a pixel from features; copied when style enters it or the aggregator."""
+
+    @property
+    @abstractmethod
+    def sites(self) -> tuple[Site, ...]:
+        """Where style may enter, named ``head/...``, in the order of the computation."""
+
+    @abstractmethod
+    def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
+        """Predict raw attributes from features and sRGB images in [0, 1], calling ``inject`` at every site."""
+
+
+class Adapter(nn.Module, ABC):
+    """From raw attributes to Gaussians: activations, fusion, conventions."""
+
+    @abstractmethod
+    def cluster(self, geometry: Geometry, attributes: Attributes) -> Clusters | None:
+        """Decide once a scene which pixels become which Gaussian; ``None`` where each pixel is its own."""
+
+    @abstractmethod
+    def forward(self, attributes: Attributes, geometry: Geometry, clusters: Clusters | None) -> Gaussians:
+        """Activate and fuse. Differentiable in ``attributes``; linear work only in the number of Gaussians."""
+
+
+class Backbone(Pluggable, nn.Module, ABC):
+    """A feed-forward reconstruction network in five parts.
+
+    The constructor sets all five, ``patch_size`` (image sides are multiples of it) and ``resolution`` (the shorter
+    side, in pixels, that its weights were made for).
+    """
+
+    embedder: Embedder
+    aggregator: Aggregator
+    geometry_head: GeometryHead
+    gaussian_head: GaussianHead
+    adapter: Adapter
+    patch_size: int
+    resolution: int
+    frozen: bool = False
+    sources: tuple[Source, ...] = ()
+    """The published weights that the constructor filled it with, where it does."""
+    published: ClassVar[Published | None] = None
+    """How checkpoints in the original layout load, where there are any."""
+
+    @property
+    @final
+    def sites(self) -> tuple[Site, ...]:
+        """Where style may enter; a style branch offers one more, :data:`anystyle.branch.COLOR`."""
+        return self.aggregator.sites + self.gaussian_head.sites
+
+    @final
+    def encode(self, views: Views) -> Scene:
+        """Compute all that does not depend on style."""
+        # A product of a tensor that is not contiguous is rounded in one way with weights that learn, as a style branch
+        # has them, and in another with frozen ones.
+        stem = self.embedder(views.images).contiguous()
+        features = contiguous(self.aggregator(stem))
+        geometry = self.geometry_head(features, views.images)
+        attributes = self.gaussian_head(features, views.images)
+        clusters = self.adapter.cluster(geometry, attributes)
+        return Scene(views, stem, features, geometry, attributes, clusters)
+
+    @final
+    def load_reference(self, state: Mapping[str, Tensor]) -> None:
+        """Load published weights: a state dict, with or without the prefixes of its file; parts it lacks stay.
+
+        Raises:
+            UserError: They do not fit, or no published weights of this network are known.
+        """
+        if self.published is None:
+            raise UserError(f"no published weights of a {type(self).__name__} are known")
+        self.published.load("backbone", self, state)
+
+    @final
+    def freeze(self) -> "Backbone":
+        """Disable gradients, and stay in ``eval`` mode even if :meth:`train` is called."""
+        self.frozen = True
+        return self.requires_grad_(False).train(False)
+
+    @final
+    def train(self, mode: bool = True) -> "Backbone":
+        """Set the mode; a frozen backbone stays in ``eval``."""
+        return super().train(mode and not self.frozen)

@@ -1,0 +1,21 @@
+"""The contract of a command; needs nothing but the standard library."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+from anystyle.registry.pluggable import Pluggable
+
+
+class Command(Pluggable, ABC):
+    """A word of the command line, ``anystyle NAME ...``; the first line of its docstring is its description."""
+
+    @abstractmethod
+    def __call__(self, words: Sequence[str]) -> None:
+        """Run the command.
+
+        Args:
+            words: What follows the command's name.
+
+        Raises:
+            UserError: The words make no sense; ends in one line and exit status 2.
+        """

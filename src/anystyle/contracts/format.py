@@ -1,0 +1,53 @@
+"""Files of Gaussian scenes."""
+
+from abc import ABC, abstractmethod
+from pathlib import Path
+from typing import ClassVar
+
+from anystyle.errors import UserError
+from anystyle.registry.pluggable import Pluggable
+from anystyle.types import StyledScene
+
+
+class Format(Pluggable, ABC):
+    """A file format of Gaussian scenes; its name is the suffix of the files.
+
+    A constructor that names ``renderer`` is given a function from Gaussians and cameras to renders if there is one.
+    """
+
+    runtime = ("activated", "renderer")
+
+    up: ClassVar[str] = "opencv"
+    """Axes of the format's files, unless they say otherwise: ``opencv``, ``y`` or ``z`` up."""
+    reads: ClassVar[bool] = False
+    """Whether files are read, too."""
+    needs_cameras: ClassVar[bool] = False
+    """Whether a file is made from cameras; those beside a scene's file are found."""
+    has_notes: ClassVar[bool] = False
+    """Whether a file has room for :attr:`~anystyle.types.StyledScene.notes`."""
+    has_offset: ClassVar[bool] = False
+    """Whether a file has room for :attr:`~anystyle.types.StyledScene.offset`."""
+
+    many_styles: ClassVar[bool] = False
+    """Whether a file has room for several styles."""
+
+    @abstractmethod
+    def write(self, scene: StyledScene, path: Path) -> None:
+        """Write a scene, whole or not at all.
+
+        Args:
+            scene: In the axes of :attr:`up` unless others were asked for; every Gaussian is visible. A format with room
+                for one style takes the last.
+            path: The file.
+
+        Raises:
+            UserError: The format cannot hold the scene.
+        """
+
+    def read(self, path: Path) -> StyledScene:
+        """Read a scene in the file's own axes, which are its ``up``; without cameras where the file has none.
+
+        Raises:
+            UserError: The file is damaged, or none of this format.
+        """
+        raise UserError(f"{path}: files of this format are written, and not read")

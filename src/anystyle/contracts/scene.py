@@ -1,0 +1,115 @@
+"""How a scene comes to be, takes a style, and is shown."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, ClassVar
+
+from jaxtyping import Float
+from torch import Tensor
+
+from anystyle.registry.pluggable import Pluggable
+from anystyle.types import (
+    Cameras,
+    Gaussians,
+    OnProgress,
+    Reconstructed,
+    Renders,
+    Scene,
+    Source,
+    Style,
+    StyleEmbedding,
+    Views,
+    no_progress,
+)
+
+if TYPE_CHECKING:
+    from anystyle.stylizer import Stylizer
+
+
+class Renderer(Pluggable, ABC):
+    """A differentiable 3DGS rasteriser."""
+
+    devices: ClassVar[tuple[str, ...]] = ()
+    """The types of device that it runs on, as in ``torch.device.type``; empty for any."""
+    priority: ClassVar[int] = 0
+    """``renderer=auto`` takes the renderer of the highest priority among those that run on the tensors' device, of
+    equal ones the first by name, and gives it the options ``background, near, far, eps2d``. 0: never taken; 1: plain
+    PyTorch; 10: the kernels that come with anystyle."""
+
+    @abstractmethod
+    def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
+        """Render every camera of every scene, differentiable in the Gaussians and the camera poses."""
+
+
+class Reconstruction(Pluggable, ABC):
+    """From the views of one scene to the scene that is styled; run once per scene."""
+
+    needs_cameras: ClassVar[bool] = False
+    """Whether views must come with cameras. One that does takes all views at once; others may get them in groups."""
+
+    short_side: int | None = None
+    """Shorter side in pixels that it is best given views at; smaller photographs stay as they are. ``None`` is the
+    backbone's resolution."""
+
+    max_views: int = 48
+    """The most photographs of a scene that are read where ``views.take`` sets no number."""
+
+    @abstractmethod
+    def __call__(
+        self,
+        views: Views,
+        encode: Callable[[Views], Scene],
+        renderer: Renderer,
+        *,
+        points: Sequence[Float[Tensor, "_ 3"]] | None = None,
+        on_progress: OnProgress = no_progress,
+    ) -> Reconstructed:
+        """Reconstruct one scene, in the frame of its cameras where these are known.
+
+        Args:
+            views: A batch of one; with cameras if they are needed.
+            encode: Encodes views in the backbone's single pass.
+            renderer: Differentiable; the one that will show the scene.
+            points: For each view, sparse points in world space that it shows, where some are known.
+            on_progress: Called every few seconds.
+
+        Raises:
+            UserError: The views do not suffice, or lack cameras.
+        """
+
+
+class Method(Pluggable, ABC):
+    """Stylizes one scene at a time; a constructor argument ``losses`` is passed by the framework, by name."""
+
+    runtime = ("losses",)
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """The networks that it uses beside the stylizer's, for reports."""
+        return ()
+
+    @abstractmethod
+    def __call__(
+        self,
+        stylizer: "Stylizer",
+        scene: Scene,
+        style: Style,
+        embedding: StyleEmbedding,
+        *,
+        on_progress: OnProgress = no_progress,
+    ) -> Gaussians:
+        """Stylize one scene, without changing it.
+
+        Args:
+            stylizer: Encoded the scene and the style, and renders.
+            scene: A batch of one.
+            style: Image, text, or neither where the style is a point between two; a batch of one.
+            embedding: The style, embedded by the stylizer's encoder.
+            on_progress: Called every few seconds.
+
+        Returns:
+            In the scene's frame, free of gradients.
+
+        Raises:
+            UserError: The style or the stylizer lacks what the method needs.
+        """

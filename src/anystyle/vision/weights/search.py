@@ -1,0 +1,95 @@
+"""Where a file of weights is searched, and fetched from if it is asked for."""
+
+import importlib.util
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from anystyle import paths
+from anystyle.errors import UserError
+from anystyle.io.checkpoint import sha256
+from anystyle.paths import expanded
+from anystyle.registry.packages import packages
+from anystyle.vision.weights.table import TABLE, row, rows_of
+
+FOLDERS = "ANYSTYLE_WEIGHTS"
+"""The environment variable that names folders of weights, separated as in ``PATH``."""
+
+
+class MissingWeights(UserError, FileNotFoundError):
+    """A file of weights was not found; the message says where to get it and where to put it."""
+
+
+def folders() -> tuple[Path, ...]:
+    """The folders that are searched, in order: those of ``ANYSTYLE_WEIGHTS``, then the package's own."""
+    named = [expanded(folder) for folder in os.environ.get(FOLDERS, "").split(os.pathsep) if folder]
+    return (*named, paths.ASSETS)
+
+
+def candidates(name: str) -> Iterator[Path]:
+    """The paths at which a file is searched, in order: :func:`folders`, plugins, another package, the hub's cache."""
+    entry = row(name)
+    for folder in folders():
+        yield folder / entry.file
+    if entry.bundled:
+        yield from (package / "assets" / entry.file for package in packages() if name in rows_of(package / TABLE))
+    if entry.package is not None:
+        package, _, inside = entry.package.partition("/")
+        spec = importlib.util.find_spec(package)
+        if spec is not None and spec.submodule_search_locations:
+            yield Path(next(iter(spec.submodule_search_locations))) / inside
+    if entry.hub is not None and has_hub():
+        from huggingface_hub import try_to_load_from_cache  # pyright: ignore[reportMissingImports]
+
+        owner, repository, path = entry.hub.split("/", 2)
+        cached = try_to_load_from_cache(f"{owner}/{repository}", path)
+        if isinstance(cached, str):
+            yield Path(cached)
+
+
+def find(name: str, path: str | Path | None = None) -> Path:
+    """The file of the weights called ``name``: the given one, or one of :func:`candidates`, else `MissingWeights`."""
+    searched = [expanded(path)] if path is not None else list(candidates(name))
+    for candidate in searched:
+        if candidate.is_file():
+            return candidate
+    entry = row(name)
+    by_hub = f" (`anystyle weights download {name}` does)" if entry.hub else ""
+    shown = ", ".join(map(str, searched)) + (", the Hugging Face cache" if entry.hub and has_hub() else "")
+    raise MissingWeights(
+        f"the weights {name!r} are missing: get {entry.file} from {entry.source}{by_hub} ({entry.license}) and put it "
+        f"into a folder that {FOLDERS} names; looked for {shown}"
+    )
+
+
+def has_hub() -> bool:
+    """Whether ``huggingface_hub`` is installed."""
+    return importlib.util.find_spec("huggingface_hub") is not None
+
+
+def download(name: str) -> Path:
+    """Fetch a file from the Hugging Face hub into its cache; an interrupted download is continued."""
+    entry = row(name)
+    put = f"put it as {entry.file} into a folder that {FOLDERS} names"
+    if entry.hub is None:
+        raise UserError(
+            f"the Hugging Face hub does not have {name!r}: get it from {entry.source} ({entry.license}) and {put}"
+        )
+    try:
+        from huggingface_hub import hf_hub_download  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        raise ImportError(f'downloading {name} needs huggingface_hub: pip install "anystyle[hub]"') from None
+    owner, repository, path = entry.hub.split("/", 2)
+    try:
+        return Path(hf_hub_download(f"{owner}/{repository}", path))
+    except OSError as error:
+        reason = next(iter(str(error).strip().splitlines()), type(error).__name__)
+        raise UserError(
+            f"{entry.hub} cannot be fetched ({reason}); try again, or get it from {entry.source} elsewhere and {put}"
+        ) from None
+
+
+def verified(name: str, path: str | Path) -> bool | None:
+    """Whether a file has the checksum that its publisher states; ``None`` if none is stated."""
+    stated = row(name).sha256
+    return None if stated is None else sha256(path).startswith(stated)

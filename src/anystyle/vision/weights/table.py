@@ -1,0 +1,59 @@
+"""The rows of ``weights.toml``: where each file of weights comes from, and under what licence."""
+
+import re
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+from anystyle.errors import UserError, unknown
+from anystyle.io.documents import read_toml
+from anystyle.registry.packages import packages
+
+TABLE = "weights.toml"
+"""The file of a package's rows: one table for each, with the fields of :class:`WeightsFile`."""
+
+
+@dataclass(frozen=True)
+class WeightsFile:
+    """One file of weights."""
+
+    file: str
+    purpose: str
+    license: str
+    source: str  # the publisher's address, or how it was made
+    sha256: str | None = None  # in hexadecimal; as many leading digits as its publisher states
+    bundled: bool = False  # comes with the package of this row
+    size: int | None = None  # of the file in bytes, where its publisher states it
+    tensors: int | None = None  # bytes of the tensors that the network has, computed; the file may hold more
+    hub: str | None = None  # its path on the Hugging Face hub: owner/repository/path
+    package: str | None = None  # an installed package that contains it: package/path
+
+    def __post_init__(self) -> None:
+        if self.hub is not None and not re.fullmatch(r"(?!.*(--|\.\.))\w[\w.-]*/\w[\w.-]*/[^/\0][^\0]*", self.hub):
+            raise ValueError(f"hub is {self.hub!r}; expected owner/repository/path")
+        if self.package is not None and not re.fullmatch(r"[A-Za-z_]\w*/[^\0]+", self.package):
+            raise ValueError(f"package is {self.package!r}; expected package/path")
+
+
+def files() -> dict[str, WeightsFile]:
+    """Every row by name: those of the table beside this module, then those of plugins."""
+    known = dict(rows_of(Path(__file__).with_name(TABLE)))
+    for package in packages():
+        for name, entry in rows_of(package / TABLE).items():
+            if known.setdefault(name, entry) != entry:
+                raise UserError(f"{package / TABLE} names {name!r}, the name of another row; rename it")
+    return known
+
+
+@cache
+def rows_of(path: Path) -> dict[str, WeightsFile]:
+    """The rows of one table, by name; none where there is no such file."""
+    return read_toml(path, dict[str, WeightsFile], what="table of weights") if path.is_file() else {}
+
+
+def row(name: str) -> WeightsFile:
+    """The row of a name."""
+    known = files()
+    if name not in known:
+        raise UserError(unknown("file of weights", name, known))
+    return known[name]
