@@ -51,7 +51,7 @@ class CameraReader(Socket, ABC):
     def find(self, path: Path) -> Path | None:
         """The file or folder with cameras: a given file itself, or what a folder holds; ``None`` if it is not there.
 
-        Its content is looked at no further than to tell it from other files of the same suffix.
+        Its content is only read to distinguish it from other files of the same suffix.
         """
 
     @abstractmethod

@@ -54,10 +54,10 @@ class ProceduralScenes(SceneSource):
         size: Height in pixels, and width unless that is given; ``None`` is the backbone's resolution.
         width: Width in pixels.
         num_scenes: How many scenes.
-        views: Views a scene.
-        seed: Of the world; the splits of one seed share no scene.
+        views: Views per scene.
+        seed: Seed of the world; the splits of one seed share no scene.
         split: Which scenes.
-        samples: Rays a pixel's side; their square is cast for a pixel.
+        samples: Rays per pixel's side; their square is cast for a pixel.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class ProceduralScenes(SceneSource):
         sides, counts = {"size": size, "width": width or size}, {"num_scenes": num_scenes, "views": views}
         for name, value in sides.items():
             if not 8 <= value <= 4096:
-                raise UserError(f"{name}={value}: procedural scenes are rendered at 8 to 4096 pixels a side")
+                raise UserError(f"{name}={value}: procedural scenes are rendered at 8 to 4096 pixels per side")
         for name, value in (counts | {"samples": samples, "seed": seed + 1}).items():
             if value < 1:
                 raise UserError(

@@ -18,7 +18,7 @@ from anystyle_tiny.procedural.patterns import BRUSHWORK, FREQUENCY, PATTERNS, WA
 from anystyle_tiny.procedural.volumes import scramble, volumes
 
 SPLITS = ("train", "validation", "heldout")
-# Of every HOLD combinations of a set of colours with a pattern, one is never seen in training.
+# One of every HOLD combinations of colours with a pattern is never seen in training.
 HOLD = 6
 # Patterns that look the same upside down turn freely; the others keep a direction that a caption may tell.
 DIRECTED = ("stripes", "waves", "zigzag")
@@ -48,7 +48,7 @@ class ProceduralStyles(StyleSource):
     Args:
         size: Height and width in pixels.
         num_styles: How many styles.
-        seed: Of the pictures and captions; which combinations are held out does not depend on it.
+        seed: Seed of the pictures and captions; which combinations are held out does not depend on it.
         split: Which combinations, and which pictures of them.
         max_colors: The most colours a picture has.
     """
@@ -63,7 +63,7 @@ class ProceduralStyles(StyleSource):
         max_colors: int = 3,
     ) -> None:
         if not 8 <= size <= 4096:
-            raise UserError(f"size={size}: procedural styles are painted at 8 to 4096 pixels a side")
+            raise UserError(f"size={size}: procedural styles are painted at 8 to 4096 pixels per side")
         if num_styles < 1 or not 1 <= max_colors <= 3 or seed < 0:
             raise UserError(
                 f"num_styles={num_styles}, max_colors={max_colors}, seed={seed}: give at least 1, 1 to 3, at least 0"
