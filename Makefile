@@ -4,7 +4,7 @@ BIN := .venv/bin
 EXTRAS := report,flow,heic,sweeps,tracking,hub,viewer,words,usd,spz,mesh
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup demo benchmark-smoke docs test test-slow fuzz lint format
+.PHONY: setup demo benchmark-smoke docs notebooks test test-slow fuzz lint format
 
 setup: .venv/.ready
 
@@ -35,6 +35,10 @@ benchmark-smoke: setup
 docs: setup
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --config-file docs/site/mkdocs.yml
 	@echo "the pages are in out/docs: open out/docs/index.html"
+
+# Runs notebooks/*.py and writes notebooks/*.ipynb, with outputs.
+notebooks: setup
+	$(BIN)/python tests/support/notebooks.py
 
 test: lint
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" --durations 15

@@ -14,10 +14,10 @@
 # %% [markdown]
 # # Stylize a scene
 #
-# A handful of photographs, made into a scene once; then as many styles as you like, each from a sentence, a picture, or
-# any point between two. Everything here runs on the CPU. The scene is fitted to the photographs, whose cameras are
-# found; it is painted by Magenta's pretrained arbitrary stylization (`model=painter`). That network is not the paper's:
-# `model=tiny` is the small learnt branch that is.
+# Photographs become a scene once; then any number of styles is applied to it, each from a text, a picture, or a blend
+# of two. Everything here runs on the CPU. Cameras are estimated, and Gaussians are fitted to the photographs. The
+# default model, `model=painter`, colours them with Magenta's pretrained arbitrary stylization. It is not the network of
+# the paper; `model=tiny` is a small one that works as the paper's does.
 
 # %%
 import time
@@ -36,23 +36,20 @@ out = Path(mkdtemp())
 # %% [markdown]
 # ## One call
 # Twelve photographs of a street come with the package; `"photos/"` would be a folder of your own. The call finds the
-# cameras, fits a scene and embeds the styles. They are small here, for a quick look; leave `views` out for the size
-# that the fit is made for.
+# cameras, fits a scene and embeds the styles. The photographs are downsampled here, for a quick look; leave `views` out
+# for the default size.
 
 # %%
 texts = ["pink and mint watercolor", "charcoal drawing", "sunset in oil paint", "gold leaf, klimt"]
 wave = Path("example:wave")
 mixed = [Mixture(texts[0], texts[1], amount) for amount in (0.25, 0.5, 0.75)]
-start = time.perf_counter()
 results = anystyle.stylize("example:street", [*texts, wave, *mixed], views=ViewOptions(short_side=168))
-print(f"{time.perf_counter() - start:.0f} s for the cameras and the scene, once")
 scene = results.encoded
 contact_sheet([[to_pil(image) for image in scene.views.images[0, ::3]]])
 
 # %% [markdown]
 # ## The scene
-# Gaussians that are fitted to the photographs. Nothing in here depends on a style. How good the fit is, on views
-# that it never saw:
+# The fitted Gaussians, before any style. The fit is judged on held-out views:
 
 # %%
 print({name: scene.reconstruction[name] for name in ("registered", "num_gaussians", "heldout_psnr")})
@@ -70,21 +67,21 @@ def first_view(result):
     return to_pil(next(result.render()))
 
 
-start = time.perf_counter()
+start = time.process_time()
 styled = [results[index] for index in range(len(texts))]
-print(f"{(time.perf_counter() - start) / len(texts):.1f} s a style")
+print(f"{(time.process_time() - start) / len(texts):.1f} CPU seconds per style")
 contact_sheet([[first_view(result) for result in styled]], column_titles=texts)
 
 # %% [markdown]
 # ## What a text means to the network
-# Words that it never learnt are named; the description is the nearest one that it did learn.
+# The text encoder names the words that it does not know, and shows the nearest description that it does.
 
 # %%
 scene.stylizer.style_encoder.match_text("a gloomy forest by my uncle")
 
 # %% [markdown]
 # ## A picture as the style
-# The encoder puts pictures and texts into one space, so a picture goes wherever a text does. `anystyle examples` lists
+# Pictures and texts share one embedding space, so a picture can be used wherever a text can. `anystyle examples` lists
 # the paintings that come with the package.
 
 # %%
@@ -94,7 +91,7 @@ contact_sheet([[by_picture.style.cell, *views]], column_titles=["style", "view 1
 
 # %% [markdown]
 # ## From one style to another
-# A point on the straight way between two embeddings is a style too.
+# Every point on the line between two embeddings is a style.
 
 # %%
 between = [results[index] for index in range(len(texts) + 1, len(results))]
@@ -103,7 +100,7 @@ contact_sheet([strip], column_titles=[texts[0], "", "", "", texts[1]])
 
 # %% [markdown]
 # ## Fly through it
-# The result is a scene, not pictures: it renders from cameras that no photograph was taken with.
+# The result is a scene, so it renders from any camera.
 
 # %%
 frames = [to_pil(image) for image in by_picture.render(smooth_path(by_picture.cameras, 36))]
@@ -112,8 +109,8 @@ Image(data=(out / "flight.gif").read_bytes())
 
 # %% [markdown]
 # ## Take it elsewhere
-# `by_picture.save(out)` writes every file of `anystyle stylize`. The PLY alone opens in SuperSplat, viser and other
-# viewers of 3D Gaussians.
+# `by_picture.save(out)` writes every file of `anystyle stylize`. The PLY opens in SuperSplat, viser and other viewers
+# of 3D Gaussians.
 
 # %%
 by_picture.gaussians.save(out / "scene.ply")

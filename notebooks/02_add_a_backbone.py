@@ -15,7 +15,7 @@
 # # Add a backbone
 #
 # A backbone is five parts behind one contract. This notebook writes one from scratch, checks it, stylizes with it, and
-# makes it a package. It reconstructs badly: it takes what is bright to be near. But every part is there, and a real
+# makes it a package. It reconstructs badly, since it takes bright pixels to be near; but it has every part, and a real
 # network fits in the same places.
 
 # %%
@@ -30,7 +30,7 @@ from anystyle.types import Attributes, Cameras, Gaussians, Geometry, Site, Token
 
 # %% [markdown]
 # ## 1. The embedder: pixels to tokens
-# One convolution a patch. `Tokens` know the grid they stand for; a real network would add camera tokens in front
+# One convolution per patch. `Tokens` know their grid; a real network would add camera tokens in front
 # (`special=1`).
 
 
@@ -48,7 +48,7 @@ class Patches(contracts.Embedder):
 # %% [markdown]
 # ## 2. The aggregator: views see each other
 # This is where the transformer goes. `sites` names the places where style may enter; `forward` calls `inject` at each.
-# That is all that a style branch needs to know about a network.
+# A style branch needs to know nothing else about a network.
 
 
 # %%
@@ -75,7 +75,7 @@ class Mixer(contracts.Aggregator):
 
 # %% [markdown]
 # ## 3. The geometry head: cameras and depth
-# This is where depth comes from brightness. The cameras stand in a row and look ahead.
+# Depth comes from brightness. The cameras stand in a row and look ahead.
 
 
 # %%
@@ -93,7 +93,7 @@ class BrightIsNear(contracts.GeometryHead):
 
 # %% [markdown]
 # ## 4. The Gaussian head: what each pixel's Gaussian looks like
-# A style branch copies this part too when style enters it. Colours start from the photograph's.
+# A style branch also copies this part if style enters it. Colours start from the photograph's.
 
 # %%
 HARMONIC_0 = 0.28209479177387814  # the constant spherical harmonic
@@ -120,7 +120,7 @@ class Looks(contracts.GaussianHead):
 
 # %% [markdown]
 # ## 5. The adapter: raw numbers to Gaussians
-# Activations and conventions. Ours fuses nothing, so `cluster` has nothing to decide.
+# Activations and conventions. This adapter fuses nothing, so `cluster` returns `None`.
 
 
 # %%
@@ -162,9 +162,9 @@ class Relief(contracts.Backbone):
 
 # %% [markdown]
 # ## Is it one?
-# The contract of a backbone: shapes, batches, sites and gradients; and, together with placements and an injector, that
-# an untrained style branch changes nothing, that every weight learns, that styles are one batch. One line a promise, as
-# `anystyle plugins check` prints it.
+# `check` runs the contract tests of a backbone: shapes, batches, sites and gradients; and, with placements and an
+# injector, that an untrained style branch changes nothing, that every weight learns, and that styles can be batched. It
+# prints one line per test, as `anystyle plugins check` does.
 
 # %%
 from anystyle.testing import check
@@ -173,7 +173,7 @@ assert check("backbone", "relief")
 
 # %% [markdown]
 # ## What if something is wrong?
-# Let depth depend on the other scenes of a batch, a mistake that no run with one scene shows.
+# Here depth depends on the other scenes of a batch, a mistake that cannot be seen with one scene.
 
 
 # %%
@@ -194,9 +194,12 @@ assert not check("backbone", Mistaken)
 
 # %% [markdown]
 # ## Use it
-# By name, like any other backbone; options are typed and checked.
+# By name, like any other backbone; options are typed and checked. The warning of an untrained backbone is left out.
 
 # %%
+import logging
+
+logging.getLogger("anystyle").setLevel(logging.ERROR)
 stylizer = anystyle.load("painter", ["backbone=relief", "backbone.depth=3", "renderer=cpu"])
 ProceduralScenes = anystyle.catalog().find("scenes", "procedural").load()
 views = ProceduralScenes(split="heldout", size=112).read(11, [0])
@@ -217,7 +220,7 @@ except ValueError as error:
 # %% [markdown]
 # ## Make it a package
 # `anystyle plugins new backbone relief_map` writes a folder with a class, one line of TOML and a test; put the classes
-# above into it and it is a plugin for everybody. In place of installing, name the folder in `ANYSTYLE_PLUGINS`.
+# above into it, and others can install it. Without installing, name the folder in `ANYSTYLE_PLUGINS`.
 
 # %%
 from pathlib import Path

@@ -15,8 +15,8 @@
 # # The ablation table
 #
 # A row of the paper's Table 3 is a file of two lines. This notebook trains five of them on the procedural world, judges
-# all by one protocol, and sets the table. It stops after a few steps, enough to see every part work and **far too few
-# to compare rows**; `docs/ablation.md` has the table that three seeds a row give in half an hour.
+# them by one protocol, and makes the table. It stops after a few steps: enough to see every part work, and **far too
+# few to compare rows**. `docs/ablation.md` has the table with three seeds per row, which takes half an hour.
 
 # %%
 from pathlib import Path
@@ -29,7 +29,7 @@ STEPS = 2
 
 # %% [markdown]
 # ## What a row changes
-# Nothing in code asks for an ablation; each is a difference to whatever recipe it meets.
+# No code knows about ablations; each is a change to any recipe.
 
 # %%
 rows = ["base", "all_geometry", "no_clip_loss", "no_style_loss", "no_text"]
@@ -37,8 +37,7 @@ Markdown("\n".join(f"**{row}**\n```yaml\n{(CONF / 'ablation' / f'{row}.yaml').re
 
 # %% [markdown]
 # ## Train all of them
-# `-m` runs every value that commas separate. The same command goes on where it was stopped; a job that fails leaves the
-# others alone.
+# `-m` runs one job per value. The same command resumes where it was stopped; a job that fails does not stop the others.
 
 # %%
 short = f"trainer.max_steps={STEPS} training.pool=2 scenes.num_scenes=2 training.warmup=1"
@@ -46,8 +45,8 @@ short = f"trainer.max_steps={STEPS} training.pool=2 scenes.num_scenes=2 training
 
 # %% [markdown]
 # ## Judge all of them
-# One protocol for every row: the same held-out scene in the same styles, each given once as its text and once as its
-# image. Figures of how near a render's embedding is to the style's, and of the depth that the stylized scene has.
+# One protocol for every row: the same held-out scene in the same styles, each given once as text and once as an image.
+# The scores are the similarity of a render's embedding to the style's, and how well depth survives.
 
 # %%
 scenes = "scenes=procedural scenes.split=heldout scenes.size=112 protocol.num_scenes=1 protocol.num_views=2"
@@ -56,8 +55,8 @@ styles = "styles=procedural styles.split=heldout styles.size=96 protocol.num_sty
 
 # %% [markdown]
 # ## The table
-# Markdown, CSV, LaTeX, a plot and a contact sheet. Runs that differ by their seed alone would be one row with an
-# interval.
+# `anystyle report` writes Markdown, CSV, LaTeX, a plot and a contact sheet. Runs that differ only in their seed become
+# one row with an interval.
 
 # %%
 # !anystyle report table >report.log 2>&1
@@ -65,12 +64,12 @@ Markdown(Path("table/report/table.md").read_text())
 
 # %% [markdown]
 # ## What the rows look like
-# Variants down, styles across, as in the paper's figure. After so few steps all are still close to the reconstruction.
+# One row per variant and one column per style. After so few steps all are still close to the reconstruction.
 
 # %%
 Image(filename="table/report/sheet.png")
 
 # %% [markdown]
-# ## The whole thing
-# Without `short`, and with three seeds: `seed=0,1,2` in the first command is all that is added. On a cluster,
-# `hydra/launcher=submitit_slurm` turns each job into one of Slurm's.
+# ## The full table
+# Leave `short` out, and add `seed=0,1,2` to the first command. On a cluster, `hydra/launcher=submitit_slurm` submits
+# each job to Slurm.

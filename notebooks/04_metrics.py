@@ -14,9 +14,9 @@
 # %% [markdown]
 # # Metrics
 #
-# Any method's images can be judged, from three folders. This notebook makes such folders with the bundled tiny model,
-# judges them by both variants of the protocol, and then looks at what a consistency figure measures: it needs to know
-# where a pixel went, and whom it asks decides the figure.
+# Images of any method can be evaluated, from three folders. This notebook makes such folders with the bundled tiny
+# model, evaluates them by both variants of the protocol, and then looks at what a consistency score measures. Such a
+# score needs optical flow, and depends on the images from which the flow is estimated.
 
 # %%
 from pathlib import Path
@@ -36,8 +36,7 @@ from anystyle.types import Frames
 
 # %% [markdown]
 # ## A folder of results
-# Photographs are `content/SCENE/FRAME.png`, styles `style/STYLE.png`, results `stylized/SCENE/STYLE_FRAME.png`. Whoever
-# made them, by whatever method, is judged alike.
+# Photographs are `content/SCENE/FRAME.png`, styles `style/STYLE.png`, results `stylized/SCENE/STYLE_FRAME.png`.
 
 # %%
 ProceduralScenes = anystyle.catalog().find("scenes", "procedural").load()
@@ -66,10 +65,10 @@ for number in (9, 14):
 contact_sheet([[Image.open(path) for path in sorted(Path("stylized/house").iterdir())]])
 
 # %% [markdown]
-# ## Two variants of one number
-# Published scripts have their quirks. `variant=reference` repeats them, so that a figure may stand beside a printed
-# one; `variant=corrected` is what was meant. Which networks a figure rests on is part of it: the bundled ones stand in
-# for those of the literature here, so **none of these may be compared with a paper's**.
+# ## Two variants of one score
+# Published scripts have errors. `variant=reference` reproduces them, so that a score can be compared with a published
+# one; `variant=corrected` is what was meant. A score also depends on the networks it is computed with. The bundled ones
+# are stand-ins for those of the literature, so **do not compare the scores below with a paper's**.
 
 # %%
 folders = "--content content --style style --stylized stylized metric=[lpips_gray,color_match]"
@@ -81,8 +80,8 @@ Markdown("\n".join(Path(variant, "table.md").read_text() for variant in ("refere
 
 # %% [markdown]
 # ## Where did a pixel go?
-# Consistency compares a frame with its neighbour, warped by optical flow. In the procedural world the answer is known:
-# depth and cameras say where each point is seen next.
+# Consistency compares a frame with its neighbour, warped by optical flow. In the procedural world the true flow is
+# known from depth and cameras.
 
 
 # %%
@@ -97,20 +96,19 @@ truth = RenderedDepth()(frame(views.images, 0), frame(views.images, 1))
 print(f"{truth.visible.float().mean():.0%} of the first frame is seen in the second")
 
 # %% [markdown]
-# ## Ask the photographs, or ask the result?
-# Flow estimated on the photographs knows the scene. Flow estimated on the *stylized* frames, as the published protocol
-# does, follows whatever texture the method painted: it finds a match wherever one looks alike, and a picture without
-# texture is forgiven everything.
+# ## Flow of the photographs, or of the result?
+# Flow estimated on the photographs follows the scene. Flow estimated on the *stylized* frames, as in the published
+# protocol, follows the texture that the method painted; an image without texture always seems consistent.
 
 # %%
-asked = {
+images_of = {
     "photographs": views.images,
     "style 9": renders[0],
     "style 14": renders[1],
     "flat grey": 0 * views.images + 0.5,
 }
 dis = build(Correspondence, "dis")
-flows = {name: dis(frame(images, 0), frame(images, 1)) for name, images in asked.items()}
+flows = {name: dis(frame(images, 0), frame(images, 1)) for name, images in images_of.items()}
 
 
 def colored(displacement):
@@ -121,16 +119,16 @@ def colored(displacement):
     return Image.fromarray((255 * matplotlib.colors.hsv_to_rgb(hsv)).astype(np.uint8))
 
 
-top = [to_pil(images[0, 0]) for images in asked.values()]
+top = [to_pil(images[0, 0]) for images in images_of.values()]
 below = [colored(flow.displacement) for flow in flows.values()]
 contact_sheet(
     [[to_pil(views.images[0, 0]), *top], [colored(truth.displacement), *below]],
-    column_titles=["the truth", *asked],
-    row_titles=["asked", "flow"],
+    column_titles=["true flow", *images_of],
+    row_titles=["images", "flow"],
 )
 
 # %% [markdown]
-# How far each answer is from the truth, in pixels, where the truth is visible:
+# The error of each flow in pixels, where the point is visible in both frames:
 
 
 # %%
@@ -143,10 +141,10 @@ rows = [f"| {name} | {error(flow):.2f} |" for name, flow in flows.items()]
 Markdown("\n".join(["| flow from | error in pixels |", "|---|---:|", *rows]))
 
 # %% [markdown]
-# ## What it does to the figure
-# The same pair of frames, warped by each answer. By its own flow a result looks several times as consistent as by the
-# truth (a part of that is the model's geometry, which is not quite the true one). The flat grey picture is perfectly
-# consistent by any: such a figure rewards saying nothing, which is why it stands beside a figure of style.
+# ## What it does to the score
+# The same pair of frames, warped by each flow. With its own flow a result looks several times as consistent as with the
+# true one (in part because the model's geometry is not exact). The flat grey image is perfectly consistent with any
+# flow: a consistency score rewards blank images, and therefore belongs beside a score of style.
 
 
 # %%
@@ -162,6 +160,6 @@ def warped_rmse(images, flow):
 rows = [
     f"| {name} | {warped_rmse(images, flows[name]):.3f} | {warped_rmse(images, flows['photographs']):.3f} "
     f"| {warped_rmse(images, truth):.3f} |"
-    for name, images in asked.items()
+    for name, images in images_of.items()
 ]
 Markdown("\n".join(["| images | own flow | flow of photographs | truth |", "|---|---:|---:|---:|", *rows]))

@@ -17,14 +17,14 @@
 # The paper reports a study of 40 participants, 20 sets and a 1-5 scale on which 1 says that the first method is much
 # better: a one-sided t test gives **p = 3.47e-40**, a Wilcoxon test **p = 1.67e-35**, both over 800 answers.
 # The answers themselves are not published. This notebook takes answers that have exactly these p-values, repeats the
-# published analysis on them, and shows what an analysis that knows who answered would need.
+# published analysis on them, and shows what an analysis by participant would need.
 #
-# **The answers below are reconstructed.** They have the published statistics and nothing else in common with the real
-# ones; in particular nobody knows which participant gave which answer.
+# **The answers below are reconstructed.** They share only the published statistics with the real ones; in particular it
+# is not known which participant gave which answer.
 
 # %%
 import numpy as np
-from IPython.display import SVG, IFrame, Markdown
+from IPython.display import SVG, Markdown
 from scipy import stats
 
 import anystyle
@@ -44,8 +44,8 @@ from anystyle_study.wording import response_level
 
 # %% [markdown]
 # ## Answers that have these p-values
-# Few ways to give 800 answers have both p-values to the printed digits. These counts are one of them, and nearly what
-# normal opinions rounded to the scale would give; scipy checks them.
+# Few distributions of 800 answers have both p-values to the printed digits. These counts are one of them, and close to
+# a normal distribution rounded to the scale; scipy checks them.
 
 # %%
 counts = np.array([199, 225, 237, 102, 37])
@@ -91,10 +91,10 @@ Markdown(
 )
 
 # %% [markdown]
-# ## What the participants would have to say
-# The same 800 answers tell more or less according to who gave them. If participants hardly differ, an analysis by
-# participant agrees with the published one. The more they differ, the fewer independent opinions 800 answers are. In
-# the last row every participant gives one answer throughout, as nearly as the counts allow.
+# ## How much the participants differ
+# The evidence of the same 800 answers depends on who gave them. If participants hardly differ, an analysis by
+# participant agrees with the published one. The more they differ, the fewer independent opinions there are. In the last
+# row every participant gives one answer throughout, as nearly as the counts allow.
 
 # %%
 columns = ("SD between participants", "independent answers", "p, responses", "p, participants", "p, people and sets")
@@ -112,14 +112,13 @@ for spread in (0.0, 0.25, 0.5, 1.0, 2.0, 1e6):
 Markdown(Table(columns, tuple(rows)).markdown())
 
 # %% [markdown]
-# The p-value over responses never changes: it cannot see the difference. The last row is the worst case: no other way
-# to hand out these answers makes participants differ more. The preference would survive even that, at a p-value that
+# The p-value over responses never changes, since it ignores participants. The last row is the worst case: no other
+# assignment of these answers makes participants differ more. The preference would survive even that, at a p-value that
 # is 37 orders of magnitude larger than the published one. To know which row is right, one needs the answers by
-# participant, or one mean a participant.
+# participant, or one mean per participant.
 #
 # ## The whole analysis
-# With moderate differences between participants, as studies of this kind have them, and with the positions in which
-# ours was shown.
+# Participants differ moderately, as is usual in such studies, and the position in which ours was shown is known.
 
 # %%
 responses = arranged(counts, participant_sd=0.5)
@@ -147,20 +146,11 @@ SVG(as_svg(means(analysis), "means"))
 Markdown(tests_table(question, analysis.settings.confidence).markdown() + f"\n**{response_level(analysis)}**")
 
 # %% [markdown]
-# `anystyle study analyze` writes the same as a page, with all checks; here is its beginning.
-
-# %%
-import base64
-
-from anystyle_study.report import html
-
-page = base64.b64encode(html(analysis, "Reconstructed study").encode()).decode()
-IFrame(f"data:text/html;base64,{page}", width="100%", height=600)
-
-# %% [markdown]
+# `anystyle study analyze` writes the same as a page, with all checks.
+#
 # ## How many participants?
-# A preference of 0.3 points, between participants and sets that differ: what the paper's design finds, what it finds
-# where there is nothing, and how many participants are enough.
+# The power of the paper's design for a preference of 0.3 points with variance between participants and sets, its
+# false-positive rate, and the number of participants that suffices.
 
 # %%
 fast = {"one_sample_t": OneSampleT(), "crossed_t": CrossedT()}

@@ -13,7 +13,7 @@ PAGES = [
 ]
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 SHELLS = ("console", "bash", "sh")
-_INLINE = re.compile(r"`((?:anystyle|torchrun|srun|make|python|pip|jupytext|git|(?:[A-Z_]+=[^\s`]+ )+\w+)\s[^`]+)`")
+_INLINE = re.compile(r"`((?:anystyle|torchrun|srun|make|python|pip|git|(?:[A-Z_]+=[^\s`]+ )+\w+)\s[^`]+)`")
 
 _BACKBONE = (
     "weights.backbone=null backbone.resolution=28 backbone.native_resolution=28 backbone.dim=16 backbone.embed_depth=1 "
@@ -111,7 +111,7 @@ NOT_RUN = {
     r"anystyle export .*obj": "a capture whose depth agrees; mesh/tests makes one",
     r"python -m build$": "builds the reader's package",
     r"pip install ": "needs a network",
-    r"make (demo|setup|lint|test|test-slow|format lint)$": "sets up an environment from a network",
+    r"make (demo|setup|lint|notebooks|test|test-slow|format lint)$": "sets up an environment from a network",
     r"anystyle profile model=anystyle_head": "5 GiB of weights; benchmark/tests profile a small model without any",
     r"anystyle view( \S+)?$": "serves until it is interrupted; tests of the viewer look at it",
     r"make fuzz\b": "sets up an environment from a network, and takes minutes; test_fuzz.py damages a few inputs",

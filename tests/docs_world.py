@@ -105,12 +105,6 @@ def of_plugins(folder: Path) -> None:
     (folder / "sparse" / "pyproject.toml").write_text(blocks(page, "toml")[0])
 
 
-def of_programs(folder: Path) -> None:
-    """The checkout's programs and notebooks, where commands name them."""
-    (folder / "tests").symlink_to(ROOT / "tests")
-    shutil.copytree(ROOT / "notebooks", folder / "notebooks", ignore=shutil.ignore_patterns(".*", "__pycache__"))
-
-
 def _mask(path: Path) -> None:
     """White in the upper third of 64 x 48 pixels."""
     path.parent.mkdir(parents=True, exist_ok=True)

@@ -106,8 +106,8 @@ def test_what_cannot_be_reported_is_one_line(tmp_path, capsys):
         "no folder is named": [],
         "there is no folder": [str(tmp_path / "absent")],
         "holds no runs": [str(tmp_path / "empty")],
-        "is no file of figures": [str(tmp_path / "broken")],
-        "is no file of published figures": ["--published", str(tmp_path / "rows.json")],
+        "is not a valid file of figures": [str(tmp_path / "broken")],
+        "is not a valid file of published figures": ["--published", str(tmp_path / "rows.json")],
         "unrecognized arguments: --wiht-published. Did you mean '--with-published'?": ["--wiht-published"],
     }
     for told, words in cases.items():

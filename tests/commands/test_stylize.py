@@ -197,7 +197,7 @@ def test_bad_input_ends_in_one_line_and_leaves_nothing(photographs, tmp_path, ca
         "no images in the folder": (tmp_path / "empty", *text, *out),
         "no folder, image or video": (tmp_path / "absent", *text, *out),
         "no photographs are given": (*text, *out),
-        "is no image": (photographs, "--image", tmp_path / "fake.png", *out),
+        "is not an image": (photographs, "--image", tmp_path / "fake.png", *out),
         "exactly two styles": (photographs, *text, "--mix", "0.5", *out),
         "between 0 and 1, not 1.5": (photographs, *text, *text, "--mix", "1.5", *out),
         "not 'half'": (photographs, *text, *text, "--mix", "half", *out),

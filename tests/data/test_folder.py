@@ -174,7 +174,7 @@ def test_bad_inputs_end_in_one_line(tmp_path):
         ("empty", "no images in the folder"),
         ("absent", "no folder, image or video"),
         ("bad.png", "no photograph can be read"),
-        ("bad.mp4", "is no video"),
+        ("bad.mp4", "is not a video"),
         ("sound.mp4", "no video in it"),
     ):
         with pytest.raises(ValueError, match=words) as caught:
@@ -185,7 +185,7 @@ def test_bad_inputs_end_in_one_line(tmp_path):
 @pytest.mark.parametrize(
     ("name", "options", "words"),
     [
-        ("a.mp4", {}, "is no video, or a damaged one"),
+        ("a.mp4", {}, "is not a video, or is damaged"),
         ("a.mp4", {"movflags": "faststart"}, "it is truncated"),
         ("a.mkv", {}, "it is truncated"),
         ("a.avi", {}, "it is truncated"),

@@ -56,8 +56,8 @@ def test_what_is_no_picture_is_refused_in_one_line(tmp_path):
     noise.save(tmp_path / "whole.jpg")
     (tmp_path / "half.jpg").write_bytes((tmp_path / "whole.jpg").read_bytes()[:2000])
     for name, words in (
-        ("text.png", "is no image"),
-        ("empty.jpg", "is no image"),
+        ("text.png", "is not an image"),
+        ("empty.jpg", "is not an image"),
         ("half.png", "damaged"),
         ("half.jpg", "damaged"),
         ("absent.png", "there is no image"),

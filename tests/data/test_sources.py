@@ -136,8 +136,8 @@ def test_cameras_of_a_real_capture_see_the_same_points():
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        ("nonsense", "no transforms.json"),
-        ("[]", "no transforms.json"),
+        ("nonsense", "not a valid transforms.json"),
+        ("[]", "not a valid transforms.json"),
         ('{"frames": [{"file_path": "a.png"}]}', "no w and h"),
         ('{"w": 9, "h": 9, "fl_x": 9, "frames": [{"file_path": "a.png", "transform_matrix": [[1], [3]]}]}', "no 4x4"),
         ('{"w": 9, "h": 9, "fl_x": 9, "frames": [{"file_path": "a.png", "transform_matrix": '
@@ -154,7 +154,7 @@ def test_damaged_transforms_are_refused_in_one_line(tmp_path, content, words):
 
 def test_damaged_poses_bounds_are_refused(tmp_path):
     (tmp_path / "poses_bounds.npy").write_bytes(b"nonsense")
-    with pytest.raises(ValueError, match="no array of poses"):
+    with pytest.raises(ValueError, match="not a valid array of poses"):
         read_poses(tmp_path, [tmp_path / "a.png"])
     np.save(tmp_path / "poses_bounds.npy", np.zeros((1, 5)))
     with pytest.raises(ValueError, match="N x 17"):
@@ -163,7 +163,7 @@ def test_damaged_poses_bounds_are_refused(tmp_path):
     with pytest.raises(ValueError, match="focal length 0"):
         read_poses(tmp_path, [tmp_path / "a.png"])
     np.save(tmp_path / "poses_bounds.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
-    with pytest.raises(ValueError, match="no array of poses"):
+    with pytest.raises(ValueError, match="not a valid array of poses"):
         read_poses(tmp_path, [tmp_path / "a.png"])
 
 

@@ -20,8 +20,6 @@ from program import Done, Program
 MORE = {
     "docs/add_a_plugin.md": world.of_plugins,
     "docs/data.md": world.of_data,
-    "docs/index.md": world.of_programs,
-    "docs/protocol.md": world.of_programs,
     "docs/user_study.md": world.of_study,
 }
 """What a page's folder holds besides what all hold."""

@@ -42,7 +42,7 @@ def test_every_page_is_built_and_found_in_the_navigation(tmp_path):
         in (tmp_path / "site" / "reference" / "contracts" / "index.html").read_text()
     )
     # What lies outside of the pages is named by its path.
-    assert "01_stylize (<code>notebooks/01_stylize.py</code>)" in first
+    assert "01_stylize (<code>notebooks/01_stylize.ipynb</code>)" in first
     assert not (tmp_path / "site" / "site").exists()
 
 

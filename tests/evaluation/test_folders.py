@@ -193,7 +193,7 @@ def test_sizes_that_differ_and_files_that_cannot_be_read(tmp_path):
     with pytest.raises(ValueError, match=r"b_0\.png has 24x16 pixels and its photograph .* 12x8; give both in one"):
         Reader()(second)
     (stylized / "two" / "a_0.png").write_bytes(b"no image")
-    with pytest.raises(ValueError, match=r"a_0\.png is no image"):
+    with pytest.raises(ValueError, match=r"a_0\.png is not an image"):
         Reader()(pair(content, style, stylized).cells[2])
 
 
@@ -210,11 +210,11 @@ def test_depth_and_cameras(tmp_path):
     torch.testing.assert_close(read.cameras.intrinsics, given.intrinsics)
     assert read.cameras.size == (8, 12)
     np.savez(tmp_path / "depth" / "one" / "cameras.npz", poses=np.eye(4))
-    with pytest.raises(ValueError, match=r"cameras\.npz is no file of cameras: frames"):
+    with pytest.raises(ValueError, match=r"cameras\.npz is not a valid file of cameras: frames"):
         Reader()(pair(*known, tmp_path / "depth").cells[0])
     write_cameras(tmp_path / "depth" / "one" / "cameras.npz", ["0", "1", "2"], given)
     np.save(tmp_path / "depth" / "one" / "1.npy", np.full((8, 12), np.nan))
-    with pytest.raises(ValueError, match=r"1\.npy is no array of finite depth"):
+    with pytest.raises(ValueError, match=r"1\.npy is not a valid array of finite depth"):
         Reader()(pair(*known, tmp_path / "depth").cells[0])
     (tmp_path / "depth" / "one" / "1.npy").unlink()
     with pytest.raises(ValueError, match=r"2 of 6 .*one/a_1 \(no depth 1\)"):

@@ -115,7 +115,9 @@ def test_files_of_published_figures_that_cannot_be_read(tmp_path):
     path = tmp_path / "mine.json"
     for text in ("[]", "{", '{"sources": {}, "rows": [{"method": "a"}]}'):
         path.write_text(text)
-        with pytest.raises(ValueError, match=r"mine\.json is no file of published figures.* as in published\.json"):
+        with pytest.raises(
+            ValueError, match=r"mine\.json is not a valid file of published figures.* as in published\.json"
+        ):
             published.load([path])
 
 

@@ -59,7 +59,7 @@ def test_what_is_no_evaluation_is_told_apart(tmp_path):
     (tmp_path / "metrics.json").write_text('{"train/loss": 0.5}')
     assert record.read(tmp_path) is None
     (tmp_path / "metrics.json").write_text('{"train/loss": 0.5')
-    with pytest.raises(ValueError, match=r"metrics\.json is no file of figures; evaluate again"):
+    with pytest.raises(ValueError, match=r"metrics\.json is not a valid file of figures; evaluate again"):
         record.read(tmp_path)
 
 

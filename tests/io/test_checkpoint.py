@@ -70,7 +70,7 @@ def test_files_that_are_not_ours_are_refused(tmp_path):
     save_file({"a": torch.zeros(1)}, tmp_path / "plain.safetensors")
     for name, words in (
         ("half", "truncated or no safetensors"),
-        ("plain", "no safetensors file that anystyle wrote"),
+        ("plain", "not a safetensors file that anystyle wrote"),
         ("absent", "there is no weights file"),
         ("whole", "holds the weights of a backbone, but those of a branch"),
     ):
@@ -82,9 +82,9 @@ def test_files_that_are_not_ours_are_refused(tmp_path):
     ("name", "value", "message"),
     [
         ("config", '{"backbone": {"depth": "${oc.env:SECRET}"}}', "holds an interpolation"),
-        ("config", "{", "config in the header of .* is no JSON"),
-        ("base", "null", "is no header of weights .* at 'base'"),
-        ("omitted", "3", "is no header of weights .* at 'omitted'"),
+        ("config", "{", "config in the header of .* is not a valid JSON"),
+        ("base", "null", "is not a valid header of weights .* at 'base'"),
+        ("omitted", "3", "is not a valid header of weights .* at 'omitted'"),
     ],
 )
 def test_a_header_of_another_form_is_one_line(tmp_path, monkeypatch, name, value, message):

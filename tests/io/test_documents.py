@@ -119,7 +119,7 @@ def test_arrays(tmp_path):
         refused(read_array, path)
     np.savez(tmp_path / "a.npz", x=np.ones(2), names=np.array(["a", "b"]))
     assert read_arrays(tmp_path / "a.npz", ["x"], ["names"], what="pair")["names"].tolist() == ["a", "b"]
-    with pytest.raises(UserError, match=r"a\.npz is no pair, or a damaged one \(y is not"):
+    with pytest.raises(UserError, match=r"a\.npz is not a valid pair \(y is not"):
         read_arrays(tmp_path / "a.npz", ["y"], what="pair")
 
 

@@ -67,7 +67,7 @@ def test_coefficients_that_no_viewer_reads_are_left_out(tmp_path):
 
 def test_other_files_are_refused(tmp_path):
     (tmp_path / "text.ply").write_text("no ply")
-    with pytest.raises(ValueError, match="is no PLY file of Gaussians"):
+    with pytest.raises(ValueError, match="is not a PLY file of Gaussians"):
         Gaussians.load(tmp_path / "text.ply")
     random_gaussians().save(tmp_path / "scene.ply")
     data = (tmp_path / "scene.ply").read_bytes().replace(b"property float opacity", b"property float opulence")

@@ -10,42 +10,46 @@ import pytest
 
 from anystyle.commands import plugins_check
 
-FOLDER = Path(__file__).parents[2] / "notebooks"
-NAMES = [path.name for path in sorted(FOLDER.glob("*.py"))]
+pytest.importorskip("jupytext", reason="notebooks are paired by jupytext: pip install jupytext")
 
-
-def read(name):
-    jupytext = pytest.importorskip("jupytext", reason="notebooks are paired by jupytext: pip install jupytext")
-    return jupytext.read(FOLDER / name)
-
-
-def run(name, folder, monkeypatch, program):
-    client = pytest.importorskip("nbclient", reason="notebooks are run by nbclient: pip install nbmake")
-    # Commands of a notebook are those of this environment, started already.
-    commands = [program.install(folder / "bin"), Path(sys.executable).parent]
-    monkeypatch.setenv("PATH", os.pathsep.join([*map(str, commands), os.environ["PATH"]]))
-    monkeypatch.setenv("IPYTHONDIR", str(folder / "ipython"))
-    notebook = read(name)
-    client.NotebookClient(
-        notebook, timeout=600, kernel_name="python3", resources={"metadata": {"path": folder}}
-    ).execute()
-    return notebook
+from tests.support.notebooks import FOLDER, NAMES, execute, stored, text
 
 
 @pytest.mark.parametrize(
     "name", [pytest.param(name, marks=[] if name.startswith("01") else [pytest.mark.slow]) for name in NAMES]
 )
 def test_notebook_runs(name, tmp_path, monkeypatch, program):
-    notebook = run(name, tmp_path, monkeypatch, program)
-    shown = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
-    assert not [output for output in shown if output.get("name") == "stderr"], shown
-    kinds = {kind for output in shown for kind in output.get("data", {})}
-    assert kinds & {"image/png", "image/gif", "image/svg+xml"}, "a notebook shows pictures"
+    pytest.importorskip("nbclient", reason="notebooks are run by nbclient: pip install nbmake")
+    # Commands of a notebook are those of this environment, started already.
+    commands = [program.install(tmp_path / "bin"), Path(sys.executable).parent]
+    monkeypatch.setenv("PATH", os.pathsep.join([*map(str, commands), os.environ["PATH"]]))
+    monkeypatch.setenv("IPYTHONDIR", str(tmp_path / "ipython"))
+    assert not _wrong(execute(name, tmp_path))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_notebook_is_stored_with_its_outputs(name):
+    notebook, size = stored(name), (FOLDER / f"{name}.ipynb").stat().st_size
+    assert [(cell.cell_type, cell.source) for cell in notebook.cells] == [
+        (cell.cell_type, cell.source) for cell in text(name).cells
+    ], "make notebooks writes it again"
+    assert not _wrong(notebook)
+    assert size < 400_000, f"{size} bytes"
+
+
+def _wrong(notebook):
+    """What a reader should not see."""
+    cells = [cell for cell in notebook.cells if cell.cell_type == "code"]
+    shown = [output for cell in cells for output in cell.outputs]
+    wrong = [output for output in shown if output.get("name") == "stderr" or output.output_type == "error"]
+    wrong += [cell for number, cell in enumerate(cells, start=1) if cell.execution_count != number]
+    pictures = {kind for output in shown for kind in output.get("data", {}) if kind.startswith("image/")}
+    return wrong or ([] if pictures else ["a notebook shows pictures"])
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_notebook_is_written_to_be_read(name):
-    cells = read(name).cells
+    cells = text(name).cells
     assert cells[0].cell_type == "markdown"
     assert re.match(r"# \S", cells[0].source)
     code = [cell.source for cell in cells if cell.cell_type == "code"]
@@ -57,7 +61,7 @@ def test_notebook_is_written_to_be_read(name):
 
 
 def test_the_backbone_of_the_notebook_is_a_plugin_with_two_lines_besides(tmp_path, monkeypatch, capsys):
-    cells = [cell.source for cell in read("02_add_a_backbone.py").cells if cell.cell_type == "code"]
+    cells = [cell.source for cell in text("02_add_a_backbone").cells if cell.cell_type == "code"]
     last = next(place for place, source in enumerate(cells) if "class Relief(" in source)
     code = "\n\n".join(cells[: last + 1]).replace('@anystyle.plugin("backbone", "relief")\n', "")
     (tmp_path / "relief_of_a_notebook.py").write_text(code)

@@ -175,7 +175,7 @@ def test_what_it_takes_is_what_was_told():
 
 def test_a_file_that_is_none_is_said_in_a_line(tmp_path):
     (tmp_path / "scene.ply").write_text("ply\nnonsense\n")
-    with pytest.raises(ValueError, match="no PLY file") as caught:
+    with pytest.raises(ValueError, match="not a PLY file") as caught:
         anystyle.stylize(tmp_path / "scene.ply", "red", model=None)
     assert "\n" not in str(caught.value)
     assert ply.read.__doc__

@@ -17,11 +17,11 @@ from anystyle_backbones.dpt import Dpt, by_views
 
 
 class DptGaussians(nn.Module):
-    """One raw Gaussian a pixel: a DPT whose decoded map is joined by features of the image itself.
+    """One raw Gaussian per pixel: a DPT whose decoded map is joined by features of the image itself.
 
     Args:
         dpt: The decoder; the channels of its result are those that :meth:`attributes` reads.
-        sh_degree: Of the harmonics.
+        sh_degree: Degree of the spherical harmonics.
         taps: The layers that the decoder reads, four, in rising order.
         chunk: Views decoded at a time, which changes memory only.
     """
@@ -96,7 +96,7 @@ class DptGeometry(nn.Module, Generic[_Camera]):
 
     @abstractmethod
     def cameras(self, tokens: Float[Tensor, "B V C"], size: tuple[int, int]) -> Cameras:
-        """Cameras of images of a size, in fp32, from one token a view."""
+        """Cameras of images of a size, in fp32, from one token per view."""
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"]) -> Geometry:
         """Predict geometry; depth is the distance along z."""

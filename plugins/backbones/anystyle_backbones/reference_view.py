@@ -23,7 +23,7 @@ def reference_view(
 
     Args:
         images: sRGB in [0, 1].
-        tokens: One a view.
+        tokens: One per view.
         strategy: ``central``: the photograph that differs least from all others, whatever their order; the others are
             published for Depth Anything 3. ``saddle_balanced``: the view that is nearest to the middle of the range in
             similarity to the others, norm and spread of its token; ``saddle_sim_range``: one of the two most alike,

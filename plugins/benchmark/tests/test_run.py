@@ -207,7 +207,7 @@ def test_slips_are_one_line_and_run_nothing(world, words, message):
 def test_a_damaged_record_of_the_track_is_no_other_track(world):
     ran(world, method(world), "scenes=one")
     (world / "results" / "track.json").write_text("{")
-    with pytest.raises(UserError, match=r"track\.json is no record of the results' track"):
+    with pytest.raises(UserError, match=r"track\.json is not a valid record of the results' track"):
         ran(world, method(world), "scenes=one")
 
 

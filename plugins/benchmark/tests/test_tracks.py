@@ -102,7 +102,7 @@ def test_inputs_are_locked_by_a_command(tmp_path: Path) -> None:
         ('name = "scene1"', 'name = "scene0"', "two scenes are named scene0"),
         ('name = "image1"', 'name = "text0"', "two styles are named text0"),
         ('"color_match"', '"colour_match"', "no metric is named 'colour_match'. Did you mean 'color_match'"),
-        ('image = ["color', 'images = ["color', "is no track"),
+        ('image = ["color', 'images = ["color', "is not a valid track"),
         ('"styles/image0.png"', '"styles/none.png"', r"lacks .*none\.png"),
         ('"geometry/scene0"', '"geometry/none"', r"none; `anystyle benchmark geometry .*track\.toml` makes it"),
     ],

@@ -403,7 +403,7 @@ def color_tile_backward(
     d_image: Array,
     moments: Array,
 ) -> None:
-    """:func:`blend_tile_backward` for colours alone, which is about half the work."""
+    """:func:`blend_tile_backward` for colours only, which is about half the work."""
     tile, deepest = tile_backward(top, left, image, last, d_image)
     near = gather(splats, entries, deepest + 1, top, left)
     for entry in range(deepest, -1, -1):

@@ -60,7 +60,7 @@ def check(root: Path, *, layout: Layout | None = None, min_views: int = 2, decod
     """Look at every file of a folder of scenes or styles.
 
     The layout is recognised if none is given; scenes with fewer views than ``min_views`` are reported. Without
-    ``decode`` headers alone are read, and files that end too early are not found.
+    ``decode`` only headers are read, and files that end too early are not found.
     """
     if not root.is_dir():
         raise UserError(f"there is no folder {root}")
@@ -113,7 +113,7 @@ def unindexed(root: Path) -> list[Path]:
 
 
 def packed(root: Path) -> list[Path]:
-    """DL3DV's archives that are not unpacked yet, one a scene and named by its hash."""
+    """DL3DV's archives that are not unpacked yet, one per scene and named by its hash."""
     archives = (path for pattern in ("*.zip", "*/*.zip", "*/*/*.zip") for path in root.glob(pattern))
     hashes = (path for path in archives if re.fullmatch("[0-9a-f]{64}", path.stem))
     return sorted(path for path in hashes if not path.with_suffix("").is_dir())

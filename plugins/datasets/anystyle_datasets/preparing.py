@@ -75,7 +75,7 @@ def _unpack(path: Path) -> None:
         content.chmod(0o755)
         content.replace(path.with_suffix(""))
     except zipfile.BadZipFile as error:
-        raise UserError(f"{path} is no archive, or a damaged one ({one_line(error)}); get it again") from None
+        raise UserError(f"{path} is not an archive, or is damaged ({one_line(error)}); get it again") from None
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
 
@@ -83,7 +83,7 @@ def _unpack(path: Path) -> None:
 def re10k(root: Path, progress: OnStep) -> str:
     """Write chunks of frames and cameras for the camera lists ``{train,test}/CLIP.txt`` of RealEstate10K.
 
-    A list has an address in its first line, then a line a frame: time in microseconds and the 18 numbers of a chunk's
+    A list has an address in its first line, then a line per frame: time in microseconds and the 18 numbers of a chunk's
     camera. Frames are ``frames/CLIP/TIME.jpg`` (or ``frames/{train,test}/...``, or png), or are taken out of
     ``videos/ID.mp4`` by the address's ID. Clips with fewer than two frames are left out.
     """
@@ -136,7 +136,7 @@ def _clip(root: Path, split: str, path: Path) -> dict[str, Any] | None:
         if not all(len(numbers) == 18 and all(map(isfinite, numbers)) for _, numbers in rows):
             raise ValueError("a line that is not 19 finite numbers")
     except ValueError as error:
-        raise UserError(f"{path} is no camera list of RealEstate10K ({one_line(error)})") from None
+        raise UserError(f"{path} is not a camera list of RealEstate10K ({one_line(error)})") from None
     stored = {
         int(frame.stem): frame
         for folder in (root / "frames" / split / path.stem, root / "frames" / path.stem)
@@ -251,11 +251,11 @@ def _unpack_tables(root: Path, progress: OnStep) -> None:
         try:
             table = parquet.ParquetFile(path)
         except (OSError, ValueError) as error:
-            raise UserError(f"{path} is no parquet file, or a damaged one ({one_line(error)})") from None
+            raise UserError(f"{path} is not a parquet file, or is damaged ({one_line(error)})") from None
         about = json.loads((table.schema_arrow.metadata or {}).get(b"huggingface", "{}"))
         features = about.get("info", {}).get("features", {})
         if not all("names" in features.get(label, {}) for label in ("artist", "style")):
-            raise UserError(f"{path} is no table of paintings, which names an artist and a style of each")
+            raise UserError(f"{path} is not a table of paintings with an artist and a style for each")
         for group in range(table.num_row_groups):
             rows = table.read_row_group(group, columns=["artist", "style", "image.path"]).to_pylist()
             targets: list[Path] = []
@@ -363,7 +363,7 @@ def _take(archive: Path | None, files: dict[str, Path], folders: dict[str, Path]
                     with atomic_path(target) as temporary:
                         temporary.write_bytes(opened.read(name))
     except (OSError, zipfile.BadZipFile) as error:
-        raise UserError(f"--archive {archive} is no archive, or a damaged one ({one_line(error)})") from None
+        raise UserError(f"--archive {archive} is not an archive, or is damaged ({one_line(error)})") from None
     return [PurePosixPath(name).name for name in targets]
 
 

@@ -27,7 +27,7 @@ from anystyle.types import Cameras, SourceImage, Views
 class Re10kScenes(SceneSource):
     """Clips with poses: ``root/{train,test}/*.torch`` with an ``index.json`` from keys to chunks.
 
-    A chunk is a list of dictionaries: ``key``, ``cameras`` (a row a frame: focal lengths and principal point in
+    A chunk is a list of dictionaries: ``key``, ``cameras`` (a row per frame: focal lengths and principal point in
     fractions of the image, two unused numbers, and 3x4 camera from world in OpenCV axes) and ``images`` (compressed).
     Poses are handed out as they are stored, without a common scale.
 
@@ -114,7 +114,7 @@ class Re10kScenes(SceneSource):
             raise UserError(f"{path} is in the index and not there; download the chunk or take it out of the index")
         clips = read_tensors(path, what="chunk of clips")
         if not isinstance(clips, list):
-            raise UserError(f"{path} is no chunk of clips, which is a list")
+            raise UserError(f"{path} is not a chunk of clips: a list is expected")
         return {clip["key"]: clip for clip in clips if _is_clip(clip)}
 
 

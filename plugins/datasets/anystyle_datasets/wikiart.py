@@ -36,7 +36,7 @@ class WikiArtStyles(StyleSource):
     """Paintings below a folder, as the published training reads them.
 
     A description is a line ``Movement/painter_title.jpg;free text``; a painting without one is described by its
-    folder's name. Descriptions of paintings that are not there become styles of text alone. Files that are no pictures
+    folder's name. Descriptions of paintings that are not there become styles of text only. Files that are not pictures
     are left out; one that turns out to be damaged when it is decoded raises, and a training draws another and lists it.
 
     Args:
@@ -44,11 +44,11 @@ class WikiArtStyles(StyleSource):
         descriptions: A file; ``None`` takes ``wikiarts_descriptions.txt`` in ``root`` where there is one.
         test_files: A file with one path below ``root`` a line; ``None`` takes ``wikiarts_test_files.txt`` in ``root``
             where there is one.
-        exclude: Further files of that kind, for other test sets whose paintings no split has. A line without a folder
+        exclude: Other files of that kind, for other test sets whose paintings no split has. A line without a folder
             is a file name, wherever it lies. ``anystyle data check ROOT --against FOLDER --write FILE`` makes one.
         files: A file of that kind with the paintings to take; ``None`` takes all.
         split: ``train`` leaves the listed paintings out, ``test`` takes only them, ``all`` does not care.
-        text_only: So many descriptions, from the first, are searched for styles of text alone, as published; these
+        text_only: So many descriptions, from the first, are searched for styles without an image, as published; these
             follow the paintings.
         size: Height and width in pixels.
         crop: Which square of a painting is taken: the ``centre``, or a ``random`` one at every reading, as published.

@@ -130,7 +130,7 @@ def test_paintings_are_held_against_their_descriptions_and_lists(tmp_path, capsy
     assert (
         "layout    wikiart" in told and "images    3\n" in told and "texts     1\n" in told and "problems  3\n" in told
     )
-    for words in ("torn.png is no image", "Op_Art/gone.png has a description", "names Op_Art/absent.png"):
+    for words in ("torn.png is not an image", "Op_Art/gone.png has a description", "names Op_Art/absent.png"):
         assert words in told
 
 

@@ -104,7 +104,7 @@ def test_dl3dv_is_recognised_flat_and_a_torn_archive_leaves_nothing(dl3dv, say):
     assert json.loads((dl3dv / "1K" / "train_index.json").read_text()) == [HASHES[0]]
     archive = dl3dv / "2K" / f"{HASHES[1]}.zip"
     archive.write_bytes(archive.read_bytes()[:3000])
-    with pytest.raises(UserError, match="is no archive, or a damaged one"):
+    with pytest.raises(UserError, match="is not an archive, or is damaged"):
         Data()(["prepare", "dl3dv", str(dl3dv)])
     assert list(archive.parent.iterdir()) == [archive]
     with pytest.raises(UserError, match="holds no scene of DL3DV"):
@@ -168,7 +168,7 @@ def test_frames_of_realestate_become_chunks_once(re10k, say, monkeypatch):
     assert "train: 3 of 4 clips, 1 without frames here" in say("prepare", "re10k", re10k)[0]
     assert contents(re10k) == before
     (re10k / "train" / "dd.txt").write_text("address\n1 2 3\n")
-    with pytest.raises(UserError, match=r"dd\.txt is no camera list of RealEstate10K"):
+    with pytest.raises(UserError, match=r"dd\.txt is not a camera list of RealEstate10K"):
         Data()(["prepare", "re10k", str(re10k)])
 
 
@@ -217,7 +217,7 @@ def test_tables_of_paintings_become_folders_of_movements(tmp_path, say, monkeypa
     pyarrow = pytest.importorskip("pyarrow")
     from pyarrow import parquet
 
-    with pytest.raises(UserError, match="is no parquet file, or a damaged one"):
+    with pytest.raises(UserError, match="is not a parquet file, or is damaged"):
         Data()(["prepare", "wikiart", str(root)])
     picture(tmp_path / "one.jpg")
     image = {"bytes": (tmp_path / "one.jpg").read_bytes(), "path": None}

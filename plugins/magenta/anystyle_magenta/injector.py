@@ -45,7 +45,7 @@ def stylize_images(
         working_size: The shorter side in pixels that the network sees. Strokes have a fixed width in
             its pixels, so that a smaller size has broader ones. ``None``: as the images are.
         joint: Whether the views of a row share the statistics of the normalisations, as parts of one picture do.
-        chunk: Views convolved at a time, which changes memory alone.
+        chunk: Views convolved at a time, which affects only memory.
 
     Returns:
         sRGB in [0, 1], as large as the images.
@@ -93,7 +93,7 @@ class MagentaInjector(Injector):
         gate: What ``gate`` starts as: 0 is the identity, from which a branch learns; 1 stylizes without any learning.
         pretrained: Whether the network starts from Magenta's weights (``anystyle weights list magenta_transform``).
             One that starts from scratch takes any sites and any embedding.
-        chunk: Views convolved at a time, which changes memory alone.
+        chunk: Views convolved at a time, which affects only memory.
     """
 
     def __init__(

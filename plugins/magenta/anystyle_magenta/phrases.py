@@ -63,7 +63,7 @@ class SentenceNetwork:
 
 @cache
 def sentence_network() -> SentenceNetwork:
-    """The network, read once a process."""
+    """The network, read once per process."""
     return SentenceNetwork()
 
 
@@ -114,5 +114,5 @@ def meanings() -> list[tuple[str, str]]:
 
 @cache
 def load_guesses() -> Guesses:
-    """The bundled regression, read once a process."""
+    """The bundled regression, read once per process."""
     return Guesses(**{name: tensor.float() for name, tensor in weights.read(weights.find(GUESSES)).items()})

@@ -20,7 +20,7 @@ from anystyle_magenta.networks import SIDE, STYLE_DIM, StylePrediction, TextTowe
 from anystyle_magenta.pretrained import GUESSES, SENTENCES, load_prediction, load_text_tower, words_installed
 
 FILE = Path(__file__).parent / "assets" / "descriptions.txt"
-"""Texts whose words, all together, are those that the bundled text tower learnt; one a line."""
+"""Texts whose words, all together, are those that the bundled text tower learnt; one per line."""
 
 INSTALL = 'they do next to nothing; pip install "anystyle[words]" brings a sentence network that guesses how they look'
 GUESSED = "a sentence network guesses how they look; of artists and their names it knows nothing: give a picture"
@@ -111,7 +111,7 @@ class MagentaEncoder(StyleEncoder):
             self.sources += tuple(published(name, find(name)) for name in (GUESSES, SENTENCES))
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
-        """Embeddings of the square in the middle of images, resized to 256 pixels a side; differentiable."""
+        """Embeddings of the square in the middle of images, resized to 256 x 256 pixels; differentiable."""
         return self.network(centre_square(images))
 
     def embed_texts(self, texts: Sequence[str]) -> Float[Tensor, "M D"]:

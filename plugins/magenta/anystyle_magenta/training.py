@@ -70,12 +70,12 @@ class CaptionTraining(Training):
 
     Args:
         style_encoder: Whose prediction network gives the targets; its text tower is trained from scratch.
-        batch_size: Captions a step.
+        batch_size: Captions per step.
         pool: Styles to draw from; ``None`` means all there are.
         axes_on: How many styles the principal axes are computed from.
         learning_rate: Peak, of AdamW.
         warmup: Steps of the warm-up.
-        weight_decay: Of matrices.
+        weight_decay: Weight decay of matrices.
     """
 
     variance: Tensor

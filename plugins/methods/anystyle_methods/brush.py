@@ -52,9 +52,9 @@ class Brush(Method):
     wherever it is seen.
 
     Args:
-        size: Of strokes, 1 for those of 5, 3 and 1.5 pixels of 384.
+        size: Relative size of strokes; at 1 they are 5, 3 and 1.5 pixels of 384 wide.
         jitter: How much the lightness of strokes varies, in standard deviations of the painting's.
-        seed: Of where strokes lie, and of their lightness.
+        seed: Seed of the strokes' positions and lightness.
     """
 
     def __init__(
@@ -131,7 +131,7 @@ class _Canvas:
         scales: World units a pixel: of the nearest view that shows the place, so that no stroke looks too large.
         depths: In that view.
         density: Points a unit of area.
-        cameras: Of all views.
+        cameras: Cameras of all views.
     """
 
     points: Float[Tensor, "N 3"]

@@ -19,8 +19,8 @@ class NNFM(FeatureLoss):
     style has an image. ARF reads VGG-16; the default layers are the same block of VGG-19.
 
     Args:
-        layers: Of one resolution.
-        weight: In the objective; 1 in ARF, 5 in StylizedGS, 10 or 100 in G-Style.
+        layers: Layers of one resolution.
+        weight: Weight in the objective; 1 in ARF, 5 in StylizedGS, 10 or 100 in G-Style.
     """
 
     def __init__(

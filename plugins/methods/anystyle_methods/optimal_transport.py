@@ -24,12 +24,12 @@ class OptimalTransport(NNFM):
     let them: without one, and at ``epsilon`` of 0, this is NNFM. The gradient takes the plan as fixed.
 
     Args:
-        layers: Of one resolution.
-        weight: In the objective.
+        layers: Layers of one resolution.
+        weight: Weight in the objective.
         capacity: How often a feature of the style image is used, relative to its equal share: 1 or more. At 1 the plan
             is balanced, and all features are used alike.
         epsilon: Weight of the entropy, in units of ``1 - cos``.
-        iterations: Of Sinkhorn's algorithm.
+        iterations: Iterations of Sinkhorn's algorithm.
         num_samples: Features of a view and of the style image that are drawn at random each time.
     """
 

@@ -19,7 +19,7 @@ Recolor = Literal["none", "before", "after", "both"]
 
 
 class Optimize(Method):
-    """Optimise Gaussians by gradient descent on a weighted sum of losses of their renders, one view a step.
+    """Optimise Gaussians by gradient descent on a weighted sum of losses of their renders, one view per step.
 
     The losses are those of the configuration (``loss=[nnfm,content]``), each with its weight; presets of this method
     name theirs. Colours are reduced to degree 0, because view-dependent ones could fit each view separately.
@@ -27,17 +27,17 @@ class Optimize(Method):
     Args:
         num_steps: Optimisation steps.
         colors_lr: Learning rate of constant harmonics. Parameters with a rate of 0 are not changed by one bit.
-        opacities_lr: Of logits of opacities.
-        scales_lr: Of logarithms of scales.
-        rotations_lr: Of quaternions.
-        means_lr: Of centres, in units of each Gaussian's mean scale.
+        opacities_lr: Learning rate of the logits of opacities.
+        scales_lr: Learning rate of the logarithms of scales.
+        rotations_lr: Learning rate of quaternions.
+        means_lr: Learning rate of centres, in units of each Gaussian's mean scale.
         decay: Final rates as a fraction of the initial ones; the decay is exponential.
-        needs_image: Whether the losses need the style's image, so that a text alone is refused.
+        needs_image: Whether the losses need the style's image, so that a text without an image is refused.
         recolor: Whether to match the mean and the covariance of colours to the style's, before, after, or both.
         style_size: Shorter side in pixels that the style image is resized to; ``None`` is that of the views.
         report_every: Steps between two reports of progress, with a thumbnail.
         keep_harmonics: Whether to keep harmonics above degree 0; they are dropped otherwise.
-        seed: Of the order of views.
+        seed: Seed of the order of views.
     """
 
     def __init__(

@@ -23,12 +23,12 @@ from anystyle.types.progress import OnProgress, Progress, no_progress
 class Projection(Method):
     """Stylize every photograph by itself in 2D, and solve the colours of the Gaussians for them by least squares.
 
-    The 2D stylizer may be any: by default it is a style branch that styles the colours of pixels alone
+    The 2D stylizer may be any: by default it is a style branch that styles only the colours of pixels
     (``placement=color``), applied to each view separately.
 
     Args:
         images: A folder of stylized photographs of any origin, one a view in the views' order.
-        steps: Of conjugate gradients after the weighted means; see ``fit_colors``.
+        steps: Steps of conjugate gradients after the weighted means; see ``fit_colors``.
         damping: Pulls each colour towards its weighted mean.
         keep_harmonics: Whether harmonics above degree 0 stay as they are; they are dropped otherwise.
     """

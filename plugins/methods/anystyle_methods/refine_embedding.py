@@ -25,7 +25,7 @@ class RefineEmbedding(Method):
     Args:
         num_steps: Each a single pass, a render of every view, and their backward pass.
         learning_rate: In units of the root mean square of the embedding's components.
-        seed: Of random crops.
+        seed: Seed of random crops.
     """
 
     def __init__(
@@ -54,7 +54,7 @@ class RefineEmbedding(Method):
         on_progress: OnProgress = no_progress,
     ) -> Gaussians:
         if scene.gaussians is not None:
-            raise UserError("method=refine_embedding is of the single pass; give reconstruction=feedforward")
+            raise UserError("method=refine_embedding requires reconstruction=feedforward")
         losses = {name: loss.to(embedding.vector.device) for name, loss in self.losses.items()}
         vector = embedding.vector.detach().clone().requires_grad_()
         rate = self.learning_rate * float(vector.detach().square().mean().sqrt())

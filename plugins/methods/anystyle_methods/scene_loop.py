@@ -60,7 +60,7 @@ class SceneLoop:
     Args:
         rates: Initial learning rates, by name of :data:`~anystyle.methods.gaussian_parameters.NAMES`.
         decay: The final rates as a fraction of the initial ones.
-        seed: Of the order of views and of random crops.
+        seed: Seed of the order of views and of random crops.
         keep_harmonics: Whether harmonics above degree 0 stay.
     """
 

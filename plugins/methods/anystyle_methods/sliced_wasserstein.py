@@ -15,12 +15,12 @@ class SlicedWasserstein(StatisticsLoss):
     """Match the distribution of colours or features of the style image (Heitz et al. 2021, equation 4).
 
     ``sum_l`` of the mean squared difference of the quantiles along random directions, averaged over views whose style
-    has an image. On ``rgb`` alone it is a palette loss: unlike a mean it keeps distinct colours distinct.
+    has an image. On ``rgb`` it is a palette loss: unlike a mean it keeps distinct colours distinct.
 
     Args:
         directions: Number of random directions, drawn once from ``seed``.
         levels: Number of quantiles.
-        seed: Of the directions.
+        seed: Seed of the directions.
     """
 
     def __init__(

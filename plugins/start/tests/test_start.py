@@ -100,7 +100,7 @@ def test_a_bad_file_is_refused_in_one_line_and_leaves_nothing(client, started, n
 
 def test_a_damaged_film_is_refused(client):
     scene = client.post("/scenes")["id"]
-    assert "film.mp4 is no video" in client.upload(scene, "film.mp4", b"text")["error"]
+    assert "film.mp4 is not a video" in client.upload(scene, "film.mp4", b"text")["error"]
     assert client.scene(scene)["kind"] is None
 
 

@@ -28,7 +28,7 @@ class AnalysisOptions:
     alternative: Alternative = "two-sided"  # of all tests and intervals; ``less`` claims that ours is preferred
     seed: int = 0  # seed of all resampling
     margin: float | None = None  # of equivalence, as a fraction of the way from neutral to the end of the scale
-    titles: Mapping[str, str] = field(default_factory=dict)  # texts of the questions by name, for tables and figures
+    titles: Mapping[str, str] = field(default_factory=dict)  # texts of the questions by name, for tables and plots
     study: Study | None = None  # the design, if there is one
 
     def __post_init__(self) -> None:

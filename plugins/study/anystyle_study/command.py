@@ -8,7 +8,7 @@ from anystyle.contracts import Command
 SUBCOMMANDS = {
     "design": "from folders of results to a study: sets, positions, orders, pictures",
     "form": "the page that participants see: one file, or served with answers kept in SQLite",
-    "analyze": "from answers to tests, tables, figures and a report",
+    "analyze": "from answers to tests, tables, plots and a report",
     "power": "by simulation: power and false positives of each test, participants needed",
 }
 

@@ -102,7 +102,7 @@ def design_command(arguments: argparse.Namespace) -> None:
     """Run ``anystyle study design``."""
     for word in arguments.options:
         if "=" not in word:
-            raise UserError(f"{word!r} is no OPTION=VALUE; folders are given with --method NAME=FOLDER")
+            raise UserError(f"{word!r} is not an OPTION=VALUE; folders are given with --method NAME=FOLDER")
     plan = read_plan(arguments.options)
     if arguments.show:
         print(OmegaConf.to_yaml(OmegaConf.create(msgspec.to_builtins(plan))), end="")
@@ -179,8 +179,8 @@ def analyze_parser() -> argparse.ArgumentParser:
     """The flags of ``anystyle study analyze``."""
     words = new_parser(
         "study analyze",
-        "Read answers (CSV, JSON or SQLite, one a row), undo the positions, exclude participants by the design's rules "
-        "and test every question. Writes analysis.json, results.md, results.tex, report.html and figures/.",
+        "Read answers (CSV, JSON or SQLite, one per row), undo the positions, exclude participants by the design's "
+        "rules and test every question. Writes analysis.json, results.md, results.tex, report.html and figures/.",
         epilog="Words such as wilcoxon.zero_method=pratt set a test's options; anystyle plugins study_test lists them.",
     )
     add = words.add_argument
@@ -193,7 +193,7 @@ def analyze_parser() -> argparse.ArgumentParser:
     add(
         "--wide",
         action="store_true",
-        help="tables may have one row a person, with columns such as S1:style, S1:ours_is",
+        help="tables may have one row per person, with columns such as S1:style, S1:ours_is",
     )
     key = "table of column, item, question, ours_is (or method): what the columns of a --wide table are about"
     add("--columns", type=Path, metavar="FILE", help=key)
@@ -209,7 +209,7 @@ def analyze_parser() -> argparse.ArgumentParser:
     add("--exclude-straight-lining", action="store_true", help="exclude participants who gave one answer throughout")
     missing = "fraction of missing answers above which a participant is excluded (default: the design's)"
     add("--missing", type=float, metavar="FRACTION", help=missing)
-    add("--no-report", action="store_true", help="no figures and no page: needs no matplotlib")
+    add("--no-report", action="store_true", help="neither plots nor page; does not need matplotlib")
     return words
 
 

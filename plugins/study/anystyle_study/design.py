@@ -35,7 +35,7 @@ class Sources:
         if len(self.methods) < 2:
             raise UserError(f"{len(self.methods)} method(s) given; a comparison needs two: --method NAME=FOLDER twice")
         if self.ours not in self.methods:
-            raise UserError(f"ours is {self.ours!r}, which is none of the methods {', '.join(self.methods)}")
+            raise UserError(f"ours is {self.ours!r}, which is not one of the methods {', '.join(self.methods)}")
 
 
 def design(sources: Sources, plan: Plan, out: Path) -> Study:
@@ -214,8 +214,8 @@ def balance(study: Study) -> dict[str, tuple[int, int]]:
             f"a {name} per participant": [n for order in orders for n in count([sets[one] for one in order], name)]
             for name in ("scene", "style")
         },
-        "times a set has a rank": [ranks[entry, rank] for entry in sets for rank in range(study.plan.sets)],
-        "times a set follows another": [following[a, b] for a in sets for b in sets if a != b],
+        "times each set has a rank": [ranks[entry, rank] for entry in sets for rank in range(study.plan.sets)],
+        "times each set follows another": [following[a, b] for a in sets for b in sets if a != b],
     }
     return {name: (min(values), max(values)) for name, values in counts.items()}
 

@@ -1,4 +1,4 @@
-"""Figures of a study: answers, means, positions, power. Left of 0 prefers ours."""
+"""Plots of a study: answers, means, positions, power. Left of 0 prefers ours."""
 
 import io
 import textwrap
@@ -64,7 +64,7 @@ def save(figure: "Figure", path: Path) -> None:
 
 
 def as_svg(figure: "Figure", name: str) -> str:
-    """A figure as an ``<svg>`` element; ``name`` keeps its identifiers apart from those of other figures."""
+    """A plot as an ``<svg>`` element; ``name`` distinguishes its identifiers from those of other plots."""
     text = io.StringIO()
     with _style(name):
         figure.savefig(text, format="svg", metadata={"Date": None})

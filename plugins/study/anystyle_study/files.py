@@ -89,7 +89,7 @@ def _csv_table(text: str, source: str) -> tuple[list[str], list[list[str]], bool
             for delimiter in delimiters
         }
     except csv.Error as error:
-        raise UserError(f"{source} is no CSV table: {error}") from None
+        raise UserError(f"{source} is not a CSV table: {error}") from None
 
     def fits(delimiter: str) -> tuple[bool, int]:
         header, *rows = (len(row) for row in tables[delimiter])
@@ -132,7 +132,7 @@ def _sqlite_table(path: Path) -> tuple[list[str], list[Sequence[Any]]]:
                 if needed <= {name.strip().lower() for name in names}:
                     return names, cursor.fetchall()
     except (sqlite3.Error, UnicodeError, OverflowError) as error:
-        raise UserError(f"{path.name} is no readable SQLite file: {error}") from None
+        raise UserError(f"{path.name} is not a readable SQLite file: {error}") from None
     raise UserError(
         f"{path.name} has no table with the columns participant, item, question, score; its tables are {tables[:12]}"
     )

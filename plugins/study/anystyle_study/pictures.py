@@ -35,7 +35,7 @@ def frames_in(path: Path) -> list[Path]:
 def _frames(folder: Path, kind: str) -> dict[str, list[Path]]:
     """Images of the files and folders in a folder, by their names without suffix."""
     if not folder.is_dir():
-        raise UserError(f"{kind} {folder} is no folder")
+        raise UserError(f"{kind} {folder} is not a folder")
     entries = [(entry, frames_in(entry)) for entry in sorted(folder.iterdir()) if not entry.name.startswith(".")]
     return {entry.stem if entry.is_file() else entry.name: frames for entry, frames in entries if frames}
 
@@ -43,7 +43,7 @@ def _frames(folder: Path, kind: str) -> dict[str, list[Path]]:
 def find_results(method: str, folder: Path) -> ResultPaths:
     """Results laid out as ``SCENE/STYLE.png`` or ``SCENE/STYLE/FRAMES``."""
     if not folder.is_dir():
-        raise UserError(f"method {method}: {folder} is no folder")
+        raise UserError(f"method {method}: {folder} is not a folder")
     scenes = [path for path in sorted(folder.iterdir()) if path.is_dir() and not path.name.startswith(".")]
     frames_of = {(path.name, style): frames for path in scenes for style, frames in _frames(path, "scene").items()}
     if not frames_of:
@@ -59,7 +59,7 @@ def find_contents(folder: Path) -> dict[str, list[Path]]:
 def find_styles(folder: Path) -> dict[str, Path]:
     """Styles laid out as ``STYLE.jpg``, or ``STYLE.txt`` for a style in words, by name."""
     if not folder.is_dir():
-        raise UserError(f"styles {folder} is no folder")
+        raise UserError(f"styles {folder} is not a folder")
     files = sorted(file for file in folder.iterdir() if file.is_file())
     return {file.stem: file for file in files if file.suffix.lower() in (*SUFFIXES, ".txt")}
 

@@ -21,7 +21,7 @@ class Question(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str  # column value in the answers
     text: str  # shown to participants; in a rating, ``{method}`` stands for A or B
     labels: tuple[str, ...]  # from low (A is much better) to high; empty ones show a number only
-    # a ``comparison`` has one answer a set, on a scale from A to B; a ``rating`` has one for each method
+    # a ``comparison`` has one answer per set, on a scale from A to B; a ``rating`` has one for each method
     kind: Literal["comparison", "rating"] = "comparison"
     low: int = 1  # the lowest score
 
@@ -38,7 +38,7 @@ class Question(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def sides(self) -> tuple[str, ...]:
-        """Sides that a set is rated for: ``A`` and ``B``; ``""`` alone in a comparison."""
+        """Sides that a set is rated for: ``A`` and ``B``; only ``""`` in a comparison."""
         return ("A", "B") if self.kind == "rating" else ("",)
 
 
@@ -138,7 +138,7 @@ class Item(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     scene: str  # name of the scene
     style: str  # name of the style
     baseline: str  # the other method
-    ours: tuple[str, ...]  # files in ``pictures/`` by ours, one a view or one video, under meaningless names
+    ours: tuple[str, ...]  # files in ``pictures/`` by ours, one per view or one video, under meaningless names
     theirs: tuple[str, ...]  # files of the other method
     content: tuple[str, ...]  # files of the photographs
     reference: str = ""  # file of the style, or empty
@@ -182,7 +182,7 @@ class Study(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
             raise UserError(f"it refers to a set {min(unknown_ids)!r} that it does not have")
         for name in self.pictures:
             if not _PICTURE.fullmatch(name):
-                raise UserError(f"picture {name!r} has a name that is no file's")
+                raise UserError(f"picture {name!r} has a name that is not a file name")
 
     @cached_property
     def shown(self) -> dict[str, Item | Check]:

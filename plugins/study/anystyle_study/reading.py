@@ -1,4 +1,4 @@
-"""Answers from CSV, JSON or SQLite files, one answer a row, as the form stores them or from any other form.
+"""Answers from CSV, JSON or SQLite files, one answer per row, as the form stores them or from any other form.
 
 The form's answers do not say where ours was; the design does. A table from elsewhere says it in ``ours_is`` (A or B),
 or whose rating it is in ``method`` (ours or theirs).
@@ -76,10 +76,10 @@ def read_responses(
     """Read answers from files and folders of files; the form's own answers need the study's design.
 
     Args:
-        paths: Of the files and folders.
-        study: The design; the labels of its questions are words of their scales.
-        labels: The scores of further words.
-        wide: Whether a table may have one row a person.
+        paths: Files and folders.
+        study: The design; the labels of its questions are read as scores.
+        labels: The scores of additional labels.
+        wide: Whether a table may have one row per person.
         columns: A table that says what each column of such a table is about, if their names do not.
     """
     files = [file for path in paths for file in _files(path)]
@@ -123,7 +123,8 @@ def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) 
     elif missing:
         raise UserError(
             f"{path.name} lacks the column{'s' * (len(missing) > 1)} {', '.join(missing)}; it has "
-            f"{', '.join(names[:12])}; expected one answer a row, in {', '.join(REQUIRED)} (one row a person: --wide)"
+            f"{', '.join(names[:12])}; expected one answer per row, in {', '.join(REQUIRED)} "
+            "(one row per person: --wide)"
         )
     else:
         duplicates = sorted({name for name in names if names.count(name) > 1})
@@ -132,7 +133,7 @@ def _rows(path: Path, *, wide: bool, columns: Path | None, study: Study | None) 
         lines = enumerate(sheet.rows, start=2)
         table = [{"": f"row {line}"} | dict(zip(names, row, strict=True)) for line, row in lines]
     if not table:
-        raise UserError(f"{path.name} holds a header and no answers; expected one answer a row")
+        raise UserError(f"{path.name} holds a header and no answers; expected one answer per row")
     return table, sheet.semicolons
 
 

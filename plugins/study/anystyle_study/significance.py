@@ -154,7 +154,7 @@ class SignFlip(Significance):
 
     Args:
         resamples: Number of random flips, and of random subsets for the interval.
-        seed: Of both.
+        seed: Seed of flips and subsets.
     """
 
     units: ClassVar[tuple[Unit, ...]] = ("participant",)

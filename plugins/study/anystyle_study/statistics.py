@@ -87,7 +87,7 @@ class Crossing:
         squares = np.stack([*sums, (residuals**2).sum(0)])
         per_level = np.array(self._levels / (self._levels - 1) / self._n**2)
         alone = (squares[:-1].T * per_level).T  # the variance if each factor were the only one
-        # A variance below that of one factor alone comes from a negative component.
+        # A variance below that of a single factor comes from a negative component.
         variance = np.maximum(np.tensordot(self._weights, squares, 1), alone.max(0))
         with np.errstate(invalid="ignore", divide="ignore"):
             df = variance**2 / np.tensordot(1 / (self._levels - 1), alone**2, 1)

@@ -95,7 +95,7 @@ class Store:
             raise UserError(f"{path} holds answers to another study ({held[0]}, not {study.id}); name another file")
         self._files = {file: file.stat().st_ino for file in (path, path.with_name(path.name + "-wal"))}
         folder = os.open(path.parent, os.O_RDONLY)
-        os.fsync(folder)  # so that the file names last, too
+        os.fsync(folder)  # so that the file names are durable
         os.close(folder)
 
     def close(self) -> None:

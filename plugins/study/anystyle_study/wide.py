@@ -1,4 +1,4 @@
-"""Tables of one row a person, as questionnaires export them, as rows of one answer each."""
+"""Tables of one row per person, as questionnaires export them, as rows of one answer each."""
 
 import logging
 import re

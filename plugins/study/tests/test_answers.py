@@ -161,9 +161,9 @@ def test_several_comparisons_are_kept_apart(tmp_path):
         (b"participant,item,question,score,ours_is\nP1,S1,q,3 - 4,A\n", "score is '3 - 4'"),
         (b"participant,item\0,question", "binary"),
         (b'{"responses": 3}', "list of answers"),
-        (b"{nothing", "no list of answers"),
-        (b"SQLite format 3\0 and then nothing of the kind" * 30, "no readable SQLite file"),
-        (b"participant,S1:style,S1:ours_is\nP1,3,A\n", "expected one answer a row, in participant, item, question"),
+        (b"{nothing", "not a valid list of answers"),
+        (b"SQLite format 3\0 and then nothing of the kind" * 30, "not a readable SQLite file"),
+        (b"participant,S1:style,S1:ours_is\nP1,3,A\n", "expected one answer per row, in participant, item, question"),
     ],
 )
 def test_bad_files_end_in_one_line(tmp_path, content, words):

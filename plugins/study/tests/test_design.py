@@ -65,8 +65,8 @@ def test_the_papers_design(tmp_path):
         "ours is A per set": (20, 20),
         "a scene per participant": (4, 4),
         "a style per participant": (3, 4),
-        "times a set has a rank": (2, 2),
-        "times a set follows another": (2, 2),
+        "times each set has a rank": (2, 2),
+        "times each set follows another": (2, 2),
     }
     assert all(len(set(one.order)) == 20 for one in study.participants)
     assert re.search(r"ours is A per set +\| 20 +\| 20 ", (tmp_path / "s" / "balance.md").read_text())
@@ -259,10 +259,10 @@ def test_folders_that_lack_something_are_told(tmp_path):
     methods = dict(sources.methods)
     with pytest.raises(ValueError, match="a comparison needs two"):
         Sources(methods={"ours": methods["ours"]}, ours="ours", styles=sources.styles, contents=sources.contents)
-    with pytest.raises(ValueError, match="'mine', which is none of the methods ours, other"):
+    with pytest.raises(ValueError, match="'mine', which is not one of the methods ours, other"):
         Sources(methods=methods, ours="mine", styles=sources.styles, contents=sources.contents)
     for changed, told in (
-        ({"styles": tmp_path / "nowhere"}, "styles .* is no folder"),
+        ({"styles": tmp_path / "nowhere"}, "styles .* is not a folder"),
         ({"methods": {**methods, "other": tmp_path / "styles"}}, "method other: .* holds no results"),
         ({"styles": tmp_path / "contents"}, "names must match, and found were scene0 / style0: not among the styles"),
     ):
@@ -272,7 +272,7 @@ def test_folders_that_lack_something_are_told(tmp_path):
         design(sources, small_plan(sets=6), tmp_path / "out")
     for broken in (tmp_path / "ours" / "scene0").glob("*.png"):
         broken.write_bytes(b"\x89PNG\r\n\x1a\n and no more")
-    with pytest.raises(ValueError, match="no image that can be read"):
+    with pytest.raises(ValueError, match="not an image that can be read"):
         design(sources, small_plan(), tmp_path / "out")
     assert not (tmp_path / "out").exists()
 
@@ -289,14 +289,14 @@ def test_a_damaged_study_is_refused(tmp_path):
         {"checks": [{"id": "c", "kind": "repeat", "of": "x", "ours": [], "theirs": []}]},
     ):
         (folder / "study.json").write_text(json.dumps({**content, **change}))
-        with pytest.raises(ValueError, match=r"is no study; design it again [^\n]*$"):
+        with pytest.raises(ValueError, match=r"is not a valid study; design it again [^\n]*$"):
             read_study(folder)
     (folder / "study.json").write_text("[" * 100_000)
     with pytest.raises(ValueError, match="nested deeper than 48 levels"):
         read_study(folder)
     content["items"][0]["ours"] = ["../../etc/passwd"]
     (folder / "study.json").write_text(json.dumps(content))
-    with pytest.raises(ValueError, match="no file's"):
+    with pytest.raises(ValueError, match="not a file name"):
         read_study(folder)
 
 

@@ -19,7 +19,7 @@ from anystyle_tiny.procedural.phrases import PHOTO_TEXTS, draw_phrase
 from anystyle_tiny.procedural.styles import SPLITS, ProceduralStyles, StyleTraits, draw_palette, paint_style
 
 PHRASES = 0.3125
-"""Of the styles that are no pictures of a folder, how many are phrases; the others are procedural."""
+"""Fraction of phrases among the styles that are not from a folder; the others are procedural."""
 
 
 class CaptionedPictures(StyleSource):
@@ -32,7 +32,7 @@ class CaptionedPictures(StyleSource):
     Args:
         size: Height and width in pixels.
         num_styles: How many.
-        seed: Of the pictures and captions.
+        seed: Seed of the pictures and captions.
         split: Which combinations of procedural styles; of paintings with captions, ``train`` has two thirds.
         photographs: A folder.
         paintings: A folder, with a ``captions.jsonl`` if some are described.

@@ -21,7 +21,7 @@ class DepthAgreement(RowMean):
     depth or cameras, or with one view, are left out.
 
     Args:
-        tolerance: Of depths, relative.
+        tolerance: Relative tolerance of depths.
     """
 
     better: ClassVar[Mapping[str, str]] = {"depth_agreement": "higher"}

@@ -25,15 +25,15 @@ DEPTH_CHANGE = "depth_change"
 class TextAndImage(Protocol):
     """Stylize every scene in every style, once by its text and once by its image, and judge the renders themselves.
 
-    Every figure is given twice, with ``_text`` and ``_image`` behind its name. Metrics see the depth of the
+    Every score is given twice, with ``_text`` and ``_image`` behind its name. Metrics see the depth of the
     stylized scene, so that a style that moves or hides Gaussians changes it. Beside those of the metrics there is
     ``depth_change``: the mean absolute difference of the logarithms of the depth of styled and unstyled renders.
 
     Args:
         styles: Every style has an image and a text.
-        num_scenes: Of the scenes, the first so many.
-        num_styles: Of the styles, the first so many.
-        num_views: Of each scene, the first so many are seen and judged.
+        num_scenes: How many scenes, from the first on.
+        num_styles: How many styles, from the first on.
+        num_views: How many views of each scene are encoded and evaluated, from the first on.
     """
 
     @classmethod
@@ -83,7 +83,7 @@ class TextAndImage(Protocol):
     @torch.no_grad()
     def _encode(self, index: int) -> Scene:
         views = self.scenes.read(index, self._views(index))
-        # The photographs alone: cameras and depth are the model's to predict.
+        # Only the photographs: the model predicts cameras and depth.
         return self.stylizer.encode(Views(images=views.images.to(self.stylizer.device)))
 
     @cached_property

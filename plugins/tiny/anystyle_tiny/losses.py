@@ -46,7 +46,7 @@ class EdgeAwareSmoothness(Loss):
     """Prefer renders that change where the photographs do: ``mean |dx I| exp(-k |dx I^photograph|)``, across plus down.
 
     The first-order smoothness of Godard et al. 2017 (Eq. 2 there, on disparities), on colours: absolute differences of
-    neighbouring pixels, averaged over channels. A term on the distribution of colours alone allows stripes
+    neighbouring pixels, averaged over channels. A term on only the distribution of colours allows stripes
     unrelated to the scene; this one penalises them, but not the edges of the scene.
 
     Args:

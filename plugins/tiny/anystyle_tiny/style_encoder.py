@@ -35,7 +35,7 @@ class Tiny(StyleEncoder):
     embeddings.
 
     Args:
-        dim: Of the space.
+        dim: Dimensions of the space.
         text_width: Channels of the text transformer.
         text_layers: Its layers.
         buckets: Rows of the table of hashed words.

@@ -29,7 +29,7 @@ MAX_ASPECT = 3.0
 """Longer panoramas lose their ends."""
 
 OTHER = frozenset({"depth", "depths", "mask", "masks", "normals", "thumbnails"})
-"""Folders beside photographs whose images are none."""
+"""Folders beside photographs whose images are not photographs."""
 
 PIXELS = 160_000_000
 """Of all originals together: half a gigabyte, held twice while cameras are sought."""
@@ -50,11 +50,11 @@ def read_views(
 
     Args:
         inputs: Folders (their images in natural order), image files, patterns such as ``photos/*.jpg``, or videos.
-        short_side: In pixels; rounded to a multiple. ``None`` takes photographs pixel by pixel as they are, where all
+        short_side: In pixels; rounded to a multiple. ``None`` does not resize: all photographs must
             have one size of such multiples.
         multiple: The patch size of the network.
-        max_views: Of more photographs, evenly spaced ones are taken.
-        enlarge: Whether smaller photographs are brought to ``short_side``, too.
+        max_views: How many views are read at most; of more photographs evenly spaced ones are.
+        enlarge: Whether smaller photographs are enlarged to ``short_side``.
     """
     shots, problems = _shots(inputs, max_views)
     size = common_size([shot.size for shot in shots], short_side=short_side, multiple=multiple, enlarge=enlarge)
@@ -69,7 +69,7 @@ def read_views(
 
 def require_views(count: int, size: tuple[int, int]) -> None:
     """Refuse views that memory does not hold, before a pixel of them is decoded."""
-    # Of bytes, of floating-point numbers, and stacked.
+    # As bytes, as floating-point numbers, and stacked.
     require(
         count * size[0] * size[1] * 3 * (1 + 4 + 4),
         f"{count} views of {size[1]}x{size[0]}",
@@ -89,7 +89,7 @@ def as_views(pictures: Sequence[tuple[Image.Image, SourceImage]], cameras: Camer
 def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> list[Original]:
     """Read photographs as :func:`read_views` does, but whole, reduced to no less than the longer side ``longest``.
 
-    Many are reduced further, to :data:`PIXELS` together.
+    Many are reduced more, to :data:`PIXELS` together.
     """
     shots, problems = _shots(inputs, max_views)
     longest = min(longest, round(sqrt(1.5 * PIXELS / len(shots))))
@@ -169,7 +169,7 @@ def common_size(
     """
     if short_side is None:
         return _own_size(sizes, multiple)
-    # Of two that are as frequent the larger one, whichever comes first.
+    # The larger of two equally frequent sizes, independent of their order.
     (width, height), _ = max(Counter(sizes).items(), key=lambda size: (size[1], size[0]))
     aspect = min(max(width / height, 1 / MAX_ASPECT), MAX_ASPECT)
     short_side = short_side if enlarge else min(short_side, width, height)

@@ -25,7 +25,7 @@ SUFFIXES = frozenset(
 
 
 def image_size(source: Picture, name: str = "") -> tuple[int, int]:
-    """Width and height of the upright image, from its header alone; messages call bytes by ``name``."""
+    """Width and height of the upright image, from its header only; messages call bytes by ``name``."""
     with opened(source, name) as image:
         width, height = image.size
         transposed = image.getexif().get(ExifTags.Base.Orientation) in (5, 6, 7, 8)
@@ -46,7 +46,7 @@ def open_image(source: Picture, name: str = "", *, longest: int = 4096) -> Image
 
     Args:
         source: A file that Pillow opens, or the bytes of one, which messages call by ``name``.
-        name: Of bytes.
+        name: What to call bytes in messages.
         longest: Images with a longer side are reduced to no less than this.
     """
     with opened(source, name) as image:

@@ -51,11 +51,11 @@ def matched(stored: Collection[str], images: Sequence[Path]) -> dict[Path, str]:
     without suffix, equal but for upper and lower case or Unicode's form, and equal in another encoding.
 
     Args:
-        stored: Names or paths as another program wrote them; bytes that are no UTF-8 are escaped as surrogates.
+        stored: Names or paths as another program wrote them; bytes that are not UTF-8 are escaped as surrogates.
         images: Image files.
 
     Raises:
-        UserError: Two names fit an image equally well, or two images a name.
+        UserError: Two names fit an image equally well, or two images fit one name.
     """
     index: dict[tuple[str, ...], list[str]] = {}
     folders = set[tuple[str, ...]]()
@@ -72,7 +72,7 @@ def matched(stored: Collection[str], images: Sequence[Path]) -> dict[Path, str]:
         near = [index[key, folder] for key in keys for folder in {"", *above[:1]} if (key, folder) in index]
         names = set(chain.from_iterable(near or (index.get((key,), ()) for key in keys)))
         ranked = sorted((_rank(name, image), name) for name in names)
-        # A program that knows the image's folder found no camera for what it names in other folders alone.
+        # A program that knows the image's folder found no camera for images that it names only in other folders.
         if not ranked or (ranked[0][0][0] and any(folder == above[: len(folder)] for folder in folders)):
             continue
         (rank, name), *others = ranked

@@ -87,9 +87,9 @@ def masked_views(
     """Views with their ``alpha`` and where they are ``counted``, and what a report says of both.
 
     Args:
-        views: Of one scene.
+        views: The views of one scene.
         sources: Where each view comes from.
-        masks: Of photographs, from :func:`find_masks`.
+        masks: Masks by photograph, from :func:`find_masks`.
         empty: Whether nothing is there where a mask is black; otherwise it is unknown what is there.
     """
     alpha, counted = (torch.ones_like(views.images[0, :, 0]) for _ in range(2))  # V H W

@@ -34,13 +34,13 @@ class Shots(NamedTuple):
 
 
 class FolderScenes(SceneSource):
-    """Folders of photographs: one scene a folder, or ``root`` itself; also DL3DV-10K, ScanNet++ and LLFF captures.
+    """Folders of photographs: one scene per folder, or ``root`` itself; also DL3DV-10K, ScanNet++ and LLFF captures.
 
     A scene's photographs lie in its folder or in its sub-folder ``images``, where there may be a folder for each camera
     of a rig, and are taken in natural order. Cameras
     come from what a plugin of kind ``cameras`` reads, such as ``transforms.json`` or COLMAP's model, where there is
-    one; photographs without a camera are then left out, and so are files that are no images; a damaged one is found out
-    when it is decoded, and raises then. Every scene keeps its own aspect. The distortion of lenses is not undone, as in
+    one; photographs without a camera are then left out, and so are files that are not images; a damaged one
+    raises when it is decoded. Every scene keeps its own aspect. The distortion of lenses is not undone, as in
     the published training.
 
     Args:

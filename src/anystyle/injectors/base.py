@@ -1,4 +1,4 @@
-"""The base of injectors that change each token alone."""
+"""The base of injectors that change each token separately."""
 
 from abc import abstractmethod
 
@@ -15,8 +15,8 @@ class TokenInjector(Injector):
     Args:
         dim: Channels at the site.
         style_dim: Dimensions of the style embedding.
-        gain: Of the embedding. A unit vector's entries shrink with its dimensions, and with them what a style changes
-            at first; the root of ``style_dim`` makes up for it where training is short.
+        gain: Factor of the embedding, a unit vector. ``sqrt(style_dim)`` gives entries of unit variance, which speeds
+            up short trainings.
         special_tokens: Whether camera and register tokens are styled too.
     """
 

@@ -21,7 +21,7 @@ class CrossAttention(TokenInjector):
 
     Args:
         num_tokens: Style tokens that the vector becomes; at least 2, for with one there is nothing to choose from.
-        heads: Of the attention.
+        heads: Attention heads.
         head_dim: Channels of each head.
     """
 

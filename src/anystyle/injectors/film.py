@@ -10,7 +10,7 @@ class FiLM(TokenInjector):
     """Scale and shift channels: ``tokens * (1 + scale(z)) + shift(z)``.
 
     Perez et al., "FiLM: Visual Reasoning with a General Conditioning Layer", 2018 (arXiv:1709.07871), Eq. 2, with the
-    scale predicted as its difference from 1, as its section 7.2 does. The published style injector is the shift alone.
+    scale predicted as its difference from 1, as its section 7.2 does. The published style injector is only the shift.
 
     Args:
         hidden: Width of the projection's hidden layer, at most ``expansion`` times ``dim``.

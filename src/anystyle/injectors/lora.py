@@ -14,13 +14,13 @@ class LoRA(TokenInjector):
     and ``up`` starts at 0. There the pair is added to a weight matrix; here it stands at a site, which is the same
     for the linear layers that read the tokens there: ``W (x + U S D x) = (W + (W U) S D) x``, an update of ``W`` of
     rank ``rank``. The style enters as the diagonal ``S = diag(strength(z))`` between the two, so that one pair of
-    matrices is a family of updates, one a style. It multiplies: a token that is 0 stays 0.
+    matrices is a family of updates, one per style. A token that is 0 stays 0.
 
     With ``training.learn_copies=false`` the copied blocks keep their weights and this update is all that learns, which
     is what LoRA is for; otherwise they learn beside it.
 
     Args:
-        rank: Of the update, at most ``dim``.
+        rank: Rank of the update, at most ``dim``.
         alpha: The update is scaled by ``alpha / rank``, so that another rank needs no other learning rate.
     """
 

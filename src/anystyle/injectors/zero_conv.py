@@ -15,8 +15,8 @@ class ZeroConv(TokenInjector):
     Args:
         hidden: Width of the projection's hidden layer, at most twice ``dim`` (published: 1024 at token sites, 256 at
             the direct site's 128 channels).
-        gain: Of the embedding; see :class:`~anystyle.injectors.base.TokenInjector` (published: 1).
-        special_tokens: Whether camera and register tokens are styled too; the paper says all tokens, the published
+        gain: Factor of the embedding; see :class:`~anystyle.injectors.base.TokenInjector` (published: 1).
+        special_tokens: Whether camera and register tokens are also styled; the paper says all tokens, the published
             weights were trained with patches only.
     """
 

@@ -83,4 +83,4 @@ def _refusal(path: Path, what: str, error: Exception) -> Exception:
     if isinstance(error, MemoryError):
         return error
     reason = one_line(str(error).partition("\n")[0]).strip("'\"")[:200] or type(error).__name__
-    return UserError(f"{path} is no {what}, or a damaged one ({reason})")
+    return UserError(f"{path} is not a valid {what} ({reason})")

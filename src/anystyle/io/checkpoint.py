@@ -77,7 +77,7 @@ def read_header(path: str | Path) -> Header:
     with _open(path) as file:
         metadata = file.metadata() or {}
     if metadata.get("format") != FORMAT:
-        raise UserError(f"{path} is no safetensors file that anystyle wrote")
+        raise UserError(f"{path} is not a safetensors file that anystyle wrote")
     if any("${" in text for text in metadata.values()):
         # Configurations are resolved before they are written; an interpolation would be resolved on this machine.
         raise UserError(f"the header of {path} holds an interpolation; a file's configuration must be resolved")

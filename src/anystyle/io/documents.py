@@ -56,7 +56,7 @@ def regular(path: str | Path, *, most: int | None = MAX_BYTES, what: str = "file
     except (OSError, ValueError) as error:  # links in a circle, names that no system can hold
         raise UserError(f"{path} cannot be read ({getattr(error, 'strerror', error)})") from None
     if not stat.S_ISREG(state.st_mode):
-        raise UserError(f"{path} is no regular file; a {what} is expected")
+        raise UserError(f"{path} is not a regular file; a {what} is expected")
     if most is not None and state.st_size > most:
         raise UserError(f"{path} has {state.st_size:,} bytes; a {what} of at most {most:,} is expected")
     return path
@@ -83,7 +83,7 @@ def read_json(path: str | Path, shape: type[T] | Any, *, what: str = "JSON file"
     """A JSON file as a value of a shape.
 
     Args:
-        path: Of the file.
+        path: A JSON file.
         shape: A type that msgspec knows: built-in ones, dataclasses, typed dictionaries, ``Annotated`` bounds.
         what: What the file is called in messages.
     """
@@ -141,7 +141,7 @@ def _shaped(parse: Callable[[], Any], shape: Any, source: str, what: str, *, lim
         raise UserError(f"{source} is nested deeper than {MAX_DEPTH} levels; expected a {what}") from None
     except Exception as error:  # parsers of damaged text raise nearly anything
         reason = one_line(error).replace("`", "'").replace("'$'", "the top").replace("'$.", "'")
-        raise UserError(f"{source} is no {what} ({reason[:300] or type(error).__name__})") from None
+        raise UserError(f"{source} is not a valid {what} ({reason[:300] or type(error).__name__})") from None
 
 
 def _check(value: Any, parts: int, limit: bool) -> None:

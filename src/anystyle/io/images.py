@@ -70,7 +70,7 @@ def opened(source: Picture, name: str = "") -> Iterator[Image.Image]:
             hint = '; HEIC photographs need: pip install "anystyle[heic]"'
         elif suffix in (".tif", ".tiff"):
             hint = "; TIFF files of floating-point colours are not read, so save it with 8 or 16 bits"
-        raise UserError(f"{what} is no image that can be read, whatever its suffix{hint}") from None
+        raise UserError(f"{what} is not an image that can be read, whatever its suffix{hint}") from None
     except Exception as error:  # decoders of damaged files raise nearly anything
         if isinstance(error, MemoryError) or (isinstance(error, OSError) and error.filename is not None):
             raise
@@ -110,5 +110,5 @@ def rounded_to_8_bits(image: Image.Image, source: Picture) -> Image.Image:
 
 
 def _too_large(image: Image.Image) -> str:
-    limit = f"at most {MAX_DECODED:,} are decoded, more of JPEG files alone"
+    limit = f"at most {MAX_DECODED:,} are decoded, more only of JPEG files"
     return f"{image.width} x {image.height} pixels are too many; {limit}; make it smaller"

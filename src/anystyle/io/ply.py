@@ -114,7 +114,7 @@ def load(path: Path, *, activated: bool = False) -> Loaded:
     """Read a file, and tell what is left out or guessed.
 
     Args:
-        path: The file; of 2DGS, too, whose scales are two, or with the colours ``red green blue``.
+        path: The file, also with two scales (2DGS) or the colours ``red green blue``.
         activated: Whether it holds lengths and opacities in [0, 1] in place of logarithms and logits.
     """
     remarks = Remarks(path)
@@ -164,7 +164,7 @@ def _parsed(path: Path) -> PlyData:
         if "vertex" not in data:
             raise ValueError("it has no vertices")
     except (PlyParseError, ValueError) as error:
-        raise UserError(f"{path} is no PLY file of Gaussians ({error})") from None
+        raise UserError(f"{path} is not a PLY file of Gaussians ({error})") from None
     return data
 
 
@@ -175,7 +175,7 @@ def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
     except (KeyError, ValueError) as error:
         if isinstance(error, UserError):
             raise
-        raise UserError(f"{path} is no PLY file of Gaussians ({error})") from None
+        raise UserError(f"{path} is not a PLY file of Gaussians ({error})") from None
     columns = _with_constant(columns, remarks)
     rest = sum(name.startswith("f_rest_") for name in columns)
     if rest % 3:

@@ -105,7 +105,7 @@ def style_sheet(photographs: Sequence[Image.Image], columns: Sequence[tuple[str,
 def save_png(image: Image.Image, path: Path) -> None:
     """Write an image as a PNG file."""
     check_pillow()
-    # Of a painted view: 2 % larger than by the default of zlib, in a fifth of the time.
+    # For a painted view: 2 % larger than with zlib's default, in a fifth of the time.
     image.save(path, compress_level=1, compress_type=zlib.Z_RLE)
 
 

@@ -79,7 +79,7 @@ def visible(
     """The Gaussians of a file that show something, and which of its rows they are.
 
     An infinite opacity is 1, and a scale with the logarithm of minus infinity is 0: a flat disc. Rows are left out
-    whose opacity is minus infinity, or in which a number is none, infinite, or too large for its square to be finite.
+    whose opacity is minus infinity, or in which a number is NaN, infinite, or too large for its square to be finite.
 
     Args:
         rows: The numbers of the file as float32; two scales are those of a disc.
@@ -129,7 +129,7 @@ def _activated(
 ) -> tuple[bool, bool]:
     """Whether scales are lengths and opacities in [0, 1] where logarithms and logits are expected."""
     sizes, alphas = (column[column.isfinite()] for column in (scales, opacities))
-    # Of lengths a few may be damaged; a scene in which logarithms are not negative has Gaussians of a unit or more.
+    # A few lengths may be damaged; a scene whose logarithms are not negative has Gaussians of a unit or more.
     lengths = len(sizes) > 0 and float((sizes < 0).float().mean()) < 0.01
     fractions = len(alphas) > 0 and bool(((alphas >= 0) & (alphas <= 1)).all())
     if asked:

@@ -63,7 +63,7 @@ def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
             # Some encoders write hardly any key frames.
             best = _sharpest(path, count, timeline, key_frames_only=False)
     except FFmpegError as error:
-        raise UserError(f"{path} is no video, or a damaged one ({error.strerror})") from None
+        raise UserError(f"{path} is not a video, or is damaged ({error.strerror})") from None
     if not best:
         raise UserError(f"{path} is a video without frames")
     return [best[part] for part in sorted(best)]
@@ -162,7 +162,7 @@ def write_video(frames: Iterable[Float[Tensor, "3 H W"]], path: Path, *, fps: in
     Args:
         frames: sRGB in [0, 1], all of one size; an odd row or column at the end is dropped, as the format demands.
         path: An ``.mp4`` file.
-        fps: Frames a second.
+        fps: Frames per second.
     """
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         # At this rate factor H.264 is visually lossless; films of "veryfast" are a tenth smaller, and take 1.7 as long.

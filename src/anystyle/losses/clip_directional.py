@@ -29,7 +29,7 @@ class ClipDirectional(Loss):
         weight: float = 2.0,
     ) -> None:
         super().__init__()
-        # In a tuple, so that it is no submodule: neither trained here nor repeated in this loss's state dict.
+        # In a tuple, so that it is not a submodule: neither trained here nor repeated in this loss's state dict.
         self._encoder = (style_encoder,)
         self.size, self.weight = size, weight
         self.reference: Reference = reference

@@ -29,7 +29,7 @@ class ClipPatch(Loss):
             view are therefore the same picture.
         size: Side that warped crops (bilinear) and photographs (bicubic) are resized to, as published; ``None`` leaves
             that to the encoder.
-        batch: Patches embedded at a time; affects memory alone.
+        batch: Patches embedded at a time; affects only memory.
         reference: What ``photograph`` stands for above: the photograph, as published, or the unstyled ``render``.
         weight: In the objective.
     """
@@ -48,7 +48,7 @@ class ClipPatch(Loss):
         weight: float = 4.0,
     ) -> None:
         super().__init__()
-        self._encoder = (style_encoder,)  # in a tuple, so that it is no submodule
+        self._encoder = (style_encoder,)  # in a tuple, so that it is not a submodule
         self.crops, self.crop_size, self.distortion, self.shared_crop = crops, crop_size, distortion, shared_crop
         self.size, self.batch, self.weight = size, batch, weight
         self.reference: Reference = reference
@@ -57,7 +57,7 @@ class ClipPatch(Loss):
     def forward(self, result: Stylization) -> Float[Tensor, ""]:
         color, embed = result.renders.color.flatten(0, 1), self._encoder[0].embed_images
         generator = None if self.training else torch.Generator().manual_seed(0)
-        # With a shared crop all copies of a view are equal, so one a view gives the same mean.
+        # With a shared crop all copies of a view are equal, so one per view gives the same mean.
         copies = 1 if self.shared_crop else self.crops
         patches = self._patches(color.repeat_interleave(copies, 0), len(result.renders.color), generator)
         before = reference_embeddings(result, self.reference, self._encoder[0], self.size)

@@ -13,7 +13,7 @@ class DepthConsistency(Loss):
     """Keep the rendered depth at the depth the backbone predicted (paper, appendix D).
 
     Mean squared difference of the accumulated depth ``sum w z`` and the predicted map, over all pixels of the input
-    views. Where only colours and rotations are styled, its gradient reaches the rotations alone.
+    views. Where only colours and rotations are styled, its gradient reaches only the rotations.
 
     Args:
         reference: ``photograph`` is the predicted map; ``render`` the accumulated depth of the unstyled scene, as in

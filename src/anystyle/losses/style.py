@@ -15,7 +15,7 @@ class StyleLoss(StatisticsLoss):
     """Match mean and deviation of VGG features of the style image (paper, equation 8; AdaIN, equation 13).
 
     ``sum_l mean_c (mu - mu_style)^2 + mean_c (sigma - sigma_style)^2`` over the stylized views, averaged over those
-    whose style has an image; styles of text alone add 0.
+    whose style has an image; styles without an image add 0.
 
     Args:
         reduction: ``mean`` over channels, as published, or their ``sum``, as the equation is written.

@@ -12,7 +12,7 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, OnProgress, Scene, Style, StyleEmbedding, no_progress
 
 MAX_VIEWS = 48
-"""By which fitted Gaussians are coloured, where the branch paints each alone."""
+"""By which fitted Gaussians are coloured, where the branch paints each view separately."""
 
 
 class Branch(Method):
@@ -24,10 +24,10 @@ class Branch(Method):
     Args:
         fit_colors: Steps of least squares for the colours of such Gaussians, in which each surface is coloured by the
             view that shows it largest; 0 takes the mean of the pixels that show a Gaussian there.
-        coverage: How much of what the views show of such Gaussians is painted, in (0, 1]: the fewest views that show so
-            much of each at half its largest size or more. Where the branch sees views together, all of them are.
+        coverage: Fraction of such Gaussians that the painted views must show, each at half its largest size or more, in
+            (0, 1]; the fewest such views are painted. Where the branch sees views together, all of them are.
         refine_strokes: Steps of gradient descent that then move, turn and stretch such Gaussians so that they show
-            painted strokes, one view a step; 0 keeps their geometry.
+            painted strokes, one view per step; 0 keeps their geometry.
         keep_harmonics: Whether such Gaussians keep their harmonics above degree 0; they are dropped otherwise.
     """
 
@@ -72,7 +72,7 @@ class Branch(Method):
 
 
 def _of_views(scene: Scene, views: list[int]) -> Scene:
-    """Some views of a scene, as colours alone."""
+    """Some views of a scene, with colours only."""
     chosen = colors_alone(replace(scene.views.select(views), cameras=scene.cameras.select(views)))
     attributes = replace(chosen.attributes, color=scene.attributes.color[:, views])
     return replace(chosen, attributes=attributes, gaussians=scene.gaussians)

@@ -23,10 +23,10 @@ EVIDENCE, NEIGHBORS = 1.0, 8
 COUNTED = 50_000
 """Gaussians that views are chosen by, evenly spaced; all pairs of them and views are held in memory."""
 KEPT = 10_000_000
-"""Pairs of Gaussians and views whose graphs of renders are kept, about 100 bytes each; of more, views are rendered
-again for every pass backward."""
+"""Above this many pairs of Gaussians and views (about 100 bytes each), graphs are not retained and views are rendered
+again in each backward pass."""
 MIN_CONFIDENCE = 1e-3
-"""Of a pixel whose Gaussians are all seen larger in other views."""
+"""Confidence of a pixel whose Gaussians all appear larger in another view."""
 
 
 def fit_colors(
@@ -60,12 +60,12 @@ def fit_colors(
         cameras: A batch of one scene, for images of the targets' size.
         targets: sRGB in [0, 1].
         renderer: Differentiable in colours; what it has behind the scene is taken out of the targets.
-        steps: Of conjugate gradients; none gives the weighted means. A step costs a render of every view and its
+        steps: Steps of conjugate gradients; 0 gives the weighted means. A step costs a render of every view and its
             backward pass.
         damping: Pulls each colour towards its weighted mean, with this share of its own weight.
         largest: Whether pixels count where their view shows a place largest; all count alike otherwise.
         keep: Whether harmonics above degree 0 stay as they are.
-        alpha: Of the targets; where it is 0 they are what the renderer has behind the scene.
+        alpha: Opacity of the targets; where it is 0 they show the renderer's background.
     """
     if gaussians.means.shape[0] != 1 or cameras.world_from_camera.shape[:2] != (1, len(targets)):
         raise UserError(
@@ -107,7 +107,7 @@ def covering_views(gaussians: Gaussians, cameras: Cameras, renderer: Renderer, *
         gaussians: A batch of one scene.
         cameras: A batch of one scene.
         renderer: Differentiable in colours.
-        share: Of the pixels that Gaussians cover in the views where they are largest, the share to be shown, in (0, 1].
+        share: The fraction to be shown of the pixels that Gaussians cover where they are largest, in (0, 1].
         most: Views at most.
     """
     system = _System(gaussians.detach(), cameras.detach(), renderer)
@@ -140,7 +140,7 @@ def _conjugate_gradients(
     pull: Float[Tensor, " N"],
     steps: int,
 ) -> Float[Tensor, "N 3"]:
-    """Solve ``(AᵀA + P) c = Aᵀ targets + P means`` with ``P = diag(pull)``, each channel alone, beginning at the means.
+    """Solve ``(AᵀA + P) c = Aᵀ targets + P means`` with ``P = diag(pull)``, for each channel, beginning at the means.
 
     The sums of rows of ``Aᵀ``, which where pixels are opaque are those of ``AᵀA`` too, and ``P`` precondition it.
     """

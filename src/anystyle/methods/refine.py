@@ -21,7 +21,7 @@ def refine(
     *,
     steps: int,
 ) -> Gaussians:
-    """Lower the mean absolute error of renders, by Adam on one view a step; opacities stay.
+    """Lower the mean absolute error of renders, by Adam on one view per step; opacities stay.
 
     Args:
         gaussians: A batch of one scene, coloured.

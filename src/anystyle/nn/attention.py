@@ -79,7 +79,7 @@ class Block(nn.Module):
         layer_scale: Initial LayerScale.
         ffn: Kind of the feed-forward layer.
         qk_norm: Whether queries and keys are normalised.
-        eps: Of the layer norms.
+        eps: Epsilon of the layer norms.
     """
 
     def __init__(

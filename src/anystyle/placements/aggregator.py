@@ -7,7 +7,7 @@ from anystyle.types import Site, matching_sites
 
 
 class AggregatorPlacement(Placement):
-    """Style enters a copy of the aggregator, and reaches the copied head through its features alone.
+    """Style enters a copy of the aggregator, and reaches the copied head only through its features.
 
     Args:
         every_layer: Inject before every layer, and not just before the first and those that heads read (the paper's

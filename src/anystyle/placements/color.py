@@ -1,4 +1,4 @@
-"""Style in the colours alone."""
+"""Style only in the colours."""
 
 from collections.abc import Sequence
 
@@ -9,7 +9,7 @@ from anystyle.types import Site, matching_sites
 class Color(Placement):
     """Style enters the colours that the Gaussian head gives, and nothing is copied.
 
-    It fits every backbone, and a further style costs the injector alone.
+    It fits every backbone, and each additional style costs only the injector.
     """
 
     def select(self, sites: Sequence[Site]) -> tuple[Site, ...]:

@@ -53,14 +53,14 @@ class LongClip(StyleEncoder):
         activation: ``quick_gelu``, as OpenAI's and Long-CLIP's weights need, or ``gelu``, as most of OpenCLIP's do.
         vocabulary: File of the tokeniser's merges; where it is not given, ``clip_vocabulary`` of ``anystyle weights``.
         vocabulary_size: Tokens there are.
-        dim: Of the space.
+        dim: Dimensions of the space.
         text_width: Channels of the text tower, a multiple of 64.
         text_layers: Its blocks.
         image_width: Channels of the image tower, a multiple of 64.
         image_layers: Its blocks.
-        patch_size: Pixels a patch.
+        patch_size: Pixels per patch.
         resolution: Side of the images that the tower sees, in pixels.
-        batch: Prompts embedded at a time; a matter of memory alone.
+        batch: Prompts embedded at a time; affects only memory.
     """
 
     @classmethod

@@ -60,7 +60,7 @@ def load(path: Path, size: int) -> Tokenizer:
         content = path.read_bytes()
         text = (gzip.decompress(content) if path.suffix == ".gz" else content).decode("utf-8")
     except (OSError, EOFError, UnicodeDecodeError) as error:
-        raise UserError(f"{path} is no vocabulary of CLIP ({error}); get it again") from None
+        raise UserError(f"{path} is not a vocabulary of CLIP ({error}); get it again") from None
     merges = [tuple(line.split()) for line in text.split("\n")[1 : num_merges + 1]]
     if len(merges) < num_merges or any(len(pair) != 2 for pair in merges):
         raise UserError(f"{path} holds no {num_merges} pairs of symbols; get CLIP's vocabulary again")

@@ -55,7 +55,7 @@ class EfficientNetLite0(FeatureNetwork):
         return [features[layer] for layer in layers]
 
     def logits(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M 1000"]:
-        """Scores of ImageNet's classes for sRGB images in [0, 1]; trained at 224 pixels a side."""
+        """Scores of ImageNet's classes for sRGB images in [0, 1]; trained at 224 x 224 pixels."""
         last = [output for _, output in self._run(images)][-1]
         return self._fc(F.relu6(self._bn1(self._conv_head(last))).mean((2, 3)))
 

@@ -76,7 +76,7 @@ class FeatureCache:
 
 
 CACHE = FeatureCache()
-"""The one of this process."""
+"""Process-wide cache."""
 
 
 def digests(images: Float[Tensor, "M *shape"]) -> list[str]:

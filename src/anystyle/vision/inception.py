@@ -51,7 +51,7 @@ BLOCKS: list[tuple[str, int, list[UnitChain], int | None]] = [
 
 
 class ArtInception(Frozen):
-    """The features of Inception-v3 (Szegedy et al. 2016), under torchvision's keys; 2048 an image."""
+    """The features of Inception-v3 (Szegedy et al. 2016), under torchvision's keys; 2048 per image."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -65,7 +65,7 @@ def finite(images: Float[Tensor, "*batch"], what: str) -> Float[Tensor, "*batch"
     """The same images, or a UserError if a value is NaN or infinite."""
     num_bad = int((~torch.isfinite(images)).sum())
     if num_bad:
-        raise UserError(f"{what} hold {num_bad} values that are NaN or infinite; a figure needs numbers in [0, 1]")
+        raise UserError(f"{what} hold {num_bad} values that are NaN or infinite; a metric needs numbers in [0, 1]")
     return images
 
 

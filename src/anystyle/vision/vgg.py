@@ -1,6 +1,6 @@
 """Convolutions of AlexNet and VGG as LPIPS and style losses read them, and the bundled texture network.
 
-The texture network is small and was trained on procedural patterns alone (``anystyle train
+The texture network is small and was trained only on procedural patterns (``anystyle train
 experiment=tiny_perceptual``) to tell stripes from dots, mosaics, hatching and strokes, in any colours and scale.
 Stand-ins need it: features of random weights can be matched without any visible pattern.
 """

@@ -19,7 +19,7 @@ class Adapter(contracts.Adapter):
 
     Harmonics of degree d > 0 are damped by ``0.1 * 0.25 ** d``. With ``sh_mode=reference`` a lone constant coefficient
     is also spread over all coefficients by these factors, a side effect of the published code that its weights were
-    trained with: a fixed gain of 0.94 to 1.11 that depends on the direction. With ``dc_only`` it stays alone.
+    trained with: a fixed gain of 0.94 to 1.11 that depends on the direction. ``dc_only`` uses only the constant one.
     """
 
     def __init__(

@@ -25,14 +25,14 @@ from anystyle_backbones.reference_view import Strategy
 
 
 class AnySplat(contracts.Backbone):
-    """Cameras, depth and one Gaussian a pixel of a set of photographs, in one pass (AnySplat, arXiv 2505.23716).
+    """Cameras, depth and one Gaussian per pixel of a set of photographs, in one pass (AnySplat, arXiv 2505.23716).
 
     The defaults are the published network of 1.19 billion parameters. The published weights fix every option but
     ``reference``, ``fuse``, ``sh_mode``, ``chunk`` and ``checkpointing``.
 
     Args:
         resolution: Shorter side, in pixels, that the weights were made for.
-        patch_size: Pixels a patch; image sides are multiples of it.
+        patch_size: Pixels per patch; image sides are multiples of it.
         native_resolution: Side of the square image that position embeddings are stored for; others are resampled.
         embed: ``dino``, or ``conv`` for a linear embedding of patches.
         dim: Channels of the transformers.
@@ -41,7 +41,7 @@ class AnySplat(contracts.Backbone):
         heads: Attention heads of the transformers.
         mlp_ratio: Width of all MLPs of transformers, in their channels.
         registers: Register tokens a view.
-        rope_base: Of the frequencies of the rotary position embedding.
+        rope_base: Base of the frequencies of the rotary position embedding.
         reference: How the view is chosen that others are seen from; as published, the first. See
             :func:`anystyle_backbones.reference_view.reference_view`.
         layer_scale: Initial LayerScale of the aggregator and the camera head.
@@ -58,7 +58,7 @@ class AnySplat(contracts.Backbone):
         gaussian_features: Channels of the Gaussian head's decoder.
         gaussian_channels: Channels of its four levels.
         gaussian_hidden: Channels of its last hidden layer.
-        sh_degree: Of its harmonics.
+        sh_degree: Degree of its spherical harmonics.
         sh_mode: ``reference`` reproduces a side effect of the published code on styled colours; see
             :class:`anystyle_backbones.anysplat.adapter.Adapter`.
         pixel_center: Where in its pixel a point is seen; the published weights were trained with 0.
@@ -66,7 +66,7 @@ class AnySplat(contracts.Backbone):
         voxel_size: Side of a voxel, in world units.
         scale_unit: World units of a Gaussian's scale a unit of softplus.
         scale_max: Largest scale, in world units.
-        chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; it changes memory alone.
+        chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; it affects only memory.
         checkpointing: Whether training recomputes blocks of the aggregator to save memory.
         init: ``published``: initial values as DINOv2's, VGGT's and AnySplat's; ``scratch``: values from which
             photographs are reproduced on a plane at depth 1, for training without pretrained weights (see

@@ -1,4 +1,4 @@
-"""From raw attributes to Gaussians, one a pixel."""
+"""From raw attributes to Gaussians, one per pixel."""
 
 from typing import Literal
 

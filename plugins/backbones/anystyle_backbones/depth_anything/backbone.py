@@ -27,7 +27,7 @@ from anystyle_backbones.reference_view import Strategy
 
 
 class DepthAnything(contracts.Backbone):
-    """Cameras, depth and one Gaussian a pixel of photographs, in one pass (Depth Anything 3, arXiv 2511.10647).
+    """Cameras, depth and one Gaussian per pixel of photographs, in one pass (Depth Anything 3, arXiv 2511.10647).
 
     The defaults are the largest published network, DA3-GIANT of 1.36 billion parameters, the only one with a Gaussian
     head. The published weights fix every option but ``reference``, ``chunk`` and ``checkpointing``.
@@ -35,7 +35,7 @@ class DepthAnything(contracts.Backbone):
     Args:
         resolution: Shorter side, in pixels, that the weights were made for; published pictures have a longer side of
             504, which at 4:3 is this.
-        patch_size: Pixels a patch; image sides are multiples of it.
+        patch_size: Pixels per patch; image sides are multiples of it.
         native_resolution: Side of the square image that position embeddings are stored for; others are resampled.
         dim: Channels of the trunk.
         depth: Blocks of the trunk.
@@ -44,7 +44,7 @@ class DepthAnything(contracts.Backbone):
         mlp_ratio: Their width, in channels; gated ones have two thirds of it.
         layer_scale: Initial LayerScale of the trunk.
         alternate_from: The block that the aggregator starts with: from here on every odd block sees all views.
-        rope_base: Of the frequencies of the rotary position embedding.
+        rope_base: Base of the frequencies of the rotary position embedding.
         reference: How the view is chosen that others are seen from, where there are three or more; see
             :func:`anystyle_backbones.reference_view.reference_view`.
         taps: The four layers that the heads read; the last is the trunk's last.
@@ -54,14 +54,14 @@ class DepthAnything(contracts.Backbone):
         depth_channels: Channels of its four levels.
         gaussian_features: Channels of the Gaussian head's decoder.
         gaussian_channels: Channels of its four levels.
-        sh_degree: Of its harmonics.
+        sh_degree: Degree of its spherical harmonics.
         depth_along: ``ray``: depth is the distance along the pixel's ray, as the published weights were trained;
             ``z``: along the camera's axis.
         rotations: ``published``: the entries of quaternions are permuted in world space, a side effect of the published
             code that its weights were trained with; ``camera``: they are xyzw in the camera's axes.
         scale_min: Least scale of a Gaussian, in tenths of the sum of a pixel's sides at its depth.
         scale_max: Largest scale, in the same unit.
-        chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; it changes memory alone.
+        chunk: Views that the Gaussian head decodes at a time, the depth head twice as many; it affects only memory.
         checkpointing: Whether training recomputes blocks of the aggregator to save memory.
         init: ``published``: initial values as DINOv2's; ``scratch``: values from which photographs are reproduced on
             a plane at depth 1, for training without pretrained weights (see

@@ -1,7 +1,7 @@
 """The published checkpoints' names for our parameters, and strict loading by them.
 
 The files of ``depth-anything/DA3-*`` on Hugging Face have keys ``model.…``; the nested ones hold two networks,
-``model.da3.…`` and one for metric depth alone, which is dropped. Names here are without those prefixes. No style branch
+``model.da3.…`` and one only for metric depth, which is dropped. Names here are without those prefixes. No style branch
 is published for this network.
 """
 

@@ -266,7 +266,7 @@ def cast(
             for sample in range(samples * samples):
                 if sample == 2 and samples == 2 and contrast < CALM * (red + green + blue):
                     break
-                # For two samples a side: one diagonal first, then the other.
+                # For two samples per side: one diagonal first, then the other.
                 i, j = sample // samples, sample % samples
                 if samples == 2:
                     i, j = sample & 1, (sample & 1) ^ (sample >> 1)

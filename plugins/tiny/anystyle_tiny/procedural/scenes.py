@@ -55,10 +55,10 @@ class ProceduralScenes(SceneSource):
         size: Height in pixels, and width unless that is given; ``None`` is the backbone's resolution.
         width: Width in pixels.
         num_scenes: How many scenes.
-        views: Views a scene.
-        seed: Of the world; the splits of one seed share no scene.
+        views: Views per scene.
+        seed: Seed of the world; the splits of one seed share no scene.
         split: Which scenes.
-        samples: Rays a pixel's side; their square is cast for a pixel.
+        samples: Rays per pixel's side; their square is cast for a pixel.
     """
 
     def __init__(

@@ -19,7 +19,7 @@ from anystyle_tiny.procedural.patterns import BRUSHWORK, FREQUENCY, PATTERNS, WA
 from anystyle_tiny.procedural.volumes import scramble, volumes
 
 SPLITS = ("train", "validation", "heldout")
-# Of every HOLD combinations of a set of colours with a pattern, one is never seen in training.
+# One of every HOLD combinations of colours with a pattern is never seen in training.
 HOLD = 6
 # Patterns that look the same upside down turn freely; the others keep a direction that a caption may tell.
 DIRECTED = ("stripes", "waves", "zigzag")
@@ -49,7 +49,7 @@ class ProceduralStyles(StyleSource):
     Args:
         size: Height and width in pixels.
         num_styles: How many styles.
-        seed: Of the pictures and captions; which combinations are held out does not depend on it.
+        seed: Seed of the pictures and captions; which combinations are held out does not depend on it.
         split: Which combinations, and which pictures of them.
         max_colors: The most colours a picture has.
     """

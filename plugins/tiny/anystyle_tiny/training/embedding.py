@@ -20,25 +20,25 @@ from anystyle_tiny.training.styles import StyleBatch, StyleTraining, TraitHeads,
 class EmbeddingTraining(StyleTraining):
     """Bring pictures and captions of procedural styles into one space in which patterns and palettes are plain to see.
 
-    With the contrastive loss alone colours dominate patterns, so pattern, scale and palette must also be predicted from
+    With only the contrastive loss colours dominate patterns, so pattern, scale and palette must also be predicted from
     the embeddings of both modalities; the palette by a linear map, so that mixtures of embeddings are mixtures of
     palettes. Part of the way through, centres and whitening are fixed, and training continues with them.
 
     Args:
         style_encoder: What learns.
-        texture: The network of :func:`anystyle.vision.networks.load` whose convolutions are taken, which do not learn;
-            none for random ones. Their features are computed once a picture.
-        batch_size: Styles a step.
-        photos: Photographs a step, which stand for no style.
+        texture: The network of :func:`anystyle.vision.networks.load` whose convolutions are used, frozen;
+            ``None`` takes random ones. Their features are computed once per picture.
+        batch_size: Styles per step.
+        photos: Photographs per step, which stand for no style.
         pool: Styles to draw from, kept in memory; none means all there are.
         feature_noise: Relative noise on cached features, instead of augmenting the pictures.
-        names_weight: Of naming pattern, scale and brushwork.
-        palette_weight: Of the palette, the squared error of the ramp over the variance of uniform colours.
+        names_weight: Weight of naming pattern, scale and brushwork.
+        palette_weight: Weight of the palette, the squared error of the ramp over the variance of uniform colours.
         whiten_at: Where whitening is fixed, as a fraction of the training.
         whiten_on: How many styles it is computed from.
         learning_rate: Peak, of AdamW.
         warmup: Steps of the warm-up.
-        weight_decay: Of matrices.
+        weight_decay: Weight decay of matrices.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Matches between views, taught directly: a small network does not learn poses from pose errors alone.
+"""Matches between views, taught directly: a small network does not learn poses only from pose errors.
 
 Matching patches across views, and localising them, is supervised through projections that exist in training only.
 """

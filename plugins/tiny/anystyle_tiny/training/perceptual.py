@@ -29,18 +29,18 @@ class PerceptualTraining(StyleTraining):
     are blended with a photograph, and all are turned, cropped and re-lit. It also predicts the palette of the result.
 
     Args:
-        batch_size: Pictures a step.
-        photos: Photographs a step, for blending.
+        batch_size: Pictures per step.
+        photos: Photographs per step, for blending.
         crop: Side of the squares that the network sees, in pixels.
         shrink: Fraction of pictures that are resized to the square instead of cropped; their scale is not supervised.
         pool: Styles to draw from, kept in memory; none means all there are.
         recolor: Fraction of pictures whose channels are permuted and inverted.
         blend: Fraction of pictures that are blended with a photograph.
-        scale_weight: Of naming the scale and the brushwork; naming the pattern has 1.
-        palette_weight: Of the palette.
-        learning_rate: Peak, of AdamW.
+        scale_weight: Weight of naming the scale and the brushwork, relative to the pattern.
+        palette_weight: Weight of the palette.
+        learning_rate: Peak learning rate of AdamW.
         warmup: Steps of the warm-up.
-        weight_decay: Of filters and matrices.
+        weight_decay: Weight decay of filters and matrices.
         bf16: Whether convolutions compute in bfloat16, which halves the time on processors that support it.
     """
 

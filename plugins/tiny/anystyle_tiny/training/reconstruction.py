@@ -44,14 +44,14 @@ class ReconstructionTraining(Training):
     matches of a backbone that aligns its cameras are supervised.
 
     Args:
-        batch_size: Scenes a step over all processes.
+        batch_size: Scenes per step over all processes.
         context_views: Least and greatest number of context views.
         view_power: Numbers of views are drawn in proportion to this power of themselves.
-        target_views: Number of further views for the rendering loss.
+        target_views: Number of additional views for the rendering loss.
         heights: Least and greatest image height; ``None`` leaves images as they are.
-        learning_rate: Of AdamW, at the end of the warm-up.
+        learning_rate: Learning rate of AdamW at the end of the warm-up.
         warmup: Steps of the warm-up.
-        weight_decay: Of matrices.
+        weight_decay: Weight decay of matrices.
         predicted_camera_weight: Factor of the rendering terms for a context view rendered at its predicted camera, as
             AnySplat is trained (arXiv 2505.23716); 0 renders none.
         render_every: Steps between two with renders.

@@ -13,7 +13,7 @@ class ToyStudyTest(StudyTest):
     """The exact sign test on mean answers; the estimate is their median.
 
     Args:
-        confidence: Of the interval of the median.
+        confidence: Level of the interval of the median.
     """
 
     units: ClassVar[tuple[Unit, ...]] = ("participant", "item")
