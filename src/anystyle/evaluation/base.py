@@ -1,16 +1,14 @@
 """Protocols and their results: figures of a model or of images, with everything that they rest on."""
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from anystyle.errors import UserError
 from anystyle.registry.socket import Socket
-
-Progress = Callable[[str, int, int], None]
-"""Called with the name of a stage, the number of finished steps, and the number of all steps."""
+from anystyle.types import OnProgress
 
 SCENE = "scene "
 """The prefix of groups that hold the figures of one scene."""
@@ -103,7 +101,7 @@ class Protocol(Socket, ABC):
         """
 
     @abstractmethod
-    def run(self, out: Path, progress: Progress) -> Evaluation:
+    def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
         """Compute the figures.
 
         Expensive results are written below ``out`` as they are finished, under their final name only when they are
@@ -112,7 +110,7 @@ class Protocol(Socket, ABC):
 
         Args:
             out: An existing folder.
-            progress: Called for every step that takes a second or more.
+            on_progress: Called for every step that takes a second or more.
 
         Raises:
             UserError: Something that the protocol needs is missing or does not fit.

@@ -1,4 +1,4 @@
-"""How methods, reconstructions and protocols report progress."""
+"""How all long work reports progress."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +20,11 @@ class Progress:
     line: str
     done: float | None = None
     thumbnail: Float[Tensor, "3 _ _"] | None = None
+
+    @classmethod
+    def count(cls, stage: str, done: int, total: int) -> "Progress":
+        """The state of a stage of ``total`` equal steps."""
+        return cls(f"{stage} {done}/{total}", done / max(total, 1))
 
 
 OnProgress = Callable[[Progress], None]

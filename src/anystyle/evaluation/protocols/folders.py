@@ -7,9 +7,10 @@ from typing import Any, Literal
 from PIL import Image, ImageEnhance
 
 from anystyle.contracts import Metric
-from anystyle.evaluation.base import Evaluation, Progress, Protocol
+from anystyle.evaluation.base import Evaluation, Protocol
 from anystyle.evaluation.judge import judge_pairing
 from anystyle.evaluation.pairing import pair
+from anystyle.types import OnProgress
 
 
 class Folders(Protocol):
@@ -60,5 +61,5 @@ class Folders(Protocol):
             grey.transpose(Image.Transpose.ROTATE_90).save(folder / "style" / f"{name}.png")
         return {kind: str(folder / kind) for kind in ("content", "style", "stylized")}
 
-    def run(self, out: Path, progress: Progress) -> Evaluation:
-        return judge_pairing(self.metrics, self.pairing, progress)
+    def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
+        return judge_pairing(self.metrics, self.pairing, on_progress)

@@ -14,7 +14,7 @@ from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.style_folder import FolderStyles
 from anystyle.errors import UserError
 from anystyle.evaluation import published_figures, record
-from anystyle.evaluation.base import Evaluation, Progress, Protocol
+from anystyle.evaluation.base import Evaluation, Protocol
 from anystyle.evaluation.judge import judge_pairing
 from anystyle.evaluation.model_renders import ModelRenders, Variant, suffix_of, write_picture
 from anystyle.evaluation.pairing import Cell, Pairing
@@ -22,6 +22,7 @@ from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, Pap
 from anystyle.methods.base import Method
 from anystyle.paths import expanded
 from anystyle.stylizer import Stylizer
+from anystyle.types import OnProgress
 
 PHOTOGRAPHS = "photographs"
 STYLE_SIZE = 256
@@ -98,9 +99,9 @@ class Tables(Protocol):
         (folder / "styles" / "captions.jsonl").write_text('{"image": "00.png", "text": "grey"}\n')
         return {"root": str(folder), "scene_names": ["Garden"], "num_styles": 1, "frames": 2, "size": 16}
 
-    def run(self, out: Path, progress: Progress) -> Evaluation:
+    def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
         rows = {
-            (name := f"model_{guide}"): self._model(guide).run(out / "methods" / name, progress)
+            (name := f"model_{guide}"): self._model(guide).run(out / "methods" / name, on_progress)
             for guide in self.guides
         }
         renders = {name: self.folder.renders(name) for name in self.methods}
@@ -114,7 +115,7 @@ class Tables(Protocol):
         for name, images in renders.items():
             gaps = self.folder.gaps(name) if name in self.methods else ()
             cells = tuple(self._cell(out, scene, style, images) for (scene, style), images in images.items() if images)
-            rows[name] = judge_pairing(self.metrics, Pairing(cells, tuple(gaps)), progress, stage=name)
+            rows[name] = judge_pairing(self.metrics, Pairing(cells, tuple(gaps)), on_progress, stage=name)
         for name, row in rows.items():
             folder = out / "methods" / name
             folder.mkdir(parents=True, exist_ok=True)
