@@ -29,7 +29,7 @@ def test_images_in_folders_are_judged_from_python(tmp_path, monkeypatch):
     with pytest.raises(UserError, match="--stylized is missing"):
         anystyle.evaluate(given, content=named["content"], style=named["style"])
     with pytest.raises(UserError, match="there is no run"):
-        anystyle.evaluate(given, trained=tmp_path / "absent")
+        anystyle.evaluate(trained=tmp_path / "absent")
 
 
 def test_each_stage_has_a_first_and_a_last_line(capsys):

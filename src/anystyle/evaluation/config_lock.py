@@ -8,12 +8,9 @@ from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from anystyle.errors import UserError
 from anystyle.io.atomic import folder_lock, write_json
-from anystyle.io.documents import read_json
-from anystyle.registry.compose import changes, flat
+from anystyle.io.run_folder import RECORD, refuse_changes
 
-FILE = "bound.json"
 _STYLIZER = ("backbone", "style_encoder", "placement", "injector", "renderer", "branch", "seed")
 
 
@@ -32,21 +29,13 @@ def bind(config: DictConfig, weights: Mapping[str, Any], out: Path, parts: Colle
     images["protocol"].pop("missing", None)  # no image depends on it
     images["weights"] = {part: row["sha256"] for part, row in weights.items()}
     images = json.loads(json.dumps(images))
-    path = out / FILE
     with folder_lock(out, f"another evaluation is at work in {out}; wait for its end, or give another --out"):
-        new = not path.is_file()
-        if not new:
-            what = "record of an evaluation; choose another --out, or delete that folder"
-            earlier: dict[str, Any] = read_json(path, dict[str, Any], what=what)
-            if changed := changes(flat(earlier), flat(images)):
-                raise UserError(
-                    f"{out} holds an evaluation of another configuration ({changed}); choose another --out, or delete "
-                    "that folder"
-                )
-        write_json(path, images)
+        remedy = "choose another --out, or delete that folder"
+        known = refuse_changes(out, images, "an evaluation", remedy)
+        write_json(out / RECORD, images)
         try:
             yield
         except BaseException:
-            if new and {entry.name for entry in out.iterdir()} <= {FILE, ".lock"}:
-                path.unlink()  # no result depends on it yet
+            if not known and {entry.name for entry in out.iterdir()} <= {RECORD, ".lock"}:
+                (out / RECORD).unlink()  # no result depends on it yet
             raise

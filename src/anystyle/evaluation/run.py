@@ -1,10 +1,8 @@
 """One evaluation: compose it, build what its protocol names, judge, and write the result."""
 
 import logging
-import platform
 import time
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +18,9 @@ from anystyle.evaluation.config_lock import bind
 from anystyle.evaluation.runs import job_order
 from anystyle.io.checkpoint import read_header
 from anystyle.io.documents import read_json
+from anystyle.io.record import commit, machine, versions
+from anystyle.io.run_folder import RECORD
 from anystyle.paths import expanded
-from anystyle.pipeline.provenance import commit
 from anystyle.registry.build import build, build_all, plugin_of
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose, override
@@ -68,12 +67,14 @@ def evaluate(
     """
     given = zip(FOLDERS, (content, style, stylized, depth), strict=True)
     folders = {name: folder for name, folder in given if folder is not None}
-    config = compose("evaluate", completed(overrides, folders, trained))
-    if trained is None:
-        return run(config, Path(out or "evaluation"), on_progress=on_progress)
-    (folder,) = trained_runs(Path(trained))[:1]
-    config = configured(config, folder)
-    return run(config, folder / "evaluation" if out is None else Path(out), on_progress=on_progress)
+    words = completed(overrides, folders, trained)
+    runs = [] if trained is None else trained_runs(Path(trained))
+    if len(runs) > 1:
+        raise UserError(f"{trained} holds {len(runs)} trainings; name one of them, such as {runs[0]}")
+    config = compose("evaluate", words)
+    if runs:
+        config, out = configured(config, runs[0]), out or runs[0] / "evaluation"
+    return run(config, Path(out or "evaluation"), on_progress=on_progress)
 
 
 def completed(
@@ -91,12 +92,8 @@ def completed(
     if folders and trained is not None:
         raise UserError("--run judges a model, and --stylized judges images; give one of them")
     if folders:
-        absolute = {name: str(expanded(folder)) for name, folder in folders.items()}
-        words = [
-            "protocol=folders",
-            *(override(f"protocol.{name}", folder) for name, folder in absolute.items()),
-            *words,
-        ]
+        named = [override(f"protocol.{name}", str(expanded(folder))) for name, folder in folders.items()]
+        words = ["protocol=folders", *named, *words]
     chosen = {key: value for key, _, value in (word.partition("=") for word in words)}
     name = chosen.get("protocol", "")
     # Presets of protocols are the paper's, which judge a model.
@@ -126,19 +123,17 @@ def run(
     judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
     with bind(config, weights, out, named):
         evaluation = protocol.run(out, on_progress)
-        gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else ""
-        device = gpu or f"CPU with {torch.get_num_threads()} thread(s)"
         provenance = {
             "protocol": plugin.name,
             "variant": str(config.variant),
             "weights": {**weights, **{f"metric {name}": files for name, files in judges.items() if files}},
             "seconds": round(time.perf_counter() - start, 3),
-            "machine": f"{platform.machine()} {platform.system()}, {device}",
+            "machine": machine(),
             "command": command_line("evaluate", *flags, "--out", str(out)),
             "commit": commit(),
             "seed": config.seed,
             "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True),
-            "versions": {name: version(name) for name in ("anystyle", "torch", "numpy")},
+            "versions": versions(),
         }
         written = record.write(evaluation, out, provenance)
     plots.examples(evaluation, out / "examples.png")
@@ -226,7 +221,7 @@ def trained_runs(folder: Path) -> list[Path]:
 def configured(config: DictConfig, folder: Path) -> DictConfig:
     """A configuration with the parts, options and weights of a run."""
     what = "record of a run, which names the weights it was trained on"
-    bound: dict[str, Any] = read_json(folder / "bound.json", dict[str, Any], what=what)
+    bound: dict[str, Any] = read_json(folder / RECORD, dict[str, Any], what=what)
     saved = check_saved(read_header(folder / BRANCH).config, folder / BRANCH)
     merged = config.copy()
     with open_dict(merged):

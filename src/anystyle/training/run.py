@@ -18,9 +18,10 @@ from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import Header, load_part, save_part, sha256
 from anystyle.io.documents import Figure, as_number, kept_json
+from anystyle.io.record import commit
+from anystyle.io.run_folder import RECORD
 from anystyle.paths import expanded
 from anystyle.pipeline.load import assemble, branch_header, make_scenes, room_for_backbone, weights_file
-from anystyle.pipeline.provenance import commit
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose, override
@@ -29,7 +30,7 @@ from anystyle.registry.schema import runtime_arguments
 from anystyle.training.base import Training, required
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
 from anystyle.training.data import StepData
-from anystyle.training.resume import RECORD, Resumed, bound, exclusive, is_rank_zero, resumable
+from anystyle.training.resume import Resumed, bound, exclusive, is_rank_zero, resumable
 from anystyle.training.scene_cache import CachedScenes
 from anystyle.training.trainer import check_options, make_trainer
 
