@@ -1,8 +1,10 @@
 """One evaluation: compose it, build what its protocol names, judge, and write the result."""
 
+import json
 import logging
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,12 +16,12 @@ from anystyle.contracts import Correspondence, Metric, StyleEncoder, StyleSource
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
 from anystyle.evaluation.base import Evaluation, Protocol
-from anystyle.evaluation.config_lock import bind
 from anystyle.evaluation.runs import job_order
+from anystyle.io.atomic import folder_lock, write_json
 from anystyle.io.checkpoint import read_header
 from anystyle.io.documents import read_json
 from anystyle.io.record import commit, machine, versions
-from anystyle.io.run_folder import RECORD
+from anystyle.io.run_folder import RECORD, refuse_changes
 from anystyle.paths import expanded
 from anystyle.registry.build import build, build_all, plugin_of
 from anystyle.registry.catalog import catalog
@@ -33,6 +35,8 @@ BRANCH = "branch.safetensors"
 FOLDERS = ("content", "style", "stylized", "depth")
 MODEL = ("subject", "model", "backbone", "placement", "injector", "renderer", "method", "loss", "branch", "precision")
 """Groups of a model."""
+STYLIZER = ("backbone", "style_encoder", "placement", "injector", "renderer", "branch", "seed")
+"""Parts of a configuration on which the images of a model depend."""
 log = logging.getLogger(__name__)
 
 
@@ -142,6 +146,33 @@ def run(
     except ImportError as error:
         log.warning("no plot: %s", error)
     return written
+
+
+@contextmanager
+def bind(config: DictConfig, weights: Mapping[str, Any], out: Path, parts: Collection[str]) -> Iterator[None]:
+    """Lock a folder, and refuse it if its images come from another configuration or other weights.
+
+    Only the configuration of the ``parts`` that the protocol takes counts. Metrics may change: figures are computed
+    from the images each time.
+    """
+    names = ["protocol", *(name for name in ("scenes", "styles") if name in parts)]
+    names += STYLIZER if "stylizer" in parts else ()
+    names += ("method", "loss") if "method" in parts else ()
+    plain: Any = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
+    images = {name: plain.get(name) for name in names}
+    images["protocol"].pop("missing", None)  # no image depends on it
+    images["weights"] = {part: row["sha256"] for part, row in weights.items()}
+    images = json.loads(json.dumps(images))
+    with folder_lock(out, f"another evaluation is at work in {out}; wait for its end, or give another --out"):
+        remedy = "choose another --out, or delete that folder"
+        known = refuse_changes(out, images, "an evaluation", remedy)
+        write_json(out / RECORD, images)
+        try:
+            yield
+        except BaseException:
+            if not known and {entry.name for entry in out.iterdir()} <= {RECORD, ".lock"}:
+                (out / RECORD).unlink()  # no result depends on it yet
+            raise
 
 
 def make_parts(config: DictConfig, named: Mapping[str, bool]) -> tuple[dict[str, Any], dict[str, Any]]:
