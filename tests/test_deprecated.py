@@ -4,14 +4,12 @@ import pytest
 
 from anystyle import contracts
 from anystyle.contracts import protocol, training
-from anystyle.types import OnStep
 
 
 @pytest.mark.parametrize(
     ("module", "name", "now"),
     [
         ("data.camera_reader", "StoredCamera", contracts.StoredCamera),
-        ("evaluation.base", "Progress", OnStep),
         ("evaluation.base", "required", protocol.required),
         ("methods.base", "Method", contracts.Method),
         ("pipeline.poses", "Verdict", contracts.Verdict),

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from anystyle import types
     from anystyle.data.images import read_image
+    from anystyle.evaluation.run import evaluate
     from anystyle.pipeline import weights
     from anystyle.pipeline.controls import Controls
     from anystyle.pipeline.load import load
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from anystyle.registry.build import build
     from anystyle.registry.catalog import catalog, plugin
     from anystyle.stylizer import Stylizer
+    from anystyle.training.run import train
 
 _MODULES = {"types": "anystyle.types", "weights": "anystyle.pipeline.weights"}
 _HOMES = {
@@ -38,10 +40,12 @@ _HOMES = {
     "ViewOptions": "anystyle.pipeline.options",
     "build": "anystyle.registry.build",
     "catalog": "anystyle.registry.catalog",
+    "evaluate": "anystyle.evaluation.run",
     "load": "anystyle.pipeline.load",
     "plugin": "anystyle.registry.catalog",
     "read_image": "anystyle.data.images",
     "stylize": "anystyle.pipeline.stylize",
+    "train": "anystyle.training.run",
 }
 
 
@@ -77,10 +81,12 @@ __all__ = [
     "ViewOptions",
     "build",
     "catalog",
+    "evaluate",
     "load",
     "plugin",
     "read_image",
     "stylize",
+    "train",
     "types",
     "weights",
 ]

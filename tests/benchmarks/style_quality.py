@@ -36,9 +36,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 import anystyle
-from anystyle.commands.evaluate import configured, trained_runs
 from anystyle.contracts import Reconstruction
 from anystyle.data.images import read_image, to_tensor
+from anystyle.evaluation.run import configured, trained_runs
 from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.geometry.warp import depth_around, reproject, sample_at
 from anystyle.methods.branch import Branch

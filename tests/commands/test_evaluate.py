@@ -103,7 +103,7 @@ def test_inputs_that_do_not_exist_are_told_before_networks_are_built(tmp_path, c
     def built(*_):
         pytest.fail("a network is built")
 
-    monkeypatch.setattr(command, "make_parts", built)
+    monkeypatch.setattr("anystyle.evaluation.run.make_parts", built)
     content, style, stylized = folders(tmp_path / "in")
     (stylized / "one" / "a_1.png").unlink()
     cases = {

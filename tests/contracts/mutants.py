@@ -127,11 +127,11 @@ class Painting(ToyMethod):
 
 
 class Forgetful(ToyProtocol):
-    def run(self, out, progress):
+    def run(self, out, on_progress):
         with (out / "runs").open("a") as file:
             file.write("one\n")
         figures = {"runs": float(len((out / "runs").read_text().splitlines()))}
-        return replace(super().run(out, progress), figures=figures, better={})
+        return replace(super().run(out, on_progress), figures=figures, better={})
 
 
 class FarFirst(ToyRenderer):

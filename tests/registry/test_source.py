@@ -11,6 +11,7 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from anystyle.contracts import Placement
+from anystyle.deprecated import moved_classes
 from anystyle.errors import UserError
 from anystyle.registry.build import build
 from anystyle.registry.builtin import KINDS
@@ -18,7 +19,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import changes, choices
 from anystyle.registry.packages import groups, package_presets
 from anystyle.registry.source import PluginSource, register
-from anystyle.registry.untrusted import MOVED, check_saved
+from anystyle.registry.untrusted import check_saved
 
 PLACEMENTS = """
 from typing import Literal
@@ -156,7 +157,7 @@ def test_a_saved_configuration_names_classes_that_have_moved_by_their_present_pa
 
 def test_rows_of_moved_classes_lead_to_plugins():
     paths = [plugin.path for plugin in catalog()]
-    for old, new in MOVED.items():
+    for old, new in moved_classes().items():
         assert old.endswith(".") == new.endswith(".")
         assert any(path == new or (new.endswith(".") and path.startswith(new)) for path in paths), old
 

@@ -13,7 +13,8 @@ from anystyle.cli.launch import launch
 from anystyle.cli.run import run as ending
 from anystyle.commands.train import run
 from anystyle.errors import UserError
-from anystyle.registry.compose import changes, compose
+from anystyle.io.run_folder import changes
+from anystyle.registry.compose import compose
 from anystyle.training.resume import bound
 from anystyle.training.stylization import StylizationTraining
 from anystyle.training.trainer import check_options, make_trainer

@@ -7,7 +7,9 @@ import signal
 import pytest
 import torch
 
+import anystyle
 from anystyle.contracts import Backbone
+from anystyle.errors import UserError
 from anystyle.io.checkpoint import load_part, read_header
 from anystyle.registry.build import build
 from anystyle.training import run as module
@@ -40,7 +42,7 @@ def stop_at(monkeypatch, step: int, how: str) -> None:
 @pytest.fixture(scope="module")
 def uninterrupted(tmp_path_factory):
     out = tmp_path_factory.mktemp("whole")
-    outcome = train(configuration(RECONSTRUCTION, out), out)
+    outcome = anystyle.train(RECONSTRUCTION, out)
     return out, outcome
 
 
@@ -52,6 +54,12 @@ def test_a_run_leaves_weights_that_say_how_they_were_made(uninterrupted):
     backbone = build(Backbone, header.config["backbone"])
     load_part(out / "backbone.safetensors", backbone, "backbone")
     assert json.loads((out / "metrics.json").read_text())["train/loss"] == pytest.approx(outcome.metrics["train/loss"])
+
+
+def test_a_pipeline_is_not_one_training(tmp_path):
+    with pytest.raises(UserError, match=r"a pipeline; train each of tiny_\w+, .*, or run `anystyle train`"):
+        anystyle.train(["experiment=tiny_all"], tmp_path)
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(("how", "step"), [("signal", 3), pytest.param("failure", 5, marks=pytest.mark.slow)])

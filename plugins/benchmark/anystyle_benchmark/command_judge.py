@@ -8,7 +8,7 @@ from pathlib import Path
 import msgspec
 
 from anystyle.cli.arguments import new_parser, parse
-from anystyle.commands.evaluate import progress_lines
+from anystyle.cli.progress import progress_lines
 from anystyle.errors import UserError
 from anystyle.evaluation.tables import STAND_IN, Table, number, titled
 from anystyle.io.atomic import atomic_path, write_json

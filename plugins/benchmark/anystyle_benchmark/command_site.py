@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, parse
-from anystyle.commands.evaluate import progress_lines
+from anystyle.cli.progress import progress_lines
 from anystyle.errors import UserError
 from anystyle_benchmark.judge import inputs_of
 from anystyle_benchmark.results import FIGURES, read_figures

@@ -21,7 +21,6 @@ from msgspec import Struct
 from PIL import Image, ImageOps
 from torch import Tensor
 
-from anystyle.commands.evaluate import make_metrics
 from anystyle.contracts import Metric
 from anystyle.data.images import open_image
 from anystyle.errors import UserError, one_line, unknown
@@ -29,12 +28,13 @@ from anystyle.evaluation.comparisons import Reader, read
 from anystyle.evaluation.judge import SceneFigures as Found
 from anystyle.evaluation.judge import judge_scene, mean
 from anystyle.evaluation.pairing import CAMERAS, StylizedImages
+from anystyle.evaluation.run import make_metrics
 from anystyle.io.atomic import atomic_path, write_json
 from anystyle.io.documents import Figure, as_figure, as_number, kept_json, read_json
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
 from anystyle.registry.schema import runtime_arguments
-from anystyle.types import Comparison, OnStep, Style
+from anystyle.types import Comparison, OnProgress, Progress, Style
 from anystyle.vision import weights
 from anystyle_benchmark.results import (
     Cell,
@@ -108,8 +108,8 @@ class Judge:
         self.metrics = make([name for name in named if name in (chosen or named)], [read(path) for path in images])
         self._reader, self._said = Reader(), set[str]()
 
-    def __call__(self, specs: Sequence[Spec], lock: Lock, progress: OnStep) -> Figures:
-        """The figures of these methods; ``progress`` is called for every scene of each."""
+    def __call__(self, specs: Sequence[Spec], lock: Lock, on_progress: OnProgress) -> Figures:
+        """The figures of these methods; ``on_progress`` is called for every scene of each."""
         units = [
             Unit(spec.name, seed, scene.name, guide)
             for spec in specs
@@ -122,9 +122,9 @@ class Judge:
         done: dict[Unit, tuple[list[CellFigures], list[Judged]]] = {}
         scenes = [scene.name for scene in self.inputs.track.scenes]
         for unit in sorted(units, key=lambda unit: scenes.index(unit.scene)):  # features of its photographs are kept
-            progress("judge", len(done), len(units))
+            on_progress(Progress.count("judge", len(done), len(units)))
             done[unit] = self._judge(unit)
-        progress("judge", len(units), len(units))
+        on_progress(Progress.count("judge", len(units), len(units)))
         together = {name for _, judged in done.values() for one in judged for name in _together(one)}
         cells: list[CellFigures] = []
         wholes: list[SceneFigures] = []

@@ -30,8 +30,6 @@ FIRST_POLL, LAST_POLL = 0.01, 0.2
 """Seconds between looks at a process: short at first, as one that soon ends has its peak of memory soon."""
 LOG_BYTES = 1 << 16
 
-Say = Callable[[str], None]
-
 
 class Ended(NamedTuple):
     """How a process ended: its error if it failed, CPU seconds, and peak MiB; ``None`` where none was run."""
@@ -50,7 +48,7 @@ def run_scene(
     styles: Sequence[StyleEntry],
     seed: int,
     root: Path,
-    say: Say,
+    say: Callable[[str], None],
     pages: Sequence[str] = (),
 ) -> list[Cell]:
     """Have a method render a scene in those styles that are missing, and record each cell; all cells of the scene.

@@ -18,7 +18,7 @@ from anystyle.errors import UserError
 from anystyle.evaluation.tables import number
 from anystyle.io.atomic import atomic_directory
 from anystyle.io.documents import Figure, as_number, fit, kept_json
-from anystyle.types import OnStep
+from anystyle.types import OnProgress, Progress
 from anystyle_benchmark.command_judge import cost, scene_cost
 from anystyle_benchmark.judge import photographs
 from anystyle_benchmark.results import Cell, CellFigures, Figures, Interval, Record, TableRow
@@ -53,7 +53,7 @@ class Drawn(NamedTuple):
     bar: tuple[float, ...] | None
 
 
-def build(inputs: Inputs, root: Path, figures: Figures, out: Path, megabytes: float, progress: OnStep) -> Made:
+def build(inputs: Inputs, root: Path, figures: Figures, out: Path, megabytes: float, on_progress: OnProgress) -> Made:
     """Write the site of judged results.
 
     Args:
@@ -62,7 +62,7 @@ def build(inputs: Inputs, root: Path, figures: Figures, out: Path, megabytes: fl
         figures: What the judge found there.
         out: The site's folder.
         megabytes: How large it may be, in 10^6 bytes; pictures are as good as that allows.
-        progress: Called for every picture.
+        on_progress: Called for every picture.
     """
     specs: dict[str, Spec] = {
         name: fit(spec, Spec, source=f"{root}: {name}", what="spec of a method")
@@ -87,7 +87,7 @@ def build(inputs: Inputs, root: Path, figures: Figures, out: Path, megabytes: fl
                 target = folder / "cells" / cell.method / cell.scene / page.name
                 target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.copyfile(page, target)
-        return _write(sources, folder, megabytes, progress)
+        return _write(sources, folder, megabytes, on_progress)
 
 
 def pictured(cells: Sequence[CellFigures]) -> list[CellFigures]:
@@ -241,7 +241,7 @@ def _place(cell: CellFigures) -> Cell:
     return Cell(cell.method, cell.seed, cell.scene, cell.style)
 
 
-def _write(sources: Mapping[str, Sequence[Path]], folder: Path, megabytes: float, progress: OnStep) -> Made:
+def _write(sources: Mapping[str, Sequence[Path]], folder: Path, megabytes: float, on_progress: OnProgress) -> Made:
     """Write the pictures in the best quality in which the folder is not larger than allowed."""
     most, others = megabytes * 1e6, _size(folder)
     sample = list(sources.values())[:: max(1, len(sources) // _SAMPLE)]
@@ -250,10 +250,10 @@ def _write(sources: Mapping[str, Sequence[Path]], folder: Path, megabytes: float
         if estimate > most:
             continue
         for done, (name, paths) in enumerate(sources.items()):
-            progress("site", done, len(sources))
+            on_progress(Progress.count("site", done, len(sources)))
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             (folder / name).write_bytes(encode(paths, scale, quality))
-        progress("site", len(sources), len(sources))
+        on_progress(Progress.count("site", len(sources), len(sources)))
         if (size := _size(folder)) <= most:
             return Made(size, scale, quality)
     raise UserError(

@@ -30,7 +30,7 @@ from anystyle.pipeline.encode import encoder
 from anystyle.pipeline.styles import slug
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.stylizer import Stylizer
-from anystyle.types import OnStep, Scene, Style, Views, no_progress
+from anystyle.types import OnProgress, Progress, Scene, Style, Views, no_progress
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights, stand_ins
 from anystyle_captures.fit import Fit, Quality, fit_photographs, scene_of_fit
@@ -104,12 +104,12 @@ class Captures(Protocol):
         small = {"num_gaussians": 100, "num_steps": 4, "short_side": 48, "holdout": 4}
         return {"captures": [str(folder / "wall")], "poses": "known", "weights": "stand_in", **small}
 
-    def run(self, out: Path, progress: OnStep) -> Evaluation:
+    def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
         """Judge each capture; the record of one that is finished is read."""
         records: dict[str, dict[str, Any]] = {}
         rows: list[Row] = []
         for done, path in enumerate(self.captures):
-            progress("captures", done, len(self.captures))
+            on_progress(Progress.count("captures", done, len(self.captures)))
             name = path.parent.name if path.name == "images" else path.stem
             folder = out / "captures" / slug(name, 80)
             if not (folder / "record.json").is_file():
@@ -122,7 +122,7 @@ class Captures(Protocol):
                 figures = {figure: as_number(value) for figure, value in record["figures"][kind].items()}
                 files = {"photograph": folder / "photograph_0.png", "result": folder / f"{kind}_0.png"}
                 rows.append(Row(name, kind, figures, {what: file for what, file in files.items() if file.is_file()}))
-        progress("captures", len(self.captures), len(self.captures))
+        on_progress(Progress.count("captures", len(self.captures), len(self.captures)))
         groups = {kind: _mean([row.figures for row in rows if row.style == kind]) for kind in KINDS}
         for row in rows:
             scene = groups.setdefault(f"{SCENE}{row.scene}", {})

@@ -1,7 +1,7 @@
 """Cameras by structure from motion, and the photographs as views with them."""
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain, zip_longest
@@ -16,7 +16,7 @@ from anystyle.contracts import PosedViews, PoseEstimator, Verdict
 from anystyle.data.folder import as_views, common_size, cover, require_views
 from anystyle.geometry.transforms import Similarity
 from anystyle.methods.order import canonical_order
-from anystyle.types import Cameras, OnProgress, Original, Progress
+from anystyle.types import Cameras, OnProgress, Original, no_progress
 from anystyle_captures.cache import cached, key_of
 from anystyle_captures.sfm.model import MIN_VIEWS, SEARCHES, Photograph, SearchOptions, SimpleRadial, SparseModel
 from anystyle_captures.sfm.trust import judge
@@ -60,7 +60,7 @@ class StructureFromMotion(PoseEstimator):
             ordered=all(original.path is None for original in originals),
             threads=torch.get_num_threads(),
             keep=self.keep,
-            progress=lambda stage, done, total: on_progress(Progress(f"{stage}: {done} of {total}")),
+            on_progress=on_progress,
         )
         model = result.model
         registered = np.flatnonzero(model.registered).tolist()
@@ -111,7 +111,7 @@ def find_cameras(
     searches: Sequence[SearchOptions] = SEARCHES,
     threads: int = 1,
     keep: bool = False,
-    progress: Callable[[str, int, int], None] = lambda stage, done, total: None,
+    on_progress: OnProgress = no_progress,
 ) -> FoundCameras:
     """Find where photographs of one rigid scene were taken, by SIFT features and COLMAP's two mappers.
 
@@ -138,7 +138,7 @@ def find_cameras(
         found: list[tuple[SparseModel, Verdict]] = []
         longer = max(max(photograph.size) for photograph in arranged)
         for options, further in zip_longest(searches, searches[1:]):
-            found.append(judge(*search(arranged, options, ordered=ordered, threads=threads, progress=progress)))
+            found.append(judge(*search(arranged, options, ordered=ordered, threads=threads, on_progress=on_progress)))
             model, verdict = found[-1]
             registered = int(model.registered.sum())
             complete = registered == len(names) and verdict.trust == "good"

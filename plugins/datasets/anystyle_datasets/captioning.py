@@ -11,6 +11,7 @@ from anystyle.data.captions import read_captions
 from anystyle.data.images import SUFFIXES, open_image
 from anystyle.errors import UserError
 from anystyle.io.atomic import atomic_path
+from anystyle.types import OnProgress, Progress, no_progress
 
 PROMPT = (
     "In 300 chars, give a precise description of image style visual features: exact color and brightness specs, "
@@ -71,7 +72,7 @@ def caption_folder(
     out: Path,
     prompt: str = PROMPT,
     batch: int = 8,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    on_progress: OnProgress = no_progress,
 ) -> Mapping[str, str]:
     """Describe every image below a folder; the result is, for each image that could not be read, why.
 
@@ -97,7 +98,8 @@ def caption_folder(
                 raise UserError(f"the model gave {len(answers)} texts for {len(images)} pictures")
             texts |= {name: tidy(text) for name, text in zip(images, answers, strict=True)}
             _write(out, texts)
-        progress(len(names) - len(left) + min(start + batch, len(left)), len(names))
+        done = len(names) - len(left) + min(start + batch, len(left))
+        on_progress(Progress.count("describing", done, len(names)))
     return failed
 
 

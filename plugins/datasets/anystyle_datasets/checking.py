@@ -4,7 +4,7 @@ import os
 import re
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -24,6 +24,7 @@ from anystyle.errors import UserError
 from anystyle.io.documents import read_json
 from anystyle.io.images import Picture
 from anystyle.registry.compose import override
+from anystyle.types import OnProgress, Progress, no_progress
 from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.wikiart import DESCRIPTIONS, MOVEMENTS, TEST_FILES, read_list
 
@@ -295,7 +296,8 @@ def fingerprint(path: Path) -> int:
 def same_pictures(
     paths: Sequence[Path],
     others: Iterable[Path],
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    stage: str = "",
+    on_progress: OnProgress = no_progress,
 ) -> Mapping[Path, Path]:
     """For each file that shows the same as one of ``others``, the first such one; unreadable files match nothing."""
     known = _fingerprints(others)
@@ -305,7 +307,7 @@ def same_pictures(
             match = next((other for other, other_bits in known if (bits ^ other_bits).bit_count() <= SAME), None)
             if match is not None:
                 matches[path] = match
-        progress(min(start + 1000, len(paths)), len(paths))
+        on_progress(Progress.count(stage, min(start + 1000, len(paths)), len(paths)))
     return matches
 
 

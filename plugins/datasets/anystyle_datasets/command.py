@@ -5,11 +5,11 @@ import shlex
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from functools import partial
 from inspect import signature
 from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, parse, subcommand
+from anystyle.cli.progress import progress_lines
 from anystyle.contracts import Command
 from anystyle.data.images import SUFFIXES
 from anystyle.errors import UserError
@@ -88,12 +88,8 @@ def prepare_command(arguments: argparse.Namespace) -> None:
     if arguments.kind != "tables" and not arguments.path.is_dir():
         raise UserError(f"there is no folder {arguments.path}")
     root = locate(arguments.path) if arguments.path.is_dir() else arguments.path
-    print(KINDS[arguments.kind](root, _progress, **given))
+    print(KINDS[arguments.kind](root, progress_lines(), **given))
     print(f"next      {shlex.join(['anystyle', 'data', 'check', str(root)])}")
-
-
-def _progress(stage: str, done: int, total: int) -> None:
-    print(f"{stage} {done}/{total} …", file=sys.stderr, flush=True)
 
 
 def check_command(arguments: argparse.Namespace) -> None:
@@ -180,7 +176,7 @@ def caption_command(arguments: argparse.Namespace) -> None:
         out=out,
         prompt=arguments.prompt,
         batch=arguments.batch,
-        progress=partial(_progress, "describing"),
+        on_progress=progress_lines(),
     )
     for name, reason in failed.items():
         print(f"left out: {name}: {reason}", file=sys.stderr)

@@ -8,7 +8,6 @@ import tempfile
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
-from functools import partial
 from itertools import count
 from math import isfinite
 from pathlib import Path, PurePosixPath
@@ -27,7 +26,7 @@ from anystyle.evaluation.paper_folder import NUM_STYLES, SCENES
 from anystyle.io import video
 from anystyle.io.atomic import PARTIAL, atomic_path, write_json
 from anystyle.io.documents import kept_json, read_text
-from anystyle.types import OnStep
+from anystyle.types import OnProgress, Progress
 from anystyle_datasets.checking import exported, packed, same_pictures, unindexed
 from anystyle_datasets.wikiart import DESCRIPTIONS, PAINTINGS, TEST_FILES, read_list
 
@@ -45,14 +44,14 @@ SIDE = 448
 """Photographs of the tables are taken where their shorter side has this many pixels, if they come in several sizes."""
 
 
-def dl3dv(root: Path, progress: OnStep) -> str:
+def dl3dv(root: Path, on_progress: OnProgress) -> str:
     """Unpack the scenes of DL3DV that are still packed, and write ``train_index.json``.
 
     Scenes that ``test_index.json`` names, if there is one, are not in it.
     """
     archives = packed(root)
     for number, path in enumerate(archives):
-        progress("unpacking", number, len(archives))
+        on_progress(Progress.count("unpacking", number, len(archives)))
         _unpack(path)
     names = [path.relative_to(root).as_posix() for path in unindexed(root)]
     held = frozenset(kept_json(root / "test_index.json", list[str]) or ())
@@ -80,7 +79,7 @@ def _unpack(path: Path) -> None:
         shutil.rmtree(temporary, ignore_errors=True)
 
 
-def re10k(root: Path, progress: OnStep) -> str:
+def re10k(root: Path, on_progress: OnProgress) -> str:
     """Write chunks of frames and cameras for the camera lists ``{train,test}/CLIP.txt`` of RealEstate10K.
 
     A list has an address in its first line, then a line per frame: time in microseconds and the 18 numbers of a chunk's
@@ -105,7 +104,7 @@ def re10k(root: Path, progress: OnStep) -> str:
             if size > CHUNK:
                 _store(root / split, clips, index)
                 clips, size = [], 0
-            progress(f"{split}: reading clips", number, len(waiting))
+            on_progress(Progress.count(f"{split}: reading clips", number, len(waiting)))
         if clips:
             _store(root / split, clips, index)
         if lists:
@@ -201,7 +200,7 @@ def _film(path: Path, times: Sequence[int]) -> Iterator[tuple[int, bytes]]:
 
 def wikiart(
     root: Path,
-    progress: OnStep,
+    on_progress: OnProgress,
     *,
     archive: Path | None = None,
     stylos: Path | None = None,
@@ -213,7 +212,7 @@ def wikiart(
     archive where it is given. Paintings that show the same as a picture of the folders ``stylos`` and ``styl3r`` are
     added to the list; what was found stays in ``test_NAME.txt`` and is not sought again.
     """
-    _unpack_tables(root, progress)
+    _unpack_tables(root, on_progress)
     if not any(path.suffix.lower() in PAINTINGS for path in root.glob("*/*")):
         raise UserError(f"{root} holds no painting; expected MOVEMENT/NAME.jpg, or data/*.parquet")
     taken = _take(archive, {DESCRIPTIONS: root / DESCRIPTIONS, TEST_FILES: root / TEST_FILES})
@@ -228,7 +227,7 @@ def wikiart(
             others = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
             if not others:
                 raise UserError(f"--{name} {folder}: there are no pictures in it")
-            found = same_pictures(paintings, others, partial(progress, f"looking for the pictures of {folder}"))
+            found = same_pictures(paintings, others, f"looking for the pictures of {folder}", on_progress)
             _write_lines(record, (path.relative_to(root).as_posix() for path in found))
         held.update(read_list(record))
     if held != before:
@@ -239,7 +238,7 @@ def wikiart(
     )
 
 
-def _unpack_tables(root: Path, progress: OnStep) -> None:
+def _unpack_tables(root: Path, on_progress: OnProgress) -> None:
     tables = exported(root)
     if not tables:
         return
@@ -268,7 +267,7 @@ def _unpack_tables(root: Path, progress: OnStep) -> None:
                 for target, row in zip(targets, images, strict=True):
                     with atomic_path(target) as temporary:
                         temporary.write_bytes(row["image"]["bytes"])
-        progress("unpacking tables of paintings", number, len(tables))
+        on_progress(Progress.count("unpacking tables of paintings", number, len(tables)))
 
 
 def _write_lines(path: Path, lines: Iterable[str]) -> None:
@@ -276,7 +275,7 @@ def _write_lines(path: Path, lines: Iterable[str]) -> None:
         temporary.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
 
 
-def styles(root: Path, progress: OnStep) -> str:
+def styles(root: Path, on_progress: OnProgress) -> str:
     """Write ``captions.jsonl`` with a line for each picture of a folder of styles, empty where nothing describes it."""
     paths = image_files(root)
     if not paths:
@@ -291,7 +290,7 @@ def styles(root: Path, progress: OnStep) -> str:
 
 def tables(
     root: Path,
-    progress: OnStep,
+    on_progress: OnProgress,
     *,
     archive: Path | None = None,
     captures: Sequence[Path] = (),
@@ -321,7 +320,7 @@ def tables(
         with atomic_path(target) as temporary:
             shutil.copyfile(source, temporary)
         if number % 50 == 0 or number == len(left):
-            progress("copying", number, len(left))
+            on_progress(Progress.count("copying", number, len(left)))
     taken = _take(
         archive, {DESCRIBED: root / DESCRIBED}, {"content": root / "content", "style_images": root / "styles"}
     )

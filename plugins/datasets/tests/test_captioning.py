@@ -57,8 +57,8 @@ def test_an_interrupted_run_goes_on_where_it_was(paintings):
         caption_folder(paintings, Breaks(), out=out, batch=2)
     assert len(out.read_text().splitlines()) == 2
     model, told = Shades(), []
-    caption_folder(paintings, model, out=out, batch=2, progress=lambda *where: told.append(where))
-    assert model.asked == [2, 1] and told[-1] == (6, 6)
+    caption_folder(paintings, model, out=out, batch=2, on_progress=lambda progress: told.append(progress.line))
+    assert model.asked == [2, 1] and told[-1] == "describing 6/6"
     assert [json.loads(line)["image"] for line in out.read_text().splitlines()] == [f"Op_Art/{n}.png" for n in range(5)]
 
 

@@ -16,7 +16,7 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.sheet import to_pil
 from anystyle.ranges import AtLeastOne
 from anystyle.stylizer import Stylizer
-from anystyle.types import Comparison, OnStep, Scene, Style, Views
+from anystyle.types import Comparison, OnProgress, Progress, Scene, Style, Views
 
 GUIDES = ("text", "image")
 DEPTH_CHANGE = "depth_change"
@@ -57,14 +57,14 @@ class TextAndImage(Protocol):
         self.num_scenes, self.num_styles = min(num_scenes, len(self.scenes)), min(num_styles, len(self.styles))
         self.num_views = num_views
 
-    def run(self, out: Path, progress: OnStep) -> Evaluation:
+    def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
         options = {name: getattr(self, name) for name in ("num_scenes", "num_styles", "num_views")}
         figures: dict[str, dict[str, dict[str, SceneFigures]]] = {guide: {} for guide in GUIDES}
         runs = [(scene, guide) for scene in range(self.num_scenes) for guide in GUIDES]
         for done, (scene, guide) in enumerate(runs):
-            progress("scenes", done, len(runs))
+            on_progress(Progress.count("scenes", done, len(runs)))
             figures[guide][self.scenes.name(scene)] = self._judge(scene, guide, out)
-        progress("scenes", len(runs), len(runs))
+        on_progress(Progress.count("scenes", len(runs), len(runs)))
         images = self.num_styles * sum(len(self._views(scene)) for scene in range(self.num_scenes))
         evaluations = {guide: aggregate(scenes, n=images) for guide, scenes in figures.items()}
         return _together(evaluations).with_facts(**options)

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from anystyle.errors import UserError
 from anystyle.registry.pluggable import Pluggable
-from anystyle.types import OnStep
+from anystyle.types import OnProgress
 
 SCENE = "scene "
 """The prefix of groups that hold the figures of one scene."""
@@ -103,7 +103,7 @@ class Protocol(Pluggable, ABC):
         """
 
     @abstractmethod
-    def run(self, out: Path, progress: OnStep) -> Evaluation:
+    def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
         """Compute the figures.
 
         Expensive results are written below ``out`` as they are finished, under their final name only when they are
@@ -112,7 +112,7 @@ class Protocol(Pluggable, ABC):
 
         Args:
             out: An existing folder.
-            progress: Called for every step that takes a second or more.
+            on_progress: Called for every step that takes a second or more.
 
         Raises:
             UserError: Something that the protocol needs is missing or does not fit.

@@ -2,4 +2,4 @@
 
 from anystyle.deprecated import moved
 
-__getattr__ = moved(__name__, "anystyle.contracts.protocol", Progress="OnStep")
+__getattr__ = moved(__name__, "anystyle.contracts.protocol")

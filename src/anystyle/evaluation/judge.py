@@ -17,7 +17,7 @@ from anystyle.errors import UserError
 from anystyle.evaluation.comparisons import Reader
 from anystyle.evaluation.pairing import Pairing, StylizedImages
 from anystyle.paths import natural
-from anystyle.types import Comparison, OnStep
+from anystyle.types import Comparison, OnProgress, Progress
 from anystyle.vision.preprocess import checked
 
 log = logging.getLogger(__name__)
@@ -53,7 +53,7 @@ def judge(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]) -> E
 
 
 def judge_pairing(
-    metrics: Mapping[str, Metric], pairing: Pairing, progress: OnStep, *, stage: str = "judge"
+    metrics: Mapping[str, Metric], pairing: Pairing, on_progress: OnProgress, *, stage: str = "judge"
 ) -> Evaluation:
     """The figures of paired image files."""
     if not metrics:
@@ -64,14 +64,14 @@ def judge_pairing(
 
     def comparisons(cells: Sequence[StylizedImages]) -> Iterator[Comparison]:
         for cell in cells:
-            progress(stage, next(steps), total)
+            on_progress(Progress.count(stage, next(steps), total))
             yield reader(cell)
 
     notes = [*pairing.notes, *filter(None, [pairing.lacking()])]
     for note in notes:
         log.warning("%s", note)
     scenes = {scene: judge_scene(metrics, comparisons(cells)) for scene, cells in pairing.scenes().items()}
-    progress(stage, total, total)
+    on_progress(Progress.count(stage, total, total))
     evaluation = aggregate(scenes, n=sum(len(cell.frames) for cell in pairing.cells))
     judged = {(cell.scene, cell.style): cell for cell in pairing.cells}
     missing = {(gap.scene, gap.style): len(gap.frames) for gap in pairing.missing}
@@ -95,6 +95,8 @@ def judge_scene(metrics: Mapping[str, Metric], comparisons: Iterable[Comparison]
 
     A metric is updated once with each comparison; the scene's figures are computed from the merged states.
     """
+    # `Metric.forward` mixes the warnings of `update` with those of a style's figures, copies all states each time and
+    # enables gradients.
     styles: dict[str, dict[str, dict[str, float]]] = {name: {} for name in metrics}
     warned: dict[str, list[str]] = {name: [] for name in metrics}
     states: dict[str, dict[str, Any]] = {}

@@ -23,7 +23,7 @@ from anystyle.io.atomic import atomic_path
 from anystyle.methods.branch import Branch
 from anystyle.ranges import AtLeastOne
 from anystyle.stylizer import Stylizer
-from anystyle.types import OnStep, Scene, Style, Views
+from anystyle.types import OnProgress, Progress, Scene, Style, Views
 
 RENDER_CHUNK = 4
 Variant = Literal["reference", "corrected"]
@@ -78,14 +78,14 @@ class ModelRenders(Protocol):
         _indices(required(given["scenes"], "scenes"), given["scene_names"])
         required(given["styles"], "styles")
 
-    def run(self, out: Path, progress: OnStep) -> Evaluation:
+    def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
         images = out / "images"
-        self._render(images, progress)
+        self._render(images, on_progress)
         folders = (images / name for name in ("content", "style", "stylized", "depth"))
         # The folder may hold a larger evaluation.
         pairing = pair(*folders, missing="allow").chosen(self.planned_scenes, self.planned_styles)
         pairing.require()
-        evaluation = judge_pairing(self.metrics, pairing, progress)
+        evaluation = judge_pairing(self.metrics, pairing, on_progress)
         files = [[seconds_file(images / "stylized" / scene, style) for style in self.planned_styles]
                  for scene in self.planned_scenes]  # fmt: skip
         seconds = np.array([[read_seconds(file) for file in row] for row in files])  # S T
@@ -101,7 +101,7 @@ class ModelRenders(Protocol):
             "frames) over the number of input images",
         )
 
-    def _render(self, images: Path, progress: OnStep) -> None:
+    def _render(self, images: Path, on_progress: OnProgress) -> None:
         total, done = len(self.planned_scenes) * len(self.planned_styles), 0
         for name, index in self.planned_styles.items():
             path = images / "style" / f"{name}{self.suffix}"
@@ -122,14 +122,14 @@ class ModelRenders(Protocol):
             done += len(self.planned_styles) - len(missing)
             if not missing:
                 continue
-            progress("render", done, total)
+            on_progress(Progress.count("render", done, total))
             scene, encoding = self._encode(number)
             self._write_content(images, scene_name, scene, frames)
             for name in missing:
                 seconds = encoding + self._stylize(scene, frames, folder, name)
                 seconds_file(folder, name).write_text(json.dumps({"seconds": seconds}), encoding="utf-8")
                 done += 1
-                progress("render", done, total)
+                on_progress(Progress.count("render", done, total))
 
     @torch.no_grad()
     def _encode(self, number: int) -> tuple[Scene, float]:

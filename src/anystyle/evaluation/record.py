@@ -32,8 +32,8 @@ class _Facts(msgspec.Struct):
     missing: list[_Gap] = []
 
 
-def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> Table:
-    """Write ``metrics.json``, ``metrics.csv``, ``table.md`` and ``table.tex``, and return the table."""
+def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> Evaluation:
+    """Write ``metrics.json``, ``metrics.csv``, ``table.md`` and ``table.tex``; the evaluation with its provenance."""
     evaluation = replace(
         evaluation.with_facts(**provenance),
         figures={**evaluation.figures, **evaluation.times},
@@ -51,7 +51,7 @@ def write(evaluation: Evaluation, out: Path, provenance: Mapping[str, Any]) -> T
             temporary.write_text(text, encoding="utf-8", errors="backslashreplace")
     stored = {**evaluation.figures, **evaluation.groups, "provenance": {**evaluation.provenance, **facts}}
     write_json(out / FILE, stored)
-    return table
+    return evaluation
 
 
 def read(folder: Path) -> Evaluation | None:

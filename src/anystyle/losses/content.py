@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
-from anystyle.losses.features import FeatureLoss
+from anystyle.losses.features import FeatureFn, FeatureLoss
 from anystyle.types import Stylization
 
 

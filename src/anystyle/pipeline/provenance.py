@@ -2,9 +2,7 @@
 
 import hashlib
 import json
-import os
 import re
-import subprocess
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,7 +16,7 @@ from anystyle.examples import FOLDER, examples
 from anystyle.io import video
 from anystyle.io.checkpoint import sha256
 from anystyle.io.documents import parse_json
-from anystyle.paths import SHARED, text_of
+from anystyle.paths import text_of
 from anystyle.types import SourceImage, StyledScene
 from anystyle.vision.weights import binding
 
@@ -66,14 +64,3 @@ def anonymous(scene: StyledScene) -> StyledScene:
     styles = zip(titles, (gaussians for _, gaussians in scene.styles), strict=True)
     names = tuple(f"view_{index:02d}" for index in range(len(scene.names)))
     return replace(scene, styles=tuple(styles), names=names, notes=binding(scene.notes), title="")
-
-
-def commit() -> str:
-    """The commit of the checkout, with ``+`` where files differ from it; empty where there is no checkout."""
-    if not (SHARED / ".git").exists():
-        return ""
-    git = ["git", "-C", os.fspath(SHARED), "describe", "--always", "--abbrev=40", "--exclude=*", "--dirty=+"]
-    try:
-        return subprocess.run(git, capture_output=True, text=True, check=True).stdout.strip()
-    except (OSError, subprocess.CalledProcessError):
-        return ""

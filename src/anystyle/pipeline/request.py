@@ -121,9 +121,8 @@ class Request:
     def all_styles(self) -> tuple[StyleInput, ...]:
         """The styles, then those that the configuration chooses of ``styles``."""
         chosen: list[StyleInput] = []
-        source = build(StyleSource, self.config.styles) if self.config.style else None
-        for index in self.config.style if source is not None else ():
-            image = source.read(index).image
+        for index in self.config.style:
+            image = build(StyleSource, self.config.styles).read(index).image
             if image is None:
                 raise UserError(f"style={index} has no image")
             chosen.append(Style(image=image, names=(f"style {index}",)))

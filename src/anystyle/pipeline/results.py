@@ -13,6 +13,7 @@ from jaxtyping import Float
 from PIL import Image
 from torch import Tensor
 
+from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.io import ply
 from anystyle.io.atomic import atomic_directory, write_json

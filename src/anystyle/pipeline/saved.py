@@ -15,6 +15,7 @@ from anystyle.contracts import Format, StoredCamera
 from anystyle.data.names import distinct, short_names
 from anystyle.data.poses import stored_cameras
 from anystyle.errors import UserError
+from anystyle.io import video
 from anystyle.io.documents import read_json, read_text, regular
 from anystyle.io.splats import NEAR, Offset
 from anystyle.pipeline.export import in_axes
@@ -68,8 +69,9 @@ def unstyled_of(scene: StyledScene) -> Gaussians:
 
 
 def is_scene_file(path: Path) -> bool:
-    """Whether a plugin of kind ``format`` has the file's suffix as its name."""
-    return path.suffix[1:].lower() in catalog().names("format")
+    """Whether a plugin of kind ``format`` has the file's suffix as its name, and it is not a film, which is views."""
+    suffix = path.suffix.lower()
+    return suffix[1:] in catalog().names("format") and suffix not in video.SUFFIXES
 
 
 def read_saved(path: Path, up: str | None = None, *, activated: bool = False) -> StyledScene:

@@ -1,8 +1,7 @@
 """Composing a configuration: ``conf/`` and the catalog through Hydra's compose API, with errors in one line."""
 
-import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,6 @@ from anystyle.registry.catalog import catalog, kinds
 from anystyle.registry.packages import groups, presets
 from anystyle.registry.schema import literal
 from anystyle.registry.source import register
-from anystyle.registry.untrusted import present
 
 VERSION_BASE = "1.3"
 ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
@@ -171,36 +169,3 @@ def _nearest(*errors: BaseException | None) -> str:
                 near = did_you_mean(str(error.key), keys)
                 return f".{near}" if near else f". There are: {', '.join(keys) or 'none'}"
     return ""
-
-
-def flat(node: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:
-    """The values of a nested mapping by their full keys, such as ``backbone.depth``."""
-    values: dict[str, Any] = {}
-    for key, value in node.items():
-        name = f"{prefix}{key}"
-        values |= flat(value, f"{name}.") if isinstance(value, Mapping) else {name: value}
-    return values
-
-
-def _same(before: object, now: object) -> bool:
-    """Whether two values are equal, or texts that name one file or folder: absolute, relative, through a link."""
-    if isinstance(before, list) and isinstance(now, list):
-        return len(before) == len(now) and all(map(_same, before, now))
-    if before == now or not (isinstance(before, str) and isinstance(now, str)):
-        return before == now
-    return _place(before) == _place(now)
-
-
-def _place(text: str) -> str:
-    return os.path.realpath(paths.expanded(text))
-
-
-def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """The first five values that are not what they were, in words; empty where all are.
-
-    A class that has moved is what it was.
-    """
-    before = {key: present(str(value)) if key.endswith("_target_") else value for key, value in before.items()}
-    changed = sorted(key for key in {*before, *now} if not _same(before.get(key), now.get(key)))
-    shown = [f"{key} {before.get(key)} -> {now.get(key)}" for key in changed[:5]]
-    return ", ".join([*shown, *(["…"] if len(changed) > 5 else [])])

@@ -1,16 +1,12 @@
 """Configurations saved in weights, checkpoints and runs: untrusted data, checked before anything is built from them."""
 
-import tomllib
 import warnings
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
+from anystyle.deprecated import present
 from anystyle.errors import UserError
 from anystyle.registry.catalog import catalog
-
-MOVED: dict[str, str] = tomllib.loads(Path(__file__).with_name("moved.toml").read_text(encoding="utf-8"))
-"""Paths of classes that have moved, and the present ones; those that end in ``.`` are of packages."""
 
 
 def check_saved(config: Mapping[str, Any], source: object) -> dict[str, Any]:
@@ -42,14 +38,6 @@ def check_saved(config: Mapping[str, Any], source: object) -> dict[str, Any]:
         return node
 
     return checked(config, "")
-
-
-def present(path: str) -> str:
-    """The present path of a class, which may have moved."""
-    for old, new in MOVED.items():
-        if path == old or (old.endswith(".") and path.startswith(old)):
-            return new + path[len(old) :]
-    return path
 
 
 def _moved(path: str, source: object) -> str:

@@ -16,7 +16,7 @@ from anystyle.testing.toy.metric import ToyMetric
 from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.testing.toy.styles import ToyStyles
 from anystyle.testing.toy.stylizer import ToyStylizer
-from anystyle.types import OnStep
+from anystyle.types import OnProgress, Progress, no_progress
 
 
 def test_figures_are_numbers(plugin: Subject[Protocol]) -> None:
@@ -36,18 +36,18 @@ def test_figures_are_numbers(plugin: Subject[Protocol]) -> None:
 
 def test_figures_are_reproducible(plugin: Subject[Protocol]) -> None:
     """A second run in a new folder gives the same figures, bit for bit, and reports progress."""
-    calls: list[tuple[str, int, int]] = []
-    second = _run(plugin, progress=lambda stage, done, total: calls.append((stage, done, total)))
+    calls: list[Progress] = []
+    second = _run(plugin, on_progress=calls.append)
     asserts.same(_figures(second), _figures(_first(plugin)), "the figures of a second run")
-    assert calls and all(stage and 0 <= done <= total for stage, done, total in calls), f"`progress` got {calls[:4]}"
+    assert calls and all(call.line and 0 <= (call.done or 0) <= 1 for call in calls), f"it reported {calls[:4]}"
 
 
 def test_interrupted_runs_resume(plugin: Subject[Protocol]) -> None:
     """Interrupted at any step and started again in the same folder, it gives what an uninterrupted run gives."""
-    calls: list[int] = []
+    calls: list[Progress] = []
 
-    def interrupt(stage: str, done: int, total: int) -> None:
-        calls.append(done)
+    def interrupt(progress: Progress) -> None:
+        calls.append(progress)
         if len(calls) in (2, 6):
             raise KeyboardInterrupt
 
@@ -71,11 +71,9 @@ def runtime() -> dict[str, Any]:
     }
 
 
-def _run(
-    plugin: Subject[Protocol], folder: str | None = None, progress: OnStep = lambda stage, done, total: None
-) -> Evaluation:
+def _run(plugin: Plugin, folder: str | None = None, on_progress: OnProgress = no_progress) -> Evaluation:
     with tempfile.TemporaryDirectory() as new, seeded(0):
-        return plugin.build(**runtime()).run(Path(folder or new), progress)
+        return plugin.build(**runtime()).run(Path(folder or new), on_progress)
 
 
 @functools.cache

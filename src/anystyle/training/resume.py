@@ -3,7 +3,6 @@
 import json
 import logging
 import os
-from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,9 +14,9 @@ from omegaconf import DictConfig, OmegaConf
 from anystyle.errors import UserError
 from anystyle.io.arrays import read_tensors
 from anystyle.io.atomic import folder_lock
-from anystyle.io.documents import plain, read_json
+from anystyle.io.documents import plain
+from anystyle.io.run_folder import RECORD, flat, refuse_changes, without
 from anystyle.ranges import Count
-from anystyle.registry.compose import changes, flat
 
 UNBOUND = (
     "resume", "checkpoint", "loggers", "workers", "export", "out", "fast_dev_run", "name", "explosion", "precision",
@@ -25,9 +24,6 @@ UNBOUND = (
     "trainer.enable_progress_bar", "trainer.enable_model_summary",
 )  # fmt: skip
 """Parts of a configuration that may change when a run is resumed: they do not change its result."""
-
-RECORD = "bound.json"
-"""The file in a run's folder that holds its configuration."""
 log = logging.getLogger(__name__)
 
 
@@ -62,13 +58,7 @@ def exclusive(out: Path) -> AbstractContextManager[None]:
 def bound(config: DictConfig) -> dict[str, Any]:
     """The part of a configuration that a resumed run must share, as plain values by their full keys."""
     values: Any = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
-    return json.loads(json.dumps(plain(_compared(flat(values)))))
-
-
-def _compared(values: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        key: value for key, value in values.items() if not f"{key}.".startswith(tuple(f"{name}." for name in UNBOUND))
-    }
+    return json.loads(json.dumps(plain(without(flat(values), UNBOUND))))
 
 
 def resumable(config: DictConfig, last: Path) -> Resumed | None:
@@ -77,7 +67,9 @@ def resumable(config: DictConfig, last: Path) -> Resumed | None:
     if config.resume == "never" or not paths:
         return None
     if config.resume != "changed":
-        _refuse_changes(config, last.with_name(RECORD))
+        remedy = "pass resume=changed to resume it all the same, resume=never to start again, or another name=..."
+        if not refuse_changes(last.parent, bound(config), "a run", remedy, UNBOUND):
+            raise UserError(f"{last.parent} holds a checkpoint and no {RECORD} with its configuration; {remedy}")
     problems: list[str] = []
     for path in paths:
         try:
@@ -90,16 +82,6 @@ def resumable(config: DictConfig, last: Path) -> Resumed | None:
             log.warning("%s; resuming from %s, the one before it", problem, path.name)
         return Resumed(path, checkpoint.global_step)
     raise UserError(f"{'; '.join(problems)}; pass resume=never to start again, or another name=...")
-
-
-def _refuse_changes(config: DictConfig, record: Path) -> None:
-    options = "pass resume=changed to resume it all the same, resume=never to start again, or another name=..."
-    if not record.is_file():
-        raise UserError(f"{record.parent} holds a checkpoint and no {record.name} with its configuration; {options}")
-    before: dict[str, Any] = read_json(record, dict[str, Any], what=f"record of a run's configuration; {options}")
-    changed = changes(_compared(before), bound(config))
-    if changed:
-        raise UserError(f"{record.parent} holds a run of another configuration ({changed}); {options}")
 
 
 def previous(last: Path) -> Path:

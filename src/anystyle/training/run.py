@@ -3,7 +3,7 @@
 import hashlib
 import shutil
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,16 +19,18 @@ from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.checkpoint import Header, load_part, save_part, sha256
 from anystyle.io.documents import Figure, as_number, kept_json
+from anystyle.io.record import commit
+from anystyle.io.run_folder import RECORD
 from anystyle.paths import expanded
 from anystyle.pipeline.load import assemble, branch_header, make_scenes, require_weights, weights_file
-from anystyle.pipeline.provenance import commit
 from anystyle.registry.build import build, build_all
 from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import compose, override
 from anystyle.registry.jobs import command_line
 from anystyle.registry.schema import runtime_arguments
 from anystyle.training.callbacks import MovingAverage, RunCheckpoint, logged
 from anystyle.training.data import StepData
-from anystyle.training.resume import RECORD, Resumed, bound, exclusive, is_rank_zero, resumable
+from anystyle.training.resume import Resumed, bound, exclusive, is_rank_zero, resumable
 from anystyle.training.scene_cache import CachedScenes
 from anystyle.training.trainer import check_options, make_trainer
 
@@ -56,14 +58,28 @@ class Outcome:
     stopped_by: str | None = None
 
 
-def train(config: DictConfig, out: Path, on_begin: Callable[[int], None] = lambda step: None) -> Outcome:
-    """Run a training, or resume it.
+def train(
+    overrides: Sequence[str] | DictConfig, out: str | Path, on_begin: Callable[[int], None] = lambda step: None
+) -> Outcome:
+    """Run a training, or resume it, as ``anystyle train`` does.
+
+    Example::
+
+        outcome = anystyle.train(["experiment=paper_head", "scenes.root=DL3DV-10K", "styles.root=wikiart"], "runs/mine")
+        outcome.weights, outcome.metrics["val/loss"]
 
     Args:
-        config: As ``conf/train.yaml`` composes it.
+        overrides: In Hydra's grammar, such as ``trainer.max_steps=100``; or what ``conf/train.yaml`` composes of them.
         out: Folder of checkpoints, logs and weights; a run is resumed from the checkpoint there.
         on_begin: Called with the step to begin at (0 for a new run), once all is checked and built.
     """
+    out, config = Path(out), overrides
+    if not isinstance(config, DictConfig):
+        named = {"name": Path(out).absolute().name, "out": str(out)}
+        config = compose("train", [*(override(key, value) for key, value in named.items()), *config])
+    if config.pipeline is not None:
+        names = ", ".join(map(str, config.pipeline))
+        raise UserError(f"this experiment is a pipeline; train each of {names}, or run `anystyle train`")
     check_options(config)
     with exclusive(out):
         if not config.fast_dev_run:

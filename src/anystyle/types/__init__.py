@@ -21,7 +21,7 @@ from anystyle.types.network import (
     untouched,
 )
 from anystyle.types.photographs import Original, SourceImage
-from anystyle.types.progress import OnProgress, OnStep, Progress, no_progress
+from anystyle.types.progress import OnProgress, Progress, no_progress
 from anystyle.types.scene import Clusters, Gaussians, Reconstructed, Renders, Scene, StyledScene
 from anystyle.types.source import Source
 from anystyle.types.value import Value
@@ -39,7 +39,6 @@ __all__ = [
     "Geometry",
     "Inject",
     "OnProgress",
-    "OnStep",
     "Original",
     "Progress",
     "Reconstructed",

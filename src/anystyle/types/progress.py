@@ -1,4 +1,4 @@
-"""How methods, reconstructions and protocols report progress."""
+"""How all long work reports progress."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,12 +21,14 @@ class Progress:
     done: float | None = None
     thumbnail: Float[Tensor, "3 _ _"] | None = None
 
+    @classmethod
+    def count(cls, stage: str, done: int, total: int) -> "Progress":
+        """The state of a stage of ``total`` equal steps."""
+        return cls(f"{stage} {done}/{total}", done / max(total, 1))
+
 
 OnProgress = Callable[[Progress], None]
 """Called every few seconds."""
-
-OnStep = Callable[[str, int, int], None]
-"""Called with the name of a stage, the number of finished steps, and the number of all steps."""
 
 
 def no_progress(progress: Progress) -> None:

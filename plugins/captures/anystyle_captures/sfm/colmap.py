@@ -16,7 +16,7 @@ from PIL import Image
 
 import pycolmap  # isort: skip
 
-from anystyle.types import OnStep
+from anystyle.types import OnProgress, Progress, no_progress
 from anystyle_captures.sfm.model import (
     MIN_VIEWS,
     Photograph,
@@ -40,21 +40,25 @@ CHUNK = 16
 
 
 def search(
-    photographs: Sequence[Photograph], options: SearchOptions, *, ordered: bool, threads: int, progress: OnStep
+    photographs: Sequence[Photograph], options: SearchOptions, *, ordered: bool, threads: int, on_progress: OnProgress
 ) -> tuple[ViewGraph, list[list[SparseModel]]]:
     """Match photographs, and map them incrementally and globally."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        graph = match(folder, photographs, options, ordered=ordered, threads=threads, progress=progress)
+        graph = match(folder, photographs, options, ordered=ordered, threads=threads, on_progress=on_progress)
         if len(photographs) < MIN_VIEWS or not graph.pairs:
             return graph, []
         count = len(photographs)
         mapped = iter(range(1, count + 1))
+
+        def mapping(done: int) -> None:
+            on_progress(Progress.count("mapping", done, count + 1))
+
         models = [
-            _map_incrementally(folder, options, threads, lambda: progress("mapping", next(mapped, count), count + 1)),
+            _map_incrementally(folder, options, threads, lambda: mapping(next(mapped, count))),
             _map_globally(folder, options, threads),
         ]
-        progress("mapping", count + 1, count + 1)
+        mapping(count + 1)
     found = [[_as_arrays(model, photographs) for model in reconstructions.values()] for reconstructions in models]
     for mapper in found:
         mapper.sort(key=lambda model: (model.registered.sum(), len(model.points)), reverse=True)
@@ -75,7 +79,7 @@ def match(
     ordered: bool = False,
     pairs: Sequence[tuple[int, int]] | None = None,
     threads: int = 1,
-    progress: OnStep = lambda stage, done, total: None,
+    on_progress: OnProgress = no_progress,
 ) -> ViewGraph:
     """Features and verified matches, written into COLMAP's database ``folder / "database.db"``.
 
@@ -119,7 +123,7 @@ def match(
         pycolmap.extract_features(
             path, folder, batch, pycolmap.CameraMode.PER_FOLDER, reader, extraction, pycolmap.Device.cpu
         )
-        progress("features", min(start + threads, count), count)
+        on_progress(Progress.count("features", min(start + threads, count), count))
 
     with closing(pycolmap.Database.open(path)) as database:
         keypoints = [database.read_keypoints(ids[name]) for name in names]
@@ -136,7 +140,7 @@ def match(
         batch = pairs[start : start + CHUNK]
         pairing.match_list_path.write_text("".join(f"{names[first]} {names[second]}\n" for first, second in batch))
         pycolmap.match_image_pairs(path, matching, pairing, verification, pycolmap.Device.cpu)
-        progress("matches", min(start + CHUNK, len(pairs)), len(pairs))
+        on_progress(Progress.count("matches", min(start + CHUNK, len(pairs)), len(pairs)))
 
     index = {ids[name]: view for view, name in enumerate(names)}
     verified = []

@@ -10,7 +10,7 @@ from anystyle.contracts import Metric
 from anystyle.contracts.protocol import Evaluation, Protocol
 from anystyle.evaluation.judge import judge_pairing
 from anystyle.evaluation.pairing import pair
-from anystyle.types import OnStep
+from anystyle.types import OnProgress
 
 
 class Folders(Protocol):
@@ -61,5 +61,5 @@ class Folders(Protocol):
             grey.transpose(Image.Transpose.ROTATE_90).save(folder / "style" / f"{name}.png")
         return {kind: str(folder / kind) for kind in ("content", "style", "stylized")}
 
-    def run(self, out: Path, progress: OnStep) -> Evaluation:
-        return judge_pairing(self.metrics, self.pairing, progress)
+    def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
+        return judge_pairing(self.metrics, self.pairing, on_progress)

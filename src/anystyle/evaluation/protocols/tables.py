@@ -22,7 +22,7 @@ from anystyle.evaluation.paper_folder import NUM_FRAMES, NUM_STYLES, SCENES, Pap
 from anystyle.paths import expanded
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.stylizer import Stylizer
-from anystyle.types import OnStep
+from anystyle.types import OnProgress
 
 PHOTOGRAPHS = "photographs"
 STYLE_SIZE = 256
@@ -97,9 +97,9 @@ class Tables(Protocol):
         (folder / "styles" / "captions.jsonl").write_text('{"image": "00.png", "text": "grey"}\n')
         return {"root": str(folder), "scene_names": ["Garden"], "num_styles": 1, "frames": 2, "size": 16}
 
-    def run(self, out: Path, progress: OnStep) -> Evaluation:
+    def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
         rows = {
-            (name := f"model_{guide}"): self._model(guide).run(out / "methods" / name, progress)
+            (name := f"model_{guide}"): self._model(guide).run(out / "methods" / name, on_progress)
             for guide in self.guides
         }
         renders = {name: self.folder.renders(name) for name in self.methods}
@@ -113,7 +113,7 @@ class Tables(Protocol):
         for name, images in renders.items():
             gaps = self.folder.gaps(name) if name in self.methods else ()
             cells = tuple(self._cell(out, scene, style, images) for (scene, style), images in images.items() if images)
-            rows[name] = judge_pairing(self.metrics, Pairing(cells, tuple(gaps)), progress, stage=name)
+            rows[name] = judge_pairing(self.metrics, Pairing(cells, tuple(gaps)), on_progress, stage=name)
         for name, row in rows.items():
             folder = out / "methods" / name
             folder.mkdir(parents=True, exist_ok=True)

@@ -9,7 +9,7 @@ from anystyle.contracts import SceneSource, StyleSource
 from anystyle.contracts.protocol import Evaluation, Protocol, Row, required
 from anystyle.io.atomic import atomic_path
 from anystyle.stylizer import Stylizer
-from anystyle.types import OnStep
+from anystyle.types import OnProgress, Progress
 
 
 class ToyProtocol(Protocol):
@@ -30,16 +30,16 @@ class ToyProtocol(Protocol):
         self.style = required(styles, "styles").read(0)
         self.num_scenes = min(num_scenes, len(self.scenes))
 
-    def run(self, out: Path, progress: OnStep) -> Evaluation:
+    def run(self, out: Path, on_progress: OnProgress) -> Evaluation:
         rows: list[Row] = []
         for scene in range(self.num_scenes):
-            progress("scenes", scene, self.num_scenes)
+            on_progress(Progress.count("scenes", scene, self.num_scenes))
             kept = out / f"{self.scenes.name(scene)}.json"
             if not kept.is_file():
                 with atomic_path(kept) as temporary:
                     temporary.write_text(json.dumps({"contrast_change": self._judge(scene)}))
             rows.append(Row(self.scenes.name(scene), self.style.names[0], json.loads(kept.read_text())))
-        progress("scenes", self.num_scenes, self.num_scenes)
+        on_progress(Progress.count("scenes", self.num_scenes, self.num_scenes))
         mean = sum(row.figures["contrast_change"] for row in rows) / len(rows)
         better = {"contrast_change": "lower"}
         return Evaluation(figures={"contrast_change": mean}, n=len(rows), better=better, rows=tuple(rows))

@@ -1,0 +1,263 @@
+"""One evaluation: compose it, build what its protocol names, judge, and write the result."""
+
+import json
+import logging
+import time
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import torch
+from omegaconf import DictConfig, OmegaConf, open_dict
+
+from anystyle.cli.launch import checked_seed
+from anystyle.contracts import Correspondence, Metric, StyleEncoder, StyleSource
+from anystyle.errors import UserError
+from anystyle.evaluation import plots, record
+from anystyle.evaluation.base import Evaluation, Protocol
+from anystyle.evaluation.runs import job_order
+from anystyle.io.atomic import folder_lock, write_json
+from anystyle.io.checkpoint import read_header
+from anystyle.io.documents import read_json
+from anystyle.io.record import commit, machine, versions
+from anystyle.io.run_folder import RECORD, refuse_changes
+from anystyle.paths import expanded
+from anystyle.registry.build import build, build_all, plugin_of
+from anystyle.registry.catalog import catalog
+from anystyle.registry.compose import compose, override
+from anystyle.registry.jobs import command_line
+from anystyle.registry.schema import runtime_arguments
+from anystyle.registry.untrusted import check_saved
+from anystyle.types import OnProgress, no_progress
+
+BRANCH = "branch.safetensors"
+FOLDERS = ("content", "style", "stylized", "depth")
+MODEL = ("subject", "model", "backbone", "placement", "injector", "renderer", "method", "loss", "branch", "precision")
+"""Groups of a model."""
+STYLIZER = ("backbone", "style_encoder", "placement", "injector", "renderer", "branch", "seed")
+"""Parts of a configuration on which the images of a model depend."""
+log = logging.getLogger(__name__)
+
+
+def evaluate(
+    overrides: Sequence[str] = (),
+    *,
+    content: str | Path | None = None,
+    style: str | Path | None = None,
+    stylized: str | Path | None = None,
+    depth: str | Path | None = None,
+    trained: str | Path | None = None,
+    out: str | Path | None = None,
+    on_progress: OnProgress = no_progress,
+) -> Evaluation:
+    """Judge a model on a protocol, or any method's images in folders, as ``anystyle evaluate`` does.
+
+    Example::
+
+        anystyle.evaluate(["protocol=table2", "root=evaluation_and_splits"], out="table2").figures["art_fid"]
+        anystyle.evaluate(["metric=[psnr]"], content="photos", style="styles", stylized="results", out="theirs")
+
+    Args:
+        overrides: In Hydra's grammar, such as ``metric=[psnr,lpips]``.
+        content: A folder of photographs ``SCENE/FRAME.png``; with it go ``style`` and ``stylized``.
+        style: A folder of style images ``STYLE.png``.
+        stylized: A folder of results ``SCENE/STYLE/FRAME.png`` or ``SCENE/STYLE_FRAME.png``.
+        depth: A folder of depth maps ``SCENE/FRAME.npy``, with ``SCENE/cameras.npz`` where cameras are known.
+        trained: The folder of a training, whose model is judged.
+        out: A folder for tables, plots and images; an evaluation in it is resumed. By default ``evaluation``, in
+            ``trained`` if that is given.
+        on_progress: Called for every step that takes a second or more.
+    """
+    given = zip(FOLDERS, (content, style, stylized, depth), strict=True)
+    folders = {name: folder for name, folder in given if folder is not None}
+    words = completed(overrides, folders, trained)
+    runs = [] if trained is None else trained_runs(Path(trained))
+    if len(runs) > 1:
+        raise UserError(f"{trained} holds {len(runs)} trainings; name one of them, such as {runs[0]}")
+    config = compose("evaluate", words)
+    if runs:
+        config, out = configured(config, runs[0]), out or runs[0] / "evaluation"
+    return run(config, Path(out or "evaluation"), on_progress=on_progress)
+
+
+def completed(
+    overrides: Sequence[str], folders: Mapping[str, str | Path], trained: str | Path | None = None
+) -> list[str]:
+    """Overrides with those that folders of images, or a protocol that takes no stylizer, stand for."""
+    # The protocol's option, named without it.
+    words = [f"protocol.{word}" if word.startswith("missing=") else word for word in overrides]
+    missing = [f"--{name}" for name in FOLDERS[:3] if name not in folders] if folders else []
+    if missing:
+        raise UserError(
+            f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing; folders of images "
+            "are judged with --content DIR --style DIR --stylized DIR"
+        )
+    if folders and trained is not None:
+        raise UserError("--run judges a model, and --stylized judges images; give one of them")
+    if folders:
+        named = [override(f"protocol.{name}", str(expanded(folder))) for name, folder in folders.items()]
+        words = ["protocol=folders", *named, *words]
+    chosen = {key: value for key, _, value in (word.partition("=") for word in words)}
+    name = chosen.get("protocol", "")
+    # Presets of protocols are the paper's, which judge a model.
+    known = trained is None and name in catalog().names("protocol")
+    if known and not any(key.partition(".")[0] in MODEL for key in chosen):
+        subject = [] if "stylizer" in runtime_arguments(catalog().find("protocol", name)) else ["subject=images"]
+        words = [*subject, *words]
+    return words
+
+
+def run(
+    config: DictConfig, out: Path, *, flags: Sequence[str] = (), on_progress: OnProgress = no_progress
+) -> Evaluation:
+    """Run the protocol of a composed configuration, and write its result; an evaluation in ``out`` is resumed.
+
+    The ``flags`` are those of the command that are not overrides, for the record.
+    """
+    start = time.perf_counter()
+    torch.manual_seed(checked_seed(config.seed))
+    plugin, options = plugin_of(Protocol, config.protocol)
+    named = runtime_arguments(plugin)
+    sources = make_sources(config, named)
+    plugin.load().check(**options, **sources)
+    parts, weights = make_parts(config, named)
+    parts |= sources
+    protocol = build(Protocol, config.protocol, **parts)
+    judges = {name: dict(metric.weights) for name, metric in parts.get("metrics", {}).items()}
+    with bind(config, weights, out, named):
+        evaluation = protocol.run(out, on_progress)
+        provenance = {
+            "protocol": plugin.name,
+            "variant": str(config.variant),
+            "weights": {**weights, **{f"metric {name}": files for name, files in judges.items() if files}},
+            "seconds": round(time.perf_counter() - start, 3),
+            "machine": machine(),
+            "command": command_line("evaluate", *flags, "--out", str(out)),
+            "commit": commit(),
+            "seed": config.seed,
+            "config": OmegaConf.to_container(config, resolve=True, enum_to_str=True),
+            "versions": versions(),
+        }
+        written = record.write(evaluation, out, provenance)
+    plots.examples(evaluation, out / "examples.png")
+    try:
+        plots.spread(evaluation, out / "spread.png", caption=f"{plugin.name}, {config.variant}; n = {evaluation.size}")
+    except ImportError as error:
+        log.warning("no plot: %s", error)
+    return written
+
+
+@contextmanager
+def bind(config: DictConfig, weights: Mapping[str, Any], out: Path, parts: Collection[str]) -> Iterator[None]:
+    """Lock a folder, and refuse it if its images come from another configuration or other weights.
+
+    Only the configuration of the ``parts`` that the protocol takes counts. Metrics may change: figures are computed
+    from the images each time.
+    """
+    names = ["protocol", *(name for name in ("scenes", "styles") if name in parts)]
+    names += STYLIZER if "stylizer" in parts else ()
+    names += ("method", "loss") if "method" in parts else ()
+    plain: Any = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
+    images = {name: plain.get(name) for name in names}
+    images["protocol"].pop("missing", None)  # no image depends on it
+    images["weights"] = {part: row["sha256"] for part, row in weights.items()}
+    images = json.loads(json.dumps(images))
+    with folder_lock(out, f"another evaluation is at work in {out}; wait for its end, or give another --out"):
+        remedy = "choose another --out, or delete that folder"
+        known = refuse_changes(out, images, "an evaluation", remedy)
+        write_json(out / RECORD, images)
+        try:
+            yield
+        except BaseException:
+            if not known and {entry.name for entry in out.iterdir()} <= {RECORD, ".lock"}:
+                (out / RECORD).unlink()  # no result depends on it yet
+            raise
+
+
+def make_parts(config: DictConfig, named: Mapping[str, bool]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """The networks that a protocol's constructor names, and the weights that were loaded for them."""
+    parts: dict[str, Any] = {}
+    weights: dict[str, Any] = {}
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    encoder: StyleEncoder | None = None
+    if "stylizer" in named:
+        from anystyle.pipeline.load import assemble_frozen, make_method
+
+        stylizer, weights = assemble_frozen(config)
+        parts["stylizer"] = stylizer.to(device)
+        encoder = stylizer.style_encoder
+        if "method" in named:
+            parts["method"] = make_method(config, encoder)
+    if "metrics" in named:
+        parts["metrics"] = {name: metric.to(device) for name, metric in make_metrics(config, encoder, device).items()}
+    return parts, weights
+
+
+def make_sources(config: DictConfig, named: Mapping[str, bool]) -> dict[str, Any]:
+    """The scenes and styles that a protocol's constructor names; ``None`` for one that is not configured."""
+    sources: dict[str, Any] = dict.fromkeys({"scenes", "styles"} & set(named))
+    if "scenes" in sources and config.get("scenes") is not None:
+        from anystyle.pipeline.load import make_scenes
+
+        sources["scenes"] = make_scenes(config)
+    if "styles" in sources and config.get("styles") is not None:
+        sources["styles"] = build(StyleSource, config.styles)
+    return sources
+
+
+def make_metrics(config: DictConfig, encoder: StyleEncoder | None, device: torch.device) -> dict[str, Metric]:
+    """The metrics that are chosen, with what their constructors name."""
+    # A variant sets options of metrics that may not be among those chosen.
+    chosen = {str(name): node for name, node in config.metric.items() if node is not None and "_target_" in node}
+    needed = {
+        argument: name
+        for name, node in chosen.items()
+        for argument in runtime_arguments(catalog().owner("metric", str(node["_target_"])))
+    }
+    runtime: dict[str, Any] = {}
+    if "style_encoder" in needed:
+        runtime["style_encoder"] = encoder or _style_encoder(config, needed["style_encoder"]).to(device)
+    if "correspondence" in needed and config.correspondence is not None:
+        runtime["correspondence"] = build(Correspondence, config.correspondence)
+    return build_all(Metric, chosen, **runtime)
+
+
+def _style_encoder(config: DictConfig, metric: str) -> StyleEncoder:
+    from anystyle.io.checkpoint import load_part
+    from anystyle.pipeline.load import weights_file
+
+    if config.get("style_encoder") is None:
+        raise UserError(
+            f"metric={metric} needs a style encoder; add style_encoder=NAME (`anystyle plugins style_encoder` lists "
+            "them), or a model=NAME with one"
+        )
+    encoder = build(StyleEncoder, config.style_encoder)
+    if config.weights.style_encoder is not None:
+        load_part(weights_file(config.weights.style_encoder), encoder, "style_encoder")
+    return encoder.requires_grad_(False).eval()
+
+
+def trained_runs(folder: Path) -> list[Path]:
+    """The folders that hold a style branch: a run itself, or the jobs of a multirun in order."""
+    if not folder.is_dir():
+        raise UserError(f"there is no run {folder}")
+    jobs = sorted((path.parent for path in folder.glob(f"*/{BRANCH}")), key=job_order)
+    folders = [folder] if (folder / BRANCH).is_file() else jobs
+    if not folders:
+        raise UserError(f"{folder} holds no finished training of a style branch ({BRANCH}, in it or in its jobs)")
+    return folders
+
+
+def configured(config: DictConfig, folder: Path) -> DictConfig:
+    """A configuration with the parts, options and weights of a run."""
+    what = "record of a run, which names the weights it was trained on"
+    bound: dict[str, Any] = read_json(folder / RECORD, dict[str, Any], what=what)
+    saved = check_saved(read_header(folder / BRANCH).config, folder / BRANCH)
+    merged = config.copy()
+    with open_dict(merged):
+        for part, node in saved.items():
+            merged[part] = OmegaConf.create(node) if isinstance(node, dict) else node
+        weights = {key.removeprefix("weights."): value for key, value in bound.items() if key.startswith("weights.")}
+        merged.weights = {**weights, "branch": str(folder / BRANCH)}
+    return merged

@@ -1,0 +1,41 @@
+"""`anystyle.evaluate`, and the lines that a command prints of its progress."""
+
+import math
+
+import pytest
+
+import anystyle
+from anystyle.cli.progress import progress_lines
+from anystyle.errors import UserError
+from anystyle.evaluation import record
+from anystyle.types import Progress
+from evaluation_cases import folders
+
+
+def test_images_in_folders_are_judged_from_python(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    named = dict(zip(("content", "style", "stylized"), folders(tmp_path / "in"), strict=True))
+    (named["stylized"] / "one" / "a_1.png").unlink()
+    reported: list[Progress] = []
+    given = ["metric=[psnr]", "missing=allow"]
+    evaluation = anystyle.evaluate(given, **named, on_progress=reported.append)
+    # Results are 60 s + 20 t + f, photographs 100 + f, and each style of each scene counts alike.
+    expected = sum(20 * math.log10(255 / error) for error in (100, 80, 40, 20)) / 4
+    assert evaluation.figures["psnr"] == pytest.approx(expected, rel=1e-5)
+    assert evaluation.provenance["protocol"] == "folders" and evaluation.missing() == 1
+    assert reported[-1] == Progress("judge 4/4", 1.0)
+    read = record.read(tmp_path / "evaluation")
+    assert read is not None and read.figures == evaluation.figures
+    with pytest.raises(UserError, match="--stylized is missing"):
+        anystyle.evaluate(given, content=named["content"], style=named["style"])
+    with pytest.raises(UserError, match="there is no run"):
+        anystyle.evaluate(trained=tmp_path / "absent")
+
+
+def test_each_stage_has_a_first_and_a_last_line(capsys):
+    report = progress_lines()
+    for stage, total in (("render", 3), ("judge", 2), ("judge", 1)):
+        for done in range(total + 1):
+            report(Progress.count(stage, done, total))
+    lines = "render 0/3 …", "render 3/3 …", "judge 0/2 …", "judge 2/2 …", "judge 0/1 …", "judge 1/1 …"
+    assert tuple(capsys.readouterr().err.splitlines()) == lines
