@@ -80,8 +80,8 @@ def test_colours_are_matched_after():
     ("words", "message"),
     [
         (["method=optimize"], "no loss to minimise"),
-        (["method=nnfm", "method.colors_lr=0"], "give positive ones, at least one"),
-        (["method=nnfm", "method.means_lr=-1"], "none below"),
+        (["method=nnfm", "method.colors_lr=0"], "at least one must be positive"),
+        (["method=nnfm", "method.means_lr=-1"], "none negative"),
         (["method=nnfm", "method.num_steps=0"], "at least 1"),
         (["method=nnfm", "method.recolor=sometimes"], "recolor"),
     ],
