@@ -113,6 +113,6 @@ def test_a_fit_that_was_broken_off_comes_to_the_same(photographs, whole, tmp_pat
 def test_a_file_that_is_no_state_is_left_as_it_is(photographs, tmp_path):
     state = tmp_path / "fit.state"
     state.write_bytes(b"something else")
-    with pytest.raises(ValueError, match=r"fit\.state is no state of a fit"):
+    with pytest.raises(ValueError, match=r"fit\.state is not a valid state of a fit"):
         fit(photographs, state=state)
     assert state.read_bytes() == b"something else"
