@@ -2,7 +2,7 @@
 
 import pytest
 
-from chromium import browser, find_chromium
+from tests.support.browser import browser, find_chromium
 
 
 @pytest.fixture(scope="session")

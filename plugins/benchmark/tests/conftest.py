@@ -1,9 +1,9 @@
 """Judged results of a small track."""
 
 import pytest
-from benchmark_world import write_results, write_track
 
-from browsing import page, same_window  # noqa: F401
+from tests.support.benchmark_world import write_results, write_track
+from tests.support.browsing import page, same_window  # noqa: F401
 
 
 @pytest.fixture(scope="session")

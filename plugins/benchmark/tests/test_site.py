@@ -6,7 +6,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from benchmark_world import write_results, write_track
 from PIL import Image
 
 from anystyle.errors import UserError
@@ -26,6 +25,7 @@ from anystyle_benchmark.results import (
 )
 from anystyle_benchmark.site import QUALITIES
 from anystyle_benchmark.spec import Spec, as_document
+from tests.support.benchmark_world import write_results, write_track
 
 LONG = "A method of a very long name that goes on and on, for a paper of " + "unbreakable" * 5
 HOSTILE = '</script><img src=x onerror=alert(1)> & "pasted"'

@@ -15,7 +15,7 @@ from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle_formats.html import Html
-from chromium import SOFTWARE_GL, browser, find_chromium
+from tests.support.browser import SOFTWARE_GL, browser, find_chromium
 
 SIZE = (150, 200)
 CHROMIUM = find_chromium()

@@ -1,3 +1,3 @@
 """Fixtures of a browser."""
 
-from browsing import page, same_window  # noqa: F401
+from tests.support.browsing import page, same_window  # noqa: F401

@@ -8,13 +8,13 @@ import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
-from study_cases import small_study
-from study_serving import answer, kept_answers, post, serving
 
 from anystyle_study.command import Study
 from anystyle_study.reading import read_responses
 from anystyle_study.server import render, sequence, write_page
-from chromium import LOADED, start, until
+from tests.support.browser import LOADED, start, until
+from tests.support.study_cases import small_study
+from tests.support.study_serving import answer, kept_answers, post, serving
 
 SCORES = {"style": 5, "contentA": 3, "contentB": 3}
 

@@ -1,10 +1,10 @@
 """How the form looks and behaves: sizes, motion, screen readers, light and dark, in a real browser."""
 
 import pytest
-from study_cases import small_study
 
 from anystyle_study.server import write_page
-from chromium import LOADED, start
+from tests.support.browser import LOADED, start
+from tests.support.study_cases import small_study
 
 
 @pytest.mark.parametrize(("width", "height", "mobile"), [(1280, 800, False), (390, 844, True)])

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from viewer_scene import FOCAL, SIZE, camera, write_scene
 
 from anystyle.registry.catalog import catalog
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Gaussians
-from chromium import SOFTWARE_GL, browser, find_chromium, until
+from tests.support.browser import SOFTWARE_GL, browser, find_chromium, until
+from tests.support.viewer_scene import FOCAL, SIZE, camera, write_scene
 
 pytest.importorskip("viser", reason="the extra `viewer` is not installed")
 

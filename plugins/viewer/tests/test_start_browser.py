@@ -8,15 +8,15 @@ from pathlib import Path
 import pytest
 import torch
 from PIL import Image
-from start_serving import pretended
-from viewer_scene import write_scene
 
 from anystyle.examples import resolved
 from anystyle.types import Gaussians
 from anystyle_viewer.start.server import StartServer
-from browsing import page, same_window  # noqa: F401
-from chromium import SOFTWARE_GL, browser, find_chromium, until
-from program import Program
+from tests.support.browser import SOFTWARE_GL, browser, find_chromium, until
+from tests.support.browsing import page, same_window  # noqa: F401
+from tests.support.program import Program
+from tests.support.start_serving import pretended
+from tests.support.viewer_scene import write_scene
 
 SMALL = "model=tiny splat.cameras=2 views.short_side=112 video.frames=4"
 
