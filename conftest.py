@@ -10,6 +10,8 @@ from PIL import Image
 
 from tests.support.program import Program
 
+pytest_plugins = ("tests.support.browser",)
+
 os.environ["ANYSTYLE_CACHE"] = "off"
 # Where bytecode is forbidden, each worker and each process that a test starts would compile every module again: of the
 # libraries too, since what an instrumented module imports is looked for under the instrumentation's own name.

@@ -3,7 +3,6 @@
 import pytest
 
 from tests.support.benchmark_world import write_results, write_track
-from tests.support.browsing import page, same_window  # noqa: F401
 
 
 @pytest.fixture(scope="session")
