@@ -14,19 +14,17 @@ from dataclasses import replace
 
 import pytest
 
-import forked
-from fuzz_inputs import MUTATORS, REGRESSIONS, option, picture, rename, write
-from training_cases import RECONSTRUCTION
+from tests.support.fuzz_inputs import MUTATORS, REGRESSIONS, option, picture, rename, write
+from tests.support.processes import command
+from tests.support.training_cases import RECONSTRUCTION
 
-pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")]
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def cases(tmp_path_factory):
     folder = tmp_path_factory.mktemp("seeds")
-    cases = write(folder)
-    forked.warm()
-    return folder, cases
+    return folder, write(folder)
 
 
 def state(folder):
@@ -35,10 +33,19 @@ def state(folder):
     return {str(path.relative_to(folder)): hashlib.md5(path.read_bytes()).hexdigest() for path in files}
 
 
+def ended(process, seconds):
+    """The exit status, negative after a signal; ``None`` if it runs longer, and then it is killed."""
+    process.join(seconds)
+    status = process.exitcode
+    process.kill()
+    process.join()
+    return status
+
+
 def problem(case, folder):
     """How a command ends badly; empty if it ends well, or in one line and without leaving anything."""
     before, output = state(folder), folder.with_suffix(".txt")
-    code = forked.ended(forked.start(case.words, folder, output, dict(case.environment)), 120)
+    code = ended(command(case.words, folder, output, case.environment), 120)
     text = output.read_text(errors="replace")
     if code not in (0, 1, 2) or "Traceback (most recent call last)" in text:
         return f"ends with {code}: {text[-600:]}"
@@ -122,7 +129,6 @@ def results(out):
 
 @pytest.mark.parametrize("prepare", [train, evaluate])
 def test_a_killed_run_is_continued_to_the_same_result(tmp_path, prepare):
-    forked.warm()
     folders = {}
     for name in ("whole", "killed", "terminated"):
         (tmp_path / name).mkdir()
@@ -130,19 +136,19 @@ def test_a_killed_run_is_continued_to_the_same_result(tmp_path, prepare):
 
     def begin(name):
         folder, words, _ = folders[name]
-        return forked.start(words, folder, folder.with_suffix(".txt"), {"ANYSTYLE_CACHE": "cache"})
+        return command(words, folder, folder.with_suffix(".txt"), {"ANYSTYLE_CACHE": "cache"})
 
     start = time.monotonic()
-    assert forked.ended(begin("whole"), 300) == 0, (tmp_path / "whole.txt").read_text()
+    assert ended(begin("whole"), 300) == 0, (tmp_path / "whole.txt").read_text()
     seconds, expected = time.monotonic() - start, results(folders["whole"][2])
     draw = random.Random(0)
     for name, number in (("killed", signal.SIGKILL), ("terminated", signal.SIGTERM)):
         for _ in range(3):
-            child = begin(name)
+            process = begin(name)
             time.sleep(draw.uniform(0, seconds))
-            os.kill(child, number)
-            assert forked.ended(child, 60) in (0, -number, 128 + number)
+            os.kill(process.pid, number)
+            assert ended(process, 60) in (0, -number, 128 + number)
         output = (tmp_path / f"{name}.txt").read_text()
         assert "Traceback" not in output, output
-        assert forked.ended(begin(name), 300) == 0, (tmp_path / f"{name}.txt").read_text()
+        assert ended(begin(name), 300) == 0, (tmp_path / f"{name}.txt").read_text()
         assert results(folders[name][2]) == expected

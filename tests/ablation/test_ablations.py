@@ -11,7 +11,7 @@ from anystyle.commands.train import run
 from anystyle.errors import UserError
 from anystyle.registry.compose import ERRORS, compose, explain
 from anystyle.training.run import objective
-from training_cases import BACKBONE
+from tests.support.training_cases import BACKBONE
 
 ROWS = ("base", "all_geometry", "no_clip_loss", "no_style_loss", "no_text")
 PAPER = {"content", "style", "clip_directional", "clip_patch", "depth_consistency"}

@@ -1,6 +1,6 @@
 """This implementation beside the published code, in one run: seconds, memory and equality of results.
 
-``python tests/benchmarks/published.py CHECKOUT --variant head`` takes a checkout of joaxkal/AnyStyle, fills its network
+``python -m tests.benchmarks.published CHECKOUT --variant head`` takes a checkout of joaxkal/AnyStyle, fills its network
 with hashed weights in fp32 and writes them as its checkpoint, which both networks load strictly, each in a process of
 its own. They take turns on the CPU and never run at once. It prints a table and writes the figures as JSON.
 
@@ -18,6 +18,7 @@ import importlib
 import json
 import multiprocessing
 import os
+import re
 import statistics
 import sys
 import tempfile
@@ -41,11 +42,8 @@ from anystyle.cli.run import run
 from anystyle.errors import UserError
 from anystyle.pipeline.weights import load_reference
 from anystyle.types import Scene, StyleEmbedding, Views
-
-sys.path.append(str(Path(__file__).parents[1]))
-from benchmarks import published_stand_ins
-from benchmarks.step_cost import forget_peak, peak
-from oracle import fill_named, golden, hashed, smooth_image
+from tests.benchmarks import published_stand_ins
+from tests.support.oracle import fill_named, golden, hashed, smooth_image
 
 EXPERIMENTS = {"head": "dl3dv_head", "full": "dl3dv_aggregator"}
 NETWORK = "src/model/encoder/anysplat.py"
@@ -130,6 +128,18 @@ def ours(case: Case) -> dict[str, Step]:
         stylizer(Views(images), StyleEmbedding(vector, vector))
 
     return {"single": single, "encode": encode, "style": style}
+
+
+def forget_peak() -> None:
+    """Let the process's peak begin at what it holds now."""
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def peak() -> float:
+    """The most memory that the process has held since, in bytes."""
+    found = re.search(r"VmHWM:\s+(\d+) kB", Path("/proc/self/status").read_text())
+    assert found is not None
+    return 1024.0 * int(found[1])
 
 
 def work(build: Callable[[Case], dict[str, Step]], case: Case, pipe: Connection) -> None:

@@ -1,15 +1,14 @@
 """The pictures of captures in ``docs/styles.md``, written into ``docs/pictures``.
 
-Run it with ``PYTHONPATH=tests``. Four captures
-fitted at 384 pixels, the middle view of each; the paintings that come with the package and the first by name of the
-test data, and eight texts; above ``method=branch``, below ``method=brush``. Nothing was chosen after looking.
+``python -m tests.benchmarks.style_grid``: four captures fitted at 384 pixels, the middle view of each; the paintings
+that come with the package and the first by name of the test data, and eight texts; above ``method=branch``, below
+``method=brush``. Nothing was chosen after looking.
 """
 
 from pathlib import Path
 
 import torch
 from PIL import Image
-from style_quality import CAPTURES, fitted
 
 import anystyle
 from anystyle.data.images import read_image
@@ -18,7 +17,8 @@ from anystyle.io.sheet import to_pil
 from anystyle.methods.branch import Branch
 from anystyle.types import Style
 from anystyle_methods.brush import Brush
-from real_data import ROOT
+from tests.benchmarks.style_quality import CAPTURES, fitted
+from tests.support.real_data import ROOT
 
 TEXTS = (
     "an impressionist meadow in green and ochre with short brushstrokes", "navy and gold", "a charcoal drawing",

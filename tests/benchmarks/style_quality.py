@@ -1,4 +1,4 @@
-"""Style quality on real captures: ``--split test`` prints a table in Markdown; run it with ``PYTHONPATH=tests``.
+"""Style quality on real captures: ``python -m tests.benchmarks.style_quality --split test`` prints a table in Markdown.
 
 A row is a way to stylize. With ``--scene single_pass`` nothing is fitted; with ``--scene fit`` Gaussians are fitted to
 the captures, whose cameras are found, and their colours are solved back in several ways. Columns:
@@ -54,7 +54,7 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import Scene, Style, Views
 from anystyle.vision.statistics import centered_cosines, equalized_gray
 from anystyle_methods.brush import Brush
-from real_data import ROOT
+from tests.support.real_data import ROOT
 
 CAPTURES = {
     "tune": ("videos/llff_horns.mp4", "videos/dtu_scan_106.mp4", "videos/vrnerf_apartment.mp4"),

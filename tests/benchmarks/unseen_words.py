@@ -1,4 +1,6 @@
-"""How well words that no text tower learnt are placed: a table of ``docs/styles.md``; run it with ``PYTHONPATH=tests``.
+"""How well words that no text tower learnt are placed, a table of ``docs/styles.md``.
+
+``python -m tests.benchmarks.unseen_words`` prints it.
 
 A text is right when its style vector is nearer to that of its own meaning than to another's, by the cosine about the
 mean; chance is 0.5. Where all other meanings of a list are compared with, a second row has those alone that are unlike

@@ -13,7 +13,7 @@ from anystyle.commands import stylize
 from anystyle.pipeline import memory
 from anystyle.pipeline.weights import reference_config
 from anystyle.registry.compose import override
-from weights_cases import small_checkpoint, training_checkpoint
+from tests.support.weights_cases import small_checkpoint, training_checkpoint
 
 ENCODER = {"text_width": 64, "text_layers": 1, "image_width": 64, "image_layers": 1}
 

@@ -15,7 +15,7 @@ from anystyle.commands import evaluate as command
 from anystyle.commands import plugins_new
 from anystyle.evaluation.tables import STAND_IN
 from anystyle.registry.compose import compose
-from evaluation_cases import folders, picture
+from tests.support.evaluation_cases import folders, picture
 
 TOY = ["metric=[plain_change]"]
 

@@ -17,7 +17,7 @@ from anystyle.cli.run import run
 from anystyle.commands import weights as command
 from anystyle.pipeline.weights import load_reference
 from anystyle.vision import weights
-from weights_cases import small_checkpoint
+from tests.support.weights_cases import small_checkpoint
 
 Cli = Callable[..., tuple[int, str, str]]
 

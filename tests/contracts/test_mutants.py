@@ -7,7 +7,7 @@ from anystyle.registry.catalog import kinds
 from anystyle.testing import composition, subject
 from anystyle.testing.composition import Composition
 from anystyle.testing.run import promises
-from contracts.mutants import COMPOSED, MUTANTS
+from tests.contracts.mutants import COMPOSED, MUTANTS
 
 BROKEN = (Exception, pytest.fail.Exception)
 CASES = [(kind, cls, name) for kind, rows in MUTANTS.items() for cls, name in rows]

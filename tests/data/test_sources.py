@@ -11,7 +11,7 @@ from PIL import Image
 from anystyle.data.poses import read_poses
 from anystyle.data.scene_folder import FolderScenes
 from anystyle.data.style_folder import FolderStyles
-from real_data import real
+from tests.support.real_data import real
 
 
 def save(path, size=(60, 40), shade=100):

@@ -10,12 +10,25 @@ from itertools import product
 from pathlib import Path
 
 import pytest
-from study_serving import answer, claim, post, token_of
 
-import docs_world as world
 from anystyle_study.protocol import read_study
-from docs_cases import ENDS, FEWER, INSTEAD, NOT_RUN, PAGES, TELLS, ending, named, reason, shown, small, told
-from program import Done, Program
+from tests.support import docs_world as world
+from tests.support.docs_cases import (
+    ENDS,
+    FEWER,
+    INSTEAD,
+    NOT_RUN,
+    PAGES,
+    TELLS,
+    ending,
+    named,
+    reason,
+    shown,
+    small,
+    told,
+)
+from tests.support.program import Done, Program
+from tests.support.study_serving import answer, claim, post, token_of
 
 MORE = {
     "docs/add_a_plugin.md": world.of_plugins,

@@ -20,7 +20,7 @@ from anystyle.commands.plugins_new import write
 from anystyle.registry.catalog import kinds
 from anystyle.registry.compose import compose
 from anystyle_datasets.command import Data
-from docs_cases import FENCE, INSTEAD, PAGES, ROOT, named, reason, shown
+from tests.support.docs_cases import FENCE, INSTEAD, PAGES, ROOT, named, reason, shown
 
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
 COMPOSED = ("stylize", "train", "evaluate")

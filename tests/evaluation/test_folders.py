@@ -11,7 +11,7 @@ from anystyle.errors import UserError
 from anystyle.evaluation.comparisons import Reader, write_cameras
 from anystyle.evaluation.pairing import pair
 from anystyle.testing.inputs import cameras
-from evaluation_cases import folders, picture
+from tests.support.evaluation_cases import folders, picture
 
 
 def test_scenes_styles_and_frames(tmp_path):

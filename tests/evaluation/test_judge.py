@@ -11,7 +11,7 @@ from anystyle.evaluation.pairing import pair
 from anystyle.testing.inputs import comparison
 from anystyle.testing.toy.metric import ToyMetric
 from anystyle.types import Comparison
-from evaluation_cases import Mean, folders
+from tests.support.evaluation_cases import Mean, folders
 
 
 def silent(stage, done, total):

@@ -12,7 +12,7 @@ from anystyle.testing.inputs import images
 from anystyle.testing.protocol import runtime
 from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.types import Style
-from evaluation_cases import Mean
+from tests.support.evaluation_cases import Mean
 
 
 def silent(stage, done, total):

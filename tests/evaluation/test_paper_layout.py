@@ -19,7 +19,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose
 from anystyle.testing.protocol import runtime
 from anystyle_datasets.command import Data
-from evaluation_cases import Mean, picture
+from tests.support.evaluation_cases import Mean, picture
 
 TEXTS = "".join(f'{{"image": "{style:02d}.png", "text": "style {style}"}}\n' for style in range(NUM_STYLES))
 

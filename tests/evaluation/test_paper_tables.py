@@ -10,7 +10,7 @@ from anystyle.commands import report as command
 from anystyle.contracts.protocol import Evaluation
 from anystyle.evaluation import published_figures as published
 from anystyle.evaluation import record
-from real_data import ROOT
+from tests.support.real_data import ROOT
 
 TRANSCRIPT = ROOT.parent / "reference" / "paper_tables.json"
 PAPER = "AnyStyle, arXiv:2602.04043"

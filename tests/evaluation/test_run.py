@@ -9,7 +9,7 @@ from anystyle.cli.progress import progress_lines
 from anystyle.errors import UserError
 from anystyle.evaluation import record
 from anystyle.types import Progress
-from evaluation_cases import folders
+from tests.support.evaluation_cases import folders
 
 
 def test_images_in_folders_are_judged_from_python(tmp_path, monkeypatch):

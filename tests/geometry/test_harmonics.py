@@ -14,7 +14,7 @@ from anystyle.geometry.harmonics import (
     rotate,
 )
 from anystyle.geometry.transforms import matrix_from_wxyz
-from oracle import golden
+from tests.support.oracle import golden
 
 
 def directions(count: int) -> torch.Tensor:

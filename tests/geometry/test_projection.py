@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from anystyle.geometry.projection import FRUSTUM_MARGIN, MIN_ALPHA, ProjectedGaussians, covariances, project
-from renderers.scenes import cameras, gaussians
+from tests.support.scenes import cameras, gaussians
 
 SIZE = (30, 40)
 

@@ -1,7 +1,7 @@
 import torch
 
 from anystyle.geometry.warp import backward_warp, sample_at, softmax_splat
-from oracle import assert_matches, golden, hashed
+from tests.support.oracle import assert_matches, golden, hashed
 
 GOLDEN = golden("anystyle_golden")
 

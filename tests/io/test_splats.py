@@ -16,7 +16,7 @@ from anystyle.pipeline.export import export_styles
 from anystyle.pipeline.saved import read_saved
 from anystyle.registry.build import build
 from anystyle.types import Gaussians
-from ply_files import BASE, OPACITY, POSITION, ROTATION, SCALE, columns, write_ply
+from tests.support.ply_files import BASE, OPACITY, POSITION, ROTATION, SCALE, columns, write_ply
 
 INF, NAN = np.inf, np.nan
 

@@ -1,7 +1,7 @@
 import pytest
 
 from anystyle.vision import weights
-from style_cases import filled_vgg_file
+from tests.support.style_cases import filled_vgg_file
 
 
 @pytest.fixture(autouse=True)

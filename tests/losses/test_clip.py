@@ -15,8 +15,8 @@ from anystyle.losses.clip_directional import ClipDirectional
 from anystyle.losses.clip_patch import ClipPatch, random_corners, warp_to_corners
 from anystyle.style_encoders.long_clip import LongClip
 from anystyle.types import Stylization
-from oracle import assert_matches, fill_named, golden, hashed, smooth_image
-from style_cases import stylization
+from tests.support.oracle import assert_matches, fill_named, golden, hashed, smooth_image
+from tests.support.style_cases import stylization
 
 
 class Projection(StyleEncoder):

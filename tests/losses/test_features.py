@@ -18,8 +18,8 @@ from anystyle_methods.nnfm import NNFM
 from anystyle_methods.simultaneous_scales import SimultaneousScales
 from anystyle_methods.sliced_wasserstein import SlicedWasserstein
 from anystyle_methods.total_variation import TotalVariation
-from oracle import assert_matches, golden, smooth_image
-from style_cases import filled_vgg_file, stylization
+from tests.support.oracle import assert_matches, golden, smooth_image
+from tests.support.style_cases import filled_vgg_file, stylization
 
 RENDERED = smooth_image(4501, [2, 2, 3, 84, 112])
 PHOTOGRAPHS = smooth_image(4503, [2, 2, 3, 84, 112])

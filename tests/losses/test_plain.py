@@ -9,8 +9,8 @@ from anystyle.losses.depth_consistency import DepthConsistency
 from anystyle.types import Geometry
 from anystyle_methods.total_variation import TotalVariation
 from anystyle_tiny.losses import EdgeAwareSmoothness
-from oracle import hashed, smooth_image
-from style_cases import cameras, stylization
+from tests.support.oracle import hashed, smooth_image
+from tests.support.style_cases import cameras, stylization
 
 PHOTOGRAPHS = smooth_image(11, [2, 2, 3, 28, 35])
 

@@ -12,7 +12,7 @@ from anystyle.methods.colors import colors_alone, largest_shown
 from anystyle.methods.refine import refine
 from anystyle.types import Style, Views
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from renderers.scenes import cameras, gaussians
+from tests.support.scenes import cameras, gaussians
 
 RENDERER = CpuRenderer()
 

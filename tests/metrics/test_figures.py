@@ -25,7 +25,7 @@ from anystyle.types import Cameras, Comparison, Style
 from anystyle.vision import feature_cache
 from anystyle_metrics.optical_flow.raft import Raft
 from anystyle_tiny.depth_agreement import DepthAgreement
-from oracle import hashed, smooth_image
+from tests.support.oracle import hashed, smooth_image
 
 
 def pictures(styles: int = 2, frames: int = 3, side: int = 70) -> Comparison:

@@ -11,8 +11,8 @@ from torchmetrics.functional.image import lpips as their_lpips
 from anystyle.metrics.cfsd import MAX_EXPONENT, structural_distance
 from anystyle.vision import lpips, weights
 from anystyle.vision.statistics import hellinger, rgb_uv_histogram
-from judging_cases import filled_folder
-from oracle import hashed, smooth_image
+from tests.support.judging_cases import filled_folder
+from tests.support.oracle import hashed, smooth_image
 
 
 @pytest.mark.parametrize("backbone", ["alex", "vgg"])

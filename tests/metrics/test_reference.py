@@ -15,8 +15,8 @@ from anystyle.types import Comparison, Flow, Frames, Style
 from anystyle.vision import lpips
 from anystyle.vision.statistics import hellinger, rgb_uv_histogram
 from anystyle_metrics.optical_flow.raft import Raft
-from judging_cases import filled_folder, nine_frames, six_pairs
-from oracle import assert_matches, golden, hashed, smooth_image
+from tests.support.judging_cases import filled_folder, nine_frames, six_pairs
+from tests.support.oracle import assert_matches, golden, hashed, smooth_image
 
 END_TO_END = golden("golden_metrics")["artfid_end_to_end"]
 

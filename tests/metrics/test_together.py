@@ -14,7 +14,7 @@ from anystyle.registry.catalog import catalog
 from anystyle.testing.inputs import comparison
 from anystyle.testing.metric import build
 from anystyle.testing.subject import subject
-from training_processes import forking
+from tests.support.processes import forking
 
 pytestmark = pytest.mark.slow
 METRICS = sorted(BUILTIN["metric"])

@@ -7,8 +7,8 @@ import torch
 
 from anystyle.contracts import Backbone
 from anystyle.types import Scene
-from backbone_cases import network, same, views
-from oracle import hashed
+from tests.support.backbone_cases import network, same, views
+from tests.support.oracle import hashed
 
 
 @pytest.fixture(scope="module", params=["anysplat", "depth_anything"])

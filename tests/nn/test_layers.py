@@ -11,7 +11,7 @@ from anystyle.nn.attention import Attention
 from anystyle.nn.tokens import IMAGENET_MEAN, IMAGENET_STD, grid_of, normalised
 from anystyle.types import Cameras
 from anystyle_backbones import dpt, heads
-from oracle import hashed
+from tests.support.oracle import hashed
 
 
 def test_attention_is_torch_s_own() -> None:

@@ -23,7 +23,7 @@ from anystyle.pipeline.request import Request
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians, Original
 from anystyle_captures.structure_from_motion import StructureFromMotion
-from cards import World, arc
+from tests.support.cards import World, arc
 
 VIEWS = ViewOptions(short_side=56, take=3)
 VIDEO = {"frames": 2, "scale": 0.5}

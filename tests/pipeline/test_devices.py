@@ -11,7 +11,7 @@ from anystyle.registry.build import build
 from anystyle.registry.catalog import catalog
 from anystyle.testing import inputs
 from anystyle.testing.toy.correspondence import ToyCorrespondence
-from elsewhere import There, elsewhere, sent
+from tests.support.elsewhere import There, elsewhere, sent
 
 
 def test_encoding_and_restyling():

@@ -18,7 +18,7 @@ from anystyle.registry.compose import compose
 from anystyle.testing.toy.backbone import ToyBackbone
 from anystyle.training.run import train
 from anystyle_datasets.re10k import Re10kScenes
-from training_cases import RECONSTRUCTION, configuration
+from tests.support.training_cases import RECONSTRUCTION, configuration
 
 
 def test_the_peak_counts_what_lives_at_one_time():

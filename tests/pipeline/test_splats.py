@@ -21,9 +21,9 @@ from anystyle.pipeline.splats import encode_saved
 from anystyle.pipeline.stages import Stages
 from anystyle.types import Gaussians, StyledScene
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from known_scene import photographed_wall, rig, wall
-from methods.worlds import painting
-from resident import sampled_peak
+from tests.support.known_scene import photographed_wall, rig, wall
+from tests.support.resident import sampled_peak
+from tests.support.worlds import painting
 
 RENDERER = CpuRenderer(background=(0.0, 0.0, 0.0))
 COLORS = ("f_dc", "f_rest")

@@ -9,7 +9,7 @@ from anystyle.registry.catalog import Plugin, PluginError, catalog, plugin
 from anystyle.renderers.auto import AutoRenderer, best_renderer
 from anystyle.renderers.torch import TorchRenderer
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from renderers.scenes import cameras, gaussians
+from tests.support.scenes import cameras, gaussians
 
 
 @pytest.fixture

@@ -13,7 +13,7 @@ from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from oracle import assert_matches, golden, hashed
+from tests.support.oracle import assert_matches, golden, hashed
 
 GOLDEN = golden("golden_render")
 CASES = [name for name in GOLDEN if name.startswith("N")]

@@ -12,7 +12,7 @@ from anystyle.geometry.harmonics import colors, degree_of
 from anystyle.geometry.projection import covariances, project
 from anystyle.renderers.gsplat import GsplatRenderer
 from anystyle.renderers.torch import TorchRenderer, blend
-from renderers.scenes import cameras, gaussians
+from tests.support.scenes import cameras, gaussians
 
 
 def rasterization(

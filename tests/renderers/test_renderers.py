@@ -5,7 +5,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -18,7 +17,7 @@ from anystyle.renderers.gsplat import GsplatRenderer
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians, Renders
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from renderers.scenes import cameras, gaussians
+from tests.support.scenes import cameras, gaussians
 
 cuda = pytest.param(
     GsplatRenderer, marks=pytest.mark.skipif(not torch.cuda.is_available(), reason="gsplat needs a CUDA device")
@@ -351,8 +350,8 @@ def test_memory_is_bounded(number: int, size: int, views: int) -> None:
     """Forward and backward of a large scene stay under 2 GB, everything in the process included."""
     script = f"""
 import resource, sys
-sys.path[:0] = {[str(Path(__file__).parents[1]), *sys.path]!r}
-from renderers.scenes import cameras, gaussians
+sys.path[:0] = {sys.path!r}
+from tests.support.scenes import cameras, gaussians
 from anystyle_cpu_renderer.renderer import CpuRenderer
 scene = gaussians(1, {number}).map(lambda tensor: tensor.requires_grad_())
 CpuRenderer()(scene, cameras(1, {views}, ({size}, {size}))).color.mean().backward()

@@ -13,7 +13,7 @@ from anystyle.contracts import neutral_embedding
 from anystyle.style_encoders.long_clip import LongClip, TextAdapter, small_templates
 from anystyle.vision import bpe, weights
 from anystyle.vision.clip import STRETCHED, Clip, load_clip
-from oracle import assert_matches, fill_sorted, golden, hashed, smooth_image
+from tests.support.oracle import assert_matches, fill_sorted, golden, hashed, smooth_image
 
 GOLDEN = golden("anystyle_golden")
 RECORD = GOLDEN["longclip_b32"]

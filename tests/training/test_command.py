@@ -18,7 +18,7 @@ from anystyle.registry.compose import compose
 from anystyle.training.resume import bound
 from anystyle.training.stylization import StylizationTraining
 from anystyle.training.trainer import check_options, make_trainer
-from training_cases import BACKBONE, STYLIZATION, configuration
+from tests.support.training_cases import BACKBONE, STYLIZATION, configuration
 
 
 def test_a_smoke_run_learns_and_says_what_it_left(tmp_path, program):

@@ -11,7 +11,7 @@ from anystyle.contracts import SceneSource
 from anystyle.training.data import StepLoader
 from anystyle.training.scene_cache import CachedScenes
 from anystyle.types import Cameras, Views
-from oracle import hashed
+from tests.support.oracle import hashed
 
 
 class Counted(SceneSource):

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from anystyle.training.run import train
-from training_cases import RECONSTRUCTION, configuration
+from tests.support.training_cases import RECONSTRUCTION, configuration
 
 pytestmark = pytest.mark.slow
 WORDS = (*RECONSTRUCTION, "checkpoint.every_steps=2", "trainer.max_steps=4", "scenes.num_scenes=1")

@@ -13,8 +13,8 @@ from anystyle.training.run import make_data, make_training, train
 from anystyle.training.safeguards import FiniteLoss
 from anystyle.training.trainer import check_options, make_loggers, make_trainer
 from anystyle.types import Style
-from oracle import hashed
-from training_cases import STYLIZATION, configuration
+from tests.support.oracle import hashed
+from tests.support.training_cases import STYLIZATION, configuration
 
 TRACKED = (*STYLIZATION, "loggers=[tensorboard]", "training.preview_every=2", 'training.preview_texts=["red dots"]')
 

@@ -8,7 +8,7 @@ from anystyle.branch import StyleBranch
 from anystyle.stylizer import Stylizer
 from anystyle.training.run import train
 from anystyle_methods.total_variation import TotalVariation
-from training_cases import STYLIZATION, configuration
+from tests.support.training_cases import STYLIZATION, configuration
 
 WORDS = (
     *STYLIZATION, "trainer.precision=bf16-mixed", "placement=full", "training.pool=1", "training.batch_size=1",

@@ -9,8 +9,8 @@ import torch
 from safetensors.torch import load_file
 
 from anystyle.training.run import train
-from training_cases import STYLIZATION, configuration
-from training_processes import said, start, together
+from tests.support.processes import said, start, together
+from tests.support.training_cases import STYLIZATION, configuration
 
 TOY = (*(word for word in STYLIZATION if not word.startswith("trainer.max_steps=")), "export.half=false")
 

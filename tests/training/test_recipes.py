@@ -16,8 +16,8 @@ from anystyle.registry.compose import compose
 from anystyle.training.collate import blurred_views
 from anystyle.training.run import make_data, make_training, objective
 from anystyle.types import Style, Views
-from oracle import hashed
-from training_cases import BACKBONE, STYLIZATION, configuration
+from tests.support.oracle import hashed
+from tests.support.training_cases import BACKBONE, STYLIZATION, configuration
 
 # Option: what the paper states (section 7 of its facts, equations 4 to 11), what the released code has.
 DIFFERENCES = {

@@ -15,7 +15,7 @@ from anystyle.registry.build import build
 from anystyle.training import run as module
 from anystyle.training.run import train
 from anystyle_tiny.training.reconstruction import ReconstructionTraining
-from training_cases import RECONSTRUCTION, STYLIZATION, configuration
+from tests.support.training_cases import RECONSTRUCTION, STYLIZATION, configuration
 
 
 def weights(path):

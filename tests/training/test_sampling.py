@@ -15,7 +15,7 @@ from anystyle.training.data import SceneBatches
 from anystyle.training.sampling import bounded_views, gap_bounds, generator
 from anystyle.types import Cameras, Style, Views
 from anystyle_tiny.training.supervision import project
-from oracle import golden, hashed
+from tests.support.oracle import golden, hashed
 
 SAMPLER = golden("anystyle_golden")["sampler"]
 COUNTS = range(2, 19)

@@ -9,8 +9,8 @@ from anystyle.training.run import make_data, make_training
 from anystyle.training.scene_cache import EncodedScenes, stack_scenes
 from anystyle.training.stylization import branch_groups, style_vectors
 from anystyle.types import Scene, Style
-from oracle import hashed
-from training_cases import STYLIZATION, configuration
+from tests.support.oracle import hashed
+from tests.support.training_cases import STYLIZATION, configuration
 
 
 def parts(tmp_path, *overrides):

@@ -5,7 +5,7 @@ import weakref
 import torch
 
 from anystyle.vision.eager_backward import eager_backward
-from oracle import hashed
+from tests.support.oracle import hashed
 
 IMAGES = hashed(1, (3, 3, 8, 10))
 

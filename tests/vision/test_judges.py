@@ -3,7 +3,7 @@
 import torch
 
 from anystyle.vision import inception, networks
-from oracle import assert_matches, fill_named, fill_sorted, golden, hashed
+from tests.support.oracle import assert_matches, fill_named, fill_sorted, golden, hashed
 
 
 def with_classifiers(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -11,8 +11,8 @@ from torch import nn
 
 from anystyle.vision import networks, weights
 from anystyle.vision.vgg import VGG19, Texture
-from oracle import assert_matches, fill_named, golden, smooth_image
-from style_cases import VGG_RULES, filled_vgg_file
+from tests.support.oracle import assert_matches, fill_named, golden, smooth_image
+from tests.support.style_cases import VGG_RULES, filled_vgg_file
 
 PAPER_LAYERS = ("relu1_1", "relu2_1", "relu3_1", "relu4_1")
 

@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from anystyle.vision.statistics import hellinger, mean_std, rgb_uv_histogram
-from oracle import assert_matches, golden, hashed
+from tests.support.oracle import assert_matches, golden, hashed
 
 
 def test_mean_std_match_the_reference() -> None:

@@ -12,7 +12,7 @@ from anystyle.testing.inputs import images
 from anystyle.types import Comparison, Style
 from anystyle.vision import networks
 from anystyle.vision.statistics import equalized_gray
-from real_data import real
+from tests.support.real_data import real
 
 
 def pattern(side, phase):

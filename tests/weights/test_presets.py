@@ -9,15 +9,15 @@ from omegaconf import OmegaConf
 from safetensors.torch import save_file
 
 import anystyle
-import full_size
 from anystyle.pipeline.load import assemble, build_and_load
 from anystyle.pipeline.weights import load_reference, reference_config
 from anystyle.registry.catalog import catalog
 from anystyle.registry.compose import compose, override
 from anystyle.stylizer import Stylizer
 from anystyle.types import StyleEmbedding, Views
-from oracle import smooth_image
-from weights_cases import STYLE_DIM, small_checkpoint, training_checkpoint
+from tests.support import full_size
+from tests.support.oracle import smooth_image
+from tests.support.weights_cases import STYLE_DIM, small_checkpoint, training_checkpoint
 
 # Parameters of the files, which the published code's own modules have.
 PARAMETERS = {"anysplat": 1_190_736_456, "anystyle_head": 1_251_520_924, "anystyle_full": 1_869_372_828}

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from anystyle.pipeline.load import assemble
 from anystyle.registry.compose import compose, override
-from weights_cases import small_checkpoint
+from tests.support.weights_cases import small_checkpoint
 
 
 def vggt() -> dict[str, Tensor]:

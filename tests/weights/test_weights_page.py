@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from anystyle.vision import weights
-from docs_cases import ROOT, blocks
-from weights_cases import training_checkpoint
+from tests.support.docs_cases import ROOT, blocks
+from tests.support.weights_cases import training_checkpoint
 
 PAGE = ROOT / "docs" / "weights.md"
 

@@ -18,6 +18,7 @@ from anystyle.data.images import listing
 from anystyle.errors import UserError, one_line
 from anystyle.io.atomic import write_json
 from anystyle.io.documents import kept_json
+from anystyle.io.process import kill
 from anystyle_benchmark.environment import interpreter, last_line
 from anystyle_benchmark.job import SECONDS, AskedStyle, Job, Seconds
 from anystyle_benchmark.results import Cell, Record, is_done, wrong_images
@@ -178,7 +179,7 @@ def process(words: Sequence[str], folder: Path, hours: float, *, ours: bool = Tr
                 pause = min(1.2 * pause, LAST_POLL)
         finally:
             if started.poll() is None:
-                os.killpg(started.pid, signal.SIGKILL)
+                kill(started)
             started.wait()
     seconds = _children() - before
     if timed_out:

@@ -1,9 +1,8 @@
 """Judged results of a small track."""
 
 import pytest
-from benchmark_world import write_results, write_track
 
-from browsing import page, same_window  # noqa: F401
+from tests.support.benchmark_world import write_results, write_track
 
 
 @pytest.fixture(scope="session")

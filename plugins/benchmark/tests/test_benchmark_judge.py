@@ -6,7 +6,6 @@ import msgspec
 import numpy as np
 import pytest
 import torch
-from benchmark_world import write_cell
 from PIL import Image
 
 from anystyle.errors import UserError
@@ -16,6 +15,7 @@ from anystyle_benchmark import judge as judging
 from anystyle_benchmark.command_judge import cost, main, scene_cost
 from anystyle_benchmark.results import Cell, CellFigures, Figures, Record
 from anystyle_benchmark.track import Inputs
+from tests.support.benchmark_world import write_cell
 
 
 @pytest.fixture

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import msgspec
 import pytest
-from benchmark_world import write_results, write_track
 from PIL import Image
 
 from anystyle.errors import UserError
@@ -26,6 +25,8 @@ from anystyle_benchmark.results import (
 )
 from anystyle_benchmark.site import QUALITIES
 from anystyle_benchmark.spec import Spec, as_document
+from tests.support.benchmark_world import write_results, write_track
+from tests.support.browser import accessible, phone, wait
 
 LONG = "A method of a very long name that goes on and on, for a paper of " + "unbreakable" * 5
 HOSTILE = '</script><img src=x onerror=alert(1)> & "pasted"'
@@ -127,19 +128,19 @@ def compare(page, site):
 
 
 def _opened(page, path, place=""):
-    page.open(f"{path.as_uri()}{place}")
+    page.goto(f"{path.as_uri()}{place}")
     return page
 
 
 def names(page, table="image"):
     """The methods of a table that are shown, in order."""
     rows = f"document.querySelectorAll('table[data-guide={table}] tbody tr:not([hidden])')"
-    return page.value(f"[...{rows}].map((row) => row.dataset.method)")
+    return page.evaluate(f"[...{rows}].map((row) => row.dataset.method)")
 
 
 def marked(page, rank, column="color_match"):
     rows = f"document.querySelectorAll('table[data-guide=image] td[data-name={column}][data-rank={rank}]')"
-    return page.value(f"[...{rows}].map((cell) => cell.parentNode.dataset.method)")
+    return page.evaluate(f"[...{rows}].map((cell) => cell.parentNode.dataset.method)")
 
 
 def press(page, name, table="image"):
@@ -150,14 +151,14 @@ def test_tables_sort_by_any_column(index):
     order = "document.querySelector('table[data-guide=image] th[data-name={}]').ariaSort"
     press(index, "color_match")
     assert names(index) == ["pasted", "palette", "unstyled", "noise"]  # the best first
-    assert index.value(order.format("color_match")) == "ascending"
-    index.key("Enter", "\r")  # the button has the focus
+    assert index.evaluate(order.format("color_match")) == "ascending"
+    index.keyboard.press("Enter")  # the button has the focus
     assert names(index) == ["noise", "unstyled", "palette", "pasted"]
-    assert index.value(order.format("color_match")) == "descending"
-    assert "color match" in index.value("document.getElementById('status').textContent")
+    assert index.evaluate(order.format("color_match")) == "descending"
+    assert "color match" in index.evaluate("document.getElementById('status').textContent")
     press(index, "retrieval")
     assert names(index)[:2] == ["unstyled", "pasted"]  # infinity is a number
-    assert index.value(order.format("color_match")) is None
+    assert index.evaluate(order.format("color_match")) is None
     for _ in range(2):
         press(index, "kid")
         assert names(index)[-1] == "noise"  # what is not known is last, whichever way
@@ -176,167 +177,172 @@ def test_tables_filter_and_mark_the_best_of_what_is_shown(index):
     index.click("#filters [name=consistent]")
     assert "pasted" not in names(index)
     assert (marked(index, "best"), marked(index, "second")) == (["palette"], ["noise"])
-    assert index.value("document.querySelector('[data-method=palette] .mark').textContent") == " best"
+    assert index.evaluate("document.querySelector('[data-method=palette] .mark').textContent") == " best"
     index.click("#filters [name=baselines]")
     assert names(index) == ["noise", "palette"]
     assert names(index, "text") == ["noise"]
-    assert index.value("document.getElementById('status').textContent") == "2 of 4 methods; 1 of 2 methods"
+    assert index.evaluate("document.getElementById('status').textContent") == "2 of 4 methods; 1 of 2 methods"
     index.click("#filters [name=words]")
-    index.type("PALETTE")
+    index.keyboard.insert_text("PALETTE")
     assert names(index) == ["palette"]
     hidden = "document.querySelector('table[data-guide=image] th[data-name=retrieval_gray]')"
-    assert index.value(hidden) is None  # no method has it
-    assert index.value("document.querySelectorAll('th[data-name=kid]').length") == 1  # nothing of it by text
+    assert index.evaluate(hidden) is None  # no method has it
+    assert index.evaluate("document.querySelectorAll('th[data-name=kid]').length") == 1  # nothing of it by text
     index.click("#filters summary")
     index.click("#filters [value=kid]")
-    assert index.value("document.querySelector('th[data-name=kid]').hidden")
-    assert index.value("[...document.querySelectorAll('td[data-name=kid]')].every((cell) => cell.hidden)")
+    assert index.evaluate("document.querySelector('th[data-name=kid]').hidden")
+    assert index.evaluate("[...document.querySelectorAll('td[data-name=kid]')].every((cell) => cell.hidden)")
 
 
 def test_a_table_says_what_failed_what_stands_in_and_how_sure_it_is(index):
-    text = index.value("document.querySelector('table[data-guide=image] [data-method=palette]').innerText")
+    text = index.evaluate("document.querySelector('table[data-guide=image] [data-method=palette]').innerText")
     assert "3 of 4" in text
     assert "1 failed" in text
-    assert index.value("document.querySelector('th[data-name=kid]').innerText").endswith("†")
-    assert "kid (a small network)" in index.value("document.body.innerText")
+    assert index.evaluate("document.querySelector('th[data-name=kid]').innerText").endswith("†")
+    assert "kid (a small network)" in index.evaluate("document.body.innerText")
     bar = "[...document.querySelectorAll('table[data-guide=image] [data-method=palette] td[data-name=color_match] {}')]"
-    path = index.value(bar.format("path") + "[0].getAttribute('d')")
+    path = index.evaluate(bar.format("path") + "[0].getAttribute('d')")
     # Methods reach from 0 (pasted, less a tenth) to 1 (noise, and a tenth): the photographs are a baseline.
     assert path == "M20.0 4H40.0"
-    assert index.value(bar.format("circle") + "[0].getAttribute('cx')") == "30.0"
-    name = index.value(bar.format("button") + "[0].textContent.trim()")
+    assert index.evaluate(bar.format("circle") + "[0].getAttribute('cx')") == "30.0"
+    name = index.evaluate(bar.format("button") + "[0].textContent.trim()")
     assert name.startswith("0.3 (95 % interval 0.2 to 0.4)")
 
 
-def test_a_number_opens_the_pictures_behind_it(index, site):
+def test_a_number_opens_the_pictures_behind_it(errors, index, site):
     index.click("table[data-guide=image] [data-method=palette] td[data-name=color_match] button")
-    index.wait("document.querySelector('dialog').open")
-    assert index.value("document.querySelector('dialog h2').textContent") == "Palette: color match"
-    tiles = index.value("[...document.querySelectorAll('dialog li')].map((tile) => tile.innerText.split(/\\n+/))")
+    wait(index, "document.querySelector('dialog').open")
+    assert index.evaluate("document.querySelector('dialog h2').textContent") == "Palette: color match"
+    tiles = index.evaluate("[...document.querySelectorAll('dialog li')].map((tile) => tile.innerText.split(/\\n+/))")
     assert len(tiles) == 4
     assert tiles[0] == ["0.3", "scene0, image0"]
     assert tiles[-1] == [f"failed: {MESSAGE}", "–", "scene1, image1"]  # what there is no figure of is last
-    index.wait("[...document.querySelectorAll('dialog img')].every((image) => image.complete && image.naturalWidth)")
-    index.key("Escape")
-    index.wait("!document.querySelector('dialog').open")
-    assert index.value("document.activeElement.closest('td').dataset.name") == "color_match"
+    wait(index, "[...document.querySelectorAll('dialog img')].every((image) => image.complete && image.naturalWidth)")
+    index.keyboard.press("Escape")
+    wait(index, "!document.querySelector('dialog').open")
+    assert index.evaluate("document.activeElement.closest('td').dataset.name") == "color_match"
     index.click(
         "table[data-guide=image] [data-method=palette] td[data-name=kid] button"
     )  # of a scene's styles together
-    assert index.value("document.querySelector('dialog li').innerText").split("\n")[0] == "2 (the scene's)"
-    assert index.value("document.querySelector('dialog a').href").endswith("compare.html#scene0/image0/000")
+    assert index.evaluate("document.querySelector('dialog li').innerText").split("\n")[0] == "2 (the scene's)"
+    assert index.evaluate("document.querySelector('dialog a').href").endswith("compare.html#scene0/image0/000")
     index.click("dialog a")
-    index.wait("!!document.querySelector('.cell')")
-    assert index.errors == []
+    wait(index, "!!document.querySelector('.cell')")
+    assert errors == []
 
 
 def test_cost_against_quality_is_drawn_with_intervals(index):
-    index.wait("!!document.querySelector('#plot svg')")
-    assert index.value("document.querySelectorAll('#plot g').length") == 3
-    assert HOSTILE in index.value("document.getElementById('unplotted').textContent")  # it has no seconds
+    wait(index, "!!document.querySelector('#plot svg')")
+    assert index.evaluate("document.querySelectorAll('#plot g').length") == 3
+    assert HOSTILE in index.evaluate("document.getElementById('unplotted').textContent")  # it has no seconds
     height = "(line) => line.y1.baseVal.value - line.y2.baseVal.value"
-    heights = index.value(f"[...document.querySelectorAll('#plot g line')].map({height})")
+    heights = index.evaluate(f"[...document.querySelectorAll('#plot g line')].map({height})")
     assert min(heights) > 20
     assert max(heights) == pytest.approx(min(heights))  # all intervals are two tenths
     labels = "[...document.querySelectorAll('#plot text:not(.tick)')].map((text) => text.textContent)"
-    assert "The photographs" in index.value(labels)
-    index.value("document.querySelector('#axes [name=metric]').value = 'kid'")
-    index.value("document.querySelector('#axes').dispatchEvent(new Event('input'))")
-    assert "kid, lower is better" in index.value(labels)
-    index.value("document.querySelector('#axes [name=guide]').value = 'text'")
-    index.value("document.querySelector('#axes').dispatchEvent(new Event('input'))")
-    assert "No method has this figure" in index.value("document.getElementById('plot').textContent")
+    assert "The photographs" in index.evaluate(labels)
+    index.evaluate("document.querySelector('#axes [name=metric]').value = 'kid'")
+    index.evaluate("document.querySelector('#axes').dispatchEvent(new Event('input'))")
+    assert "kid, lower is better" in index.evaluate(labels)
+    index.evaluate("document.querySelector('#axes [name=guide]').value = 'text'")
+    index.evaluate("document.querySelector('#axes').dispatchEvent(new Event('input'))")
+    assert "No method has this figure" in index.evaluate("document.getElementById('plot').textContent")
 
 
-def test_methods_have_cards(index):
+def test_methods_have_cards(errors, index):
     card = "document.getElementById('method-{}').innerText"
-    assert "python} 'my noise.py'" in index.value(card.format("noise"))
-    assert "numpy==2.1.0" in index.value(card.format("noise"))
-    assert "not run: needs <CUDA>" in index.value(card.format("later"))
-    assert "anystyle stylize method=palette" in index.value(card.format("palette"))
-    assert "A machine" in index.value(card.format("palette"))
-    assert "100 MiB" in index.value(card.format("palette"))
-    assert "--track track.toml" in index.value("document.querySelector('#submit ~ pre:nth-of-type(2)').innerText")
-    assert "images made elsewhere" in index.value(card.format("pasted"))
-    links = index.value("[...document.querySelectorAll('#method-pasted a')].map((link) => link.href)")
+    assert "python} 'my noise.py'" in index.evaluate(card.format("noise"))
+    assert "numpy==2.1.0" in index.evaluate(card.format("noise"))
+    assert "not run: needs <CUDA>" in index.evaluate(card.format("later"))
+    assert "anystyle stylize method=palette" in index.evaluate(card.format("palette"))
+    assert "A machine" in index.evaluate(card.format("palette"))
+    assert "100 MiB" in index.evaluate(card.format("palette"))
+    assert "--track track.toml" in index.evaluate("document.querySelector('#submit ~ pre:nth-of-type(2)').innerText")
+    assert "images made elsewhere" in index.evaluate(card.format("pasted"))
+    links = index.evaluate("[...document.querySelectorAll('#method-pasted a')].map((link) => link.href)")
     assert links == ["https://example.org/code"]  # and no script of somebody's spec
-    assert index.value("document.querySelector('#method-pasted h3').innerText").startswith(HOSTILE)
-    assert index.errors == []
+    assert index.evaluate("document.querySelector('#method-pasted h3').innerText").startswith(HOSTILE)
+    assert errors == []
 
 
-def test_all_methods_are_side_by_side_and_one_slider_moves_them(compare, site):
+def test_all_methods_are_side_by_side_and_one_slider_moves_them(errors, compare, site):
     shown = "[...document.querySelectorAll('.cell:not([hidden]) h2')].map((node) => node.textContent)"
-    assert compare.value(shown) == ["The photographs", LONG, HOSTILE, "Palette"]
-    compare.wait("[...document.querySelectorAll('.strip img')].every((image) => image.complete && image.naturalWidth)")
+    assert compare.evaluate(shown) == ["The photographs", LONG, HOSTILE, "Palette"]
+    wait(compare, "[...document.querySelectorAll('.strip img')].every((image) => image.complete && image.naturalWidth)")
     tops = """[...document.querySelectorAll('.strip')].map((strip) => {
         const [window, views] = [strip, strip.firstChild].map((node) => node.getBoundingClientRect());
         return (window.top - views.top) / window.height;
     })"""
-    assert compare.value(tops) == pytest.approx([0.01] * 5, abs=0.005)
-    compare.value("document.querySelector('[name=view]').focus()")
-    compare.key("ArrowRight")
-    compare.key("ArrowRight")
-    assert compare.value(tops) == pytest.approx([2.05] * 5, abs=0.01)
-    assert compare.value("location.hash") == "#scene0/image0/002"
-    assert compare.value("document.querySelector('[name=view]').ariaValueText") == "3 of 4, 002"
-    assert compare.value("document.querySelector('output').textContent") == "3 of 4: 002"
-    alts = compare.value("[...document.images].map((image) => image.alt)")
+    assert compare.evaluate(tops) == pytest.approx([0.01] * 5, abs=0.005)
+    compare.evaluate("document.querySelector('[name=view]').focus()")
+    compare.keyboard.press("ArrowRight")
+    compare.keyboard.press("ArrowRight")
+    assert compare.evaluate(tops) == pytest.approx([2.05] * 5, abs=0.01)
+    assert compare.evaluate("location.hash") == "#scene0/image0/002"
+    assert compare.evaluate("document.querySelector('[name=view]').ariaValueText") == "3 of 4, 002"
+    assert compare.evaluate("document.querySelector('output').textContent") == "3 of 4: 002"
+    alts = compare.evaluate("[...document.images].map((image) => image.alt)")
     assert alts[:3] == ["Photograph, view 3 of 4", "image0", "The photographs, view 3 of 4"]
-    assert compare.value("document.querySelector('.cell a').href").endswith("cells/noise/scene0/image0.html")
+    assert compare.evaluate("document.querySelector('.cell a').href").endswith("cells/noise/scene0/image0.html")
     assert (site / "cells/noise/scene0/image0.html").read_text() == "<h1>a splat</h1>"
     best = (
         "[...document.querySelectorAll('dd[data-metric=color_match][data-rank=best]')].map((node) => node.textContent)"
     )
-    assert compare.value(best) == ["0.1"]
+    assert compare.evaluate(best) == ["0.1"]
     compare.click("[name=baselines]")
-    assert compare.value(shown) == [LONG, HOSTILE, "Palette"]
-    assert compare.errors == []
+    assert compare.evaluate(shown) == [LONG, HOSTILE, "Palette"]
+    assert errors == []
 
 
-def test_links_keep_scene_style_and_view(compare, site):
+def test_links_keep_scene_style_and_view(errors, compare, site):
     _opened(compare, site / "compare.html", "#scene1/image1/001")
-    compare.wait("document.querySelector('[name=scene]').value === 'scene1'")
-    assert compare.value("document.querySelector('.said').textContent") == f"failed: {MESSAGE}"
-    assert compare.value("document.querySelector('output').textContent") == "2 of 4: 001"
-    compare.value("document.querySelector('[name=style]').value = 'text0'")
-    compare.value("document.querySelector('[name=style]').dispatchEvent(new Event('input', {bubbles: true}))")
-    assert compare.value("location.hash") == "#scene1/text0/001"
-    assert compare.value("document.querySelector('blockquote').textContent") == "thick strokes in deep blue"
-    assert compare.value("document.querySelectorAll('.cell').length") == 2
-    assert compare.value("document.getElementById('status').textContent") == "scene1 in text0: 2 methods"
+    wait(compare, "document.querySelector('[name=scene]').value === 'scene1'")
+    assert compare.evaluate("document.querySelector('.said').textContent") == f"failed: {MESSAGE}"
+    assert compare.evaluate("document.querySelector('output').textContent") == "2 of 4: 001"
+    compare.evaluate("document.querySelector('[name=style]').value = 'text0'")
+    compare.evaluate("document.querySelector('[name=style]').dispatchEvent(new Event('input', {bubbles: true}))")
+    assert compare.evaluate("location.hash") == "#scene1/text0/001"
+    assert compare.evaluate("document.querySelector('blockquote').textContent") == "thick strokes in deep blue"
+    assert compare.evaluate("document.querySelectorAll('.cell').length") == 2
+    assert compare.evaluate("document.getElementById('status').textContent") == "scene1 in text0: 2 methods"
     for strange in ("#nowhere/%E0%A4%A/9", "#scene0"):
-        compare.value(f"location.hash = '{strange}'")
-        compare.wait("document.querySelector('[name=scene]').value === 'scene0'")
-    assert compare.errors == []
+        compare.evaluate(f"location.hash = '{strange}'")
+        wait(compare, "document.querySelector('[name=scene]').value === 'scene0'")
+    assert errors == []
 
 
 def test_views_play_there_and_back_and_can_be_stopped(compare):
     view = "Number(document.querySelector('[name=view]').value)"
     compare.click("[name=play]")
-    assert compare.value("document.querySelector('[name=play]').textContent") == "Pause"
-    compare.wait(f"{view} === 3")
-    compare.wait(f"{view} === 1")
+    assert compare.evaluate("document.querySelector('[name=play]').textContent") == "Pause"
+    wait(compare, f"{view} === 3")
+    wait(compare, f"{view} === 1")
     compare.click("[name=play]")
-    stopped = compare.value(view)
-    assert compare.value(f"new Promise((done) => setTimeout(() => done({view}), 600))") == stopped
-    assert compare.value("location.hash") == f"#scene0/image0/00{stopped}"
-    compare.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": "reduce"}])
+    stopped = compare.evaluate(view)
+    assert compare.evaluate(f"new Promise((done) => setTimeout(() => done({view}), 600))") == stopped
+    assert compare.evaluate("location.hash") == f"#scene0/image0/00{stopped}"
+    compare.emulate_media(reduced_motion="reduce")
     compare.click("[name=play]")
-    assert compare.value(f"new Promise((done) => setTimeout(() => done({view}), 700))") == stopped  # slowly
+    assert compare.evaluate(f"new Promise((done) => setTimeout(() => done({view}), 700))") == stopped  # slowly
     compare.click("[name=play]")
 
 
 @pytest.mark.parametrize("name", ["index.html", "compare.html"])
 @pytest.mark.parametrize(("width", "height"), [(320, 256), (390, 844), (1440, 900)])  # 320: a desktop at 400 %
 def test_no_page_is_wider_than_its_window(page, site, name, width, height):
-    page.size(width, height, mobile=width == 390)
+    if width == 390:
+        phone(page, width, height)
+    else:
+        page.set_viewport_size({"width": width, "height": height})
     _opened(page, site / name)
-    assert page.value("document.documentElement.scrollWidth") <= width
-    assert page.value("document.documentElement.clientWidth") == page.value("document.documentElement.scrollWidth")
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert page.evaluate("document.documentElement.clientWidth") == page.evaluate(
+        "document.documentElement.scrollWidth"
+    )
     if name == "index.html":
         page.click("table[data-guide=image] tbody tr:last-child td button")
         assert (
-            page.value(
+            page.evaluate(
                 "(() => { const d = document.querySelector('dialog'); return d.scrollWidth - d.clientWidth; })()"
             )
             == 0
@@ -344,12 +350,12 @@ def test_no_page_is_wider_than_its_window(page, site, name, width, height):
 
 
 def test_a_phone_keeps_the_slider_in_sight(compare):
-    compare.size(390, 844, mobile=True)
-    compare.value("scrollTo(0, document.body.scrollHeight)")
-    box = compare.value("JSON.parse(JSON.stringify(document.querySelector('[name=view]').getBoundingClientRect()))")
+    phone(compare, 390, 844)
+    compare.evaluate("scrollTo(0, document.body.scrollHeight)")
+    box = compare.evaluate("JSON.parse(JSON.stringify(document.querySelector('[name=view]').getBoundingClientRect()))")
     assert 600 < box["top"] < box["bottom"] <= 844
     assert box["width"] > 150
-    last = compare.value("[...document.querySelectorAll('.cell')].at(-1).getBoundingClientRect().bottom")
+    last = compare.evaluate("[...document.querySelectorAll('.cell')].at(-1).getBoundingClientRect().bottom")
     assert last < box["top"]
 
 
@@ -378,11 +384,11 @@ CONTRAST = """(() => {
 @pytest.mark.parametrize("name", ["index.html", "compare.html#scene1/image1/001"])
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_words_can_be_read_in_light_and_dark(page, site, name, scheme):
-    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": scheme}])
+    page.emulate_media(color_scheme=scheme)
     _opened(page, site, f"/{name}")
-    ratio, where = page.value(CONTRAST)
+    ratio, where = page.evaluate(CONTRAST)
     assert ratio >= 4.5, where
-    ground = page.value("getComputedStyle(document.documentElement).backgroundColor")
+    ground = page.evaluate("getComputedStyle(document.documentElement).backgroundColor")
     assert ground == {"light": "rgb(255, 255, 255)", "dark": "rgb(29, 31, 33)"}[scheme]
 
 
@@ -394,9 +400,9 @@ CONTROLS = {
 
 def test_a_screen_reader_is_told_everything(page, site):
     _opened(page, site / "index.html")
-    nodes = page.accessible()
-    assert [one for one in nodes if one["role"] in CONTROLS and not one["name"].strip()] == []
-    found = {(one["role"], " ".join(one["name"].split())) for one in nodes}
+    nodes = accessible(page)
+    assert [one for one in nodes if one[0] in CONTROLS and not one[1].strip()] == []
+    found = {(role, " ".join(name.split())) for role, name in nodes}
     assert {
         ("columnheader", "color match (lower is better)"),
         ("rowheader", "Palette"),
@@ -406,39 +412,30 @@ def test_a_screen_reader_is_told_everything(page, site):
         ("combobox", "Figure"),
     } <= found
     assert any(role == "button" and name == "0.1 (95 % interval 0 to 0.2) best" for role, name in found)
-    page.value("document.body.focus()")
-    page.key("Tab")
-    assert page.value("document.activeElement.className") == "skip"
+    page.evaluate("document.body.focus()")
+    page.keyboard.press("Tab")
+    assert page.evaluate("document.activeElement.className") == "skip"
     _opened(page, site / "compare.html")
-    nodes = page.accessible()
-    assert [one for one in nodes if one["role"] in CONTROLS and not one["name"].strip()] == []
+    nodes = accessible(page)
+    assert [one for one in nodes if one[0] in CONTROLS and not one[1].strip()] == []
     assert {
         ("slider", "View"),
         ("button", "Play"),
         ("combobox", "Style"),
         ("article", "Palette"),
         ("image", "Palette, view 1 of 4"),
-    } <= {(one["role"], one["name"]) for one in nodes}
+    } <= {*nodes}
 
 
-def test_nothing_is_asked_of_the_network(page, site):
-    asked, note = [], page._note
-
-    def listen(event):
-        if event.get("method") == "Network.requestWillBeSent":
-            asked.append(event["params"]["request"]["url"])
-        note(event)
-
-    page._note = listen
-    try:
-        for name in ("index.html", "compare.html"):
-            _opened(page, site / name)
-            page.wait("[...document.images].every((image) => image.complete)")
-    finally:
-        del page._note
+def test_nothing_is_asked_of_the_network(page, errors, site):
+    asked = []
+    page.on("request", lambda request: asked.append(request.url))
+    for name in ("index.html", "compare.html"):
+        _opened(page, site / name)
+        wait(page, "[...document.images].every((image) => image.complete)")
     assert len(asked) > 10
     assert {url.partition(":")[0] for url in asked} <= {"file", "data"}
-    assert page.errors == []
+    assert errors == []
 
 
 def test_pictures_are_as_good_as_the_size_allows(world, tmp_path, capsys):
@@ -466,7 +463,7 @@ def test_pictures_are_as_good_as_the_size_allows(world, tmp_path, capsys):
     assert {path: path.read_bytes() for path in (tmp_path / "site").rglob("*.*") if path.is_file()} == before
 
 
-def test_one_method_without_figures_makes_a_site(page, tmp_path):
+def test_one_method_without_figures_makes_a_site(page, errors, tmp_path):
     track = write_track(tmp_path / "track", scenes=1, images=0, texts=1, views=2, metrics={"text": ("kid",)})
     inputs = write_results(track, tmp_path / "results", ("noise",))
     write_figures(inputs, tmp_path / "results", ("noise",))
@@ -478,10 +475,10 @@ def test_one_method_without_figures_makes_a_site(page, tmp_path):
     main([str(tmp_path / "results"), "--track", str(track), "--out", str(tmp_path / "site")])
     _opened(page, tmp_path / "site/index.html")
     assert names(page, "text") == ["noise"]
-    page.wait("document.getElementById('plot').textContent.includes('No method')")
+    wait(page, "document.getElementById('plot').textContent.includes('No method')")
     _opened(page, tmp_path / "site/compare.html")
-    assert page.value("document.querySelectorAll('.cell').length") == 1
-    assert page.errors == []
+    assert page.evaluate("document.querySelectorAll('.cell').length") == 1
+    assert errors == []
 
 
 def test_slips_are_one_line(judged, tmp_path):

@@ -5,7 +5,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from benchmark_world import write_track
 from PIL import Image, ImageOps
 
 from anystyle.correspondences.rendered_depth import RenderedDepth
@@ -16,6 +15,7 @@ from anystyle.io.arrays import read_array
 from anystyle.types import Frames
 from anystyle_benchmark.command import Benchmark
 from anystyle_benchmark.track import TRACKS, Inputs
+from tests.support.benchmark_world import write_track
 
 SHIPPED = ("open", "smoke", "ablation")
 

@@ -11,7 +11,7 @@ from anystyle_captures import cache
 from anystyle_captures.cache import cached, key_of
 from anystyle_captures.fit import Fit
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from known_scene import photographed_wall
+from tests.support.known_scene import photographed_wall
 
 
 @pytest.fixture(autouse=True)

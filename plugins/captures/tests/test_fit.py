@@ -11,7 +11,7 @@ from anystyle_captures.fit import fit_photographs
 from anystyle_captures.fit_loop import FitOptions
 from anystyle_captures.twins import held_out
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from known_scene import photographed_wall
+from tests.support.known_scene import photographed_wall
 
 OPTIONS = FitOptions(num_steps=60, evaluate_every=20, final_steps=10)
 RENDERER = CpuRenderer(background=(1.0, 0.5, 0.0))

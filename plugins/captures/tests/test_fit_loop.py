@@ -10,7 +10,7 @@ from anystyle_captures.fit_loop import Exposures, FitLoop, FitOptions
 from anystyle_captures.initial import InitialGaussians, backdrop, from_stereo, lift
 from anystyle_captures.stereo import StereoDepth
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from known_scene import photographed_wall, rig
+from tests.support.known_scene import photographed_wall, rig
 
 RENDERER = CpuRenderer(background=(0.0, 0.0, 0.0))
 

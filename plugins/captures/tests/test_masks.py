@@ -12,7 +12,7 @@ from anystyle_captures.fit_loop import FitOptions
 from anystyle_captures.masks import Masks
 from anystyle_captures.stereo import plane_sweep
 from anystyle_cpu_renderer.renderer import CpuRenderer
-from known_scene import photographed_wall
+from tests.support.known_scene import photographed_wall
 
 RENDERER = CpuRenderer(background=(0.0, 0.0, 0.0))
 OPTIONS = FitOptions(num_steps=80, evaluate_every=80)

@@ -12,9 +12,9 @@ from anystyle import PoseOptions, ViewOptions
 from anystyle.pipeline.encode import encoder
 from anystyle.types import Views
 from anystyle_captures.fit import Fit
-from cards import World, arc
-from known_scene import photographed_wall
-from real_data import real
+from tests.support.cards import World, arc
+from tests.support.known_scene import photographed_wall
+from tests.support.real_data import real
 
 FOCAL, SIZE = 200.0, (168, 192)
 SHORT = Fit(quality="draft", num_gaussians=1500, num_steps=60, holdout=4)

@@ -12,7 +12,7 @@ from PIL import Image
 from anystyle.data.images import open_image, to_tensor
 from anystyle.examples import resolved
 from anystyle_captures.twins import groups, held_out
-from known_scene import photographed_wall, rig
+from tests.support.known_scene import photographed_wall, rig
 
 SIZE = (192, 144)
 

@@ -3,8 +3,9 @@
 import importlib.util
 import sys
 
-import comfy_interface
 import pytest
+
+from tests.support import comfy_interface
 
 
 @pytest.fixture

@@ -9,7 +9,8 @@ import time
 import urllib.request
 
 import pytest
-from comfy_interface import ROOT, prompt_of
+
+from tests.support.comfy_interface import ROOT, prompt_of
 
 ADDRESS = os.environ.get("ANYSTYLE_COMFYUI", "")
 DRAFT = {

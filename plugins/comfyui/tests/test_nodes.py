@@ -4,15 +4,15 @@ import importlib
 import json
 from dataclasses import fields
 
-import comfy_interface
 import pytest
 import torch
-from comfy_interface import ROOT, Bar, Interrupted, parameters, prompt_of
 from plyfile import PlyData
 
 from anystyle.errors import UserError
 from anystyle.testing.inputs import gaussians
 from anystyle.types import Gaussians
+from tests.support import comfy_interface
+from tests.support.comfy_interface import ROOT, Bar, Interrupted, parameters, prompt_of
 
 WORKFLOWS = sorted((ROOT / "example_workflows").glob("*.json"))
 SMALL = {"AnyStyleLoadModel": {"model": "tiny", "options": "splat.cameras=3 views.short_side=32 views.take=3"}}

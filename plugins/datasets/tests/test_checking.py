@@ -16,8 +16,8 @@ from anystyle.registry.compose import compose
 from anystyle_datasets.checking import check, fingerprint, guess, same_pictures
 from anystyle_datasets.command import Data
 from anystyle_datasets.wikiart import DESCRIPTIONS, TEST_FILES, WikiArtStyles
-from oracle import hashed
-from real_data import real
+from tests.support.oracle import hashed
+from tests.support.real_data import real
 
 
 def picture(path, seed=0, size=(60, 40)):

@@ -19,7 +19,7 @@ from anystyle_datasets import preparing
 from anystyle_datasets.command import Data
 from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.wikiart import DESCRIPTIONS, TEST_FILES, WikiArtStyles
-from oracle import hashed
+from tests.support.oracle import hashed
 
 HASHES = [f"{number:x}" * 64 for number in range(1, 4)]
 

@@ -15,11 +15,9 @@ from anystyle.geometry.harmonics import constant_from_rgb
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Cameras, Gaussians, StyledScene
 from anystyle_formats.html import Html
-from chromium import SOFTWARE_GL, browser, find_chromium
+from tests.support.browser import accessible, errors_of, new_page, phone, wait
 
 SIZE = (150, 200)
-CHROMIUM = find_chromium()
-needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt install chromium)")
 
 
 def scene(count=3000):
@@ -61,7 +59,7 @@ def psnr(first, second):
 
 
 def canvas(page, path):
-    page.picture(path)
+    page.screenshot(path=path)
     return np.asarray(Image.open(path).convert("RGB")).astype(float) / 255
 
 
@@ -74,81 +72,73 @@ def written(tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def page(written, tmp_path_factory):
-    if CHROMIUM is None:
-        pytest.skip("there is no Chromium (apt install chromium)")
-    with browser(CHROMIUM, tmp_path_factory.mktemp("browser"), SOFTWARE_GL) as page:
-        page.size(SIZE[1], SIZE[0])
-        page.call("Network.emulateNetworkConditions", offline=True, latency=0, downloadThroughput=0, uploadThroughput=0)
-        page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "light"}])
-        page.call("Page.navigate", url=written.as_uri())
-        page.wait("document.body && document.body.dataset.ready")
-        assert page.value("document.body.dataset.ready") == "true", page.value("document.body.innerText")
-        page.value("document.body.classList.add('bare')")
-        yield page
+def page(written, browser):
+    page = new_page(browser, viewport={"width": SIZE[1], "height": SIZE[0]}, offline=True, color_scheme="light")
+    errors = errors_of(page)
+    page.goto(written.as_uri())
+    wait(page, "document.body.dataset.ready")
+    assert page.evaluate("document.body.dataset.ready") == "true", page.inner_text("body")
+    page.evaluate("document.body.classList.add('bare')")
+    yield page
+    assert errors == []
 
 
-@needs_browser
 def test_every_style_and_camera_shows_what_the_renderer_renders(page, tmp_path):
     for style, gaussians in enumerate((scene(), blue(scene()))):
         for view in range(2):
-            page.value(f"anystyle.choose({style}).then(() => anystyle.go({view}))")
+            page.evaluate(f"anystyle.choose({style}).then(() => anystyle.go({view}))")
             shown = canvas(page, tmp_path / f"{style}{view}.png")
             expected = TorchRenderer()(gaussians, cameras().select([view])).color[0, 0].permute(1, 2, 0).numpy()
             assert psnr(shown, expected) > 36, (style, view)
             assert psnr(shown[:, ::-1], expected) < 25 and psnr(shown[::-1], expected) < 25
-    assert page.errors == []
 
 
-@needs_browser
 def test_two_styles_meet_where_the_divider_is(page, tmp_path):
-    page.value("anystyle.choose(1).then(() => anystyle.go(0))")
+    page.evaluate("anystyle.choose(1).then(() => anystyle.go(0))")
     whole = canvas(page, tmp_path / "whole.png")
-    page.value("anystyle.compare(true, 0.5)")
-    page.value("document.getElementById('divider').hidden = true")
+    page.evaluate("anystyle.compare(true, 0.5)")
+    page.evaluate("document.getElementById('divider').hidden = true")
     split = canvas(page, tmp_path / "split.png")
     np.testing.assert_array_equal(split[:, 100:], whole[:, 100:])
-    page.value("anystyle.compare(false).then(() => anystyle.choose(0))")
+    page.evaluate("anystyle.compare(false).then(() => anystyle.choose(0))")
     np.testing.assert_array_equal(split[:, :100], canvas(page, tmp_path / "other.png")[:, :100])
 
 
-@needs_browser
 def test_keys_choose_turn_and_go_back(page, tmp_path):
-    page.value("anystyle.choose(0).then(() => anystyle.go(0))")
+    page.evaluate("anystyle.choose(0).then(() => anystyle.go(0))")
     before = canvas(page, tmp_path / "before.png")
-    page.value("document.getElementById('canvas').focus()")
-    page.call("Input.dispatchKeyEvent", type="keyDown", key="2", text="2")
-    assert page.value("document.querySelector('input[value=\"1\"]').checked")
-    page.call("Input.dispatchKeyEvent", type="keyDown", key="1", text="1")
-    page.call("Input.dispatchKeyEvent", type="keyDown", key="ArrowLeft")
-    page.value("anystyle.stands()")
+    page.evaluate("document.getElementById('canvas').focus()")
+    page.keyboard.press("2")
+    assert page.evaluate("document.querySelector('input[value=\"1\"]').checked")
+    page.keyboard.press("1")
+    page.keyboard.press("ArrowLeft")
+    page.evaluate("anystyle.stands()")
     assert np.abs(canvas(page, tmp_path / "turned.png") - before).mean() > 0.01
-    page.call("Input.dispatchKeyEvent", type="keyDown", key="r", text="r")
-    page.value("anystyle.stands()")
+    page.keyboard.press("r")
+    page.evaluate("anystyle.stands()")
     np.testing.assert_array_equal(canvas(page, tmp_path / "back.png"), before)
 
 
-@needs_browser
 def test_a_phone_in_the_dark_has_all_controls_on_its_screen(page, tmp_path):
-    page.value("document.body.classList.remove('bare')")
-    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "dark"}])
-    page.size(360, 640, mobile=True)
+    page.evaluate("document.body.classList.remove('bare')")
+    page.emulate_media(color_scheme="dark")
+    phone(page, 360, 640)
     page.click("#about")
-    text = page.value("document.getElementById('caption').innerText")
+    text = page.evaluate("document.getElementById('caption').innerText")
     assert "Apache-2.0" in text and "second line" in text
-    assert page.value("document.getElementById('title').textContent") == "A scene & <b>more</b>"
+    assert page.evaluate("document.getElementById('title').textContent") == "A scene & <b>more</b>"
     inside = "(e => { const r = e.getBoundingClientRect(); return r.left >= 0 && r.right <= innerWidth })"
     for element in ("#panel", "#about", "#compare", "header"):
-        assert page.value(f"{inside}(document.querySelector('{element}'))"), element
-    page.value("anystyle.stands()")
+        assert page.evaluate(f"{inside}(document.querySelector('{element}'))"), element
+    page.evaluate("anystyle.stands()")
     shown = canvas(page, tmp_path / "phone.png")
     assert shown[5, 180].max() < 0.2  # the ground is dark
-    names = {node["name"] for node in page.accessible() if node["role"] in ("radio", "button", "RadioButton")}
+    names = {name for role, name in accessible(page) if role in ("radio", "button", "RadioButton")}
     assert {"unstyled", "blue </script>", "Compare", "About"} <= names
     page.click("#about")
-    page.size(SIZE[1], SIZE[0])
-    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": "light"}])
-    page.value("document.body.classList.add('bare')")
+    page.set_viewport_size({"width": SIZE[1], "height": SIZE[0]})
+    page.emulate_media(color_scheme="light")
+    page.evaluate("document.body.classList.add('bare')")
 
 
 def test_a_page_asks_nothing_of_the_network(written):

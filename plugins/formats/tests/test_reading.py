@@ -12,10 +12,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from export_readers import SPLAT_TRANSFORM, read_with_gaussforge
 from PIL import Image
 from plyfile import PlyData
-from test_formats import LEAST, picture, psnr, scene
 
 from anystyle.commands import export as command
 from anystyle.commands import stylize
@@ -29,6 +27,8 @@ from anystyle.registry.build import build
 from anystyle.types import Gaussians, StyledScene
 from anystyle_formats import glb
 from anystyle_formats.splat import ROW
+from tests.support.export_readers import SPLAT_TRANSFORM, read_with_gaussforge
+from tests.support.export_scene import LEAST, picture, psnr, scene
 
 READ = ("glb", "ply", "sog", "splat", "spz")
 QUANTISED = {"ply": 80, "glb": 80, "sog": 34, "splat": 30, "spz": 34}

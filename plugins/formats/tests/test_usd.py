@@ -8,7 +8,6 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 import torch
-from test_formats import camera, picture, psnr, scene
 
 from anystyle.contracts import Format
 from anystyle.errors import UserError
@@ -19,7 +18,8 @@ from anystyle.pipeline.splats import cameras_of
 from anystyle.registry.build import build
 from anystyle.types import StyledScene
 from anystyle_formats import usd
-from known_scene import rig
+from tests.support.export_scene import camera, picture, psnr, scene
+from tests.support.known_scene import rig
 
 pytestmark = pytest.mark.skipif(find_spec("pxr") is None, reason='needs the extra: pip install "anystyle[usd]"')
 SUFFIXES = ("usd", "usda", "usdc", "usdz")

@@ -8,7 +8,7 @@ from anystyle.data.folder import read_views
 from anystyle.methods.branch import Branch
 from anystyle.testing.inputs import images
 from anystyle.types import Style, Views
-from real_data import real
+from tests.support.real_data import real
 
 ORDER = [2, 0, 3, 1]
 ROUNDING = 5e-5
@@ -64,7 +64,7 @@ def test_exchanging_photographs_changes_a_style_by_no_more_than_the_scene(backbo
 
 def exchanged_scenes():
     """A fitted scene, and the same with its photographs exchanged."""
-    from methods import worlds
+    from tests.support import worlds
 
     scene = worlds.scene()
     return scene, scene.map(lambda tensor: tensor[:, ORDER] if tensor.shape[:2] == (1, 4) else tensor)

@@ -5,10 +5,10 @@ import json
 import numpy as np
 import pytest
 import torch
-from magenta_oracle import CONTENT_SIDE, GOLDEN, SIDE, picture, run_graphs, sampled
 
 from anystyle_magenta.networks import StylePrediction, StyleTransfer
 from anystyle_magenta.pretrained import load_prediction, load_transfer
+from tests.support.magenta_oracle import CONTENT_SIDE, GOLDEN, SIDE, picture, run_graphs, sampled
 
 STYLE_TOLERANCE, PIXEL_TOLERANCE = 5e-6, 3e-5
 """Absolute: style vectors have a norm of 10, pixels are in [0, 1]."""

@@ -6,12 +6,12 @@ from importlib.util import find_spec
 import numpy as np
 import pytest
 import torch
-from magenta_oracle import model_file
 
 from anystyle.vision import weights
 from anystyle_magenta import MagentaEncoder, MagentaInjector
 from anystyle_magenta.networks import StylePrediction
 from anystyle_magenta.pretrained import PREDICTION, TRANSFER, load_prediction, read_convolutions
+from tests.support.magenta_oracle import model_file
 
 CONTENT = model_file("arbitrary_predict").read_bytes()
 

@@ -10,7 +10,7 @@ from anystyle.types import Comparison, Style
 from anystyle_magenta import MagentaEncoder, MagentaInjector, stylize_images
 from anystyle_magenta.retrieval import MagentaRetrieval
 from anystyle_magenta.teacher import Teacher
-from style_cases import stylization
+from tests.support.style_cases import stylization
 
 PHOTOGRAPHS = images(4, (48, 64), seed=1).view(2, 2, 3, 48, 64)
 STYLES = images(2, (64, 64), seed=5)

@@ -13,9 +13,9 @@ from anystyle_methods.attribute_change import AttributeChange
 from anystyle_methods.nnfm import NNFM
 from anystyle_methods.scene_loop import color_map
 from anystyle_methods.simultaneous_scales import SimultaneousScales
-from oracle import smooth_image
-from style_cases import filled_vgg_file
-from style_cases import stylization as images_stylization
+from tests.support.oracle import smooth_image
+from tests.support.style_cases import filled_vgg_file
+from tests.support.style_cases import stylization as images_stylization
 
 RENDERED, PHOTOGRAPHS = smooth_image(11, [1, 2, 3, 64, 80]), smooth_image(12, [1, 2, 3, 64, 80])
 STYLE = smooth_image(13, [1, 3, 72, 64])

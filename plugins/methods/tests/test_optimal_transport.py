@@ -8,8 +8,8 @@ from torch import Tensor
 from anystyle.errors import UserError
 from anystyle_methods.nnfm import NNFM
 from anystyle_methods.optimal_transport import OptimalTransport, transport_plan
-from oracle import smooth_image
-from style_cases import stylization
+from tests.support.oracle import smooth_image
+from tests.support.style_cases import stylization
 
 RENDERED, PHOTOGRAPHS = smooth_image(21, [1, 2, 3, 40, 48]), smooth_image(22, [1, 2, 3, 40, 48])
 STYLE = smooth_image(23, [1, 3, 48, 40])

@@ -7,7 +7,7 @@ from anystyle.losses.features import objective
 from anystyle.types import Style
 from anystyle_methods import scene_loop
 from anystyle_methods.scene_loop import SceneLoop
-from methods.worlds import method, painting, run, scene, stylizer
+from tests.support.worlds import method, painting, run, scene, stylizer
 
 GEOMETRY = ("means", "rotations", "scales", "opacities")
 WEIGHTS = {

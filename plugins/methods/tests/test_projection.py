@@ -8,7 +8,7 @@ from anystyle.io.sheet import to_pil
 from anystyle.pipeline.load import load_model
 from anystyle.pipeline.request import Request
 from anystyle_methods.projection import stylized_views
-from methods.worlds import method, painting, run, scene, stylizer
+from tests.support.worlds import method, painting, run, scene, stylizer
 
 
 def test_each_view_is_stylized_by_itself():

@@ -12,7 +12,7 @@ from anystyle.testing.inputs import images
 from anystyle.types import Style, Stylization, Views
 from anystyle_methods.refine_embedding import RefineEmbedding
 from anystyle_methods.sliced_wasserstein import SlicedWasserstein
-from renderers.scenes import cameras, gaussians
+from tests.support.scenes import cameras, gaussians
 
 
 @pytest.fixture(scope="module")

@@ -23,9 +23,9 @@ from anystyle_metrics.geometry_survival import GeometrySurvival, pose_error
 from anystyle_metrics.met3r import Met3rDepth
 from anystyle_metrics.sharpness import Sharpness
 from anystyle_metrics.structure_distance import StructureDistance
-from known_scene import photographed_wall, wall
-from oracle import smooth_image
-from real_data import real
+from tests.support.known_scene import photographed_wall, wall
+from tests.support.oracle import smooth_image
+from tests.support.real_data import real
 
 
 def figures(metric, content, stylized, style=None, **known):

@@ -1,8 +1,6 @@
 """Runs of ``anystyle stylize``, one at a time, each in a process of its own that can be ended."""
 
 import logging
-import os
-import signal
 import subprocess
 import threading
 import time
@@ -11,6 +9,7 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from anystyle.io.process import kill
 from anystyle_start.library import ACTIVE, Job, Library, Record, Settings
 from anystyle_start.progress import State, follow
 
@@ -143,7 +142,7 @@ class Jobs:
 
 
 def _reason(status: int | None) -> str:
-    if status == -signal.SIGKILL:
+    if status == -9:  # SIGKILL, which not every system has
         return "the system ended the work, as it does where memory runs out; use fewer photographs or a lower quality"
     return f"the work ended with an error of the program (exit status {status}), which the log tells"
 
@@ -151,12 +150,11 @@ def _reason(status: int | None) -> str:
 def _end(process: subprocess.Popen[str]) -> None:
     """Ask a process to end; after a while it is killed with what it started."""
 
-    def kill() -> None:
+    def end() -> None:
         if process.poll() is None:
-            with suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)
+            kill(process)
 
     process.terminate()
-    timer = threading.Timer(PATIENCE, kill)
+    timer = threading.Timer(PATIENCE, end)
     timer.daemon = True
     timer.start()

@@ -4,14 +4,14 @@ import json
 import shlex
 
 import pytest
-from start_serving import Client, jpeg, pretended
 
 from anystyle.errors import UserError
 from anystyle_start.library import Library, Settings
 from anystyle_start.progress import State, follow
 from anystyle_start.server import StartServer
 from anystyle_start.words import command_words, shown_command
-from chromium import until
+from tests.support.browser import until
+from tests.support.start_serving import Client, jpeg, pretended
 
 
 @pytest.fixture

@@ -8,15 +8,14 @@ from pathlib import Path
 import pytest
 import torch
 from PIL import Image
-from start_serving import pretended
-from viewer_scene import write_scene
 
 from anystyle.examples import resolved
 from anystyle.types import Gaussians
 from anystyle_start.server import StartServer
-from browsing import page, same_window  # noqa: F401
-from chromium import SOFTWARE_GL, browser, find_chromium, until
-from program import Program
+from tests.support.browser import until
+from tests.support.program import Program
+from tests.support.start_serving import pretended
+from tests.support.viewer_scene import write_scene
 
 SMALL = "model=tiny splat.cameras=2 views.short_side=112 video.frames=4"
 
@@ -29,122 +28,121 @@ def server(tmp_path, tmp_path_factory):
         yield server
 
 
-def drop(tab, *files):
-    data = {"items": [], "files": [str(file) for file in files], "dragOperationsMask": 1}
-    for kind in ("dragEnter", "dragOver", "drop"):
-        tab.call("Input.dispatchDragEvent", type=kind, x=300, y=300, data=data)
-
-
 def says(tab, text, seconds=120):
-    tab.wait(f"document.body.innerText.includes({text!r})", seconds)
+    wait(tab, f"document.body.innerText.includes({text!r})", seconds)
 
 
 def opened(tab, server, hash=""):
-    tab.call("Page.navigate", url=f"{server.url}{hash}")
-    tab.wait("!!document.querySelector('h1') && document.querySelector('h1').textContent !== ''")
+    tab.goto(f"{server.url}{hash}")
+    wait(tab, "!!document.querySelector('h1') && document.querySelector('h1').textContent !== ''")
 
 
 def click(tab, text, kind="button"):
     """Click what says so."""
     script = f"[...document.querySelectorAll({kind!r})].find((e) => e.textContent.trim() === {text!r})"
-    tab.wait(f"!!{script} && !{script}.disabled")
-    tab.value(f"{script}.click()")
+    wait(tab, f"!!{script} && !{script}.disabled")
+    tab.evaluate(f"{script}.click()")
+
+
+def downloaded(tab, file):
+    """The file that the button gives, under a name of ours."""
+    with tab.expect_download() as download:
+        click(tab, "Download")
+    assert download.value.suggested_filename.endswith(file.suffix)
+    download.value.save_as(file)
+    return file
 
 
 def write(tab, selector, text):
-    tab.value(f"document.querySelector({selector!r}).select()")
-    tab.type(text)
+    tab.evaluate(f"document.querySelector({selector!r}).select()")
+    tab.keyboard.insert_text(text)
 
 
 def make(tab, text, more):
     write(tab, ".texts input", text)
-    tab.value("document.querySelector('.paintings :checked')?.click()")
-    tab.value("document.querySelector('details').open = true")
+    tab.evaluate("document.querySelector('.paintings :checked')?.click()")
+    tab.evaluate("document.querySelector('details').open = true")
     write(tab, "#more", more)
     click(tab, "Make the scene")
 
 
-def test_from_a_dropped_splat_to_a_download(server, page, tmp_path):  # noqa: F811
-    page.size(1280, 900)
+def test_from_a_dropped_splat_to_a_download(server, browser, page, errors, tmp_path):
     opened(page, server)
     scene = write_scene(tmp_path)
     drop(page, scene)
     says(page, "A splat that is there already")
-    assert page.value("document.activeElement.tagName") == "H1"
+    assert page.evaluate("document.activeElement.tagName") == "H1"
     make(page, "red dots", f"{SMALL} video.frame=4")
     says(page, "Did you mean 'frames'?")
-    assert page.value("document.querySelector('[role=alert]:not([hidden])').textContent").count("\n") == 0
-    with browser(find_chromium(), tmp_path / "second") as other:  # another tab that fills a form of its own
+    assert page.evaluate("document.querySelector('[role=alert]:not([hidden])').textContent").count("\n") == 0
+    with new_page(browser) as other:  # another tab that fills a form of its own
+        told = errors_of(other)
         opened(other, server)
         click(other, "Take the street that comes along")
         says(other, "12 photographs")
         write(other, ".texts input", "half a thou")
         write(page, "#more", SMALL)
         click(page, "Make the scene")
-        page.wait("!!document.querySelector('.sentence')")
-        assert page.value("document.querySelectorAll('.steps li').length") == 3
-        page.call("Page.navigate", url="about:blank")  # closed, and opened again later
+        wait(page, "!!document.querySelector('.sentence')")
+        assert page.evaluate("document.querySelectorAll('.steps li').length") == 3
+        page.goto("about:blank")  # closed, and opened again later
         says(other, "Being made: scene")
-        assert other.value("document.querySelector('.texts input').value") == "half a thou"
-        assert other.value("document.activeElement === document.querySelector('.texts input')")
-        assert not other.errors
+        assert other.evaluate("document.querySelector('.texts input').value") == "half a thou"
+        assert other.evaluate("document.activeElement === document.querySelector('.texts input')")
+        assert not told
     opened(page, server)
     page.click(".card:last-child a")
-    page.wait("!!document.querySelector('iframe') && document.querySelector('.styles img').naturalWidth > 50")
-    assert page.value("document.querySelector('h1').textContent") == "scene"
-    page.value("document.querySelector('[aria-label=Format]').value = 'ply'")
-    page.value("document.querySelector('[aria-label=Format]').dispatchEvent(new Event('change'))")
-    click(page, "Download")
-    file = until(lambda: next(page.downloads.glob("scene*.ply"), None))
-    before, after = Gaussians.load(scene), Gaussians.load(file)
+    wait(page, "!!document.querySelector('iframe') && document.querySelector('.styles img').naturalWidth > 50")
+    assert page.evaluate("document.querySelector('h1').textContent") == "scene"
+    page.evaluate("document.querySelector('[aria-label=Format]').value = 'ply'")
+    page.evaluate("document.querySelector('[aria-label=Format]').dispatchEvent(new Event('change'))")
+    before, after = Gaussians.load(scene), Gaussians.load(downloaded(page, tmp_path / "scene.ply"))
     assert torch.equal(before.means, after.means) and not torch.equal(before.harmonics, after.harmonics)
     for name in ("spz", "zip"):
-        page.value(f"document.querySelector('[aria-label=Format]').value = {name!r}")
-        click(page, "Download")
-        file = until(lambda name=name: next(page.downloads.glob(f"scene*.{name}"), None))
+        page.evaluate(f"document.querySelector('[aria-label=Format]').value = {name!r}")
+        file = downloaded(page, tmp_path / f"scene.{name}")
     assert {"scene.ply", "video.mp4", "scene.html", "report.json"} <= set(zipfile.ZipFile(file).namelist())
-    command = page.value("document.querySelector('pre').textContent")
+    command = page.evaluate("document.querySelector('pre').textContent")
     assert re.fullmatch(r"anystyle stylize \S+scene\.ply --text 'red dots' model=tiny .* --out styled-scene", command)
-    assert not [error for error in page.errors if "400 (Bad Request)" not in error]  # of the option that was refused
+    assert not [error for error in errors if "400 (Bad Request)" not in error]  # of the option that was refused
 
 
-def test_photographs_without_cameras_get_reasons_and_advice(server, page, tmp_path):  # noqa: F811
+def test_photographs_without_cameras_get_reasons_and_advice(server, page, tmp_path):
     opened(page, server)
-    page.size(390, 844, mobile=True)
+    phone(page, 390, 844)
     for name in ("a", "b", "c"):
         Image.new("RGB", (400, 300), "teal").save(tmp_path / f"{name}.jpg")
     (tmp_path / "broken.jpg").write_text("no photograph")
     drop(page, *sorted(tmp_path.glob("*.jpg")), tmp_path / "broken.jpg")
-    page.wait("document.getElementById('trouble').textContent.includes('broken.jpg')")
+    wait(page, "document.getElementById('trouble').textContent.includes('broken.jpg')")
     says(page, "3 photographs.")
-    assert page.value("document.querySelectorAll('.strip img').length") == 3
+    assert page.evaluate("document.querySelectorAll('.strip img').length") == 3
     make(page, "red dots", "model=tiny")
     says(page, "The cameras were not found")
-    text = page.value("document.querySelector('[data-notice]').innerText")
+    text = page.evaluate("document.querySelector('[data-notice]').innerText")
     assert "There is too little to see in the photographs" in text and "Eight to twenty-four photographs" in text
-    assert page.value("document.documentElement.scrollWidth") <= 390
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
     click(page, "use no cameras")
-    assert page.value("document.getElementById('more').value") == "reconstruction=feedforward poses=predicted"
+    assert page.evaluate("document.getElementById('more').value") == "reconstruction=feedforward poses=predicted"
 
 
-def test_a_run_is_cancelled_and_a_scene_deleted_when_confirmed(page, tmp_path):  # noqa: F811
+def test_a_run_is_cancelled_and_a_scene_deleted_when_confirmed(page, tmp_path):
     with StartServer(tmp_path / "kept", 0, pretended(tmp_path)) as server:
         opened(page, server)
         drop(page, *sorted(resolved(Path("example:street")).glob("0[1-3].jpg")))
         says(page, "3 photographs")
         make(page, "wait", "")
         says(page, "Building the scene: step 1 of 4")
-        spoken = page.value("document.getElementById('said').textContent")
+        spoken = page.evaluate("document.getElementById('said').textContent")
         assert re.fullmatch(r"Build, \d+ percent done\.", spoken)
-        accessible = {(node["role"], node["name"]) for node in page.accessible()}
-        assert {("progressbar", "Progress"), ("button", "Cancel"), ("image", "02.jpg")} <= accessible
+        assert {("progressbar", "Progress"), ("button", "Cancel"), ("image", "02.jpg")} <= {*accessible(page)}
         click(page, "Cancel")
         says(page, "Cancelled")
-        unnamed = {role for role, name in ((n["role"], n["name"]) for n in page.accessible()) if not name.strip()}
+        unnamed = {role for role, name in accessible(page) if not name.strip()}
         assert not unnamed & {"button", "textbox", "slider", "checkbox", "combobox", "radio", "image", "link"}
         for answer, left in (("Cancel", 1), ("Delete", 0)):
             click(page, "Delete", "form > .row button")
-            page.wait("document.getElementById('ask').open")
+            wait(page, "document.getElementById('ask').open")
             click(page, answer, "dialog button")
             until(lambda left=left: len(server.application.actions.library.scenes()) == left)
         says(page, "Photographs in, a scene in any style out")
@@ -152,26 +150,20 @@ def test_a_run_is_cancelled_and_a_scene_deleted_when_confirmed(page, tmp_path): 
 
 
 @pytest.mark.slow
-def test_from_dropped_photographs_to_a_scene_that_is_restyled_live(tmp_path):
+def test_from_dropped_photographs_to_a_scene_that_is_restyled_live(browser, tmp_path):
     pytest.importorskip("viser", reason="the extra `viewer` is not installed")
-    program = find_chromium()
-    if program is None:
-        pytest.skip("no Chromium")
-    with (
-        StartServer(tmp_path / "kept") as server,
-        browser(program, tmp_path / "browser", SOFTWARE_GL) as tab,
-    ):
-        tab.size(1280, 900)
+    with StartServer(tmp_path / "kept") as server, new_page(browser) as tab:
+        errors = errors_of(tab)
         opened(tab, server)
         drop(tab, *sorted(resolved(Path("example:street")).glob("*.jpg")))
         says(tab, "12 photographs")
         tab.click("input[value='draft']")
         click(tab, "Make the scene")
-        tab.wait("!!document.querySelector('iframe')", 900)
+        wait(tab, "!!document.querySelector('iframe')", 900)
         says(tab, "12 of 12")
         says(tab, "found, and confirmed by a second method")
-        tab.picture(tmp_path / "made.png")
+        tab.screenshot(path=tmp_path / "made.png")
         click(tab, "Try further styles live")
-        tab.wait("document.querySelector('.stage').classList.contains('live')", 300)
-        assert tab.value("document.querySelector('iframe').src").startswith("http://127.0.0.1:")
-        assert not tab.errors
+        wait(tab, "document.querySelector('.stage').classList.contains('live')", 300)
+        assert tab.evaluate("document.querySelector('iframe').src").startswith("http://127.0.0.1:")
+        assert not errors

@@ -9,7 +9,6 @@ import sys
 import numpy as np
 import pytest
 from scipy import stats
-from study_cases import answer_rows, small_study, write_csv
 
 from anystyle.evaluation import published_figures
 from anystyle_study.analysis import AnalysisOptions, analyze, as_json
@@ -21,6 +20,7 @@ from anystyle_study.report import html as report_html
 from anystyle_study.report import latex, markdown
 from anystyle_study.significance import CrossedT, OneSampleT, OrdinalMixed, SignFlip, Wilcoxon
 from anystyle_study.wording import p_text, response_level, took_part, verdict
+from tests.support.study_cases import answer_rows, small_study, write_csv
 
 TESTS = {
     "one_sample_t": OneSampleT(),

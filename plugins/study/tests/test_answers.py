@@ -8,12 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from study_cases import answer_rows, write_csv
 
 from anystyle_study.cells import AnswerColumn, given_scale, given_words, scale_words
 from anystyle_study.checks import Rules, check
 from anystyle_study.contract import Scale
 from anystyle_study.reading import read_responses
+from tests.support.study_cases import answer_rows, write_csv
 
 
 def judged(path, rules=None, scale=None):

@@ -9,7 +9,6 @@ import av
 import numpy as np
 import pytest
 from PIL import Image
-from study_cases import QUESTIONS, small_plan, small_study, write_results
 
 from anystyle_study.balance import balanced_positions, balanced_subsets, draw_pairs, latin_orders
 from anystyle_study.commands import read_plan
@@ -17,6 +16,7 @@ from anystyle_study.design import Sources, balance, design
 from anystyle_study.protocol import Rules, read_study
 from anystyle_study.server import sequence
 from anystyle_study.store import Store
+from tests.support.study_cases import QUESTIONS, small_plan, small_study, write_results
 
 
 def opened(path):

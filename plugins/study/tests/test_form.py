@@ -8,13 +8,13 @@ import time
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
-from study_cases import small_study
-from study_serving import answer, kept_answers, post, serving
 
 from anystyle_study.command import StudyCommand
 from anystyle_study.reading import read_responses
 from anystyle_study.server import render, sequence, write_page
-from chromium import LOADED, start, until
+from tests.support.browser import wait
+from tests.support.study_cases import LOADED, begin, small_study
+from tests.support.study_serving import answer, kept_answers, post, serving
 
 SCORES = {"style": 5, "contentA": 3, "contentB": 3}
 
@@ -29,17 +29,17 @@ def answer_pages(page, study, participant, first=0, last=None, by="keys"):
     order = study.participant(participant).order
     chosen = {}
     for index, item in list(enumerate(order))[first:last]:
-        page.wait(f"document.getElementById('place').textContent === '{index + 1} of {len(order)}' && {LOADED}")
-        assert page.value("document.getElementById('next').disabled")
+        wait(page, f"document.getElementById('place').textContent === '{index + 1} of {len(order)}' && {LOADED}")
+        assert page.evaluate("document.getElementById('next').disabled")
         for step, (field, levels) in enumerate(SCORES.items()):
             score = 1 + (index + 2 * step) % levels
             chosen[item, field.rstrip("AB"), field[-1] if field[-1] in "AB" else ""] = score
             if by == "keys":
-                page.key(str(score), str(score))
+                page.keyboard.press(str(score))
             else:
                 page.click(f"fieldset[data-question={field}] input[value='{score}']")
         if by == "keys":
-            page.key("Enter", "\r")
+            page.keyboard.press("Enter")
         else:
             page.click("#next")
     return chosen
@@ -56,73 +56,72 @@ def check_positions(study, file, participant, chosen):
     assert {(one.item, one.question, one.method, one.score): one.ours_is_a for one in records.answers} == expected
 
 
-def test_the_static_page_from_first_click_to_saved_answers(page, designed, tmp_path):
+def test_the_static_page_from_first_click_to_saved_answers(page, errors, designed, tmp_path):
     study, folder = designed
     write_page(study, folder, tmp_path / "form.html")
-    page.size(1280, 800)
-    page.open(f"{(tmp_path / 'form.html').as_uri()}#P02")
-    assert page.value("document.querySelector('h1').textContent") == "A study of </script> styles"
-    page.value("document.getElementById('code').value = 'nobody'")
+    page.goto(f"{(tmp_path / 'form.html').as_uri()}#P02")
+    assert page.evaluate("document.querySelector('h1').textContent") == "A study of </script> styles"
+    page.evaluate("document.getElementById('code').value = 'nobody'")
     page.click("#start")
-    page.wait("document.getElementById('codeerror').textContent.includes('not known')")
-    page.value("document.getElementById('code').value = ' p02 '")
+    wait(page, "document.getElementById('codeerror').textContent.includes('not known')")
+    page.evaluate("document.getElementById('code').value = ' p02 '")
     page.click("#start")
     chosen = answer_pages(page, study, "P02", last=2, by="mouse")
     # Resumed in the middle, with what was answered kept; back with the keyboard, and an answer changed.
-    page.call("Page.reload")
-    page.wait("document.readyState === 'complete' && !!document.getElementById('start')")
-    page.value("document.getElementById('code').value = 'P02'")
+    page.reload()
+    page.evaluate("document.getElementById('code').value = 'P02'")
     page.click("#start")
-    page.wait(f"document.getElementById('place').textContent === '3 of 5' && {LOADED}")
-    page.key("Backspace")
-    page.wait(f"document.getElementById('place').textContent === '2 of 5' && {LOADED}")
+    wait(page, f"document.getElementById('place').textContent === '3 of 5' && {LOADED}")
+    page.keyboard.press("Backspace")
+    wait(page, f"document.getElementById('place').textContent === '2 of 5' && {LOADED}")
     second = study.participant("P02").order[1]
-    assert page.value("document.querySelector('fieldset input:checked').value") == str(chosen[second, "style", ""])
+    assert page.evaluate("document.querySelector('fieldset input:checked').value") == str(chosen[second, "style", ""])
     page.click("fieldset[data-question=style] input[value='5']")
     chosen[second, "style", ""] = 5
     page.click("#next")
     chosen |= answer_pages(page, study, "P02", first=2)
-    page.wait("!!document.getElementById('end')")
+    wait(page, "!!document.getElementById('end')")
     page.click("#comment")
-    page.type('=cmd|"x"\n<i>fine</i>')
-    page.click("#end")
-    file = until(lambda: next(iter(page.downloads.glob("answers-P02*.json")), None))
-    saved = until(lambda: json.loads(file.read_text() or "null"))
+    page.keyboard.insert_text('=cmd|"x"\n<i>fine</i>')
+    with page.expect_download() as download:
+        page.click("#end")
+    assert download.value.suggested_filename.startswith("answers-P02")
+    download.value.save_as(file := tmp_path / "answers.json")
+    saved = json.loads(file.read_text())
     assert (saved["study"], saved["participant"], saved["comment"]) == (study.id, "P02", '=cmd|"x"\n<i>fine</i>')
     assert {(row["item"], row["question"], row["side"]): row["score"] for row in saved["responses"]} == chosen
     check_positions(study, file, "P02", chosen)
     assert set(saved["responses"][0]) == {
         *("participant", "item", "question", "side", "score", "seconds", "time", "revision"),
     }
-    assert page.errors == []
+    assert errors == []
 
 
 def test_nothing_is_asked_before_every_picture_is_there(page, designed, tmp_path):
     """Pictures that are blocked keep the set closed; the seconds are counted from when all can be seen."""
     study, folder = designed
     with serving(folder, tmp_path / "answers.sqlite") as (_, url, _):
-        page.open(url)
-        page.call("Network.setCacheDisabled", cacheDisabled=True)
-        page.call("Network.setBlockedURLs", urls=["*/pictures/*"])
-        start(page, f"{url}?p=P03")
-        page.wait("!!document.getElementById('again')")
+        page.goto(url)
+        page.route("**/pictures/**", lambda route: route.abort())
+        begin(page, f"{url}?p=P03")
+        wait(page, "!!document.getElementById('again')")
         blocked = time.monotonic()
-        assert page.value("[...document.querySelectorAll('fieldset')].every((field) => field.disabled)")
-        page.key("3", "3")
-        page.click("fieldset[data-question=style] input[value='3']")
-        assert page.value("document.querySelector('fieldset input:checked')") is None
-        assert page.value("document.getElementById('next').disabled")
+        assert page.evaluate("[...document.querySelectorAll('fieldset')].every((field) => field.disabled)")
+        page.keyboard.press("3")
+        page.click("fieldset[data-question=style] input[value='3']", force=True)
+        assert page.evaluate("document.querySelector('fieldset input:checked')") is None
+        assert page.evaluate("document.getElementById('next').disabled")
         page.click("#again")
-        page.wait("!!document.getElementById('again')")
+        wait(page, "!!document.getElementById('again')")
         time.sleep(1)
-        page.call("Network.setBlockedURLs", urls=[])
+        page.unroute("**/pictures/**")
         page.click("#again")
-        page.wait(LOADED)
-        assert page.value("[...document.querySelectorAll('img')].every((i) => i.complete && i.naturalWidth > 0)")
+        wait(page, LOADED)
+        assert page.evaluate("[...document.querySelectorAll('img')].every((i) => i.complete && i.naturalWidth > 0)")
         waited = time.monotonic() - blocked
-        page.key("3", "3")
+        page.keyboard.press("3")
         given = f"Object.values(JSON.parse(localStorage.getItem('study:{study.id}:P03')).answers)"
-        assert 0 <= page.value(f"{given}[0].seconds") < waited - 1
+        assert 0 <= page.evaluate(f"{given}[0].seconds") < waited - 1
 
 
 @pytest.mark.slow
@@ -131,29 +130,29 @@ def test_a_study_survives_its_server_being_killed_between_any_two_answers(page, 
     database = tmp_path / "answers.sqlite"
     outbox = f"JSON.parse(localStorage.getItem('study:{study.id}:P01')).outbox"
     with serving(folder, database) as (process, url, port):
-        start(page, f"{url}?p=P01")
+        begin(page, f"{url}?p=P01")
         chosen = answer_pages(page, study, "P01", last=2)
-        page.wait(f"{outbox}.length === 0")
+        wait(page, f"{outbox}.length === 0")
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
     # Nobody is stopped, for the next set's pictures are there already; and everybody is told.
     chosen |= answer_pages(page, study, "P01", first=2, last=3)
-    page.wait("!document.getElementById('notice').hidden")
-    assert page.value(f"{outbox}.length") == 3
+    wait(page, "!document.getElementById('notice').hidden")
+    assert page.evaluate(f"{outbox}.length") == 3
     with serving(folder, database, port) as (process, _, _):
-        page.wait("document.getElementById('notice').hidden")
-        if page.value("!!document.getElementById('again')"):
+        wait(page, "document.getElementById('notice').hidden")
+        if page.evaluate("!!document.getElementById('again')"):
             page.click("#again")
         chosen |= answer_pages(page, study, "P01", first=3, last=4)
-        page.wait(f"{outbox}.length === 0")
+        wait(page, f"{outbox}.length === 0")
         os.kill(process.pid, signal.SIGKILL)
         process.wait()
     with serving(folder, database, port) as (_, url, _):
         # After a reload, the answers so far come from the server.
-        start(page, f"{url}?p=P01", clear=False)
-        page.wait("document.getElementById('place').textContent === '5 of 5'")
+        begin(page, f"{url}?p=P01", clear=False)
+        wait(page, "document.getElementById('place').textContent === '5 of 5'")
         chosen |= answer_pages(page, study, "P01", first=4)
-        page.wait("!document.getElementById('end')?.disabled")
+        wait(page, "!document.getElementById('end')?.disabled")
         assert kept_answers(database, "P01") == chosen
         check_positions(study, database, "P01", chosen)
 
@@ -162,26 +161,26 @@ def test_a_second_browser_is_told_until_the_code_is_released(page, designed, tmp
     study, folder = designed
     database = tmp_path / "answers.sqlite"
     with serving(folder, database) as (_, url, _):
-        start(page, f"{url}?p=P04")
+        begin(page, f"{url}?p=P04")
         chosen = answer_pages(page, study, "P04", last=1)
-        page.wait(f"JSON.parse(localStorage.getItem('study:{study.id}:P04')).outbox.length === 0")
-        start(page, f"{url}?p=P04")  # what the first browser had kept is not here
-        page.wait("document.getElementById('codeerror').textContent.includes('another browser')")
+        wait(page, f"JSON.parse(localStorage.getItem('study:{study.id}:P04')).outbox.length === 0")
+        begin(page, f"{url}?p=P04")  # what the first browser had kept is not here
+        wait(page, "document.getElementById('codeerror').textContent.includes('another browser')")
         assert kept_answers(database, "P04") == chosen
         StudyCommand()(["form", str(folder), "--database", str(database), "--release", "P04"])
         assert "P04 can go on" in capsys.readouterr().out
-        start(page, f"{url}?p=P04")
-        page.wait(f"document.getElementById('place').textContent === '2 of 5' && {LOADED}")
+        begin(page, f"{url}?p=P04")
+        wait(page, f"document.getElementById('place').textContent === '2 of 5' && {LOADED}")
         # Another window of this browser was faster with another answer: the page does not go on over it.
-        token = page.value(f"JSON.parse(localStorage.getItem('study:{study.id}:P04')).token")
+        token = page.evaluate(f"JSON.parse(localStorage.getItem('study:{study.id}:P04')).token")
         second = study.participant("P04").order[1]
         assert post(url, "answers", answer(study, "P04", second, score=1), token)[0] == 200
-        page.key("5", "5")
-        page.wait("document.body.innerText.includes('answered in another window')")
+        page.keyboard.press("5")
+        wait(page, "document.body.innerText.includes('answered in another window')")
         assert kept_answers(database, "P04")[second, "style", ""] == 1
-        start(page, f"{url}?p=P04", clear=False)
-        page.wait(f"document.getElementById('place').textContent === '2 of 5' && {LOADED}")
-        assert page.value("document.querySelector('fieldset input:checked').value") == "1"
+        begin(page, f"{url}?p=P04", clear=False)
+        wait(page, f"document.getElementById('place').textContent === '2 of 5' && {LOADED}")
+        assert page.evaluate("document.querySelector('fieldset input:checked').value") == "1"
 
 
 @pytest.mark.slow
@@ -214,27 +213,27 @@ def test_recruited_participants_agree_answer_and_go_back_with_a_code(page, tmp_p
     )
     database = tmp_path / "answers.sqlite"
     with serving(folder, database) as (_, url, _):
-        page.open(f"{url}?workerId=A1&assignmentId=ASSIGNMENT_ID_NOT_AVAILABLE")
-        assert page.value("document.getElementById('start').disabled")
-        assert "C0FFEE" not in page.value("document.documentElement.outerHTML")
-        start(page, f"{url}?PROLIFIC_PID=5f1e&STUDY_ID=1&SESSION_ID=2")
-        page.wait("!!document.getElementById('agree')")
-        assert page.value("document.getElementById('next').disabled")
+        page.goto(f"{url}?workerId=A1&assignmentId=ASSIGNMENT_ID_NOT_AVAILABLE")
+        assert page.evaluate("document.getElementById('start').disabled")
+        assert "C0FFEE" not in page.evaluate("document.documentElement.outerHTML")
+        begin(page, f"{url}?PROLIFIC_PID=5f1e&STUDY_ID=1&SESSION_ID=2")
+        wait(page, "!!document.getElementById('agree')")
+        assert page.evaluate("document.getElementById('next').disabled")
         page.click("#agree")
         page.click("#next")
-        page.wait("!!document.getElementById('person-age')")
-        page.value("document.getElementById('person-age').value = 'older'")
+        wait(page, "!!document.getElementById('person-age')")
+        page.evaluate("document.getElementById('person-age').value = 'older'")
         page.click("#next")
         chosen = answer_pages(page, study, "P01", last=2)
-        page.wait(f"JSON.parse(localStorage.getItem('study:{study.id}:5f1e')).outbox.length === 0")
-        start(page, f"{url}?PROLIFIC_PID=5f1e", clear=False)  # neither consent nor demographics are asked twice
+        wait(page, f"JSON.parse(localStorage.getItem('study:{study.id}:5f1e')).outbox.length === 0")
+        begin(page, f"{url}?PROLIFIC_PID=5f1e", clear=False)  # neither consent nor demographics are asked twice
         chosen |= answer_pages(page, study, "P01", first=2)
-        page.wait("!document.getElementById('end')?.disabled")
+        wait(page, "!document.getElementById('end')?.disabled")
         page.click("#comment")
-        page.type("Fine.")
+        page.keyboard.insert_text("Fine.")
         page.click("#end")
-        page.wait("document.getElementById('completion')?.textContent === 'C0FFEE'")
-        page.wait("document.querySelector('h1').textContent === 'Back'")
+        wait(page, "document.getElementById('completion')?.textContent === 'C0FFEE'")
+        wait(page, "document.querySelector('h1').textContent === 'Back'")
     elsewhere.shutdown()
     elsewhere.server_close()
     assert visited[0] == "/complete?cc=C0FFEE"

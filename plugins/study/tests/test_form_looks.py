@@ -1,10 +1,10 @@
 """How the form looks and behaves: sizes, motion, screen readers, light and dark, in a real browser."""
 
 import pytest
-from study_cases import small_study
 
 from anystyle_study.server import write_page
-from chromium import LOADED, start
+from tests.support.browser import accessible, phone, wait
+from tests.support.study_cases import LOADED, begin, small_study
 
 
 @pytest.mark.parametrize(("width", "height", "mobile"), [(1280, 800, False), (390, 844, True)])
@@ -12,63 +12,64 @@ from chromium import LOADED, start
 def test_pictures_are_side_by_side_in_one_size_on_every_screen(page, tmp_path, width, height, mobile, views):
     study, folder = small_study(tmp_path, frames=3, views=views, sets=2)
     write_page(study, folder, tmp_path / "form.html")
-    page.size(width, height, mobile=mobile)
-    start(page, f"{(tmp_path / 'form.html').as_uri()}#P03")
-    page.wait(LOADED)
+    if mobile:
+        phone(page, width, height)
+    begin(page, f"{(tmp_path / 'form.html').as_uri()}#P03")
+    wait(page, LOADED)
     box = "(i) => { const r = i.getBoundingClientRect(); return [r.x, r.y, r.width, r.height]; }"
-    boxes = page.value(f"[...document.querySelectorAll('.method img')].map({box})")
+    boxes = page.evaluate(f"[...document.querySelectorAll('.method img')].map({box})")
     assert len(boxes) == 2 * views
     for a, b in zip(boxes[:views], boxes[views:], strict=True):
         assert a[1:] == pytest.approx(b[1:], abs=0.6)
         assert a[0] + a[2] <= b[0]
         assert b[0] + b[2] <= width
         assert a[2] > (150 if mobile or views > 1 else 350)
-    assert page.value("document.documentElement.scrollWidth") <= width
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
     if not mobile:  # everything at a glance: nobody answers what they have not seen
-        assert page.value("document.getElementById('next').getBoundingClientRect().bottom") <= height
+        assert page.evaluate("document.getElementById('next').getBoundingClientRect().bottom") <= height
     small = boxes[0][2]
     page.click("#enlarge")
-    assert page.value(f"({box})(document.querySelector('.method img'))")[2] > 1.1 * small
+    assert page.evaluate(f"({box})(document.querySelector('.method img'))")[2] > 1.1 * small
 
 
 def test_videos_play_in_step_and_can_be_stopped(page, tmp_path):
     study, folder = small_study(tmp_path, frames=8, views=8, sets=2, show="video", frames_per_second=4)
     write_page(study, folder, tmp_path / "form.html")
-    page.call("Emulation.setEmulatedMedia", features=[{"name": "prefers-reduced-motion", "value": "reduce"}])
-    start(page, f"{(tmp_path / 'form.html').as_uri()}#P01")
-    page.wait(LOADED)
+    page.emulate_media(reduced_motion="reduce")
+    begin(page, f"{(tmp_path / 'form.html').as_uri()}#P01")
+    wait(page, LOADED)
     times = "[...document.querySelectorAll('video')].map((video) => video.currentTime)"
-    assert page.value(f"{times}.length") == 3
-    assert page.value(f"{times}.every((time) => time === 0)")  # for who does not bear motion
+    assert page.evaluate(f"{times}.length") == 3
+    assert page.evaluate(f"{times}.every((time) => time === 0)")  # for who does not bear motion
     page.click("#play")
-    page.wait(f"{times}.every((time) => time > 0.5)")
-    assert page.value(f"Math.max(...{times}) - Math.min(...{times})") < 0.3
-    page.wait(f"{times}.every((time) => time < 0.4)")  # it begins again
+    wait(page, f"{times}.every((time) => time > 0.5)")
+    assert page.evaluate(f"Math.max(...{times}) - Math.min(...{times})") < 0.3
+    wait(page, f"{times}.every((time) => time < 0.4)")  # it begins again
     page.click("#play")
-    page.wait("[...document.querySelectorAll('video')].every((video) => video.paused)")
+    wait(page, "[...document.querySelectorAll('video')].every((video) => video.paused)")
 
 
 def test_flip_books_turn_together(page, tmp_path):
     study, folder = small_study(tmp_path, frames=4, views=4, sets=2, show="flipbook")
     write_page(study, folder, tmp_path / "form.html")
-    start(page, f"{(tmp_path / 'form.html').as_uri()}#P01")
-    page.wait(LOADED)
+    begin(page, f"{(tmp_path / 'form.html').as_uri()}#P01")
+    wait(page, LOADED)
     stacks = "[...document.querySelectorAll('.stack')].filter((stack) => stack.children.length > 1)"
     turned = f"{stacks}.map((stack) => [...stack.children].findIndex((view) => !view.hidden))"
-    page.wait(f"{turned}.join() === '2,2,2'")  # by themselves
+    wait(page, f"{turned}.join() === '2,2,2'")  # by themselves
     page.click("#play")
-    page.value(
+    page.evaluate(
         "Object.assign(document.querySelector('input[type=range]'), {value: 2}).dispatchEvent(new Event('input'))"
     )
-    assert page.value(turned) == [1, 1, 1]
+    assert page.evaluate(turned) == [1, 1, 1]
 
 
 def test_a_screen_reader_is_told_everything(page, tmp_path):
     study, folder = small_study(tmp_path, frames=2, views=2, sets=2)
     write_page(study, folder, tmp_path / "form.html")
-    start(page, f"{(tmp_path / 'form.html').as_uri()}#P04")
-    page.wait(LOADED)
-    accessible = {(one["role"], one["name"]) for one in page.accessible()}
+    begin(page, f"{(tmp_path / 'form.html').as_uri()}#P04")
+    wait(page, LOADED)
+    told = set(accessible(page))
     assert {
         *(("image", f"{name}, view {view} of 2") for name in ("A", "B", "The original") for view in (1, 2)),
         ("image", "The style to match"),
@@ -79,8 +80,8 @@ def test_a_screen_reader_is_told_everything(page, tmp_path):
         ("group", "How easy to recognize is B?"),
         ("heading", "Compare A and B"),
         ("button", "Next"),
-    } <= accessible
-    radios = {name.strip() for role, name in accessible if role == "radio"}
+    } <= told
+    radios = {name.strip() for role, name in told if role == "radio"}
     assert radios == {
         "1 A is much better",
         "2 A is better",
@@ -90,6 +91,6 @@ def test_a_screen_reader_is_told_everything(page, tmp_path):
     } | {
         *("1 Hard", "2", "3 Easy"),
     }
-    assert page.value("document.activeElement.tagName") == "H1"
-    page.key("Tab")  # the first thing after the heading
-    assert page.value("document.activeElement.id") == "enlarge"
+    assert page.evaluate("document.activeElement.tagName") == "H1"
+    page.keyboard.press("Tab")  # the first thing after the heading
+    assert page.evaluate("document.activeElement.id") == "enlarge"

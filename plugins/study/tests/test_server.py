@@ -14,12 +14,12 @@ from contextlib import closing
 import msgspec
 import numpy as np
 import pytest
-from study_cases import small_study
-from study_serving import PATIENCE, answer, claim, kept_answers, post, serving, token_of
 
 from anystyle_study.server import write_page
 from anystyle_study.store import Claim, Fact, PostedAnswer, Refused, SessionMessage, Store
-from chromium import until
+from tests.support.browser import until
+from tests.support.study_cases import small_study
+from tests.support.study_serving import PATIENCE, answer, claim, kept_answers, post, serving, token_of
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from anystyle_tiny.style_encoder import Tiny
 from anystyle_tiny.training.embedding import EmbeddingTraining
 from anystyle_tiny.training.perceptual import TAPS, NormedTexture, PerceptualTraining, palette_loss
 from anystyle_tiny.training.styles import UNKNOWN, StyleBatches, TraitHeads
-from oracle import hashed
+from tests.support.oracle import hashed
 
 SIZE = 64
 

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from anystyle_tiny.losses import Checkerboard, Luminance
-from oracle import smooth_image
-from style_cases import stylization
+from tests.support.oracle import smooth_image
+from tests.support.style_cases import stylization
 
 
 def test_a_pattern_that_repeats_with_the_patches_costs_its_mean_amplitude() -> None:

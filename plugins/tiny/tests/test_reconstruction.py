@@ -11,7 +11,7 @@ from anystyle.registry.compose import compose
 from anystyle_tiny.procedural.scenes import ProceduralScenes
 from anystyle_tiny.training.reconstruction import ReconstructionTraining, reference_view_first
 from anystyle_tiny.training.supervision import canonical
-from training_cases import RECONSTRUCTION
+from tests.support.training_cases import RECONSTRUCTION
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from anystyle_tiny.style_encoder import COLORS, KNOTS, Tiny, colors, ramp
-from oracle import smooth_image
+from tests.support.oracle import smooth_image
 
 TEXTS = ("red dots", "thick swirling strokes in deep blue and gold, very large", "a photo", "a")
 

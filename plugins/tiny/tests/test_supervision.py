@@ -18,7 +18,7 @@ from anystyle_tiny.training.supervision import (
     project,
     transfer_loss,
 )
-from oracle import hashed
+from tests.support.oracle import hashed
 
 SIZE = 24
 

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from viewer_scene import FOCAL, SIZE, camera, write_scene
 
 from anystyle.registry.catalog import catalog
 from anystyle.renderers.torch import TorchRenderer
 from anystyle.types import Gaussians
-from chromium import SOFTWARE_GL, browser, find_chromium, until
+from tests.support.browser import drop, errors_of, new_page, until, wait
+from tests.support.viewer_scene import FOCAL, SIZE, camera, write_scene
 
 pytest.importorskip("viser", reason="the extra `viewer` is not installed")
 
@@ -23,11 +23,9 @@ from anystyle_viewer.command import open_session
 from anystyle_viewer.session import StyleRequest
 from anystyle_viewer.viewer import Viewer
 
-CHROMIUM = find_chromium()
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium (apt install chromium)"),
-]
+pytestmark = pytest.mark.slow
+WINDOW = {"width": 1120, "height": 840}
+"""Of the pictures that are compared: viser would squeeze others."""
 
 
 @pytest.fixture(scope="module")
@@ -41,9 +39,11 @@ def viewer(tmp_path_factory):
 def visit(page, viewer):
     """Open the viewer; returns what the program knows of this browser."""
     before = set(viewer._views)
-    page.size(1120, 840)  # of the pictures that are compared: viser would squeeze others
-    page.call("Page.navigate", url=viewer.server.url)
-    page.wait("document.body && document.body.innerText.includes('Preserve colour')")
+    page.set_viewport_size(
+        {"width": 1120, "height": 840}
+    )  # of the pictures that are compared: viser would squeeze others
+    page.goto(viewer.server.url)
+    wait(page, "document.body && document.body.innerText.includes('Preserve colour')")
     (number,) = until(lambda: set(viewer._views) - before)
     view = viewer._views[number]
     view.show_cameras(False)
@@ -53,11 +53,13 @@ def visit(page, viewer):
 
 
 @pytest.fixture(scope="module")
-def page(viewer, tmp_path_factory):
-    with browser(CHROMIUM, tmp_path_factory.mktemp("browser"), SOFTWARE_GL) as page:
-        page.view = visit(page, viewer)
-        yield page
-        assert not [error for error in page.errors if "favicon" not in error and "413" not in error]
+def page(viewer, browser):
+    page = new_page(browser, viewport=WINDOW)
+    errors = errors_of(page)
+    page.view = visit(page, viewer)
+    yield page
+    expected = ("favicon", "413", "400")  # a file that is too large, and one that is not a picture
+    assert not [error for error in errors if not any(told in error for told in expected)]
 
 
 @pytest.fixture(autouse=True)
@@ -68,38 +70,24 @@ def begun(viewer, page):
     until(lambda: viewer.session.current == StyleRequest() and viewer._shown == StyleRequest())
 
 
-def press(page, text, kind="button"):
-    """Click the element that says so, once it stands still and nothing covers it."""
-    mark = f"mark-{time.monotonic_ns()}"
-    page.wait(
-        f"(() => {{ const e = [...document.querySelectorAll('{kind}')].findLast(e => e.innerText.trim() === '{text}');"
-        " if (!e) return false; e.scrollIntoView({block: 'center'}); const r = e.getBoundingClientRect();"
-        " const before = e.dataset.at; e.dataset.at = [r.x, r.y, r.height];"
-        " const top = document.elementFromPoint(r.x + r.width / 2, r.y + r.height / 2);"
-        f" if (before !== e.dataset.at || !e.contains(top)) return false; e.id = '{mark}'; return true; }})()",
-        60,
-    )
-    page.click(f"#{mark}")
-
-
 def expand(page, folder, inside):
     """Open a folder of the panel."""
-    if not page.value(f"document.body.innerText.includes('{inside}')"):
-        press(page, folder, "div")
-        page.wait(f"document.body.innerText.includes('{inside}')", 60)
+    if not page.evaluate(f"document.body.innerText.includes('{inside}')"):
+        page.get_by_text(folder, exact=True).click()
+        wait(page, f"document.body.innerText.includes('{inside}')", 60)
 
 
 def shown(page, text):
-    page.wait(f"document.body.innerText.includes('Shown: {text}')")
+    wait(page, f"document.body.innerText.includes('Shown: {text}')")
 
 
 def paint(page, text):
-    page.value(
+    page.evaluate(
         "[...document.querySelectorAll('label')].find(e => e.textContent === 'Text')"
         ".closest('div').parentElement.parentElement.querySelector('input').select()"
     )
-    page.type(text)
-    page.key("Enter", "\r")
+    page.keyboard.insert_text(text)
+    page.keyboard.press("Enter")
     shown(page, text)
 
 
@@ -138,35 +126,23 @@ def test_a_style_that_is_typed_is_seen_and_the_row_goes_back_at_once(viewer, pag
     assert not torch.equal(styled.harmonics, viewer.session.restyler.unstyled.harmonics)
     compared(page.view, expected(styled), tmp_path / "styled.png")
     paint(page, "blue waves")
-    pictures = page.value("[...document.querySelectorAll('[data-style] img')].map(e => e.naturalWidth)")
+    pictures = page.evaluate("[...document.querySelectorAll('[data-style] img')].map(e => e.naturalWidth)")
     assert len(pictures) >= 3 and min(pictures) > 50
     page.click("[data-style='red dots']")
     shown(page, "red dots")
     assert viewer.session.gaussians is styled
-    page.value("document.querySelector('[data-style=\"blue waves\"]').focus()")
-    page.key("Enter", "\r")
+    page.evaluate("document.querySelector('[data-style=\"blue waves\"]').focus()")
+    page.keyboard.press("Enter")
     shown(page, "blue waves")
-    page.picture(tmp_path / "window.png")
+    page.screenshot(path=tmp_path / "window.png")
 
 
 def test_an_uploaded_picture_is_a_style(viewer, page, tmp_path):
     file = tmp_path / "stripes.png"
     Image.fromarray(np.tile(np.uint8([[[250, 200, 0]] * 8 + [[20, 0, 120]] * 8]), (128, 8, 1))).save(file)
-    page.call("DOM.enable")
-    root = page.call("DOM.getDocument")["root"]["nodeId"]
-    button = page.call("DOM.querySelector", nodeId=root, selector="input[type=file]")["nodeId"]
-    page.call("DOM.setFileInputFiles", nodeId=button, files=[str(file)])
+    page.locator("input[type=file]").first.set_input_files(file)
     shown(page, "stripes")
     assert not torch.equal(viewer.session.gaussians.harmonics, viewer.session.restyler.unstyled.harmonics)
-
-
-def drop(page, *files):
-    data = {"items": [], "files": [str(file) for file in files], "dragOperationsMask": 1}
-    page.call("Input.dispatchDragEvent", type="dragEnter", x=300, y=300, data=data)
-    while page.value("document.getElementById('anystyle-drop').hidden"):
-        page.call("Input.dispatchDragEvent", type="dragOver", x=300, y=300, data=data)
-    page.call("Input.dispatchDragEvent", type="drop", x=300, y=300, data=data)
-    page.wait("document.getElementById('anystyle-drop').hidden")
 
 
 def test_a_dropped_picture_is_a_style_and_what_is_none_is_told(viewer, page, tmp_path):
@@ -178,17 +154,16 @@ def test_a_dropped_picture_is_a_style_and_what_is_none_is_told(viewer, page, tmp
     styled = viewer.session.gaussians
     (tmp_path / "notes.txt").write_text("no picture")
     drop(page, tmp_path / "notes.txt")
-    page.wait("document.getElementById('anystyle-note').textContent.includes('notes')")
+    wait(page, "document.getElementById('anystyle-note').textContent.includes('notes')")
     (tmp_path / "large.png").write_bytes(bytes(33 * 1024 * 1024))
     drop(page, tmp_path / "large.png")
-    page.wait("document.getElementById('anystyle-note').textContent.includes('at most 32 are taken')")
+    wait(page, "document.getElementById('anystyle-note').textContent.includes('at most 32 are taken')")
     assert viewer.session.gaussians is styled
-    page.errors.clear()  # the browser tells of an answer of 400
 
 
-def test_two_browsers_share_styles_and_each_looks_as_it_likes(viewer, page, tmp_path):
+def test_two_browsers_share_styles_and_each_looks_as_it_likes(viewer, browser, page, tmp_path):
     unstyled = viewer.session.restyler.unstyled
-    with browser(CHROMIUM, tmp_path / "second", SOFTWARE_GL) as other:
+    with new_page(browser, viewport=WINDOW) as other:
         view = visit(other, viewer)
         paint(other, "red dots")
         shown(page, "red dots")
@@ -208,8 +183,8 @@ def test_before_and_after_part_at_the_line_and_follow_the_camera(viewer, page, t
     styled, before = expected(viewer.session.gaussians), expected(viewer.session.restyler.unstyled)
     page.view.split.value = 0.5
     page.view.refresh()
-    page.wait("!document.getElementById('anystyle-line').hidden")
-    left = page.value("parseFloat(document.getElementById('anystyle-line').style.left) / innerWidth")
+    wait(page, "!document.getElementById('anystyle-line').hidden")
+    left = page.evaluate("parseFloat(document.getElementById('anystyle-line').style.left) / innerWidth")
     assert abs(left - 0.5) < 0.01
     half = SIZE[1] // 2
     target = np.concatenate([before[:, :half], styled[:, half:]], axis=1)
@@ -226,17 +201,18 @@ def test_before_and_after_part_at_the_line_and_follow_the_camera(viewer, page, t
     viewer.path.look_from(page.view.client, np.eye(4))
     page.view.split.value = 0.0
     page.view.refresh()
-    page.wait("document.getElementById('anystyle-line').hidden")
+    wait(page, "document.getElementById('anystyle-line').hidden")
 
 
 def test_a_shift_click_keeps_the_style_to_what_looks_alike_there(viewer, page, tmp_path):
     paint(page, "blue waves")
     styled, unstyled = viewer.session.gaussians, viewer.session.restyler.unstyled
-    width, height = page.value("[innerWidth, innerHeight]")
+    width, height = page.evaluate("[innerWidth, innerHeight]")
     x, y = width / 2 + height * FOCAL / SIZE[0] * 0.5 / 3, height / 2 - height * FOCAL / SIZE[0] * 0.4 / 3
     viewer.reach.value = 2.0
-    for kind in ("mousePressed", "mouseReleased"):
-        page.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1, modifiers=8)
+    page.keyboard.down("Shift")
+    page.mouse.click(x, y)
+    page.keyboard.up("Shift")
     until(lambda: viewer.session.current.place)
     red = unstyled.harmonics[0, :, 0, 0] > unstyled.harmonics[0, :, 0, 1]
     assert torch.equal(viewer.session.gaussians.harmonics[0, red], styled.harmonics[0, red])
@@ -244,7 +220,7 @@ def test_a_shift_click_keeps_the_style_to_what_looks_alike_there(viewer, page, t
     until(lambda: viewer._shown == viewer.session.current)
     compared(page.view, expected(viewer.session.gaussians), tmp_path / "place.png")
     expand(page, "Place", "Everywhere")
-    press(page, "Everywhere")
+    page.get_by_role("button", name="Everywhere", exact=True).click()
     until(lambda: viewer.session.gaussians is styled)
 
 
@@ -256,14 +232,14 @@ def test_a_path_of_keyframes_is_previewed_and_rendered(viewer, page, tmp_path):
         side[0, 3] = position
         viewer.path.look_from(page.view.client, side)
         until(lambda: np.allclose(pose_of(page.view.client.camera), side, atol=1e-3))
-        press(page, "Add keyframe")
-    page.wait("document.body.innerText.includes('2 keyframes.')")
+        page.get_by_role("button", name="Add keyframe", exact=True).click()
+    wait(page, "document.body.innerText.includes('2 keyframes.')")
     viewer.path.look_from(page.view.client, np.eye(4))
-    press(page, "Preview")
+    page.get_by_role("button", name="Preview", exact=True).click()
     until(lambda: abs(page.view.client.camera.position[0] - 0.4) < 1e-2)
-    press(page, "Render MP4")
-    file = until(lambda: next(page.downloads.glob("video*.mp4"), None))
-    with av.open(str(file)) as container:
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Render MP4", exact=True).click()
+    with av.open(str(download.value.path())) as container:
         frames = [frame.to_ndarray(format="rgb24") / 255 for frame in container.decode(video=0)]
     assert len(frames) == 30
     pose = torch.eye(4)
@@ -271,19 +247,20 @@ def test_a_path_of_keyframes_is_previewed_and_rendered(viewer, page, tmp_path):
         pose[0, 3] = position
         assert psnr(frame, expected(viewer.session.gaussians, pose)) > 28
     assert psnr(frames[0], frames[-1]) < 25
-    press(page, "Clear")
-    page.wait("document.body.innerText.includes('No keyframes')")
+    page.get_by_role("button", name="Clear", exact=True).click()
+    wait(page, "document.body.innerText.includes('No keyframes')")
     viewer.path.look_from(page.view.client, np.eye(4))
 
 
 @pytest.mark.parametrize("name", ["ply", "html"])
-def test_a_download_holds_what_is_shown(name, viewer, page):
+def test_a_download_holds_what_is_shown(name, viewer, page, tmp_path):
     paint(page, "red dots")
     expand(page, "Save", "Download")
     assert viewer.format.options == tuple(catalog().names("format"))
     viewer.format.value = name
-    press(page, "Download")
-    file = until(lambda: next(page.downloads.glob(f"scene*.{name}"), None))
+    with page.expect_download() as download:
+        page.get_by_role("button", name="Download", exact=True).click()
+    download.value.save_as(file := tmp_path / f"scene.{name}")
     if name == "html":
         text = file.read_text(encoding="utf-8")
         titles = re.findall(r'"title":\s*"(.*?)"', text)

@@ -7,7 +7,6 @@ from dataclasses import replace
 import pytest
 import torch
 from PIL import Image
-from viewer_scene import FOCAL, SIZE, camera, write_scene
 
 from anystyle.commands import stylize
 from anystyle.contracts import Method
@@ -21,7 +20,8 @@ from anystyle_viewer.command import open_session
 from anystyle_viewer.picking import surface_point
 from anystyle_viewer.server import MAX_SIDE, MAX_UPLOAD, store_upload, style_row, title_of
 from anystyle_viewer.session import Session, StyleRequest
-from chromium import until
+from tests.support.browser import until
+from tests.support.viewer_scene import FOCAL, SIZE, camera, write_scene
 
 WORDS = ["views.short_side=112"]
 

@@ -9,6 +9,7 @@ from itertools import chain, count, takewhile
 from pathlib import Path, PurePath, PurePosixPath
 
 from anystyle.errors import UserError
+from anystyle.paths import text_of
 
 ENCODINGS = ("gb18030", "cp932", "big5", "cp949", "cp1251", "cp437", "cp1252", "latin-1")
 """Of names that were not written as UTF-8."""
@@ -96,7 +97,7 @@ def differences(pairs: Mapping[Path, str]) -> str:
     if not kinds:
         return ""
     image, *others = (image for image in told if told[image])
-    shown = f"{image} is taken for {pairs[image]}"
+    shown = text_of(f"{image} is taken for {pairs[image]}")
     return f"the names of {1 + len(others)} of {len(pairs)} images differ in {' and '.join(kinds)}: {shown}"
 
 

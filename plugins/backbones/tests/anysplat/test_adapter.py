@@ -8,7 +8,7 @@ from torch import Tensor
 from anystyle.geometry.transforms import matrix_from_wxyz
 from anystyle.types import Attributes, Cameras, Geometry
 from anystyle_backbones.anysplat.adapter import Adapter
-from oracle import assert_matches, golden, hashed
+from tests.support.oracle import assert_matches, golden, hashed
 
 GOLDEN = golden("anystyle_golden")
 

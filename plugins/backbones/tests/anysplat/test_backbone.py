@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from anystyle_backbones.anysplat import AnySplat
-from backbone_cases import network, same, views
+from tests.support.backbone_cases import network, same, views
 
 EXAMPLE = AnySplat.example(Path())
 

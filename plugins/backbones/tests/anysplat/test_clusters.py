@@ -5,7 +5,7 @@ import torch
 from torch import Tensor
 
 from anystyle_backbones.anysplat.adapter import fuse, lexicographic_ranks, voxel_clusters
-from oracle import hashed
+from tests.support.oracle import hashed
 
 
 def points(index: int, scenes: int, count: int, half: float = 1.0) -> Tensor:

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import anysplat_reference as reference
 import numpy as np
 import pytest
 import torch
@@ -18,7 +17,8 @@ from anystyle.placements.full import Full
 from anystyle.placements.head import Head
 from anystyle.types import Attributes, Gaussians, Scene, Site, StyleEmbedding, Tokens, Views
 from anystyle_backbones.anysplat import AnySplat, keys
-from oracle import assert_matches, fill_named, golden, smooth_image
+from tests.support import anysplat_reference as reference
+from tests.support.oracle import assert_matches, fill_named, golden, smooth_image
 
 CHECKPOINTS = keys.AnySplatCheckpoints()
 PLACEMENTS = {"head": Head(), "agg": Full()}

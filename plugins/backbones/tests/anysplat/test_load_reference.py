@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import anysplat_reference as reference
 import pytest
 import torch
 from omegaconf import OmegaConf
@@ -13,7 +12,8 @@ from torch import Tensor
 from anystyle.pipeline.weights import load_reference
 from anystyle.stylizer import Stylizer
 from anystyle.types import Gaussians, Scene, StyleEmbedding, Views
-from oracle import fill_named, golden, smooth_image
+from tests.support import anysplat_reference as reference
+from tests.support.oracle import fill_named, golden, smooth_image
 
 FILE = golden("golden_e2e_tiny")
 CASE = FILE["tiny"]["tiny_v3_56x84"]

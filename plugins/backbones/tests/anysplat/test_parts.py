@@ -1,6 +1,5 @@
 """What the whole network's goldens leave out: tokens of another reference view, and styled parts at published width."""
 
-import anysplat_reference as reference
 import torch
 
 from anystyle.injectors.zero_conv import ZeroConv
@@ -9,7 +8,8 @@ from anystyle_backbones import dpt
 from anystyle_backbones.anysplat import keys
 from anystyle_backbones.anysplat.heads import GaussianHead
 from anystyle_backbones.anysplat.transformer import Aggregator, Embedder
-from oracle import assert_matches, golden, hashed
+from tests.support import anysplat_reference as reference
+from tests.support.oracle import assert_matches, golden, hashed
 
 GOLDEN = golden("anystyle_golden")
 

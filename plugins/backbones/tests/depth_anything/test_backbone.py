@@ -8,8 +8,8 @@ import torch
 
 from anystyle.types import Tokens, Views
 from anystyle_backbones.depth_anything import DepthAnything
-from backbone_cases import network, same, views
-from oracle import hashed
+from tests.support.backbone_cases import network, same, views
+from tests.support.oracle import hashed
 
 EXAMPLE = DepthAnything.example(Path())
 

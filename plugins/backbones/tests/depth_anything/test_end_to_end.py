@@ -4,7 +4,6 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
-import depth_anything_reference as reference
 import pytest
 import torch
 
@@ -12,6 +11,7 @@ from anystyle.contracts import Backbone
 from anystyle.registry.build import build
 from anystyle.registry.compose import compose
 from anystyle_backbones.depth_anything import DepthAnything, keys
+from tests.support import depth_anything_reference as reference
 
 GOLDEN = reference.record()
 

@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import depth_anything_reference as reference
 import pytest
 import torch
 from safetensors.torch import save_file
@@ -15,7 +14,8 @@ from anystyle.registry.build import build
 from anystyle.registry.compose import compose
 from anystyle.types import Views
 from anystyle_backbones.depth_anything import DepthAnything, keys
-from oracle import smooth_image
+from tests.support import depth_anything_reference as reference
+from tests.support.oracle import smooth_image
 
 # Keys and parameters of the published modules: trunk, depth decoder, camera decoder, and the one Gaussian head.
 PUBLISHED = {

@@ -8,7 +8,7 @@ from anystyle.geometry.transforms import matrix_from_wxyz, wxyz_from_xyzw
 from anystyle.types import Attributes, Cameras, Geometry
 from anystyle_backbones.depth_anything.adapter import Adapter
 from anystyle_backbones.depth_anything.heads import decode_pose
-from oracle import hashed
+from tests.support.oracle import hashed
 
 SIZE = (6, 8)
 

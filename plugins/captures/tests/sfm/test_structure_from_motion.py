@@ -11,8 +11,8 @@ from anystyle_captures.sfm.colmap import match
 from anystyle_captures.sfm.model import Photograph, SearchOptions, SimpleRadial
 from anystyle_captures.sfm.trust import agreement
 from anystyle_captures.structure_from_motion import find_cameras
-from cards import World, arc, panorama
-from real_data import real
+from tests.support.cards import World, arc, panorama
+from tests.support.real_data import real
 
 FOCAL, SIZE = 200.0, (168, 192)
 

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from anystyle_captures.sfm.model import SparseModel, VerifiedPair, ViewGraph, largest_features, pairs_to_match
 from anystyle_captures.sfm.trust import agreement, judge, share_of_rotation, supported_views
-from cards import arc
+from tests.support.cards import arc
 
 VIEWS, SIZE = 6, (480, 640)
 

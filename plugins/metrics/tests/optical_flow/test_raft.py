@@ -8,8 +8,8 @@ from scipy.ndimage import map_coordinates
 
 from anystyle_metrics.optical_flow import network
 from anystyle_metrics.optical_flow.network import RADIUS, WINDOW, correlation_pyramid, look_up
-from judging_cases import ALIASES
-from oracle import assert_matches, fill_sorted, golden, hashed
+from tests.support.judging_cases import ALIASES
+from tests.support.oracle import assert_matches, fill_sorted, golden, hashed
 
 
 def with_aliases(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

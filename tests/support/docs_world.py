@@ -10,8 +10,8 @@ import torch
 from PIL import Image
 
 from anystyle.types import Gaussians
-from docs_cases import ROOT, blocks
-from weights_cases import training_checkpoint
+from tests.support.docs_cases import ROOT, blocks
+from tests.support.weights_cases import training_checkpoint
 
 _TRANSFORMS = {"w": 64, "h": 48, "fl_x": 60, "fl_y": 60, "cx": 32, "cy": 24}
 

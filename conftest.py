@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from program import Program
+from tests.support.program import Program
+
+pytest_plugins = ("tests.support.browser",)
 
 os.environ["ANYSTYLE_CACHE"] = "off"
 # Where bytecode is forbidden, each worker and each process that a test starts would compile every module again: of the

@@ -14,7 +14,7 @@ from typing import ClassVar
 
 import torch
 
-ROOT = Path(__file__).parent.parent
+ROOT = Path(__file__).parents[2] / "plugins" / "comfyui"
 
 CORE = {  # nodes of ComfyUI that the example workflows use: types of inputs and outputs
     "LoadImage": ({}, ["IMAGE", "MASK"]),

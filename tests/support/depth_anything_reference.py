@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from anystyle.types import Attributes, Cameras, Gaussians
-from oracle import assert_matches, fill_named, golden, smooth_image
+from tests.support.oracle import assert_matches, fill_named, golden, smooth_image
 
 TINY: dict[str, Any] = {
     "native_resolution": 70,

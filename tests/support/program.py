@@ -19,8 +19,8 @@ from typing import NamedTuple
 
 SHIM = """#!{python}
 import os, sys
-sys.path.insert(0, {tests!r})
-from program import ask
+sys.path.insert(0, {root!r})
+from tests.support.program import ask
 sys.exit(ask({address!r}, sys.argv[1:], os.getcwd(), dict(os.environ), (1, 2))[0])
 """
 
@@ -61,7 +61,7 @@ class Program:
         """Write it as ``anystyle`` into a folder, for shells; answers with the folder."""
         folder.mkdir(parents=True)
         file = folder / "anystyle"
-        file.write_text(SHIM.format(python=sys.executable, tests=str(Path(__file__).parent), address=self.address))
+        file.write_text(SHIM.format(python=sys.executable, root=str(Path(__file__).parents[2]), address=self.address))
         file.chmod(0o755)
         return folder
 
@@ -83,7 +83,7 @@ def _start() -> str:
     address = str(Path(tempfile.mkdtemp(prefix="anystyle-")) / "socket")
     # A worker's parent lasts as long as the run.
     run = os.getppid() if "PYTEST_XDIST_WORKER" in os.environ else os.getpid()
-    command = [sys.executable, __file__, address, str(run)]
+    command = [sys.executable, "-m", __spec__.name, address, str(run)]
     environment = os.environ | {"PYTHONPATH": os.pathsep.join(path for path in sys.path if path)}
     with subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True, env=environment) as process:
         assert process.stdout is not None
@@ -154,7 +154,7 @@ def _lives(process: int) -> bool:
 
 
 def _serve(address: str, run: int) -> None:
-    import warm  # noqa: F401
+    from tests.support import warm  # noqa: F401
 
     server = _Server(address, run)
     os.write(1, b"ready\n")

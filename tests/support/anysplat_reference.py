@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from anystyle.types import Attributes
-from oracle import fill_sorted, hashed
+from tests.support.oracle import fill_sorted, hashed
 
 
 def fill(module: nn.Module, names: Callable[[Sequence[str]], Mapping[str, str]], *, published: str) -> int:

@@ -11,6 +11,9 @@ from anystyle_study.protocol import Plan, Study, plan_from
 
 HEADER = "participant,item,question,score,ours_is"
 
+LOADED = "!!document.querySelector('[data-loaded]')"
+"""A set of the form is shown, with every picture."""
+
 
 def answer_rows(
     people: int = 12, items: int = 6, questions: Sequence[str] = ("style",), shift: float = -0.5, seed: int = 0
@@ -84,3 +87,11 @@ def small_plan(**changes: object) -> Plan:
 def small_study(root: Path, frames: int = 0, **changes: object) -> tuple[Study, Path]:
     """A designed study of four sets for four participants, and its folder."""
     return design(write_results(root, frames=frames), small_plan(**changes), root / "study"), root / "study"
+
+
+def begin(page, url, clear=True):
+    """Open the form as in a browser that has never been there, and begin."""
+    page.goto(url)
+    if clear:
+        page.evaluate("localStorage.clear()")
+    page.click("#start")

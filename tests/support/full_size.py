@@ -2,13 +2,13 @@
 
 No published weights are needed to measure: what a network costs does not depend on its values.
 
-``python tests/full_size.py make anystyle_head FOLDER`` writes ``anystyle_head.safetensors`` in the published types (the
-frozen transformers in bf16) and with ``--ckpt`` a training checkpoint beside it; ``longclip_b32`` and ``vggt`` are made
-the same way.
+``python -m tests.support.full_size make anystyle_head FOLDER`` writes ``anystyle_head.safetensors`` in the published
+types (the frozen transformers in bf16) and with ``--ckpt`` a training checkpoint beside it; ``longclip_b32`` and
+``vggt`` are made the same way.
 
-``python tests/full_size.py load FILE [OVERRIDE ...]`` loads a file in a process of its own, looks at every tensor, and
-prints the peak of the process's own memory above where it began, in the size of the loaded model: without the pages of
-the file, which the system takes back when it needs them.
+``python -m tests.support.full_size load FILE [OVERRIDE ...]`` loads a file in a process of its own, looks at every
+tensor, and prints the peak of the process's own memory above where it began, in the size of the loaded model: without
+the pages of the file, which the system takes back when it needs them.
 """
 
 import argparse
@@ -27,7 +27,7 @@ from torch import Tensor
 from anystyle.pipeline.load import build_and_load
 from anystyle.registry.compose import compose
 from anystyle.vision.clip import Clip
-from oracle import fill_named, golden
+from tests.support.oracle import fill_named, golden
 
 KINDS = ("anysplat", "anystyle_head", "anystyle_full", "vggt", "longclip_b32")
 NAMES = {torch.float32: "F32", torch.bfloat16: "BF16"}
@@ -37,7 +37,7 @@ LOAD = """
 import json, sys
 import torch
 from anystyle.pipeline.load import build_and_load
-from resident import sampled_peak
+from tests.support.resident import sampled_peak
 from anystyle.pipeline.weights import load_reference
 from anystyle.registry.compose import compose
 
@@ -118,7 +118,7 @@ def make(kind: str, folder: Path, ckpt: bool) -> None:
 def load(file: Path, overrides: Sequence[str]) -> dict[str, Any]:
     """What loading a file takes, in a process of its own."""
     command = [sys.executable, "-c", LOAD, str(file), *overrides]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parent)
+    done = subprocess.run(command, capture_output=True, text=True, check=False, cwd=Path(__file__).parents[2])
     if done.returncode:
         raise ValueError(done.stderr.strip().splitlines()[-1])
     return json.loads(done.stdout)

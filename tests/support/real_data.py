@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(os.environ.get("ANYSTYLE_TEST_DATA", Path(__file__).parents[2] / "shared" / "data"))
+ROOT = Path(os.environ.get("ANYSTYLE_TEST_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
 
 def real(path: str) -> Path:

@@ -9,7 +9,7 @@ from anystyle.methods.colors import colors_alone
 from anystyle.pipeline.load import make_method
 from anystyle.registry.compose import compose
 from anystyle.types import Geometry, Style, Views
-from known_scene import photographed_wall, wall
+from tests.support.known_scene import photographed_wall, wall
 
 
 @cache

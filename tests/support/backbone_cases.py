@@ -8,7 +8,7 @@ import torch
 from anystyle.contracts import Backbone
 from anystyle.registry.catalog import catalog
 from anystyle.types import Views
-from oracle import smooth_image
+from tests.support.oracle import smooth_image
 
 
 def network(name: str, **options: Any) -> Backbone:

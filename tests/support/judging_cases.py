@@ -12,7 +12,7 @@ from torch import Tensor
 
 from anystyle.vision import art_score, inception, networks, weights
 from anystyle_metrics.optical_flow import network
-from oracle import fill_named, golden, smooth_image
+from tests.support.oracle import fill_named, golden, smooth_image
 
 CONV_RULES = [["\\.weight$", {"scale": 1.4142135623730951}]]
 ALIASES = tuple(

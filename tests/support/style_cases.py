@@ -24,7 +24,7 @@ from anystyle.types import (
 )
 from anystyle.vision import weights
 from anystyle.vision.vgg import VGG19
-from oracle import fill_named
+from tests.support.oracle import fill_named
 
 # The goldens fill VGG by name with the gain of a rectifier.
 VGG_RULES = [[r"\.weight$", {"scale": 2**0.5}]]

@@ -4,7 +4,7 @@ import re
 import shlex
 from pathlib import Path
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 PAGES = [
     ROOT / "README.md",
     ROOT / "CONTRIBUTING.md",
@@ -115,8 +115,8 @@ NOT_RUN = {
     r"anystyle profile model=anystyle_head": "5 GiB of weights; benchmark/tests profile a small model without any",
     r"anystyle view( \S+)?$": "serves until it is interrupted; tests of the viewer look at it",
     r"make fuzz\b": "sets up an environment from a network, and takes minutes; test_fuzz.py damages a few inputs",
-    r"PYTHONPATH=tests\S* python tests/benchmarks/": "minutes, and pictures that do not travel with the project",
-    r"python tests/benchmarks/published\.py CHECKOUT ": "minutes, and a checkout of the published code",
+    r"python -m tests\.benchmarks\.published CHECKOUT ": "minutes, and a checkout of the published code",
+    r"python -m tests\.benchmarks\.": "minutes, and pictures that do not travel with the project",
     r"ssh ": "needs another machine",
     r"anystyle stylize outputs/poster/": "a run of nerfstudio; plugins/formats/tests makes one",
     r"anystyle nerfstudio path ": "a path of nerfstudio's viewer; plugins/formats/tests makes one",
