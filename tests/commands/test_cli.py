@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
 from anystyle import __main__ as program
+from anystyle.cli import launch
 from anystyle.cli.arguments import split
 from anystyle.cli.run import message, run
-from anystyle.commands import _compose
 from anystyle.contracts import Placement
 from anystyle.errors import UserError
 from anystyle.registry.build import build
@@ -53,13 +53,13 @@ def command(tmp_path, monkeypatch, capsys):
     conf = tmp_path / "conf"
     conf.mkdir()
     (conf / "config.yaml").write_text(ROOT)
-    monkeypatch.setattr(_compose.paths, "CONF", conf)
+    monkeypatch.setattr(launch.paths, "CONF", conf)
     monkeypatch.chdir(tmp_path)
 
     def go(*words: str) -> tuple[int, str, str]:
         status = 0
         try:
-            _compose.main("config", job, flags(), words=list(words))
+            launch.main("config", job, flags(), words=list(words))
         except SystemExit as left:
             status = int(left.code or 0)
         captured = capsys.readouterr()
@@ -358,10 +358,10 @@ def test_messages():
 
 def test_environment_and_arguments_are_put_back(tmp_path, monkeypatch, capsys):
     (tmp_path / "config.yaml").write_text(ROOT)
-    monkeypatch.setattr(_compose.paths, "CONF", tmp_path)
+    monkeypatch.setattr(launch.paths, "CONF", tmp_path)
     monkeypatch.chdir(tmp_path)
     before = list(sys.argv)
     seen = []
-    _compose.launch("config", lambda config: seen.append((config.seed, sys.argv[1:])), ["seed=4"])
+    launch.launch("config", lambda config: seen.append((config.seed, sys.argv[1:])), ["seed=4"])
     assert seen == [(4, ["seed=4"])]
     assert sys.argv == before and "HYDRA_FULL_ERROR" not in os.environ

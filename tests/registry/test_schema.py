@@ -11,15 +11,23 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from anystyle.contracts import Correspondence, Injector, Loss, Metric, Placement, Renderer, StyleSource
+from anystyle.contracts import (
+    Correspondence,
+    Injector,
+    Loss,
+    Method,
+    Metric,
+    Placement,
+    Protocol,
+    Renderer,
+    StyleSource,
+    Training,
+)
 from anystyle.errors import UserError
-from anystyle.evaluation.base import Protocol
-from anystyle.methods.base import Method
 from anystyle.ranges import AtLeastOne, Fraction, Range
 from anystyle.registry.build import build, build_all, kind_of, plugin_of
 from anystyle.registry.catalog import PluginError, catalog
 from anystyle.registry.schema import literal, node, options, shown
-from anystyle.training.base import Training
 
 EVERYTHING = """
 from collections.abc import Mapping, Sequence

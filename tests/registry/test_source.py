@@ -13,10 +13,11 @@ from omegaconf import OmegaConf
 from anystyle.contracts import Placement
 from anystyle.deprecated import moved_classes
 from anystyle.errors import UserError
+from anystyle.io.run_folder import changes
 from anystyle.registry.build import build
 from anystyle.registry.builtin import KINDS
 from anystyle.registry.catalog import catalog
-from anystyle.registry.compose import changes, choices
+from anystyle.registry.compose import choices
 from anystyle.registry.packages import groups, package_presets
 from anystyle.registry.source import PluginSource, register
 from anystyle.registry.untrusted import check_saved

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from anystyle.cli.arguments import new_parser, parse
 from anystyle.cli.run import show
-from anystyle.registry.socket import Command
+from anystyle.contracts import Command
 from anystyle_start.server import StartServer
 
 

@@ -13,9 +13,9 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 
 from anystyle.cli.launch import checked_seed
 from anystyle.contracts import Correspondence, Metric, StyleEncoder, StyleSource
+from anystyle.contracts.protocol import Evaluation, Protocol
 from anystyle.errors import UserError
 from anystyle.evaluation import plots, record
-from anystyle.evaluation.base import Evaluation, Protocol
 from anystyle.evaluation.runs import job_order
 from anystyle.io.atomic import folder_lock, write_json
 from anystyle.io.checkpoint import read_header

@@ -71,7 +71,7 @@ def runtime() -> dict[str, Any]:
     }
 
 
-def _run(plugin: Plugin, folder: str | None = None, on_progress: OnProgress = no_progress) -> Evaluation:
+def _run(plugin: Subject[Protocol], folder: str | None = None, on_progress: OnProgress = no_progress) -> Evaluation:
     with tempfile.TemporaryDirectory() as new, seeded(0):
         return plugin.build(**runtime()).run(Path(folder or new), on_progress)
 
