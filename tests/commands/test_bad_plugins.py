@@ -83,7 +83,7 @@ def one_line(done):
     """The only line that a failed command leaves, but for its stages and that nothing was trained."""
     assert done.status == 2, done.err
     lines = (line for line in done.err.splitlines() if not line.endswith("…"))
-    (line,) = (line for line in lines if not line.startswith("the style branch is untrained"))
+    (line,) = (line for line in lines if " is untrained and " not in line)
     assert line.startswith("anystyle: error: ")
     return line
 

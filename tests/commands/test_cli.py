@@ -232,7 +232,11 @@ def test_help_and_configuration(command):
 
 def test_multirun_runs_every_combination(command):
     status, out, err = command("in", "-m", "placement=head,full", "seed=1,2", "--text", "a, b")
-    assert (status, err) == (0, "")
+    assert status == 0
+    assert err.splitlines() == [
+        f"job {n} of 4: placement={name} seed={seed}"
+        for n, (name, seed) in enumerate(((name, seed) for name in ("head", "full") for seed in (1, 2)), 1)
+    ]
     pairs = [(name, seed) for name in ("Head", "Full") for seed in (1, 2)]
     assert out.splitlines() == [f"JOB {name} {seed} ['a, b'] ['in']" for name, seed in pairs]
 
@@ -240,7 +244,8 @@ def test_multirun_runs_every_combination(command):
 def test_a_failing_job_of_a_multirun_is_named(command):
     status, _, err = command("-m", "seed=1,2", "--fail", "user")
     assert status == 2
-    assert err == "Error executing job with overrides: ['seed=1']\nanystyle: error: two lines\n"
+    jobs = "job 1 of 2: seed=1\njob 2 of 2: seed=2\n"
+    assert err == f"{jobs}Error executing job with overrides: ['seed=1']\nanystyle: error: two lines\n"
 
 
 def test_a_folder_of_configurations_is_read(command, tmp_path):

@@ -79,7 +79,7 @@ def test_a_plugin_is_shown_in_full(capsys, folder):
     text = shown(capsys, "placement", "acme")
     assert text.startswith("placement=acme  (acme_of_a_test:Renamed, declared by ")
     assert "  placement.depth: int = 2\n      How deep; a description that goes on.\n" in text
-    assert "  placement.mode: Literal['a', 'b'] = 'a'\n      Which way." in text
+    assert "  placement.mode: 'a' | 'b' = 'a'\n      Which way." in text
     assert "  placement.root: str  (must be given)" in text
 
 

@@ -98,7 +98,7 @@ def test_a_name_that_would_hide_an_import_gets_another_class(tmp_path):
         ("loss", "two words", "cannot name a plugin"),
         ("loss", "../escape", "cannot name a plugin"),
         ("loss", "class", "cannot name a plugin"),
-        ("loss", "anysplat", "the module anystyle_backbones.anysplat belongs to backbone 'anysplat'"),
+        ("loss", "backbones", "the module anystyle_backbones belongs to backbone 'anysplat'"),
     ],
 )
 def test_names_that_cannot_be_used(kind, name, told, tmp_path):

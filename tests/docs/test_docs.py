@@ -17,6 +17,7 @@ from omegaconf.errors import OmegaConfBaseException
 from anystyle.__main__ import available
 from anystyle.cli.arguments import parse, split
 from anystyle.commands.plugins_new import write
+from anystyle.evaluation.run import FOLDERS, completed
 from anystyle.registry.catalog import kinds
 from anystyle.registry.compose import compose
 from anystyle_datasets.command import Data
@@ -184,7 +185,8 @@ def _compose(command, module, words):
         arguments, overrides = split(module.parser(), words)
         overrides = [word for word in overrides if "=" in word or word.startswith("~")]
         if command == "evaluate":
-            overrides = [*module.folder_words(arguments), *overrides]
+            folders = {name: value for name in FOLDERS if (value := getattr(arguments, name)) is not None}
+            overrides = completed(overrides, folders, arguments.trained)
     parsed = OverridesParser.create().parse_overrides(overrides)
     single = [word for word, item in zip(overrides, parsed, strict=True) if not item.is_sweep_override()]
     swept = [

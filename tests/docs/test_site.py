@@ -38,7 +38,7 @@ def test_every_page_is_built_and_found_in_the_navigation(tmp_path):
             assert f'href="{page}/"' in navigation, page
     assert 'class="mermaid"' in (tmp_path / "site" / "design" / "index.html").read_text()
     assert (
-        "anystyle.contracts.Backbone.encode"
+        "anystyle.contracts.backbone.Backbone.encode"
         in (tmp_path / "site" / "reference" / "contracts" / "index.html").read_text()
     )
     # What lies outside of the pages is named by its path.

@@ -14,7 +14,7 @@ from anystyle.types import Comparison
 from tests.support.evaluation_cases import Mean, folders
 
 
-def silent(stage, done, total):
+def silent(progress):
     pass
 
 

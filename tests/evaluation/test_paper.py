@@ -15,7 +15,7 @@ from anystyle.types import Style
 from tests.support.evaluation_cases import Mean
 
 
-def silent(stage, done, total):
+def silent(progress):
     pass
 
 

@@ -26,7 +26,7 @@ TEXTS = "".join(f'{{"image": "{style:02d}.png", "text": "style {style}"}}\n' for
 OPTIONS = {"scene_names": ["Train", "Garden"], "num_styles": 2, "frames": 3, "size": 16}
 
 
-def silent(stage, done, total):
+def silent(progress):
     pass
 
 

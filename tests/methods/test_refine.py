@@ -6,10 +6,12 @@ import pytest
 import torch
 
 import anystyle
+from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.methods.branch import Branch
 from anystyle.methods.colors import colors_alone, largest_shown
 from anystyle.methods.refine import refine
+from anystyle.registry.build import build
 from anystyle.types import Style, Views
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from tests.support.scenes import cameras, gaussians
@@ -56,7 +58,7 @@ def test_pixels_without_confidence_do_not_count(strokes):
 
 def test_the_painter_refines_a_fitted_scene_and_leaves_others(strokes):
     with pytest.raises(UserError, match="refine_strokes"):
-        Branch(refine_strokes=-1)
+        build(Method, {"_target_": "anystyle.methods.branch.Branch", "refine_strokes": -1})
     scene, views, _ = strokes
     stylizer = anystyle.load("painter")
     images = RENDERER(scene, views).color.detach().clamp(0, 1)

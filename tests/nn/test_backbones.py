@@ -115,7 +115,6 @@ class TestScratch:
         ({"taps": (5, 4, 6, 7)}, "in rising order"),
         ({"depth_features": 20}, "a decoder of 20 features"),
         ({"gaussian_channels": (8, 8, 8, 9)}, "levels multiples of 4"),
-        ({"chunk": 0}, "chunk is 0"),
     ],
 )
 def test_options_that_contradict_each_other(name: str, options: dict[str, Any], message: str) -> None:

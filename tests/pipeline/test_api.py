@@ -45,10 +45,10 @@ def test_a_result_is_the_single_pass(photographs, stylizer):
 def test_a_film_that_is_not_needed_any_more_is_not_finished(photographs, stylizer, tmp_path, monkeypatch):
     styled = Restyler.__call__
 
-    def interrupted(self, style):
+    def interrupted(self, style, on_progress):
         if style.name == "waves":
             raise KeyboardInterrupt
-        return styled(self, style)
+        return styled(self, style, on_progress)
 
     monkeypatch.setattr(Restyler, "__call__", interrupted)
     long = {"frames": 100_000, "scale": 0.5}  # minutes
@@ -76,7 +76,7 @@ def test_the_call_writes_what_the_command_writes(photographs, stylizer, tmp_path
     for report in reports:
         del report["seconds"], report["write_share"], report["reconstruction"]["seconds"]
     typed, made = (Request.from_args(report.pop("request")) for report in reports)
-    assert typed.config == made.config and typed.styles == made.styles and typed.inputs == made.inputs
+    assert typed.config == made.config and typed.styles == made.styles and typed.inputs == (photographs.name,)
     assert reports[0]["config"]["views"]["take"] == 3
     assert reports[0] == reports[1]
 

@@ -33,7 +33,7 @@ def filled_folder() -> Path:
     rules = records["artfid_end_to_end"]["inception_rules"]
     _write(folder, "art_inception", fill_named(inception.ArtInception().state_dict(), rules))
     _write(folder, "art_score", fill_named(art_score.ArtScoreNet().state_dict()))
-    flow = fill_named(network.Raft().state_dict(), records["consistency"]["raft_rules"])
+    flow = fill_named(network.RaftNetwork().state_dict(), records["consistency"]["raft_rules"])
     _write(folder, "raft_things", {f"module.{key}": tensor for key, tensor in flow.items()})
     return folder
 

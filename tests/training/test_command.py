@@ -126,7 +126,7 @@ def test_arguments_of_the_trainer_need_no_plus_and_are_checked(tmp_path):
         ("accumulate_grad_batch=2", "Did you mean 'accumulate_grad_batches'?"),
         ("accumulate_grad_batches=two", "could not be converted to Integer"),
         ("max_epochs=3", "Did you mean 'max_steps'?"),
-        ("max_time=3", "give days and time as DD:HH:MM:SS"),
+        ("max_time=3", "days and time as DD:HH:MM:SS"),
         ("profiler=no_such", "it can only be one of"),
     ]:
         with pytest.raises(UserError, match=re.escape(told)):

@@ -64,7 +64,7 @@ MAX_UNEXPLAINED = 0.01
 """Above this median fraction of unexplained pixels something moved: static captures have at most 0.0001, one of which
 4 % move 0.02."""
 
-Quality = Literal["draft", "good", "best", "full"]
+QualityLevel = Literal["draft", "good", "best", "full"]
 
 
 class Fit(Reconstruction):
@@ -90,7 +90,7 @@ class Fit(Reconstruction):
     def __init__(
         self,
         *,
-        quality: Quality = "good",
+        quality: QualityLevel = "good",
         num_gaussians: AtLeastOne | None = None,
         num_steps: AtLeastOne | None = None,
         degree: Count = 0,

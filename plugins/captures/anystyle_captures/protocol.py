@@ -33,7 +33,7 @@ from anystyle.stylizer import Stylizer
 from anystyle.types import OnProgress, Progress, Scene, Style, Views, no_progress
 from anystyle.vision import lpips
 from anystyle.vision.weights import Weights, stand_ins
-from anystyle_captures.fit import Fit, Quality, fit_photographs, scene_of_fit
+from anystyle_captures.fit import Fit, QualityLevel, fit_photographs, scene_of_fit
 from anystyle_captures.masks import Masks
 from anystyle_captures.photometric import quality_of
 from anystyle_captures.structure_from_motion import StructureFromMotion
@@ -82,7 +82,7 @@ class Captures(Protocol):
         stylizer: Stylizer,
         captures: Sequence[str],
         poses: Literal["sfm", "known"] = "sfm",
-        quality: Quality = "good",
+        quality: QualityLevel = "good",
         num_gaussians: AtLeastOne | None = None,
         num_steps: AtLeastOne | None = None,
         short_side: AtLeastOne | None = None,

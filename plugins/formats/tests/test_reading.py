@@ -355,7 +355,8 @@ def test_damaged_files_end_in_one_line(name, tmp_path):
             refused += 1
         else:
             assert all(bool(tensor.isfinite().all()) for tensor in vars(found.styles[0][1]).values())
-    assert refused >= 50
+    # Rows that are not numbers are left out of a .splat, and no longer refuse the whole file.
+    assert refused >= 40
 
 
 @pytest.mark.parametrize(

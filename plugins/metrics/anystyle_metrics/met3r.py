@@ -5,7 +5,7 @@ from typing import ClassVar, NamedTuple
 
 import torch
 import torch.nn.functional as F
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from anystyle.correspondences.rendered_depth import RenderedDepth
@@ -63,9 +63,10 @@ class Met3rDepth(NetworkMetric, RowMean):
         if depth is None or cameras is None or not neighbours:
             return torch.zeros(0, dtype=torch.float64, device=comparison.stylized.device)
         rows = zip(comparison.stylized, depth, cameras.world_from_camera, cameras.intrinsics, strict=True)
-        return torch.stack([self._of_row(Frames(*row), *map(list, zip(*neighbours, strict=True))) for row in rows])
+        first, second = torch.tensor(neighbours).unbind(1)
+        return torch.stack([self._of_row(Frames(*row), first, second) for row in rows])
 
-    def _of_row(self, frames: Frames, first: list[int], second: list[int]) -> Float[Tensor, ""]:
+    def _of_row(self, frames: Frames, first: Int[Tensor, " N"], second: Int[Tensor, " N"]) -> Float[Tensor, ""]:
         features = self._features(frames.images)
         forward, backward = self._both_ways(frames, first, second)
         similarities = [
@@ -80,9 +81,12 @@ class Met3rDepth(NetworkMetric, RowMean):
         images = F.interpolate(images, size=size, mode="bicubic", antialias=True).clamp(0, 1)
         return torch.cat([self.network.maps(batch) for batch in images.split(batch_size(images))])
 
-    def _both_ways(self, frames: Frames, first: list[int], second: list[int]) -> list[Matches]:
+    def _both_ways(self, frames: Frames, first: Int[Tensor, " N"], second: Int[Tensor, " N"]) -> list[Matches]:
         known = (frames.depth, frames.world_from_camera, frames.intrinsics)
-        key = [str((first, second)), *(digest for tensor in known if tensor is not None for digest in digests(tensor))]
+        key = [
+            str((first.tolist(), second.tolist())),
+            *(digest for tensor in known if tensor is not None for digest in digests(tensor)),
+        ]
         if key != self._matches[0]:
             source: Frames = frames.map(lambda tensor: tensor[first])
             target: Frames = frames.map(lambda tensor: tensor[second])

@@ -13,7 +13,7 @@ from anystyle.data.style_folder import FolderStyles
 from anystyle.ranges import AtLeastOne, Count, Fraction
 from anystyle.types import Style
 from anystyle_tiny.procedural.captions import COLORS, WORDS, join_names
-from anystyle_tiny.procedural.layout import Draw, Side
+from anystyle_tiny.procedural.layout import Draw, ImageSide
 from anystyle_tiny.procedural.patterns import BRUSHWORK, PATTERNS
 from anystyle_tiny.procedural.phrases import PHOTO_TEXTS, draw_phrase
 from anystyle_tiny.procedural.styles import SPLITS, ProceduralStyles, StyleTraits, draw_palette, paint_style
@@ -44,7 +44,7 @@ class CaptionedPictures(StyleSource):
     def __init__(
         self,
         *,
-        size: Side = 256,
+        size: ImageSide = 256,
         num_styles: AtLeastOne = 12000,
         seed: Count = 0,
         split: Literal["train", "validation", "heldout"] = "train",

@@ -28,7 +28,8 @@ def run(config: DictConfig) -> Any:
     finally:
         with contextlib.suppress(OSError):
             out.rmdir()  # Hydra makes both; a run that was refused leaves nothing
-            out.parent.rmdir()
+            if HydraConfig.get().mode is not RunMode.MULTIRUN:  # whose folder the sweeper still writes into
+                out.parent.rmdir()
 
 
 def _run(config: DictConfig, out: Path) -> Any:

@@ -18,7 +18,7 @@ def refuse_changes(folder: Path, now: Mapping[str, Any], what: str, remedy: str,
     """Raise a UserError where a folder's record is of another configuration; returns whether there is a record.
 
     Args:
-        folder: Of results.
+        folder: A folder of results.
         now: The configuration as JSON values, nested or by full keys.
         what: What the folder holds, such as ``an evaluation``.
         remedy: What to do instead.

@@ -1,5 +1,6 @@
 """The last two steps: results of a stylization, restyled one at a time when they are asked for, and their files."""
 
+import re
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
@@ -305,9 +306,9 @@ def _technical(report: dict[str, Any]) -> dict[str, object]:
 
 
 def _again(request: Request, model: LoadedModel) -> list[str] | None:
-    """The arguments that make a result again; ``None`` where something was in memory."""
+    """The arguments that make a result again, with the names of absolute paths; ``None`` if something was in memory."""
     try:
-        return request.args() if model.named else None
+        return [re.sub(r"(^|=)/(?:.*/)?([^/]+)$", r"\1\2", word) for word in request.args()] if model.named else None
     except UserError:
         return None
 

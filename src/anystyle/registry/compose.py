@@ -79,7 +79,7 @@ def check_words(words: Sequence[str]) -> None:
     """
     for word in words:
         key, _, value = word.partition("=")
-        if key in (*OPTIONS, "weights") and not value.startswith(("{", "$")):
+        if key in (*OPTIONS, "weights") and key not in groups() and not value.startswith(("{", "$")):
             raise UserError(f"{word}: '{key}' has options and no choices; set one of them as {key}.OPTION=VALUE")
         match = _NULL.fullmatch(word)
         if match and match["group"] in groups():
@@ -135,10 +135,10 @@ def explain(error: Exception) -> str:
 
 def refused(error: Exception) -> Exception:
     """What Hydra raises while it composes, of nearly any type for words and files that it did not expect."""
+    if isinstance(error, ERRORS):  # first: a configuration that is missing is an OSError, too
+        return UserError(explain(error))
     if isinstance(error, (UserError, MemoryError, OSError)):
         return error
-    if isinstance(error, ERRORS):
-        return UserError(explain(error))
     reason = one_line(error)[:300] or type(error).__name__
     return UserError(f"Hydra cannot run these arguments ({reason}); give GROUP=NAME and KEY=VALUE, as --help says")
 

@@ -29,7 +29,7 @@ def swept(folder: Path) -> list[list[str]]:
     """For each override of a multirun what its jobs are given, in Hydra's order; empty where that is not known."""
     try:
         sweep: dict[str, Any] = read_yaml(folder / RECORD, dict[str, Any], what="record of a multirun")["hydra"]
-        params = [f"{key}={value}" for key, value in (sweep["sweeper"].get("params") or {}).items()]
+        params = [f"{key}={value}" for key, value in ((sweep.get("sweeper") or {}).get("params") or {}).items()]
         return [
             [f"{item.get_key_element()}={value}" for value in item.sweep_string_iterator()]
             if item.is_sweep_override()

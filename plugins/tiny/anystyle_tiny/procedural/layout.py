@@ -14,7 +14,7 @@ from anystyle_tiny.procedural import textures as tx
 from anystyle_tiny.procedural.volumes import sine
 
 Float64Array = NDArray[np.float64]
-Side = Annotated[int, Range(ge=8, le=4096)]
+ImageSide = Annotated[int, Range(ge=8, le=4096)]
 T = TypeVar("T")
 
 # Natural colours in sRGB; a scene mixes some of them with vivid ones.

@@ -13,7 +13,7 @@ from anystyle.errors import UserError
 from anystyle.io.cache import LRUCache
 from anystyle.ranges import AtLeastOne, Count
 from anystyle.types import Cameras, Views
-from anystyle_tiny.procedural.layout import Draw, Side, World, lay_out, unit_circle
+from anystyle_tiny.procedural.layout import Draw, ImageSide, World, lay_out, unit_circle
 from anystyle_tiny.procedural.raycast import EXTENT, ROOM, cast
 from anystyle_tiny.procedural.solids import SOLIDS
 from anystyle_tiny.procedural.volumes import volumes
@@ -64,8 +64,8 @@ class ProceduralScenes(SceneSource):
     def __init__(
         self,
         *,
-        size: Side | None = None,
-        width: Side | None = None,
+        size: ImageSide | None = None,
+        width: ImageSide | None = None,
         num_scenes: AtLeastOne = 10000,
         views: AtLeastOne = 6,
         seed: Count = 0,

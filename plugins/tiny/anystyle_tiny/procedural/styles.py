@@ -14,7 +14,7 @@ from anystyle.errors import UserError
 from anystyle.ranges import AtLeastOne, Count, Range
 from anystyle.types import Style
 from anystyle_tiny.procedural.captions import COLORS, DIRECTIONS, SCALES, describe
-from anystyle_tiny.procedural.layout import Draw, Side, unit_circle
+from anystyle_tiny.procedural.layout import Draw, ImageSide, unit_circle
 from anystyle_tiny.procedural.patterns import BRUSHWORK, FREQUENCY, PATTERNS, WASH, paint
 from anystyle_tiny.procedural.volumes import scramble, volumes
 
@@ -57,7 +57,7 @@ class ProceduralStyles(StyleSource):
     def __init__(
         self,
         *,
-        size: Side = 64,
+        size: ImageSide = 64,
         num_styles: AtLeastOne = 20000,
         seed: Count = 0,
         split: Literal["train", "validation", "heldout"] = "train",
