@@ -92,8 +92,8 @@ def test_nothing_is_rendered_twice(parts, tmp_path, monkeypatch):
 def test_an_interrupted_run_goes_on_where_it_was(parts, tmp_path, monkeypatch):
     restyle = Counted(parts["stylizer"], monkeypatch, "restyle")
 
-    def stop(stage, done, total):
-        if (stage, done) == ("render", 4):
+    def stop(progress):
+        if progress.line.startswith("render 4/"):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

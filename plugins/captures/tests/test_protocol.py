@@ -5,6 +5,7 @@ from math import isnan
 
 import anystyle
 from anystyle.testing.toy.renderer import ToyRenderer
+from anystyle.types import no_progress
 from anystyle_captures.protocol import Captures
 
 
@@ -18,7 +19,7 @@ def test_a_capture_that_the_backbone_cannot_do_is_judged_all_the_same(tmp_path, 
         raise ValueError("cameras run the other way")
 
     monkeypatch.setattr(stylizer, "encode", refuse)
-    evaluation = protocol.run(tmp_path / "out", lambda stage, done, total: None)
+    evaluation = protocol.run(tmp_path / "out", no_progress)
     fit, single = evaluation.groups["fit"], evaluation.groups["feedforward"]
     assert evaluation.figures == fit and evaluation.n == 1 and evaluation.stand_ins.keys() == {"lpips"}
     assert fit["psnr"] > 10 and fit["matched_psnr"] >= fit["psnr"] - 1e-6 and isnan(single["psnr"])

@@ -15,7 +15,7 @@ from anystyle.testing.toy.renderer import ToyRenderer
 from anystyle.testing.toy.scenes import ToyScenes
 from anystyle.testing.toy.style_encoder import ToyStyleEncoder
 from anystyle.testing.toy.styles import ToyStyles
-from anystyle.types import Renders, StyleEmbedding
+from anystyle.types import Renders, StyleEmbedding, no_progress
 from anystyle_tiny.guides import TextAndImage
 
 STYLES, SHARE, FARTHER = 3, 0.8, {"text": 0.1, "image": -0.3}
@@ -82,7 +82,7 @@ def protocol():
 
 
 def test_figures_are_those_of_what_was_painted(protocol, tmp_path):
-    found = protocol.run(tmp_path, lambda stage, done, total: None)
+    found = protocol.run(tmp_path, no_progress)
     painter, scenes = protocol.stylizer, protocol.scenes
     for guide, farther in FARTHER.items():
         assert found.figures[f"depth_change_{guide}"] == pytest.approx(abs(farther), rel=1e-5)
@@ -105,4 +105,4 @@ def test_a_style_without_a_text_is_refused(protocol, tmp_path, monkeypatch):
     read = protocol.styles.read
     monkeypatch.setattr(protocol.styles, "read", lambda place: replace(read(place), text=None))
     with pytest.raises(ValueError, match="style 0 lacks its image or its text"):
-        protocol.run(tmp_path, lambda stage, done, total: None)
+        protocol.run(tmp_path, no_progress)
