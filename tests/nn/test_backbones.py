@@ -6,6 +6,8 @@ import pytest
 import torch
 
 from anystyle.contracts import Backbone
+from anystyle.registry.build import build
+from anystyle.registry.catalog import catalog
 from anystyle.types import Scene
 from tests.support.backbone_cases import network, same, views
 from tests.support.oracle import hashed
@@ -120,3 +122,9 @@ class TestScratch:
 def test_options_that_contradict_each_other(name: str, options: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         network(name, **options)
+
+
+@pytest.mark.parametrize("name", ["anysplat", "depth_anything"])
+def test_a_chunk_of_nothing_is_refused_where_a_configuration_is_built(name: str) -> None:
+    with pytest.raises(ValueError, match="chunk=0: expected int >= 1"):
+        build(Backbone, {"_target_": catalog().find("backbone", name).path, "chunk": 0})
