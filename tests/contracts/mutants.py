@@ -53,6 +53,11 @@ def given(toy, method, change):
     return cls
 
 
+def flipped(camera):
+    """A stored camera as in a mirror: its axes are left-handed."""
+    return replace(camera, world_from_camera=camera.world_from_camera @ np.diag([-1.0, 1, 1, 1]))
+
+
 def scale(name, factor):
     """Multiply one field of a value."""
     return lambda value: replace(value, **{name: getattr(value, name) * factor})

@@ -140,7 +140,8 @@ def test_features_to_compare_are_computed_once_for_a_tensor_and_die_with_it() ->
     torch.testing.assert_close(features_to_compare(images, ("network",), compute)[0], images.flatten(0, 1))
     assert len(computed) == 3
     gone = weakref.ref(images)
-    del images, first, again, computed
+    del images, first, again
+    computed.clear()
     gc.collect()
     assert gone() is None
 

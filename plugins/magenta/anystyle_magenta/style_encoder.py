@@ -118,7 +118,7 @@ class MagentaEncoder(StyleEncoder):
         vectors = self.text_tower(texts)
         return torch.stack(list(map(self._guess, texts, vectors))) if self.guesses else vectors
 
-    def _guess(self, text: str, vector: Float[Tensor, "D"]) -> Float[Tensor, "D"]:
+    def _guess(self, text: str, vector: Float[Tensor, " D"]) -> Float[Tensor, " D"]:
         """Between the words that the text tower knows and a guess at the whole text; known texts stay as they are."""
         share = self.descriptions.unknown_share(text)
         if share == 0:

@@ -8,9 +8,11 @@ import pytest
 import torch
 
 import anystyle
+from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.geometry.harmonics import constant_from_rgb, rgb_from_constant
 from anystyle.methods.colors import colors_alone
+from anystyle.registry.build import build
 from anystyle.types import Cameras, Gaussians, Style, Views
 from anystyle_cpu_renderer.renderer import CpuRenderer
 from anystyle_methods.brush import LAYERS, Brush, pixels_shown
@@ -108,5 +110,5 @@ def test_scenes_of_the_single_pass_are_painted_on_too(wall):
 
 def test_options_are_checked():
     with pytest.raises(UserError, match=r"method\.size"):
-        Brush(size=0.0)
+        build(Method, {"_target_": "anystyle_methods.brush.Brush", "size": 0.0})
     assert all(first.width > second.width for first, second in pairwise(LAYERS))

@@ -5,7 +5,9 @@ import torch
 from scipy.optimize import linprog
 from torch import Tensor
 
+from anystyle.contracts import Loss
 from anystyle.errors import UserError
+from anystyle.registry.build import build
 from anystyle_methods.nnfm import NNFM
 from anystyle_methods.optimal_transport import OptimalTransport, transport_plan
 from tests.support.oracle import smooth_image
@@ -58,4 +60,4 @@ def test_a_limit_spreads_matches_and_a_sample_stands_for_all() -> None:
 @pytest.mark.parametrize("wrong", [{"capacity": 0.5}, {"epsilon": 0.0}, {"iterations": 0}, {"num_samples": 0}])
 def test_numbers_out_of_range_are_told(wrong: dict[str, float]) -> None:
     with pytest.raises(UserError, match=next(iter(wrong))):
-        OptimalTransport(network="texture", layers=LAYERS, **wrong)
+        build(Loss, {"_target_": f"{OptimalTransport.__module__}.OptimalTransport", **wrong})

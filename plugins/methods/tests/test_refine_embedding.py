@@ -6,8 +6,10 @@ import pytest
 import torch
 
 import anystyle
+from anystyle.contracts import Method
 from anystyle.errors import UserError
 from anystyle.methods.colors import colors_alone
+from anystyle.registry.build import build
 from anystyle.testing.inputs import images
 from anystyle.types import Style, Stylization, Views
 from anystyle_methods.refine_embedding import RefineEmbedding
@@ -42,10 +44,12 @@ def test_the_loss_falls_and_the_branch_stays(stylizer):
 
 
 def test_what_it_cannot_do_is_told(stylizer):
+    with pytest.raises(UserError, match="method"):
+        RefineEmbedding(losses={})
+    for wrong in ({"num_steps": 0}, {"learning_rate": 0.0}):
+        with pytest.raises(UserError, match=rf"method\.{next(iter(wrong))}"):
+            build(Method, {"_target_": f"{RefineEmbedding.__module__}.RefineEmbedding", **wrong})
     loss = {"palette": SlicedWasserstein()}
-    for wrong in ({"losses": {}}, {"losses": loss, "num_steps": 0}, {"losses": loss, "learning_rate": 0.0}):
-        with pytest.raises(UserError, match="method"):
-            RefineEmbedding(**wrong)
     fitted, views = gaussians(1, 4), cameras(1, 1, (16, 16))
     scene = replace(colors_alone(Views(images(1, (16, 16), seed=0)[None], views)), gaussians=fitted)
     style = Style(images(1, (16, 16), seed=3))

@@ -178,13 +178,15 @@ def test_what_ran_when_the_program_ended_is_interrupted_and_goes_on_when_asked(t
         ({"images": ["example:nothing"]}, "no example is named"),
     ],
 )
-def test_the_form_is_checked_as_the_command_line_is(settings, error, tmp_path):
+def test_the_form_is_checked_as_the_command_line_is(settings, error, photographs, tmp_path):
     with pytest.raises(UserError) as raised:
-        command_words(Settings(**{"texts": ("red dots",)} | settings), "photographs", "photos", tmp_path)
+        command_words(Settings(**{"texts": ("red dots",)} | settings), "photographs", str(photographs), tmp_path)
     assert error in str(raised.value) and "\n" not in str(raised.value)
 
 
-def test_the_command_line_that_is_shown_has_the_words_of_the_run(tmp_path):
+def test_the_command_line_that_is_shown_has_the_words_of_the_run(photographs, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "my photos").symlink_to(photographs)
     texts = ('it\'s "red"; $(dots)', "--blue")
     settings = Settings(texts, mix=0.25, preserve_color=0.5, method="brush", more="views.take=4 poses=known")
     words = command_words(settings, "photographs", "my photos/", tmp_path)

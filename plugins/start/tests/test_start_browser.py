@@ -12,7 +12,7 @@ from PIL import Image
 from anystyle.examples import resolved
 from anystyle.types import Gaussians
 from anystyle_start.server import StartServer
-from tests.support.browser import until
+from tests.support.browser import accessible, drop, errors_of, new_page, phone, until, wait
 from tests.support.program import Program
 from tests.support.start_serving import pretended
 from tests.support.viewer_scene import write_scene

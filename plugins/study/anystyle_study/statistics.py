@@ -50,7 +50,7 @@ class CrossedMean:
     mean: Float[np.ndarray, "*R"]  # of all answers
     error: Float[np.ndarray, "*R"]  # its standard error for new levels of every factor; 0 if nothing varies
     df: Float[np.ndarray, "*R"]  # its degrees of freedom
-    components: Float[np.ndarray, "F *R"]  # variance of each factor and, last, of single answers; at least 0
+    components: Float[np.ndarray, " F *R"]  # variance of each factor and, last, of single answers; at least 0
 
     def interval(self, confidence: float, alternative: Alternative = "two-sided") -> tuple[float, float]:
         """Confidence interval of the mean of a single column; ``nan`` if nothing varies."""
@@ -79,7 +79,7 @@ class Crossing:
         self._inverse = np.linalg.pinv(traces, rcond=1e-10)
         self._weights = self._inverse.T @ (squares / n**2)
 
-    def mean(self, values: Float[np.ndarray, "N *R"]) -> CrossedMean:
+    def mean(self, values: Float[np.ndarray, " N *R"]) -> CrossedMean:
         """The mean of ``values``, column by column if they are a matrix."""
         mean = values.mean(0)
         residuals = values - mean

@@ -5,6 +5,9 @@ import math
 import pytest
 import torch
 
+from anystyle.contracts import Loss
+from anystyle.errors import UserError
+from anystyle.registry.build import build
 from anystyle_tiny.losses import Checkerboard, Luminance
 from tests.support.oracle import smooth_image
 from tests.support.style_cases import stylization
@@ -26,8 +29,8 @@ def test_tints_and_strokes_of_another_period_cost_nothing() -> None:
 
 
 def test_a_period_below_two_pixels_is_refused() -> None:
-    with pytest.raises(ValueError, match="period is 1"):
-        Checkerboard(period=1)
+    with pytest.raises(UserError, match=r"period=1: expected int >= 2"):
+        build(Loss, {"_target_": "anystyle_tiny.losses.Checkerboard", "period": 1})
 
 
 def test_luminance_ignores_mean_contrast_and_what_is_finer_than_its_scale() -> None:

@@ -12,6 +12,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from anystyle.contracts import SceneSource
+from anystyle.errors import UserError
+from anystyle.registry.build import build
 from anystyle.types import Views
 from anystyle_tiny.procedural.layout import Builder, Draw, unit_circle
 from anystyle_tiny.procedural.raycast import EXTENT, HORIZON, LIGHT, SETTING_COLUMNS, SUN, cast
@@ -205,8 +208,8 @@ def test_the_sine_of_our_own(angle):
     ],
 )
 def test_options_out_of_range_are_refused(options, message):
-    with pytest.raises(ValueError, match=message):
-        ProceduralScenes(**options)
+    with pytest.raises(UserError, match=message):
+        build(SceneSource, {"_target_": f"{ProceduralScenes.__module__}.ProceduralScenes", **options})
 
 
 def test_scenes_and_views_that_are_not_there_are_refused(source):

@@ -9,6 +9,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from anystyle.contracts import StyleSource
+from anystyle.errors import UserError
+from anystyle.registry.build import build
 from anystyle_tiny.procedural.captions import COLORS, MEDIA, SCALES, WORDS
 from anystyle_tiny.procedural.patterns import BRUSHWORK, PATTERNS, PRINT
 from anystyle_tiny.procedural.styles import ProceduralStyles, is_held_out
@@ -79,8 +82,8 @@ def test_scales_change_the_grain():
     "options", [{"size": 4}, {"num_styles": 0}, {"max_colors": 4}, {"seed": -1}], ids=lambda o: next(iter(o))
 )
 def test_options_out_of_range_are_refused(options):
-    with pytest.raises(ValueError, match=next(iter(options))):
-        ProceduralStyles(**options)
+    with pytest.raises(UserError, match=next(iter(options))):
+        build(StyleSource, {"_target_": f"{ProceduralStyles.__module__}.ProceduralStyles", **options})
 
 
 def test_a_style_that_is_not_there_is_refused():

@@ -120,7 +120,7 @@ def _counts(rows: Counter[str]) -> str:
     return ", ".join(f"{count:,} {what}" for what, count in rows.items() if count)
 
 
-def _unusable(numbers: Float[Tensor, "N *rest"]) -> Bool[Tensor, " N"]:
+def _unusable(numbers: Float[Tensor, " N *rest"]) -> Bool[Tensor, " N"]:
     return ~(numbers.abs() < _LARGEST).flatten(1).all(1)
 
 

@@ -145,6 +145,6 @@ def lpips_of_pairs(
     return CACHE.scores(batch.preds, batch.target, ("lpips", *key), distances)
 
 
-def stacked(state: list[Tensor] | Tensor) -> Shaped[Tensor, "N *shape"]:
+def stacked(state: list[Tensor] | Tensor) -> Shaped[Tensor, " N *shape"]:
     """The rows of a list state, which a reduction over processes has made one tensor; none before any update."""
     return dim_zero_cat(state) if len(state) else torch.zeros(0, 1, 1)

@@ -21,7 +21,7 @@ class SourcedNetwork(Frozen):
         super().__init__()
         self.network, self.source, self.longest = network, source, longest
 
-    def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M *D"]:
+    def forward(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, " M *D"]:
         return self.network(shrunk(images, self.longest))
 
 

@@ -79,7 +79,7 @@ CACHE = FeatureCache()
 """Process-wide cache."""
 
 
-def digests(images: Float[Tensor, "M *shape"]) -> list[str]:
+def digests(images: Float[Tensor, " M *shape"]) -> list[str]:
     """A hash of each row, equal where shape and content are; one stands for all rows of an expanded tensor."""
     if images.shape[0] > 1 and images.stride(0) == 0:
         return digests(images[:1]) * images.shape[0]

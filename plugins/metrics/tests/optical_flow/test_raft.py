@@ -19,7 +19,7 @@ def with_aliases(state: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
 
 def test_raft_matches_the_reference() -> None:
     record = golden("anystyle_golden")["raft"]
-    net = network.Raft().eval()
+    net = network.RaftNetwork().eval()
     published = with_aliases(net.state_dict())
     assert len(published) == record["n_keys"]
     filled = {f"module.{key}": value for key, value in fill_sorted(published).items()}
@@ -32,13 +32,13 @@ def test_raft_matches_the_reference() -> None:
 
 
 def test_loading_is_strict(tmp_path) -> None:
-    net = network.Raft()
+    net = network.RaftNetwork()
     state = with_aliases(net.state_dict())
     torch.save({f"module.{key}": value for key, value in state.items()}, tmp_path / "right.pth")
     network.load(path=tmp_path / "right.pth")
     del state["fnet.conv1.bias"]
     torch.save(state, tmp_path / "wrong.pth")
-    with pytest.raises(ValueError, match=r"wrong.pth does not fit this Raft: 1 missing \(fnet"):
+    with pytest.raises(ValueError, match=r"wrong.pth does not fit this RaftNetwork: 1 missing \(fnet"):
         network.load(path=tmp_path / "wrong.pth")
 
 
