@@ -16,7 +16,7 @@ from tests.support.notebooks import FOLDER, NAMES, execute, stored, text
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=[] if name.startswith("01") else [pytest.mark.slow]) for name in NAMES]
+    "name", [pytest.param(name, marks=[] if name.startswith("05") else [pytest.mark.slow]) for name in NAMES]
 )
 def test_notebook_runs(name, tmp_path, monkeypatch, program):
     pytest.importorskip("nbclient", reason="notebooks are run by nbclient: pip install nbmake")
@@ -58,6 +58,15 @@ def test_notebook_is_written_to_be_read(name):
     for source in code:
         assert len(source.splitlines()) <= 40, source
         ast.parse(re.sub(r"^# !.*$|^!.*$", "pass", source, flags=re.MULTILINE))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_notebook_imports_what_there_is(name):
+    """Renamed code is noticed without running the notebooks that take minutes."""
+    for cell in text(name).cells:
+        if cell.cell_type == "code":
+            for line in re.findall(r"^from anystyle.*|^import anystyle.*", cell.source, re.MULTILINE):
+                exec(line, {})
 
 
 def test_the_backbone_of_the_notebook_is_a_plugin_with_two_lines_besides(tmp_path, monkeypatch, capsys):
