@@ -69,9 +69,9 @@ def pinhole_model(
     for number, (name, size) in enumerate(zip(names, sizes, strict=True), start=1):
         (fx, _, cx), (_, fy, cy), _ = intrinsics[number - 1].tolist()
         x, y, z, w = quaternions[number - 1].tolist()
-        tx, ty, tz = camera_from_world[number - 1, :3, 3].tolist()
         cameras[number] = Camera("PINHOLE", size, (fx, fy, cx, cy))
-        photographs[number] = PosedImage(name, number, (w, x, y, z), (tx, ty, tz))
+        translation = camera_from_world[number - 1, :3, 3].tolist()
+        photographs[number] = PosedImage(name, number, (w, x, y, z), tuple(translation))
     return Model(cameras, photographs, points, colors)
 
 

@@ -8,6 +8,7 @@ import math
 import stat
 import tomllib
 from collections.abc import Callable, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -28,11 +29,11 @@ def as_figure(value: float) -> Figure:
 
 def plain(value: Any) -> Any:
     """A value of nested lists and tables as JSON can hold it."""
-    if isinstance(value, float):
-        return as_figure(value)
     if isinstance(value, Mapping):
         return {key: plain(part) for key, part in value.items()}
-    return [plain(part) for part in value] if isinstance(value, (list, tuple)) else value
+    if isinstance(value, (list, tuple)):
+        return [plain(part) for part in value]
+    return as_figure(value) if isinstance(value, float) else value
 
 
 def as_number(figure: Figure) -> float:
@@ -155,10 +156,9 @@ def _check(value: Any, parts: int, limit: bool) -> None:
             raise UserError(f"nested deeper than {MAX_DEPTH} levels")
         if count > parts:
             raise UserError(f"more than {parts:,} values")
-        if isinstance(item, dict):
-            stack.extend((part, depth + 1) for pair in item.items() for part in pair)
-        elif isinstance(item, (list, tuple)):
-            stack.extend((part, depth + 1) for part in item)
+        if isinstance(item, (dict, list, tuple)):
+            inside = chain.from_iterable(item.items()) if isinstance(item, dict) else item
+            stack.extend((part, depth + 1) for part in inside)
         elif limit and isinstance(item, float) and not math.isfinite(item):
             raise UserError(f"the number {item}, where finite ones are expected")
         elif isinstance(item, int) and not -(1 << 63) <= item < 1 << 63:

@@ -77,21 +77,15 @@ def contact_sheet(
 
 def thumbnails(views: Sequence[Image.Image]) -> list[Image.Image]:
     """At most four of the views of a scene, evenly spaced, of the size of a sheet's cells."""
-    count = min(4, len(views))
-    places = (round(row * (len(views) - 1) / max(count - 1, 1)) for row in range(count))
+    places = np.linspace(0, len(views) - 1, min(4, len(views))).round().astype(int)
     return [ImageOps.contain(views[place], (CELL, CELL), Image.Resampling.LANCZOS) for place in places]
 
 
 def side_by_side(images: Sequence[Image.Image]) -> Image.Image:
     """Pictures in a row, as high as the lowest."""
     height = min(image.height for image in images)
-    resized = [image.resize((max(1, round(image.width * height / image.height)), height)) for image in images]
-    row = Image.new("RGB", (sum(image.width for image in resized), height))
-    left = 0
-    for image in resized:
-        row.paste(image, (left, 0))
-        left += image.width
-    return row
+    resized = (image.resize((max(1, round(image.width * height / image.height)), height)) for image in images)
+    return Image.fromarray(np.hstack([np.asarray(image.convert("RGB")) for image in resized]))
 
 
 def style_sheet(photographs: Sequence[Image.Image], columns: Sequence[tuple[str, Cell, Sequence[Cell]]]) -> Image.Image:

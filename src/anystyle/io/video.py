@@ -57,10 +57,8 @@ def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
     regular(path, most=None, what="video")
     try:
         timeline = _inspect(path, count)
-        many = timeline.frames > MANY_FRAMES
-        best = _sharpest(path, count, timeline, key_frames_only=many)
-        if many and len(best) < count:
-            # Some encoders write hardly any key frames.
+        best = _sharpest(path, count, timeline, key_frames_only=True) if timeline.frames > MANY_FRAMES else {}
+        if len(best) < count:  # some encoders write hardly any key frames
             best = _sharpest(path, count, timeline, key_frames_only=False)
     except FFmpegError as error:
         raise UserError(f"{path} is not a video, or is damaged ({error.strerror})") from None
@@ -96,15 +94,12 @@ def _sharpest(
     path: Path, count: int, timeline: _Timeline, *, key_frames_only: bool
 ) -> dict[int, tuple[int, Image.Image]]:
     """Number and image of the sharpest frame in each of ``count`` parts, by part; empty parts are left out."""
-    sharpness: dict[int, float] = {}
-    best: dict[int, tuple[int, Image.Image]] = {}
+    best: dict[int, tuple[float, int, Image.Image]] = {}
     for number, frame in _decode(path, key_frames_only=key_frames_only):
-        part = timeline.part(number, frame.pts, count)
-        sharp = _sharpness(frame)
-        if sharp > sharpness.get(part, -1.0):
-            sharpness[part] = sharp
-            best[part] = (number, frame.to_image().rotate(frame.rotation, expand=True))
-    return best
+        part, sharp = timeline.part(number, frame.pts, count), _sharpness(frame)
+        if part not in best or sharp > best[part][0]:
+            best[part] = (sharp, number, frame.to_image().rotate(frame.rotation, expand=True))
+    return {part: (number, image) for part, (_, number, image) in best.items()}
 
 
 def _inspect(path: Path, count: int) -> _Timeline:
