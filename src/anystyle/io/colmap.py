@@ -1,8 +1,4 @@
-"""COLMAP's sparse models, and writing them, text and binary: cameras, images and points.
-
-The layout is the one that COLMAP documents under "Output Format": ``cameras``, ``images`` and ``points3D``, each
-``.txt`` or ``.bin`` (little-endian, no padding).
-"""
+"""COLMAP's sparse models, and writing them in the text and binary layouts of its documentation's "Output Format"."""
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence

@@ -81,13 +81,7 @@ def read_text(path: str | Path, *, most: int = MAX_BYTES, what: str = "text file
 
 
 def read_json(path: str | Path, shape: type[T] | Any, *, what: str = "JSON file") -> T:
-    """A JSON file as a value of a shape.
-
-    Args:
-        path: A JSON file.
-        shape: A type that msgspec knows: built-in ones, dataclasses, typed dictionaries, ``Annotated`` bounds.
-        what: What the file is called in messages.
-    """
+    """A JSON file, called ``what`` in messages, as a value of a type that msgspec knows, such as a dataclass."""
     return parse_json(read_bytes(path, what=what), shape, source=str(path), what=what)
 
 

@@ -33,13 +33,7 @@ _ASCII = bytes(value if value < 128 else ord("?") for value in range(256))
 
 
 class Loaded(NamedTuple):
-    """What a file holds.
-
-    Args:
-        splats: Its Gaussians, without those that show nothing.
-        kept: Which of its rows they are.
-        offset: What was taken off its positions.
-    """
+    """The Gaussians of a file without those that show nothing, its rows that they are, and what is taken off it."""
 
     splats: Splats
     kept: Bool[Tensor, " N"]
@@ -106,11 +100,9 @@ def read(path: Path) -> Splats:
 
 
 def load(path: Path, *, activated: bool = False) -> Loaded:
-    """Read a file, and tell what is left out or guessed.
+    """Read a file, also with two scales (2DGS) or the colours ``red green blue``; tell what is left out or guessed.
 
-    Args:
-        path: The file, also with two scales (2DGS) or the colours ``red green blue``.
-        activated: Whether it holds lengths and opacities in [0, 1] in place of logarithms and logits.
+    An ``activated`` one holds lengths and opacities in [0, 1] in place of logarithms and logits.
     """
     remarks = Remarks(path)
     loaded = _decoded(_parsed(path), remarks, activated=activated)

@@ -17,12 +17,8 @@ RECORD = "bound.json"
 def refuse_changes(folder: Path, now: Mapping[str, Any], what: str, remedy: str, free: Sequence[str] = ()) -> bool:
     """Raise a UserError where a folder's record is of another configuration; returns whether there is a record.
 
-    Args:
-        folder: A folder of results.
-        now: The configuration as JSON values, nested or by full keys.
-        what: What the folder holds, such as ``an evaluation``.
-        remedy: What to do instead.
-        free: Keys that may change, with all below them.
+    The configuration ``now`` is JSON values, nested or by full keys, of which ``free`` ones may change with all below
+    them. The message says ``what`` the folder holds, such as ``an evaluation``, and the ``remedy``.
     """
     if not (folder / RECORD).is_file():
         return False
@@ -55,10 +51,7 @@ def _placed(value: object) -> object:
 
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """The first five values that are not what they were, in words; empty where all are.
-
-    A class that has moved is what it was.
-    """
+    """The first five values that are not what they were, in words; a class that has moved is what it was."""
     before = {key: present(str(value)) if key.endswith("_target_") else value for key, value in before.items()}
     unequal = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
     changed = [key for key in unequal if _placed(before.get(key)) != _placed(now.get(key))]

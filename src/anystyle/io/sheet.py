@@ -90,10 +90,9 @@ def side_by_side(images: Sequence[Image.Image]) -> Image.Image:
 
 def style_sheet(photographs: Sequence[Image.Image], columns: Sequence[tuple[str, Cell, Sequence[Cell]]]) -> Image.Image:
     """Thumbnails of photographs, and for each column its title, style if it has one, and thumbnails below."""
-    head: list[list[Cell]] = [[None, *(style for _, style, _ in columns)]]
-    rows = [list(row) for row in zip(photographs, *(renders for _, _, renders in columns), strict=True)]
-    titles = ["photograph", *(title for title, _, _ in columns)]
-    return contact_sheet([*(head if any(head[0]) else []), *rows], column_titles=titles, cell=photographs[0].size)
+    titles, head, *_ = zip(("photograph", None, photographs), *columns, strict=True)
+    rows = list(zip(photographs, *(renders for *_, renders in columns), strict=True))
+    return contact_sheet([*([head] if any(head) else []), *rows], column_titles=titles, cell=photographs[0].size)
 
 
 def save_png(image: Image.Image, path: Path) -> None:

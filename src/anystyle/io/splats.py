@@ -43,21 +43,16 @@ class Splats(NamedTuple):
 
 @dataclass
 class Remarks:
-    """What a reader does to the rows of a file beyond decoding them; told once the file is read.
-
-    Args:
-        path: The file.
-        guesses: What the file leaves open, and how it was read, one line each.
-        total: Rows of the file.
-        left_out: Rows that show nothing, by what is wrong with them.
-        kept: Rows with infinite numbers that say something, by what that is.
-    """
+    """What a reader does to the rows of a file beyond decoding them; told once the file is read."""
 
     path: Path
     guesses: list[str] = field(default_factory=list)
+    """What the file leaves open, and how it was read, one line each."""
     total: int = 0
     left_out: Counter[str] = field(default_factory=Counter)
+    """Rows that show nothing, by what is wrong with them."""
     kept: Counter[str] = field(default_factory=Counter)
+    """Rows with infinite numbers that say something, by what that is."""
 
     def tell(self) -> None:
         """Log a line on the rows, and one on each guess."""
