@@ -311,7 +311,7 @@ def plugin(kind: str, name: str) -> Callable[[_Class], _Class]:
     Declaring a class of the same name again, as running a cell twice does, replaces it.
 
     Raises:
-        PluginError: The kind is unknown, the name is taken or is no identifier, or the class breaks the contract.
+        PluginError: The kind is unknown, the name is taken or not an identifier, or the class breaks the contract.
     """
 
     def add(declared: _Class) -> _Class:

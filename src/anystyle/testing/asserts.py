@@ -60,7 +60,7 @@ def gradient(gradient: Tensor | None, what: str) -> None:
 
 
 def cameras(cameras: Cameras, size: tuple[int, int]) -> None:
-    """Refuse cameras that are no rigid pinholes of images of ``size``, height and width."""
+    """Refuse cameras that are not rigid pinholes of images of ``size``, height and width."""
     assert tuple(cameras.size) == tuple(size), f"cameras of size {cameras.size} for images of {size}"
     rotation, last = cameras.world_from_camera[..., :3, :3], cameras.world_from_camera[..., 3, :]
     error = float((rotation @ rotation.mT - torch.eye(3)).abs().max())

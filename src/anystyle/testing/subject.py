@@ -60,7 +60,7 @@ def subject(kind: str, cls: type[T], options: Mapping[str, Any] | None = None) -
     """A class under test, with given constructor options or else those that its ``example`` returns."""
     base = base_of(kind)
     if not issubclass(cls, base):
-        raise UserError(f"{cls.__name__} is no {kind}; make it inherit from {base.__module__}.{base.__qualname__}")
+        raise UserError(f"{cls.__name__} is not a {kind}; make it inherit from {base.__module__}.{base.__qualname__}")
     if options is not None:
         return Subject(kind, cls, options)
     folder = tempfile.TemporaryDirectory(prefix="anystyle-")

@@ -13,7 +13,7 @@ from anystyle.types import Attributes, Cameras, Clusters, Features, Gaussians, G
 
 
 class ToyEmbedder(Embedder):
-    """One convolution a patch; the mean of a view's patches is its camera token."""
+    """One convolution per patch; the mean of a view's patches is its camera token."""
 
     def __init__(self, *, dim: int, patch_size: int) -> None:
         super().__init__()

@@ -16,8 +16,8 @@ class ToyTraining(Training):
 
     Args:
         backbone: What learns; the framework passes it.
-        batch_size: Scenes a step.
-        learning_rate: Of Adam.
+        batch_size: Scenes per step.
+        learning_rate: Adam's.
     """
 
     needs = ("scenes",)
