@@ -26,7 +26,7 @@ ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
 """What Hydra and OmegaConf raise."""
 
 _UNKNOWN = re.compile(r"In '[^']*': Could not load '(?P<group>[^']*)/(?P<name>[^'/]*)'")
-"""How Hydra says that one of several choices of a group does not exist; of the only choice it raises what has options."""
+"""How Hydra says that one of several choices of a group is not there; of the only choice it raises what has options."""
 
 _DELETED = re.compile(r"Error resolving interpolation '\$\{recipe\}/\$\{(?P<group>\w+)\}'")
 """How Hydra says that a group is deleted whose choice names another, as a recipe does."""
