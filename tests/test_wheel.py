@@ -38,21 +38,12 @@ def environment(wheel, tmp_path_factory):
 def test_it_carries_configurations_plugins_and_weights(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert {f"anystyle/examples/{file}" for file in ("index.json", "street/LICENCE.txt", "street/12.jpg")} <= {*names}
-    for part in (
-        "conf/stylize.yaml",
-        "plugins/backbones/pyproject.toml",
-        "plugins/cpu_renderer/anystyle_cpu_renderer/renderer.py",
-        "plugins/tiny/anystyle_tiny/conf/model/tiny.yaml",
-        "plugins/tiny/anystyle_tiny/procedural/phrases.toml",
-        "plugins/magenta/LICENSE",
-        "plugins/magenta/NOTICE",
-        "plugins/magenta/anystyle_magenta/assets/descriptions.txt",
-        "plugins/magenta/anystyle_magenta/assets/magenta_phrases.safetensors",
-        "plugins/magenta/anystyle_magenta/assets/magenta_text.safetensors",
-        "plugins/magenta/anystyle_magenta/assets/wordpieces.txt",
-        "plugins/magenta/anystyle_magenta/conf/model/painter.yaml",
-    ):
-        assert f"anystyle/_shared/{part}" in names
+    assets = ROOT / "plugins/magenta/anystyle_magenta/assets"
+    paths = [*(ROOT / "conf").rglob("*.yaml"), *ROOT.glob("plugins/*/pyproject.toml"), *assets.iterdir()]
+    parts = [path.relative_to(ROOT).as_posix() for path in paths]
+    files = ("magenta/LICENSE", "magenta/NOTICE", "magenta/anystyle_magenta/conf/model/painter.yaml")
+    files += ("tiny/anystyle_tiny/procedural/phrases.toml", "cpu_renderer/anystyle_cpu_renderer/renderer.py")
+    assert {f"anystyle/_shared/{part}" for part in [*parts, *(f"plugins/{file}" for file in files)]} <= {*names}
     assert any(name.startswith("anystyle/assets/") and name.endswith(".safetensors") for name in names)
     assert not [name for name in names if "__pycache__" in name or name.endswith((".nbi", ".nbc"))]
 

@@ -53,19 +53,25 @@ def given(toy, method, change):
     return cls
 
 
-def flipped(camera):
-    """A stored camera as in a mirror: its axes are left-handed."""
-    return replace(camera, world_from_camera=camera.world_from_camera @ np.diag([-1.0, 1, 1, 1]))
+def flipped(cameras):
+    """Stored cameras as in a mirror: their axes are left-handed."""
+    mirror = np.diag([-1.0, 1, 1, 1])
+    return {name: replace(one, world_from_camera=one.world_from_camera @ mirror) for name, one in cameras.items()}
+
+
+def enlarged(read):
+    styles = tuple((title, scale("scales", 2)(gaussians)) for title, gaussians in read.styles)
+    return replace(read, styles=styles)
+
+
+def drawn(change):
+    """A renderer that draws other Gaussians than it is given."""
+    return given(ToyRenderer, "__call__", change)
 
 
 def scale(name, factor):
     """Multiply one field of a value."""
     return lambda value: replace(value, **{name: getattr(value, name) * factor})
-
-
-def mirrored(camera):
-    """A stored camera in a world seen in a mirror."""
-    return replace(camera, world_from_camera=np.diag([-1.0, 1.0, 1.0, 1.0]) @ camera.world_from_camera)
 
 
 def backbone(part, make):
@@ -139,11 +145,6 @@ class Forgetful(ToyProtocol):
         return replace(super().run(out, on_progress), figures=figures, better={})
 
 
-class FarFirst(ToyRenderer):
-    def __call__(self, gaussians, cameras):
-        return super().__call__(replace(gaussians, means=gaussians.means * torch.tensor([1.0, 1.0, -1.0])), cameras)
-
-
 class Careless(ToyFormat):
     def write(self, scene, path):
         path.with_suffix(".part").write_bytes(b"")
@@ -155,18 +156,6 @@ class Tilted(ToyFormat):
 
     def read(self, path):
         return replace(super().read(path), up="z")
-
-
-class Enlarged(ToyFormat):
-    def read(self, path):
-        read = super().read(path)
-        (title, gaussians), *_ = read.styles
-        return replace(read, styles=((title, replace(gaussians, scales=2 * gaussians.scales)),))
-
-
-class Reversed(ToyStudyTest):
-    def __call__(self, responses):
-        return super().__call__(replace(responses, deviations=-responses.deviations))
 
 
 MUTANTS = {
@@ -205,18 +194,12 @@ MUTANTS = {
         (given(ToyStyleEncoder, "embed_texts", lambda texts: ["grey"] * len(texts)), "empty_text_is_refused"),
     ],
     "renderer": [
-        (FarFirst, "near_hides_far"),
-        (
-            given(ToyRenderer, "__call__", lambda g: replace(g, rotations=g.rotations.detach())),
-            "everything_carries_gradients",
-        ),
-        (given(ToyRenderer, "__call__", lambda g: replace(g, means=g.means + 0.1)), "points_appear_where_they_project"),
+        (drawn(lambda g: replace(g, means=g.means * torch.tensor([1.0, 1.0, -1.0]))), "near_hides_far"),
+        (drawn(lambda g: replace(g, rotations=g.rotations.detach())), "everything_carries_gradients"),
+        (drawn(lambda g: replace(g, means=g.means + 0.1)), "points_appear_where_they_project"),
     ],
     "cameras": [
-        (
-            changed(ToyCameras, "read", lambda cameras: {name: flipped(one) for name, one in cameras.items()}),
-            "reads_its_example",
-        ),
+        (changed(ToyCameras, "read", flipped), "reads_its_example"),
         (changed(ToyCameras, "find", lambda path: path or Path("toy_cameras.txt")), "finds_its_own_and_nothing_else"),
     ],
     "pose_estimator": [
@@ -258,10 +241,12 @@ MUTANTS = {
     "format": [
         (Careless, "writes_one_file"),
         (Tilted, "reads_what_it_writes"),
-        (Enlarged, "reads_what_it_writes"),
+        (changed(ToyFormat, "read", enlarged), "reads_what_it_writes"),
     ],
     "command": [(given(ToyCommand, "__call__", lambda words: []), "unknown_words_are_refused")],
-    "study_test": [(Reversed, "negative_means_ours")],
+    "study_test": [
+        (given(ToyStudyTest, "__call__", lambda r: replace(r, deviations=-r.deviations)), "negative_means_ours"),
+    ],
 }
 
 

@@ -83,7 +83,7 @@ def test_a_broken_promise_says_what_is_wrong():
 
     with pytest.raises(AssertionError, match="from 8 sites, not a tuple of some"):
         assert_contract("placement", Broken)
-    with pytest.raises(UserError, match=r"Broken is no loss; make it inherit from anystyle\.contracts\.\w+\.Loss"):
+    with pytest.raises(UserError, match=r"Broken is not a loss; make it inherit from anystyle\.contracts\.\w+\.Loss"):
         assert_contract("loss", Broken)
 
 

@@ -38,6 +38,12 @@ def test_transparency_shows_white(tmp_path):
     Image.fromarray(pixels).save(tmp_path / "a.png")
     picture = np.asarray(open_image(tmp_path / "a.png"))
     assert (picture[10:] == 255).all() and (picture[:10] == gradient()[:10]).all()
+    palette = Image.new("P", (4, 4), 0)
+    palette.putpalette([255, 0, 0, 0, 255, 0])
+    palette.putpixel((1, 1), 1)
+    palette.save(tmp_path / "palette.png", transparency=0)
+    pixels = np.asarray(open_image(tmp_path / "palette.png"))
+    assert (pixels[0, 0] == 255).all() and (pixels[1, 1] == [0, 255, 0]).all()
 
 
 def test_a_turned_camera_gives_an_upright_picture(tmp_path):
@@ -105,12 +111,3 @@ def test_a_damaged_file_reads_or_is_refused_in_one_line_that_names_it(tmp_path, 
     else:
         assert picture.mode == "RGB"
         assert picture.width * picture.height <= MAX_PIXELS
-
-
-def test_a_transparent_palette_shows_white(tmp_path):
-    picture = Image.new("P", (4, 4), 0)
-    picture.putpalette([255, 0, 0, 0, 255, 0])
-    picture.putpixel((1, 1), 1)
-    picture.save(tmp_path / "a.png", transparency=0)
-    pixels = np.asarray(open_image(tmp_path / "a.png"))
-    assert (pixels[0, 0] == 255).all() and (pixels[1, 1] == [0, 255, 0]).all()

@@ -14,6 +14,9 @@ def as_read(name: str, encoding: str) -> str:
     return name.encode(encoding).decode("utf-8", "surrogateescape")
 
 
+LATIN = as_read("é.png", "latin-1")
+
+
 @pytest.mark.parametrize(
     ("stored", "images", "expected", "told"),
     [
@@ -34,13 +37,8 @@ def as_read(name: str, encoding: str) -> str:
         ([as_read("照片1.png", "gbk")], ["照片1.png"], [as_read("照片1.png", "gbk")], "encoding"),
         ([as_read("联通.png", "gbk")], ["联通.png"], [as_read("联通.png", "gbk")], "encoding"),
         ([as_read("夏/ソ.png", "cp932")], ["夏/ソ.jpg"], [as_read("夏/ソ.png", "cp932")], "encoding"),
-        (
-            [as_read("é.png", "latin-1"), "e.png"],
-            ["é.png", "e.png"],
-            [as_read("é.png", "latin-1"), "e.png"],
-            "encoding",
-        ),
-        (["é.png"], [as_read("é.png", "latin-1")], ["é.png"], "encoding"),
+        ([LATIN, "e.png"], ["é.png", "e.png"], [LATIN, "e.png"], "encoding"),
+        (["é.png"], [LATIN], ["é.png"], "encoding"),
         ([], ["a.png"], [None], ""),
     ],
 )

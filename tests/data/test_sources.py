@@ -153,16 +153,12 @@ def test_damaged_transforms_are_refused_in_one_line(tmp_path, content, words):
 
 
 def test_damaged_poses_bounds_are_refused(tmp_path):
-    (tmp_path / "poses_bounds.npy").write_bytes(b"nonsense")
-    with pytest.raises(ValueError, match="not a valid array of poses"):
-        read_poses(tmp_path, [tmp_path / "a.png"])
-    np.save(tmp_path / "poses_bounds.npy", np.zeros((1, 5)))
-    with pytest.raises(ValueError, match="N x 17"):
-        read_poses(tmp_path, [tmp_path / "a.png"])
-    np.save(tmp_path / "poses_bounds.npy", np.zeros((1, 17)))
-    with pytest.raises(ValueError, match="focal length 0"):
-        read_poses(tmp_path, [tmp_path / "a.png"])
-    np.save(tmp_path / "poses_bounds.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    path, pickled = tmp_path / "poses_bounds.npy", np.array([{"a": 1}], dtype=object)
+    for value, words in ((np.zeros((1, 5)), "N x 17"), (np.zeros((1, 17)), "focal length 0"), (pickled, "valid array")):
+        np.save(path, value, allow_pickle=True)
+        with pytest.raises(ValueError, match=words):
+            read_poses(tmp_path, [tmp_path / "a.png"])
+    path.write_bytes(b"nonsense")
     with pytest.raises(ValueError, match="not a valid array of poses"):
         read_poses(tmp_path, [tmp_path / "a.png"])
 
@@ -194,13 +190,10 @@ def test_a_folder_of_styles_with_captions(tmp_path):
     # The middle square is all that is seen.
     assert second.image.min().item() * 255 > 180
     (tmp_path / "captions.jsonl").write_text('{"image": "s10.png"}\n')
-    with pytest.raises(ValueError, match="line 1 of"):
-        FolderStyles(root=str(tmp_path))
     (tmp_path / "other.txt").write_text("s9.jpg;some words\nno separator\n")
-    with pytest.raises(ValueError, match="line 2 of"):
-        FolderStyles(root=str(tmp_path), captions="other.txt")
-    with pytest.raises(ValueError, match="no file of captions"):
-        FolderStyles(root=str(tmp_path), captions="absent.txt")
+    for file, words in ((None, "line 1 of"), ("other.txt", "line 2 of"), ("absent.txt", "no file of captions")):
+        with pytest.raises(ValueError, match=words):
+            FolderStyles(root=str(tmp_path), captions=file)
     (tmp_path / "sub").mkdir()
     with pytest.raises(ValueError, match="no images"):
         FolderStyles(root=str(tmp_path / "sub"))

@@ -23,6 +23,14 @@ def test_cells_keep_their_aspect_and_stand_in_their_places():
     assert blue.sum() == 40 * 10
     assert (sheet[48:88, 4:44] == 255).all()
     assert (sheet[48:88, 48:88] < 100).any()
+    with pytest.raises(ValueError, match="rows of one length"):
+        contact_sheet([[None], [None, None]])
+
+
+def test_png_files_hold_every_pixel(tmp_path):
+    noise = np.random.default_rng(0).integers(0, 255, (30, 40, 3), dtype=np.uint8)
+    save_png(Image.fromarray(noise), tmp_path / "noise.png")
+    assert (np.asarray(Image.open(tmp_path / "noise.png")) == noise).all()
 
 
 def test_words_are_wrapped_and_endless_ones_end_in_an_ellipsis():
@@ -39,17 +47,6 @@ def test_thumbnails_are_the_first_the_last_and_two_between():
     assert [image.getpixel((9, 9))[0] for image in small] == [0, 2, 4, 6]
     assert {image.size for image in small} == {(224, 168)}
     assert style_sheet(small, [("one", None, small)]).width == 10 + 2 * 234
-
-
-def test_png_files_hold_every_pixel(tmp_path):
-    noise = Image.fromarray(np.random.default_rng(0).integers(0, 255, (30, 40, 3), dtype=np.uint8))
-    save_png(noise, tmp_path / "noise.png")
-    assert (np.asarray(Image.open(tmp_path / "noise.png")) == np.asarray(noise)).all()
-
-
-def test_ragged_rows_are_refused():
-    with pytest.raises(ValueError, match="rows of one length"):
-        contact_sheet([[None], [None, None]])
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="symbols of libraries do not mix elsewhere")

@@ -11,22 +11,11 @@ from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from anystyle.contracts import (
-    Correspondence,
-    Injector,
-    Loss,
-    Method,
-    Metric,
-    Placement,
-    Protocol,
-    Renderer,
-    StyleSource,
-    Training,
-)
+from anystyle.contracts import Injector, Placement, Renderer
 from anystyle.errors import UserError
 from anystyle.ranges import AtLeastOne, Fraction, Range
-from anystyle.registry.build import build, build_all, kind_of, plugin_of
-from anystyle.registry.catalog import PluginError, catalog
+from anystyle.registry.build import build, build_all, plugin_of
+from anystyle.registry.catalog import PluginError, base_of, catalog
 from anystyle.registry.schema import literal, node, options, shown
 
 EVERYTHING = """
@@ -156,16 +145,17 @@ def test_wrong_values_are_refused_at_composition_and_by_build(everything, name, 
 @pytest.mark.parametrize(
     ("name", "value", "expected"),
     [
-        ("counted", 0, "int >= 1"),
-        ("count_or_word", 0, "int >= 1"),
-        ("pair", [0.5, 1.5], "0 <= float <= 1"),
-        ("levels", [2, 0], "int >= 1"),
-        ("rates", {"b": 0.0}, "float > 0"),
-        ("rates", {"b": math.inf}, "float > 0"),
+        ("counted", 0, "expected int >= 1"),
+        ("count_or_word", 0, "expected int >= 1"),
+        ("pair", [0.5, 1.5], "expected 0 <= float <= 1"),
+        ("levels", [2, 0], "expected int >= 1"),
+        ("rates", {"b": 0.0}, "expected float > 0"),
+        ("rates", {"b": math.inf}, "expected float > 0"),
+        ("three", [1, 2], "3 values are expected, and 2 are given: [1.0, 2.0]"),
     ],
 )
 def test_numbers_out_of_range_are_refused_under_the_name_that_a_user_typed(everything, name, value, expected):
-    with pytest.raises(UserError, match=re.escape(f"placement.{name}={value}: expected {expected}; see")):
+    with pytest.raises(UserError, match=re.escape(f"placement.{name}={value}: {expected}; see")):
         build(Placement, {"_target_": everything.path, name: value})
     config = OmegaConf.create({"inner": {"_target_": everything.path, name: value}})
     with pytest.raises(UserError, match=re.escape(f"inner.{name}=")):
@@ -173,25 +163,26 @@ def test_numbers_out_of_range_are_refused_under_the_name_that_a_user_typed(every
 
 
 @pytest.mark.parametrize(
-    ("base", "name", "option", "value"),
+    ("named", "value"),
     [
-        (Injector, "lora", "rank", 0),
-        (Injector, "cross_attention", "num_tokens", 1),
-        (Loss, "clip_patch", "distortion", 1.5),
-        (Metric, "kid", "size", 74),
-        (Metric, "psnr", "most", 0.0),
-        (Correspondence, "rendered_depth", "tolerance", -1.0),
-        (Method, "branch", "coverage", 0.0),
-        (Renderer, "torch", "near", 0.0),
-        (Protocol, "paper", "frames", 0),
-        (Protocol, "paper", "num_styles", 0),
-        (StyleSource, "folder", "size", 0),
-        (Training, "stylization", "betas", [0.9, 1.0]),
+        ("injector lora rank", 0),
+        ("injector cross_attention num_tokens", 1),
+        ("loss clip_patch distortion", 1.5),
+        ("metric kid size", 74),
+        ("metric psnr most", 0.0),
+        ("correspondence rendered_depth tolerance", -1.0),
+        ("method branch coverage", 0.0),
+        ("renderer torch near", 0.0),
+        ("protocol paper frames", 0),
+        ("protocol paper num_styles", 0),
+        ("styles folder size", 0),
+        ("training stylization betas", [0.9, 1.0]),
     ],
 )
-def test_ranges_of_the_core(base, name, option, value):
+def test_ranges_of_the_core(named, value):
+    kind, name, option = named.split()
     with pytest.raises(UserError, match=re.escape(f".{option}={value}: expected ")):
-        plugin_of(base, {"_target_": catalog().find(kind_of(base), name).path, option: value})
+        plugin_of(base_of(kind), {"_target_": catalog().find(kind, name).path, option: value})
 
 
 @pytest.mark.parametrize(
@@ -206,11 +197,6 @@ def test_ranges_of_the_core(base, name, option, value):
 )
 def test_types_are_shown_as_a_reader_writes_them(hint, text):
     assert shown(hint) == text
-
-
-def test_length_of_a_tuple(everything):
-    with pytest.raises(ValueError, match=r"placement\.three=.*: 3 values are expected, and 2 are given"):
-        build(Placement, {"_target_": everything.path, "three": [1, 2]})
 
 
 def test_unknown_option(everything):
@@ -316,10 +302,3 @@ def test_build_all_keeps_names(everything):
     built = build_all(Placement, {"a": one, "b": {**one, "whole": 2}})
     assert {name: item.given["whole"] for name, item in built.items()} == {"a": 1, "b": 2}
     assert build_all(Placement, None) == {}
-
-
-def test_every_builtin_has_a_schema():
-    rows = [row for row in catalog() if row.origin == "anystyle"]
-    assert rows
-    for row in rows:
-        assert OmegaConf.to_container(node(row))["_target_"] == row.path

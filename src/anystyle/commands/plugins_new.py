@@ -114,7 +114,7 @@ def _renamed(source: str, kind: str, name: str, cls: str) -> str:
     body = f'"""{cls}, {_with_article(kind)} for anystyle."""\n' + source.partition("\n")[2]
     # In one pass: the name of the new class may begin with Toy, too.
     body = re.sub(r"\bToy[A-Z]\w*", lambda match: cls + ("" if match[0] == toy else match[0][3:]), body)
-    return body.replace("anystyle toy", f"anystyle {name}").replace("# ruff: noqa: T201\n", "")
+    return body.replace('new_parser("toy"', f'new_parser("{name}"').replace("# ruff: noqa: T201\n", "")
 
 
 def _use(kind: str, name: str) -> str:

@@ -70,20 +70,16 @@ def read_views(
 def require_views(count: int, size: tuple[int, int]) -> None:
     """Refuse views that memory does not hold, before a pixel of them is decoded."""
     # As bytes, as floating-point numbers, and stacked.
+    bytes_needed, what = count * size[0] * size[1] * 3 * (1 + 4 + 4), f"{count} views of {size[1]}x{size[0]}"
     require(
-        count * size[0] * size[1] * 3 * (1 + 4 + 4),
-        f"{count} views of {size[1]}x{size[0]}",
-        "take fewer (views.take), or smaller ones (views.short_side, or short_side of the scenes)",
+        bytes_needed, what, "take fewer (views.take), or smaller ones (views.short_side, or short_side of the scenes)"
     )
 
 
 def as_views(pictures: Sequence[tuple[Image.Image, SourceImage]], cameras: Cameras | None = None) -> Views:
     """Pictures of one size, with the sources that name them, as views of one scene."""
-    return Views(
-        images=torch.stack([images.to_tensor(picture) for picture, _ in pictures])[None],
-        cameras=cameras,
-        names=tuple(source.name for _, source in pictures),
-    )
+    stacked = torch.stack([images.to_tensor(picture) for picture, _ in pictures])[None]
+    return Views(stacked, cameras, names=tuple(source.name for _, source in pictures))
 
 
 def read_originals(inputs: Sequence[Path], *, longest: int, max_views: int) -> list[Original]:
@@ -155,9 +151,7 @@ def evenly(items: Sequence[Path], count: int) -> list[Path]:
     """At most ``count`` items, evenly spaced, the first and the last among them."""
     if len(items) <= count:
         return list(items)
-    if count == 1:
-        return [items[0]]
-    return [items[round(index * (len(items) - 1) / (count - 1))] for index in range(count)]
+    return [items[round(index * (len(items) - 1) / max(count - 1, 1))] for index in range(count)]
 
 
 def common_size(
@@ -168,7 +162,15 @@ def common_size(
     Without ``short_side`` it is the size that all have.
     """
     if short_side is None:
-        return _own_size(sizes, multiple)
+        (width, height), *others = sorted(set(sizes))
+        if others:
+            shown = ", ".join(f"{width}x{height}" for width, height in sorted(set(sizes))[:5])
+            told = f"the photographs have {1 + len(others)} sizes ({shown}); views.resize=true brings them to one"
+            raise UserError(told)
+        if width % multiple or height % multiple:
+            told = f"the photographs are {width}x{height} pixels, and sides must be multiples of {multiple}"
+            raise UserError(f"{told}: views.resize=true brings them to such a size")
+        return height, width
     # The larger of two equally frequent sizes, independent of their order.
     (width, height), _ = max(Counter(sizes).items(), key=lambda size: (size[1], size[0]))
     aspect = min(max(width / height, 1 / MAX_ASPECT), MAX_ASPECT)
@@ -176,20 +178,6 @@ def common_size(
     short = max(multiple, round(short_side / multiple) * multiple)
     long = max(short, round(short * max(aspect, 1 / aspect) / multiple) * multiple)
     return (short, long) if aspect >= 1 else (long, short)
-
-
-def _own_size(sizes: Sequence[tuple[int, int]], multiple: int) -> tuple[int, int]:
-    different = sorted(set(sizes))
-    if len(different) > 1:
-        shown = ", ".join(f"{width}x{height}" for width, height in different[:5])
-        raise UserError(f"the photographs have {len(different)} sizes ({shown}); views.resize=true brings them to one")
-    width, height = different[0]
-    if width % multiple or height % multiple:
-        raise UserError(
-            f"the photographs are {width}x{height} pixels, and sides must be multiples of {multiple}: "
-            "views.resize=true brings them to such a size"
-        )
-    return height, width
 
 
 def files_of(item: Path) -> list[Path]:
@@ -207,8 +195,8 @@ def files_of(item: Path) -> list[Path]:
         return inside
     if item.is_file():
         return [item]
-    names = glob.glob(str(item))  # noqa: PTH207  (a pattern may be absolute)
-    matches = [Path(name) for name in names if Path(name).suffix.lower() in images.SUFFIXES | video.SUFFIXES]
+    found = map(Path, glob.glob(str(item)))  # noqa: PTH207  (a pattern may be absolute)
+    matches = [path for path in found if path.suffix.lower() in images.SUFFIXES | video.SUFFIXES]
     if not matches:
         raise UserError(f"there is no folder, image or video {item}")
     return sorted(matches, key=lambda path: natural(str(path)))

@@ -4,6 +4,7 @@ import io
 import logging
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -45,7 +46,7 @@ def open_image(source: Picture, name: str = "", *, longest: int = 4096) -> Image
     before any pixel is decoded, and a larger image is reduced while it is read, so that memory stays bounded.
 
     Args:
-        source: A file that Pillow opens, or the bytes of one, which messages call by ``name``.
+        source: A file that Pillow opens, or the bytes of one.
         name: What to call bytes in messages.
         longest: Images with a longer side are reduced to no less than this.
     """
@@ -73,23 +74,17 @@ def _has_alpha(image: Image.Image) -> bool:
     return image.mode in ("RGBA", "LA", "PA") or ("transparency" in image.info and image.mode in ("1", "L", "RGB", "P"))
 
 
-def _upright_srgb(image: Image.Image) -> Image.Image:
-    return _to_rgb(_to_srgb(ImageOps.exif_transpose(image)))
-
-
 def read_image(image: str | Path | Image.Image, *, longest: int = 1024) -> Float[Tensor, "3 H W"]:
-    """Read an image as sRGB in [0, 1], reduced so that its longer side is at most ``longest``.
+    """Read an image as sRGB in [0, 1], reduced so that its longer side is at most ``longest`` pixels.
 
-    Args:
-        image: A file, ``example:NAME`` or one that Pillow has opened; :func:`open_image` says how each kind is read.
-        longest: In pixels.
+    It is a file, ``example:NAME`` or one that Pillow has opened; :func:`open_image` says how each kind is read.
 
     Example:
         >>> images = torch.stack([anystyle.read_image(path) for path in paths])
         >>> scene = stylizer.encode(anystyle.types.Views(images[None]))
     """
     if isinstance(image, Image.Image):
-        image = _upright_srgb(image)
+        image = _to_rgb(_to_srgb(ImageOps.exif_transpose(image)))
     else:
         image = open_image(resolved(Path(image)), longest=longest)
     image.thumbnail((longest, longest), Image.Resampling.LANCZOS)
@@ -105,9 +100,7 @@ def _averaging(image: Image.Image) -> Image.Image:
     """An image whose values have a mean: indices of a palette have none, and Pillow has none of 16-bit levels."""
     if image.mode in ("LA", "RGBA") or (image.mode in ("L", "RGB", "CMYK", "I", "F") and not _has_alpha(image)):
         return image
-    if image.mode.startswith("I"):
-        return image.convert("I")
-    return image.convert("RGBA" if _has_alpha(image) else "RGB")
+    return image.convert("I" if image.mode.startswith("I") else "RGBA" if _has_alpha(image) else "RGB")
 
 
 def _to_srgb(image: Image.Image) -> Image.Image:
@@ -144,8 +137,7 @@ def readable(paths: Sequence[Path]) -> list[Path]:
     """The files whose header is an image's; others are logged."""
     with ThreadPoolExecutor(8) as pool:
         fine = dict(zip(paths, pool.map(_opens, paths), strict=True))
-    bad = [path for path in paths if not fine[path]]
-    if bad:
+    if bad := [path for path in paths if not fine[path]]:
         logger.warning("%d of %d pictures cannot be read and are left out: %s", len(bad), len(paths), listing(bad))
     return [path for path in paths if fine[path]]
 
@@ -157,11 +149,9 @@ def listing(items: Sequence[object], most: int = 10) -> str:
 
 
 def _opens(path: Path) -> bool:
-    try:
-        image_size(path)
-    except (ValueError, OSError):
-        return False
-    return True
+    with suppress(ValueError, OSError):
+        return bool(image_size(path))
+    return False
 
 
 def read_square(path: Path, size: int, position: float = 0.5) -> Float[Tensor, "1 3 H W"]:

@@ -109,13 +109,9 @@ def _rank(name: str, image: Path) -> tuple[bool, int, int]:
 def _disagreement(stored: PurePath, image: Path, other_encoding: bool) -> tuple[bool, int, int]:
     wanted, above = _folders(stored), _folders(image.absolute())
     same = sum(1 for _ in takewhile(lambda pair: pair[0] == pair[1], zip(wanted, above, strict=False)))
-    agreements = (
-        stored.name == image.name,
-        stored.name == image.stem or stored.stem == image.name,
-        stored.stem == image.stem,
-        not _keys(stored.name).isdisjoint(_keys(image.name)),
-        True,
-    )
+    without_suffix = stored.name == image.stem or stored.stem == image.name
+    alike = not _keys(stored.name).isdisjoint(_keys(image.name))
+    agreements = (stored.name == image.name, without_suffix, stored.stem == image.stem, alike, True)
     return same < len(wanted), -same, 4 if other_encoding else agreements.index(True)
 
 

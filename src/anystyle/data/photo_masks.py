@@ -47,18 +47,15 @@ def find_masks(folder: Path, photographs: Sequence[Path]) -> dict[Path, Path]:
         if len(found) > 1:
             raise UserError(f"{path.name} has {len(found)} masks: {listing(found)}; leave one")
         if found and (other := next((one for one, mask in masks.items() if mask == found[0]), None)) is not None:
-            raise UserError(
-                f"{found[0]} would be the mask of both {other} and {path}; put masks in folders like theirs"
-            )
+            both = f"{other} and {path}"
+            raise UserError(f"{found[0]} would be the mask of both {both}; put masks in folders like theirs")
         masks |= {path: found[0]} if found else {}
     if not masks:
         names = listing([f"{path.stem}.png" for path in photographs], 3)
         raise UserError(f"none of the {len(files)} images in {folder} is named as a photograph is; expected {names}")
     if missing := [path.name for path in photographs if path not in masks]:
-        _log.warning(
-            "%d of %d photographs have no mask in %s and count whole: %s",
-            len(missing), len(photographs), folder, listing(missing),
-        )  # fmt: skip
+        count = f"{len(missing)} of {len(photographs)}"
+        _log.warning("%s photographs have no mask in %s and count whole: %s", count, folder, listing(missing))
     if spare := [file.name for file in files if file not in masks.values()]:
         _log.warning("%d masks in %s belong to no photograph: %s", len(spare), folder, listing(spare))
     return masks
@@ -84,13 +81,9 @@ def with_masks(originals: Sequence[Original], masks: Mapping[Path, Path]) -> lis
 def masked_views(
     views: Views, sources: Sequence[SourceImage], masks: Mapping[Path, Path], *, empty: bool
 ) -> tuple[Views, dict[str, int | float]]:
-    """Views with their ``alpha`` and where they are ``counted``, and what a report says of both.
+    """Views of one scene with their ``alpha`` and where they are ``counted``, and what a report says of both.
 
-    Args:
-        views: The views of one scene.
-        sources: Where each view comes from.
-        masks: Masks by photograph, from :func:`find_masks`.
-        empty: Whether nothing is there where a mask is black; otherwise it is unknown what is there.
+    Where a mask of :func:`find_masks` is black, nothing is there if ``empty``; otherwise it is unknown what is there.
     """
     alpha, counted = (torch.ones_like(views.images[0, :, 0]) for _ in range(2))  # V H W
     num_masks = 0
@@ -112,15 +105,12 @@ def masked_views(
     if not num_masks:
         return views, {}
     transparent, ignored = float((1 - alpha).mean()), float((~counted).double().mean())
-    if masks and (1 - transparent) * (1 - ignored) < FEW:
-        _log.warning("masks leave %.0f%% of the pixels: white counts; invert them if black is what is to stay",
-                     100 * (1 - transparent) * (1 - ignored))  # fmt: skip
+    if masks and (left := (1 - transparent) * (1 - ignored)) < FEW:
+        remedy = "white counts; invert them if black is what is to stay"
+        _log.warning("masks leave %.0f%% of the pixels: %s", 100 * left, remedy)
     report = {"photographs": num_masks, "transparent": round(transparent, 4), "ignored": round(ignored, 4)}
-    return replace(
-        views,
-        alpha=alpha[None] if transparent else None,
-        counted=counted[None] if ignored else None,
-    ), report
+    alpha, counted = alpha[None] if transparent else None, counted[None] if ignored else None
+    return replace(views, alpha=alpha, counted=counted), report
 
 
 def _of_view(mask: Image.Image, source: SourceImage) -> Float[Tensor, "H W"]:
@@ -133,9 +123,7 @@ def _mask_of(masks: Mapping[Path, Path], path: Path | None, size: tuple[int, int
         return None
     mask, alpha = open_image(masks[path]).convert("L"), open_alpha(masks[path])
     if abs(mask.width * size[0] / (mask.height * size[1]) - 1) > MAX_ASPECT_ERROR:
-        raise UserError(
-            f"the mask {masks[path]} has {mask.width}x{mask.height} pixels, and {path.name} {size[1]}x{size[0]}, "
-            "upright; give a mask of the same aspect"
-        )
+        sizes = f"has {mask.width}x{mask.height} pixels, and {path.name} {size[1]}x{size[0]}, upright"
+        raise UserError(f"the mask {masks[path]} {sizes}; give a mask of the same aspect")
     levels = np.asarray(mask if alpha is None else ImageChops.multiply(mask, alpha))
     return Image.fromarray(np.where(levels > (127 if levels.max() > 1 else 0), 255, 0).astype(np.uint8))

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
 from PIL import Image
 
 from anystyle.contracts import SceneSource, StoredCamera
@@ -37,11 +36,10 @@ class FolderScenes(SceneSource):
     """Folders of photographs: one scene per folder, or ``root`` itself; also DL3DV-10K, ScanNet++ and LLFF captures.
 
     A scene's photographs lie in its folder or in its sub-folder ``images``, where there may be a folder for each camera
-    of a rig, and are taken in natural order. Cameras
-    come from what a plugin of kind ``cameras`` reads, such as ``transforms.json`` or COLMAP's model, where there is
-    one; photographs without a camera are then left out, and so are files that are not images; a damaged one
-    raises when it is decoded. Every scene keeps its own aspect. The distortion of lenses is not undone, as in
-    the published training.
+    of a rig, and are taken in natural order. Cameras come from what a plugin of kind ``cameras`` reads, such as
+    ``transforms.json`` or COLMAP's model, where there is one; photographs without a camera are then left out, and so
+    are files that are not images; a damaged one raises when it is decoded. Every scene keeps its own aspect. The
+    distortion of lenses is not undone, as in the published training.
 
     Args:
         root: A folder.
@@ -78,11 +76,10 @@ class FolderScenes(SceneSource):
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
         frames = []
+        (folder / "garden" / "images").mkdir(parents=True, exist_ok=True)
         for number in range(3):
-            pose = np.eye(4)
-            pose[0, 3] = 0.1 * number
-            frames.append({"file_path": f"images/{number}.png", "transform_matrix": pose.tolist()})
-            (folder / "garden" / "images").mkdir(parents=True, exist_ok=True)
+            pose = [[1, 0, 0, 0.1 * number], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
+            frames.append({"file_path": f"images/{number}.png", "transform_matrix": pose})
             Image.linear_gradient("L").resize((48, 36)).save(folder / "garden" / "images" / f"{number}.png")
         content = {"w": 48, "h": 36, "fl_x": 40.0, "fl_y": 40.0, "cx": 24.0, "cy": 18.0, "frames": frames}
         (folder / "garden" / "transforms.json").write_text(json.dumps(content))
@@ -124,11 +121,9 @@ class FolderScenes(SceneSource):
         return [path for path in sorted(inside, key=lambda path: natural(path.name)) if self._photographs(path)]
 
     def _listed(self, path: Path) -> list[Path]:
-        names: list[str] = read_json(path, list[str], what="JSON list of folder names")
         folders: list[Path] = []
-        for name in names:
-            folder = inside(self.root, name)
-            if folder is None:
+        for name in read_json(path, list[str], what="JSON list of folder names"):
+            if (folder := inside(self.root, name)) is None:
                 raise UserError(f"index={path} names {name!r:.200}, which lies outside of {self.root}")
             folders.append(folder)
         present = [folder for folder in folders if folder.is_dir()]

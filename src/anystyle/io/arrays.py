@@ -59,9 +59,8 @@ def read_tensors(path: str | Path, *, what: str = "file of tensors", device: str
     require(path.stat().st_size, str(path), "another machine has more")
     try:
         with zipfile.ZipFile(path) as archive:  # PyTorch writes checksums and does not compare them
-            damaged = archive.testzip()
-        if damaged is not None:
-            raise UserError(f"{damaged} in it is damaged")
+            if (damaged := archive.testzip()) is not None:
+                raise UserError(f"{damaged} in it is damaged")
         values = torch.load(path, map_location=device, weights_only=True)
         check_tensors(value for value in tree_leaves(values) if isinstance(value, Tensor))
         return values

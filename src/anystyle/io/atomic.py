@@ -66,18 +66,16 @@ def atomic_directory(target: str | Path, expected: Collection[str] = ()) -> Iter
         temporary = Path(tempfile.mkdtemp(prefix=PARTIAL, dir=target))
         try:
             yield temporary
-            entries = sorted(temporary.iterdir())
-            names = [entry.name for entry in entries]
+            names = sorted(entry.name for entry in temporary.iterdir())
             _refuse_foreign(target, names, earlier)
             for path in temporary.rglob("*"):
                 if path.is_file():
                     _sync(path)
             write_json(target / MADE, sorted({*earlier, *names}))
-            for entry in entries:
-                destination = target / entry.name
-                if destination.is_dir() and not destination.is_symlink():
-                    shutil.rmtree(destination)
-                entry.replace(destination)
+            for name in names:
+                if (target / name).is_dir() and not (target / name).is_symlink():
+                    shutil.rmtree(target / name)
+                (temporary / name).replace(target / name)
         finally:
             shutil.rmtree(temporary, ignore_errors=True)
 
@@ -116,9 +114,9 @@ def _made_folder(folder: Path) -> Iterator[None]:
 
 
 def _refuse_foreign(target: Path, names: Collection[str], earlier: Collection[str]) -> None:
-    clash = next((name for name in names if name not in earlier and os.path.lexists(target / name)), None)
-    if clash is not None:
-        raise UserError(f"{target / clash} is there already and was not made by anystyle; choose another --out")
+    for name in names:
+        if name not in earlier and os.path.lexists(target / name):
+            raise UserError(f"{target / name} is there already and was not made by anystyle; choose another --out")
 
 
 def _sync(path: Path) -> None:

@@ -17,8 +17,6 @@ from anystyle.io.atomic import atomic_path
 from anystyle.io.documents import fit, parse_json, regular
 
 FORMAT = "anystyle/1"
-JSON_FIELDS = ("config", "base", "provenance", "omitted")
-"""The header's fields that are stored as JSON."""
 
 
 @dataclass(frozen=True)
@@ -52,8 +50,8 @@ def save_part(path: str | Path, module: nn.Module, header: Header, *, half: bool
         if not header.omits(key):
             kept = tensor.detach().cpu().contiguous()
             state[key] = kept.half() if half and kept.is_floating_point() else kept.clone()
-    written = {name: json.dumps(getattr(header, name), sort_keys=True) for name in JSON_FIELDS}
-    save_tensors(path, state, {"format": FORMAT, "part": header.part, **written})
+    fields = {name: json.dumps(value, sort_keys=True) for name, value in vars(header).items() if name != "part"}
+    save_tensors(path, state, {"format": FORMAT, "part": header.part, **fields})
 
 
 def save_tensors(path: str | Path, state: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
@@ -74,25 +72,21 @@ def save_tensors(path: str | Path, state: Mapping[str, Tensor], metadata: Mappin
 
 def read_header(path: str | Path) -> Header:
     """Read the header of a weights file."""
-    with _open(path) as file:
-        metadata = file.metadata() or {}
+    metadata = _metadata(path)
     if metadata.get("format") != FORMAT:
         raise UserError(f"{path} is not a safetensors file that anystyle wrote")
     if any("${" in text for text in metadata.values()):
         # Configurations are resolved before they are written; an interpolation would be resolved on this machine.
         raise UserError(f"the header of {path} holds an interpolation; a file's configuration must be resolved")
-    plain: dict[str, Any] = {"part": metadata["part"]} if "part" in metadata else {}
-    for name in metadata.keys() & set(JSON_FIELDS):
-        plain[name] = parse_json(metadata[name], Any, source=f"{name} in the header of {path}")
-    return fit(plain, Header, source=f"the header of {path}", what="header of weights")
+    source = f"the header of {path}"
+    given = {name: text for name, text in metadata.items() if name in Header.__annotations__}
+    plain = {n: t if n == "part" else parse_json(t, Any, source=f"{n} in {source}") for n, t in given.items()}
+    return fit(plain, Header, source=source, what="header of weights")
 
 
 def has_header(path: str | Path) -> bool:
     """Whether anystyle wrote a file; others hold weights under the names that their publishers gave them."""
-    if Path(path).suffix != ".safetensors":
-        return False
-    with _open(path) as file:
-        return (file.metadata() or {}).get("format") == FORMAT
+    return Path(path).suffix == ".safetensors" and _metadata(path).get("format") == FORMAT
 
 
 def load_part(path: str | Path, module: nn.Module, part: str) -> Header:
@@ -109,26 +103,21 @@ def load_part(path: str | Path, module: nn.Module, part: str) -> Header:
 
 def load_strictly(module: nn.Module, state: Mapping[str, Tensor], *, source: str) -> None:
     """Copy tensors into a module whose keys and shapes are exactly theirs."""
-    unlike = differences(module.state_dict(), state)
-    if unlike:
+    if unlike := differences(module.state_dict(), state):
         raise UserError(f"{source} does not fit this {type(module).__name__}: {unlike}")
     fill(module, state)
 
 
 def differences(expected: Mapping[str, Tensor], state: Mapping[str, Tensor]) -> str:
     """How names and shapes of tensors differ from those expected, up to five of each kind; empty if they agree."""
-    missing = [key for key in expected if key not in state]
-    unexpected = [key for key in state if key not in expected]
-    misshapen = [
-        f"{key} is {list(state[key].shape)}, not {list(tensor.shape)}"
-        for key, tensor in expected.items()
-        if key in state and state[key].shape != tensor.shape
-    ]
-    return "; ".join(
-        f"{len(keys)} {kind} ({', '.join(keys[:5])}{', …' if len(keys) > 5 else ''})"
-        for kind, keys in (("missing", missing), ("unexpected", unexpected), ("misshapen", misshapen))
-        if keys
-    )
+    shapes = {key: (list(state[key].shape), list(tensor.shape)) for key, tensor in expected.items() if key in state}
+    found = {
+        "missing": [key for key in expected if key not in state],
+        "unexpected": [key for key in state if key not in expected],
+        "misshapen": [f"{key} is {ours}, not {theirs}" for key, (ours, theirs) in shapes.items() if ours != theirs],
+    }
+    listed = {kind: ", ".join([*keys[:5], *["…"] * (len(keys) > 5)]) for kind, keys in found.items()}
+    return "; ".join(f"{len(found[kind])} {kind} ({text})" for kind, text in listed.items() if text)
 
 
 def fill(module: nn.Module, state: Mapping[str, Tensor]) -> None:
@@ -144,6 +133,11 @@ def sha256(path: str | Path) -> str:
     """The SHA-256 of a file, in hexadecimal."""
     with Path(path).open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def _metadata(path: str | Path) -> dict[str, str]:
+    with _open(path) as file:
+        return file.metadata() or {}
 
 
 def _open(path: str | Path) -> Any:

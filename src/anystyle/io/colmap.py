@@ -1,8 +1,4 @@
-"""COLMAP's sparse models, and writing them, text and binary: cameras, images and points.
-
-The layout is the one that COLMAP documents under "Output Format": ``cameras``, ``images`` and ``points3D``, each
-``.txt`` or ``.bin`` (little-endian, no padding).
-"""
+"""COLMAP's sparse models, and writing them in the text and binary layouts of its documentation's "Output Format"."""
 
 import struct
 from collections.abc import Iterator, Mapping, Sequence
@@ -69,9 +65,9 @@ def pinhole_model(
     for number, (name, size) in enumerate(zip(names, sizes, strict=True), start=1):
         (fx, _, cx), (_, fy, cy), _ = intrinsics[number - 1].tolist()
         x, y, z, w = quaternions[number - 1].tolist()
-        tx, ty, tz = camera_from_world[number - 1, :3, 3].tolist()
         cameras[number] = Camera("PINHOLE", size, (fx, fy, cx, cy))
-        photographs[number] = PosedImage(name, number, (w, x, y, z), (tx, ty, tz))
+        translation = camera_from_world[number - 1, :3, 3].tolist()
+        photographs[number] = PosedImage(name, number, (w, x, y, z), tuple(translation))
     return Model(cameras, photographs, points, colors)
 
 

@@ -8,6 +8,7 @@ import math
 import stat
 import tomllib
 from collections.abc import Callable, Mapping
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, TypeVar
 
@@ -28,11 +29,11 @@ def as_figure(value: float) -> Figure:
 
 def plain(value: Any) -> Any:
     """A value of nested lists and tables as JSON can hold it."""
-    if isinstance(value, float):
-        return as_figure(value)
     if isinstance(value, Mapping):
         return {key: plain(part) for key, part in value.items()}
-    return [plain(part) for part in value] if isinstance(value, (list, tuple)) else value
+    if isinstance(value, (list, tuple)):
+        return [plain(part) for part in value]
+    return as_figure(value) if isinstance(value, float) else value
 
 
 def as_number(figure: Figure) -> float:
@@ -80,13 +81,7 @@ def read_text(path: str | Path, *, most: int = MAX_BYTES, what: str = "text file
 
 
 def read_json(path: str | Path, shape: type[T] | Any, *, what: str = "JSON file") -> T:
-    """A JSON file as a value of a shape.
-
-    Args:
-        path: A JSON file.
-        shape: A type that msgspec knows: built-in ones, dataclasses, typed dictionaries, ``Annotated`` bounds.
-        what: What the file is called in messages.
-    """
+    """A JSON file, called ``what`` in messages, as a value of a type that msgspec knows, such as a dataclass."""
     return parse_json(read_bytes(path, what=what), shape, source=str(path), what=what)
 
 
@@ -155,10 +150,9 @@ def _check(value: Any, parts: int, limit: bool) -> None:
             raise UserError(f"nested deeper than {MAX_DEPTH} levels")
         if count > parts:
             raise UserError(f"more than {parts:,} values")
-        if isinstance(item, dict):
-            stack.extend((part, depth + 1) for pair in item.items() for part in pair)
-        elif isinstance(item, (list, tuple)):
-            stack.extend((part, depth + 1) for part in item)
+        if isinstance(item, (dict, list, tuple)):
+            inside = chain.from_iterable(item.items()) if isinstance(item, dict) else item
+            stack.extend((part, depth + 1) for part in inside)
         elif limit and isinstance(item, float) and not math.isfinite(item):
             raise UserError(f"the number {item}, where finite ones are expected")
         elif isinstance(item, int) and not -(1 << 63) <= item < 1 << 63:

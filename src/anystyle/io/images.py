@@ -28,10 +28,8 @@ def check_pillow() -> None:
     """Refuse a process in which pycolmap was imported first: its zlib then serves Pillow, and ends the process."""
     order = [name for name in sys.modules if name in ("pycolmap._core", "PIL._imaging")]
     if sys.platform == "linux" and order[0] == "pycolmap._core":
-        raise UserError(
-            "pycolmap was imported before Pillow, and would end the process at the first PNG file that is written; "
-            "write `import PIL.Image` above `import pycolmap`"
-        )
+        told = "pycolmap was imported before Pillow, and would end the process at the first PNG file that is written"
+        raise UserError(f"{told}; write `import PIL.Image` above `import pycolmap`")
 
 
 @cache

@@ -23,14 +23,7 @@ def free() -> int:
 
 
 def require(needed: int | float, what: str, advice: str, left: int | None = None) -> None:
-    """Raise a UserError if ``needed`` bytes are not free; it names what needs them and gives advice.
-
-    Args:
-        needed: Bytes.
-        what: Takes them.
-        advice: What needs fewer.
-        left: The free bytes; ``None`` are those of this process, see :func:`free`.
-    """
+    """Raise a UserError if ``needed`` bytes are not ``left``, or else :func:`free`: what needs them, and advice."""
     if left is None and needed <= 1 << 26:  # for so little it is not worth reading the system's files
         return
     left = free() if left is None else left

@@ -22,8 +22,8 @@ from anystyle.io.splats import Offset, Remarks, Splats, near, visible
 
 MAX_DEGREE = 3
 """The highest degree of harmonics that viewers read; higher coefficients are not written."""
-
-
+CHUNK = 256
+"""Gaussians that share a row of bounds in a compressed file."""
 _CONSTANT = 0.5 / sqrt(np.pi)
 """The constant spherical harmonic."""
 _RGB = ("red", "green", "blue")
@@ -33,13 +33,7 @@ _ASCII = bytes(value if value < 128 else ord("?") for value in range(256))
 
 
 class Loaded(NamedTuple):
-    """What a file holds.
-
-    Args:
-        splats: Its Gaussians, without those that show nothing.
-        kept: Which of its rows they are.
-        offset: What was taken off its positions.
-    """
+    """The Gaussians of a file without those that show nothing, its rows that they are, and what is taken off it."""
 
     splats: Splats
     kept: Bool[Tensor, " N"]
@@ -55,22 +49,12 @@ def write(splats: Splats, path: Path, notes: str = "") -> None:
     kept = splats.opacities > 0
     means, rotations, scales, opacities, harmonics = (tensor[kept].detach().float().cpu() for tensor in splats)
     degree = min(_degree(harmonics.shape[1]), MAX_DEGREE)
-    harmonics = harmonics[:, : (degree + 1) ** 2]
     # Opacities of 0 and 1 and scales of 0 occur; the margins keep their logits and logarithms finite.
-    columns = torch.cat(
-        [
-            means,
-            torch.zeros_like(means),
-            harmonics[:, 0],
-            harmonics[:, 1:].mT.flatten(1),
-            torch.logit(opacities.clamp(1e-6, 1 - 1e-6))[:, None],
-            scales.clamp_min(1e-12).log(),
-            torch.nn.functional.normalize(rotations, dim=-1),
-        ],
-        dim=1,
-    )
-    names = _properties(degree)
-    vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in names])[:, 0]
+    logits = torch.logit(opacities.clamp(1e-6, 1 - 1e-6))[:, None]
+    sizes, quaternions = scales.clamp_min(1e-12).log(), torch.nn.functional.normalize(rotations, dim=-1)
+    colors = _flat(harmonics[:, : (degree + 1) ** 2])
+    columns = torch.cat([means, torch.zeros_like(means), colors, logits, sizes, quaternions], dim=1)
+    vertices = np.ascontiguousarray(columns.numpy()).view([(name, "f4") for name in _properties(degree)])[:, 0]
     with atomic_path(path) as temporary:
         comments = notes.encode("ascii", "replace").decode().splitlines()
         PlyData([PlyElement.describe(vertices, "vertex")], comments=comments).write(temporary)
@@ -87,7 +71,7 @@ def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool
         return False
     loaded = _decoded(data, Remarks(source), activated=False)
     before = data["vertex"].data[loaded.kept.numpy()]
-    colors = np.concatenate([harmonics[:, 0].cpu(), harmonics[:, 1:].mT.flatten(1).cpu()], axis=1)  # N 3*K
+    colors = _flat(harmonics.cpu()).numpy()
     names = [f"f_dc_{index}" for index in range(3)] + [f"f_rest_{index}" for index in range(colors.shape[1] - 3)]
     given = {name: before.dtype[name] for name in before.dtype.names or ()}
     kept = {name: kind for name, kind in given.items() if name in names or not name.startswith(("f_rest_", *_RGB))}
@@ -105,17 +89,20 @@ def recolor(source: Path, harmonics: Float[Tensor, "N K 3"], path: Path) -> bool
     return True
 
 
+def _flat(harmonics: Float[Tensor, "N K 3"]) -> Float[Tensor, "N 3*K"]:
+    """Coefficients as properties: the constant ones, then the others colour by colour."""
+    return torch.cat([harmonics[:, 0], harmonics[:, 1:].mT.flatten(1)], dim=1)
+
+
 def read(path: Path) -> Splats:
     """Read a file of any degree of harmonics, as trainers write it, or compressed, as SuperSplat does."""
     return load(path).splats
 
 
 def load(path: Path, *, activated: bool = False) -> Loaded:
-    """Read a file, and tell what is left out or guessed.
+    """Read a file, also with two scales (2DGS) or the colours ``red green blue``; tell what is left out or guessed.
 
-    Args:
-        path: The file, also with two scales (2DGS) or the colours ``red green blue``.
-        activated: Whether it holds lengths and opacities in [0, 1] in place of logarithms and logits.
+    An ``activated`` one holds lengths and opacities in [0, 1] in place of logarithms and logits.
     """
     remarks = Remarks(path)
     loaded = _decoded(_parsed(path), remarks, activated=activated)
@@ -172,9 +159,9 @@ def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
     path, vertices = remarks.path, data["vertex"].data
     try:
         columns = unpack(data) if "chunk" in data else {name: vertices[name] for name in vertices.dtype.names or ()}
+    except UserError:
+        raise
     except (KeyError, ValueError) as error:
-        if isinstance(error, UserError):
-            raise
         raise UserError(f"{path} is not a PLY file of Gaussians ({error})") from None
     columns = _with_constant(columns, remarks)
     rest = sum(name.startswith("f_rest_") for name in columns)
@@ -184,8 +171,7 @@ def _decoded(data: PlyData, remarks: Remarks, *, activated: bool) -> Loaded:
     if {"scale_0", "scale_1"} <= columns.keys() and "scale_2" not in columns:
         names.remove("scale_2")
         remarks.guesses.append("without scale_2, its Gaussians are flat discs, as 2DGS writes them")
-    missing = [name for name in ("x", "y", "z", *names) if name not in columns]
-    if missing:
+    if missing := [name for name in ("x", "y", "z", *names) if name not in columns]:
         raise UserError(f"{path} is a PLY file without the properties {', '.join(missing[:5])} of Gaussians")
     means, offset = near(np.stack([columns[axis] for axis in "xyz"], axis=1), remarks)
     with np.errstate(over="ignore"):
@@ -212,12 +198,10 @@ def _with_constant(columns: Mapping[str, NDArray[Any]], remarks: Remarks) -> dic
 
 
 def _degree(coefficients: int) -> int:
-    degree = isqrt(coefficients) - 1
-    if (degree + 1) ** 2 != coefficients:
-        raise UserError(
-            f"{coefficients} spherical-harmonics coefficients a colour; expected a square, such as 4, 9 or 16"
-        )
-    return degree
+    root, expected = isqrt(coefficients), "a square, such as 4, 9 or 16"
+    if root**2 != coefficients:
+        raise UserError(f"{coefficients} spherical-harmonics coefficients a colour; expected {expected}")
+    return root - 1
 
 
 def _properties(degree: int) -> list[str]:
@@ -227,10 +211,6 @@ def _properties(degree: int) -> list[str]:
         *(f"f_rest_{index}" for index in range(higher)),
         *("opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
     ]
-
-
-CHUNK = 256
-"""Gaussians that share a row of bounds in a compressed file."""
 
 
 def unpack(data: PlyData) -> dict[str, NDArray[Any]]:

@@ -17,12 +17,8 @@ RECORD = "bound.json"
 def refuse_changes(folder: Path, now: Mapping[str, Any], what: str, remedy: str, free: Sequence[str] = ()) -> bool:
     """Raise a UserError where a folder's record is of another configuration; returns whether there is a record.
 
-    Args:
-        folder: A folder of results.
-        now: The configuration as JSON values, nested or by full keys.
-        what: What the folder holds, such as ``an evaluation``.
-        remedy: What to do instead.
-        free: Keys that may change, with all below them.
+    The configuration ``now`` is JSON values, nested or by full keys, of which ``free`` ones may change with all below
+    them. The message says ``what`` the folder holds, such as ``an evaluation``, and the ``remedy``.
     """
     if not (folder / RECORD).is_file():
         return False
@@ -47,25 +43,17 @@ def flat(node: Mapping[Any, Any], prefix: str = "") -> dict[str, Any]:
     return values
 
 
-def _same(before: object, now: object) -> bool:
-    """Whether two values are equal, or texts that name one file or folder: absolute, relative, through a link."""
-    if isinstance(before, list) and isinstance(now, list):
-        return len(before) == len(now) and all(map(_same, before, now))
-    if before == now or not (isinstance(before, str) and isinstance(now, str)):
-        return before == now
-    return _place(before) == _place(now)
-
-
-def _place(text: str) -> str:
-    return os.path.realpath(expanded(text))
+def _placed(value: object) -> object:
+    """A value in which texts that name one file or folder are equal: absolute, relative, through a link."""
+    if isinstance(value, list):
+        return [_placed(part) for part in value]
+    return os.path.realpath(expanded(value)) if isinstance(value, str) else value
 
 
 def changes(before: Mapping[str, Any], now: Mapping[str, Any]) -> str:
-    """The first five values that are not what they were, in words; empty where all are.
-
-    A class that has moved is what it was.
-    """
+    """The first five values that are not what they were, in words; a class that has moved is what it was."""
     before = {key: present(str(value)) if key.endswith("_target_") else value for key, value in before.items()}
-    changed = sorted(key for key in {*before, *now} if not _same(before.get(key), now.get(key)))
+    unequal = sorted(key for key in {*before, *now} if before.get(key) != now.get(key))
+    changed = [key for key in unequal if _placed(before.get(key)) != _placed(now.get(key))]
     shown = [f"{key} {before.get(key)} -> {now.get(key)}" for key in changed[:5]]
     return ", ".join([*shown, *(["…"] if len(changed) > 5 else [])])

@@ -77,29 +77,22 @@ def contact_sheet(
 
 def thumbnails(views: Sequence[Image.Image]) -> list[Image.Image]:
     """At most four of the views of a scene, evenly spaced, of the size of a sheet's cells."""
-    count = min(4, len(views))
-    places = (round(row * (len(views) - 1) / max(count - 1, 1)) for row in range(count))
+    places = np.linspace(0, len(views) - 1, min(4, len(views))).round().astype(int)
     return [ImageOps.contain(views[place], (CELL, CELL), Image.Resampling.LANCZOS) for place in places]
 
 
 def side_by_side(images: Sequence[Image.Image]) -> Image.Image:
     """Pictures in a row, as high as the lowest."""
     height = min(image.height for image in images)
-    resized = [image.resize((max(1, round(image.width * height / image.height)), height)) for image in images]
-    row = Image.new("RGB", (sum(image.width for image in resized), height))
-    left = 0
-    for image in resized:
-        row.paste(image, (left, 0))
-        left += image.width
-    return row
+    resized = (image.resize((max(1, round(image.width * height / image.height)), height)) for image in images)
+    return Image.fromarray(np.hstack([np.asarray(image.convert("RGB")) for image in resized]))
 
 
 def style_sheet(photographs: Sequence[Image.Image], columns: Sequence[tuple[str, Cell, Sequence[Cell]]]) -> Image.Image:
     """Thumbnails of photographs, and for each column its title, style if it has one, and thumbnails below."""
-    head: list[list[Cell]] = [[None, *(style for _, style, _ in columns)]]
-    rows = [list(row) for row in zip(photographs, *(renders for _, _, renders in columns), strict=True)]
-    titles = ["photograph", *(title for title, _, _ in columns)]
-    return contact_sheet([*(head if any(head[0]) else []), *rows], column_titles=titles, cell=photographs[0].size)
+    titles, head, *_ = zip(("photograph", None, photographs), *columns, strict=True)
+    rows = list(zip(photographs, *(renders for *_, renders in columns), strict=True))
+    return contact_sheet([*([head] if any(head) else []), *rows], column_titles=titles, cell=photographs[0].size)
 
 
 def save_png(image: Image.Image, path: Path) -> None:

@@ -43,34 +43,26 @@ class Splats(NamedTuple):
 
 @dataclass
 class Remarks:
-    """What a reader does to the rows of a file beyond decoding them; told once the file is read.
-
-    Args:
-        path: The file.
-        guesses: What the file leaves open, and how it was read, one line each.
-        total: Rows of the file.
-        left_out: Rows that show nothing, by what is wrong with them.
-        kept: Rows with infinite numbers that say something, by what that is.
-    """
+    """What a reader does to the rows of a file beyond decoding them; told once the file is read."""
 
     path: Path
     guesses: list[str] = field(default_factory=list)
+    """What the file leaves open, and how it was read, one line each."""
     total: int = 0
     left_out: Counter[str] = field(default_factory=Counter)
+    """Rows that show nothing, by what is wrong with them."""
     kept: Counter[str] = field(default_factory=Counter)
+    """Rows with infinite numbers that say something, by what that is."""
 
     def tell(self) -> None:
         """Log a line on the rows, and one on each guess."""
         left_out, kept = _counts(self.left_out), _counts(self.kept)
+        rows = [f"of {self.total:,} Gaussians, all kept, {kept}"] if kept else []
         if left_out:
-            number = f"{self.left_out.total():,} of {self.total:,}"
-            _log.warning(
-                "%s: %s Gaussians are left out (%s)%s", self.path, number, left_out, kept and f"; kept are {kept}"
-            )
-        elif kept:
-            _log.warning("%s: of %s Gaussians, all kept, %s", self.path, f"{self.total:,}", kept)
-        for guess in dict.fromkeys(self.guesses):
-            _log.warning("%s: %s", self.path, guess)
+            number, more = f"{self.left_out.total():,} of {self.total:,}", kept and f"; kept are {kept}"
+            rows = [f"{number} Gaussians are left out ({left_out}){more}"]
+        for line in (*rows, *dict.fromkeys(self.guesses)):
+            _log.warning("%s: %s", self.path, line)
 
 
 def visible(
@@ -133,20 +125,16 @@ def _activated(
     lengths = len(sizes) > 0 and float((sizes < 0).float().mean()) < 0.01
     fractions = len(alphas) > 0 and bool(((alphas >= 0) & (alphas <= 1)).all())
     if asked:
-        if not lengths and not fractions:
-            raise UserError(
-                f"{remarks.path} has scales that are negative and opacities out of 0 to 1, and splat.activated=true; "
-                "leave that out"
-            )
-        return lengths, fractions
+        if lengths or fractions:
+            return lengths, fractions
+        found = "scales that are negative and opacities out of 0 to 1"
+        raise UserError(f"{remarks.path} has {found}, and splat.activated=true; leave that out")
     small = lengths and (fractions or float(sizes.median()) < 0.5)
     varied = fractions and (small or bool(alphas.min() < alphas.max()))
     found = [*(["scales look like lengths"] if small else []), *(["opacities like fractions"] if varied else [])]
     if found:
-        remarks.guesses.append(
-            f"{' and '.join(found)}, and are read as logarithms and logits, as the format has them; if that is wrong, "
-            "add splat.activated=true"
-        )
+        read = "are read as logarithms and logits, as the format has them; if that is wrong, add splat.activated=true"
+        remarks.guesses.append(f"{' and '.join(found)}, and {read}")
     return False, False
 
 

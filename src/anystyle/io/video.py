@@ -12,6 +12,7 @@ from av.error import FFmpegError
 from av.video.frame import VideoFrame
 from jaxtyping import Float
 from PIL import ExifTags, Image
+from scipy.ndimage import laplace
 from torch import Tensor
 
 from anystyle.errors import UserError
@@ -57,10 +58,8 @@ def read_frames(path: Path, count: int) -> list[tuple[int, Image.Image]]:
     regular(path, most=None, what="video")
     try:
         timeline = _inspect(path, count)
-        many = timeline.frames > MANY_FRAMES
-        best = _sharpest(path, count, timeline, key_frames_only=many)
-        if many and len(best) < count:
-            # Some encoders write hardly any key frames.
+        best = _sharpest(path, count, timeline, key_frames_only=True) if timeline.frames > MANY_FRAMES else {}
+        if len(best) < count:  # some encoders write hardly any key frames
             best = _sharpest(path, count, timeline, key_frames_only=False)
     except FFmpegError as error:
         raise UserError(f"{path} is not a video, or is damaged ({error.strerror})") from None
@@ -96,15 +95,12 @@ def _sharpest(
     path: Path, count: int, timeline: _Timeline, *, key_frames_only: bool
 ) -> dict[int, tuple[int, Image.Image]]:
     """Number and image of the sharpest frame in each of ``count`` parts, by part; empty parts are left out."""
-    sharpness: dict[int, float] = {}
-    best: dict[int, tuple[int, Image.Image]] = {}
+    best: dict[int, tuple[float, int, Image.Image]] = {}
     for number, frame in _decode(path, key_frames_only=key_frames_only):
-        part = timeline.part(number, frame.pts, count)
-        sharp = _sharpness(frame)
-        if sharp > sharpness.get(part, -1.0):
-            sharpness[part] = sharp
-            best[part] = (number, frame.to_image().rotate(frame.rotation, expand=True))
-    return best
+        part, sharp = timeline.part(number, frame.pts, count), _sharpness(frame)
+        if part not in best or sharp > best[part][0]:
+            best[part] = (sharp, number, frame.to_image().rotate(frame.rotation, expand=True))
+    return {part: (number, image) for part, (_, number, image) in best.items()}
 
 
 def _inspect(path: Path, count: int) -> _Timeline:
@@ -152,17 +148,13 @@ def _sharpness(frame: VideoFrame) -> float:
     scale = min(1.0, 256 / max(frame.width, frame.height))
     size = {"width": max(4, round(frame.width * scale)), "height": max(4, round(frame.height * scale))}
     grey = frame.reformat(**size, format="gray").to_ndarray().astype(np.float32)
-    laplacian = grey[1:-1, :-2] + grey[1:-1, 2:] + grey[:-2, 1:-1] + grey[2:, 1:-1] - 4 * grey[1:-1, 1:-1]
-    return float(laplacian.var())
+    return float(laplace(grey)[1:-1, 1:-1].var())
 
 
 def write_video(frames: Iterable[Float[Tensor, "3 H W"]], path: Path, *, fps: int = 30) -> None:
-    """Write frames as H.264 video that browsers play, one by one as they come; whole or not at all.
+    """Write frames, sRGB in [0, 1], as H.264 video that browsers play, one by one as they come; whole or not at all.
 
-    Args:
-        frames: sRGB in [0, 1], all of one size; an odd row or column at the end is dropped, as the format demands.
-        path: An ``.mp4`` file.
-        fps: Frames per second.
+    All have one size; an odd row or column at the end is dropped, as the format demands.
     """
     with atomic_path(path) as temporary, av.open(str(temporary), "w", format="mp4") as container:
         # At this rate factor H.264 is visually lossless; films of "veryfast" are a tenth smaller, and take 1.7 as long.

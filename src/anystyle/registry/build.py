@@ -64,18 +64,13 @@ def plugin_of(base: type, config: "DictConfig | Mapping[str, Any] | str") -> tup
     if isinstance(config, str):
         plugin = catalog().find(kind_of(base), config)
         return plugin, _checked(plugin, {})
-    given = _container(config)
+    given, key = _container(config)
     plugin = catalog().owner(kind_of(base), str(given.pop("_target_", None)))
-    return plugin, _checked(plugin, given, _key(config))
+    return plugin, _checked(plugin, given, key)
 
 
 def choice(base: type, value: Any) -> dict[str, Any]:
-    """The checked node of a plugin that an option names: ``film``, or with options ``{film: {hidden: 64}}``.
-
-    Raises:
-        PluginError: No such plugin is in the catalog.
-        UserError: An option is unknown, missing or of the wrong type.
-    """
+    """The node of a plugin that an option names, ``film`` or ``{film: {hidden: 64}}``; checked as by :func:`build`."""
     kind, named = kind_of(base), {value: {}} if isinstance(value, str) else value
     if not isinstance(named, Mapping) or len(named) != 1 or not isinstance(next(iter(named.values())), Mapping):
         raise UserError(f"{value!r} is not one {kind}; give its name, or {{NAME: {{option: value}}}}")
@@ -90,23 +85,16 @@ def build_all(base: type[T], configs: "Mapping[str, Any] | None", /, **runtime: 
     return {} if configs is None else {name: build(base, configs[name], **runtime) for name in configs}
 
 
-def _container(config: Any) -> dict[str, Any]:
-    """A node as plain Python, interpolations resolved against the configuration it is part of."""
+def _container(config: Any) -> tuple[dict[str, Any], str]:
+    """A node as plain Python, interpolations resolved, and where it stands in the whole configuration, if in one."""
     from omegaconf import OmegaConf
 
     if not OmegaConf.is_config(config):
-        return dict(config)
+        return dict(config), ""
     container = OmegaConf.to_container(config, resolve=True, enum_to_str=True)
     if not isinstance(container, dict):
         raise PluginError(f"a plugin's options with a _target_ are expected, and {container!r} is given")
-    return {str(key): value for key, value in container.items()}
-
-
-def _key(config: Any) -> str:
-    """Where a node stands in the whole configuration; nothing for a node by itself."""
-    from omegaconf import OmegaConf
-
-    return str(config._get_full_key(None) or "") if OmegaConf.is_config(config) else ""
+    return {str(key): value for key, value in container.items()}, str(config._get_full_key(None) or "")
 
 
 def _checked(plugin: Plugin, given: Mapping[str, Any], key: str = "") -> dict[str, Any]:

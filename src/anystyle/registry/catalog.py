@@ -17,6 +17,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
@@ -67,9 +68,8 @@ def _declared(target: str) -> KindInfo:
     tree = ast.parse((paths.PACKAGE.parent / module.replace(".", "/")).with_suffix(".py").read_bytes())
     body = next(node.body for node in tree.body if isinstance(node, ast.ClassDef) and node.name == name)
     values = {ast.unparse(node.targets[0]): node.value for node in body if isinstance(node, ast.Assign)}
-    return KindInfo(
-        *(ast.literal_eval(values[key]) if key in values else getattr(Pluggable, key) for key in KindInfo._fields)
-    )
+    stated = {key: ast.literal_eval(values[key]) for key in KindInfo._fields if key in values}
+    return KindInfo(Pluggable.many, Pluggable.runtime)._replace(**stated)
 
 
 @dataclass(frozen=True)
@@ -116,11 +116,11 @@ def location_in(error: BaseException, module: str) -> str:
     """`` (FILE, line N)``: where in the top-level package of a module an error came from; empty if it did not."""
     package = module.partition(".")[0]
     frames = [
-        (frame.f_code.co_filename, line)
+        f" ({Path(frame.f_code.co_filename).name}, line {line})"
         for frame, line in traceback.walk_tb(error.__traceback__)
         if str(frame.f_globals.get("__name__")).partition(".")[0] == package
     ]
-    return f" ({Path(frames[-1][0]).name}, line {frames[-1][1]})" if frames else ""
+    return frames[-1] if frames else ""
 
 
 def base_of(kind: str) -> type[Pluggable]:
@@ -144,29 +144,20 @@ def _import(plugin: Plugin) -> Any:
         importlib.invalidate_caches()
     try:
         module = importlib.import_module(module_name)
-        value: Any = module
-        for name in qualified.split("."):
-            value = getattr(value, name)
+        value = attrgetter(qualified)(module)
     except (Exception, SystemExit) as error:
         reason = f"{type(error).__name__}: {one_line(error)}".rstrip(": ")
         raise PluginError(f"{plugin} cannot be imported: {reason}{location_in(error, module_name)}") from error
     if plugin.root is not None:
         files = [Path(file).resolve() for file in (module.__file__, *getattr(module, "__path__", ())) if file]
         if not any(file.is_relative_to(plugin.root) for file in files):
-            raise PluginError(
-                f"{plugin} cannot be imported: another module is called '{module_name}' ({files[0]}); "
-                "rename one of them, or uninstall the other"
-            )
+            other = f"another module is called '{module_name}' ({files[0]})"
+            raise PluginError(f"{plugin} cannot be imported: {other}; rename one of them, or uninstall the other")
     return value
 
 
 class Catalog:
-    """Every declared plugin.
-
-    Args:
-        plugins: The declarations, in the order of their origins.
-        problems: What could not be read, one line each; shown with the error for an unknown name.
-    """
+    """Every declared plugin, and what could not be read, one line each, which the error for an unknown name shows."""
 
     def __init__(self, plugins: Iterable[Plugin], problems: Sequence[str] = ()) -> None:
         self._plugins = tuple(plugins)
@@ -210,26 +201,18 @@ class Catalog:
 
     def owner(self, kind: str, path: str) -> Plugin:
         """The plugin whose class a configuration's ``_target_`` names."""
-        plugins = [plugin for plugin in self._plugins if plugin.path == path]
-        if not plugins:
-            raise PluginError(
-                f"_target_ '{path}' is not a plugin; a config may build only what `anystyle plugins` lists"
-            )
-        for plugin in plugins:
-            if plugin.kind == kind:
-                return self.find(kind, plugin.name)
-        raise PluginError(f"_target_ '{path}' is a {plugins[0].kind}, and a {kind} is expected here")
+        named = {plugin.kind: plugin.name for plugin in self._plugins if plugin.path == path}
+        if kind in named:
+            return self.find(kind, named[kind])
+        wrong = "not a plugin; a config may build only what `anystyle plugins` lists"
+        for other in named:
+            wrong = f"a {other}, and a {kind} is expected here"
+        raise PluginError(f"_target_ '{path}' is {wrong}")
 
     def name_of(self, kind: str, cls: type) -> str:
         """The name that a class is registered by; its own where the catalog does not list it."""
         path = f"{cls.__module__}.{cls.__qualname__}"
         return next((plugin.name for plugin in self._plugins if (plugin.kind, plugin.path) == (kind, path)), path)
-
-
-def _builtin() -> Iterator[Plugin]:
-    for kind, rows in BUILTIN.items():
-        for name, target in rows.items():
-            yield Plugin(kind, name, target, "anystyle", project="anystyle")
 
 
 def _rows(point: EntryPoint, problems: list[str], origin: str, **options: Any) -> Iterator[Plugin]:
@@ -253,15 +236,11 @@ def _installed(problems: list[str]) -> Iterator[Plugin]:
 
 
 class _Project(msgspec.Struct, rename="kebab"):
-    """The part of a project's table that declares plugins."""
-
     name: str | None = None
     entry_points: dict[str, dict[str, Any]] = msgspec.field(default_factory=dict)
 
 
 class _PyProject(msgspec.Struct):
-    """The part of ``pyproject.toml`` that is read."""
-
     project: _Project = msgspec.field(default_factory=_Project)
 
 
@@ -272,22 +251,17 @@ def _local(root: Path, problems: list[str]) -> Iterator[Plugin]:
     except UserError as error:
         problems.append(f"{origin}/pyproject.toml cannot be read: {error}")
         return
-    name, tables = declared.project.name, declared.project.entry_points
-    for group, rows in tables.items():
-        if not group.startswith(_PREFIX):
-            continue
-        for key, value in rows.items():
-            yield from _rows(EntryPoint(key, str(value), group), problems, origin, root=root, project=name)
+    for group, rows in declared.project.entry_points.items():
+        for key, value in rows.items() if group.startswith(_PREFIX) else ():
+            point = EntryPoint(key, str(value), group)
+            yield from _rows(point, problems, origin, root=root, project=declared.project.name)
 
 
 def _roots(folders: Sequence[str], problems: list[str]) -> list[Path]:
     """The plugin folders: each listed one, or else the folders in it, that hold a ``pyproject.toml``."""
     roots: dict[Path, None] = {}
-    for folder in (paths.PLUGINS, *map(Path, folders)):
-        if not folder.is_dir():
-            if folder != paths.PLUGINS:
-                problems.append(f"{VARIABLE} lists {folder}, which is not a folder")
-            continue
+    problems += [f"{VARIABLE} lists {folder}, which is not a folder" for folder in folders if not Path(folder).is_dir()]
+    for folder in filter(Path.is_dir, (paths.PLUGINS, *map(Path, folders))):
         candidates = [folder] if (folder / "pyproject.toml").is_file() else sorted(folder.iterdir())
         roots |= {root.resolve(): None for root in candidates if (root / "pyproject.toml").is_file()}
     return list(roots)
@@ -310,7 +284,8 @@ def _static(folders: tuple[str, ...]) -> Catalog:
     problems += [f"{row.origin} declares '{_PREFIX}{row.kind}', and there is no such kind of plugin" for row in strange]
     for problem in problems:
         _log.warning("ignored: %s", problem)
-    return Catalog([*_builtin(), *(plugin for plugin in declared if plugin not in strange)], problems)
+    builtin = (Plugin(kind, *row, "anystyle", project="anystyle") for kind in BUILTIN for row in BUILTIN[kind].items())
+    return Catalog([*builtin, *(plugin for plugin in declared if plugin not in strange)], problems)
 
 
 _OWN: dict[tuple[str, str], Plugin] = {}
@@ -331,16 +306,12 @@ def catalog() -> Catalog:
 
 
 def plugin(kind: str, name: str) -> Callable[[_Class], _Class]:
-    """Add a class to the catalog of the running process; for notebooks.
+    """Add a class to the catalog of the running process, by the name that configurations call it; for notebooks.
 
     Declaring a class of the same name again, as running a cell twice does, replaces it.
 
-    Args:
-        kind: What it is, such as ``backbone``.
-        name: How configurations call it.
-
     Raises:
-        PluginError: The kind is unknown, the name is taken or is no identifier, or the class breaks the contract.
+        PluginError: The kind is unknown, the name is taken or not an identifier, or the class breaks the contract.
     """
 
     def add(declared: _Class) -> _Class:
@@ -349,10 +320,9 @@ def plugin(kind: str, name: str) -> Callable[[_Class], _Class]:
         kind_named(kind)
         if not name.isidentifier():
             raise PluginError(f"{row} needs another name: one made of letters, digits and '_'")
-        declared_before = catalog().declarations(kind, name)
-        taken = [other for other in declared_before if other.defined is None or other.target != target]
-        if taken:
-            raise PluginError(f"{kind} '{name}' is declared already: {taken[0]}; choose another name")
+        for other in catalog().declarations(kind, name):
+            if other.defined is None or other.target != target:
+                raise PluginError(f"{kind} '{name}' is declared already: {other}; choose another name")
         row.load()
         _OWN[kind, name] = row
         return declared

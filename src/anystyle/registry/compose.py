@@ -26,7 +26,7 @@ ERRORS = (HydraException, OmegaConfBaseException, YAMLError)
 """What Hydra and OmegaConf raise."""
 
 _UNKNOWN = re.compile(r"In '[^']*': Could not load '(?P<group>[^']*)/(?P<name>[^'/]*)'")
-"""How Hydra says that one of several choices of a group is none; of the only choice it raises what has options."""
+"""How Hydra says that one of several choices of a group is not there; of the only choice it raises what has options."""
 
 _DELETED = re.compile(r"Error resolving interpolation '\$\{recipe\}/\$\{(?P<group>\w+)\}'")
 """How Hydra says that a group is deleted whose choice names another, as a recipe does."""
@@ -38,19 +38,15 @@ _NOISE = re.compile(r"\s*(full_key:|object_type=|reference_type=|To append to yo
 
 
 def compose(config_name: str, overrides: Sequence[str] = (), *, conf: Path | None = None) -> DictConfig:
-    """Compose a configuration, as a command does.
+    """Compose a configuration, as a command does: a file of ``conf``, or of the folder that comes with the package.
 
-    Args:
-        config_name: A file of the folder, such as ``stylize``.
-        overrides: In Hydra's grammar, such as ``backbone=anysplat_tiny``; see :func:`override`.
-        conf: The folder; the one that comes with the package if it is not given.
+    The overrides are in Hydra's grammar, such as ``backbone=anysplat_tiny``; see :func:`override`.
     """
     register()
     check_words(overrides)
+    folder = str((conf or paths.CONF).absolute())
     try:
-        with initialize_config_dir(
-            str((conf or paths.CONF).absolute()), job_name=config_name, version_base=VERSION_BASE
-        ):
+        with initialize_config_dir(folder, job_name=config_name, version_base=VERSION_BASE):
             return hydra_compose(config_name, overrides=list(overrides))
     except Exception as error:
         raise refused(error) from error
@@ -81,33 +77,23 @@ def check_words(words: Sequence[str]) -> None:
         key, _, value = word.partition("=")
         if key in (*OPTIONS, "weights") and key not in groups() and not value.startswith(("{", "$")):
             raise UserError(f"{word}: '{key}' has options and no choices; set one of them as {key}.OPTION=VALUE")
-        match = _NULL.fullmatch(word)
-        if match and match["group"] in groups():
-            raise UserError(
-                f"{word}: a group takes a name; to leave it out, write '~{word.removesuffix('=null')}'; there are: "
-                f"{', '.join(choices(match['group']))}"
-            )
+        if (match := _NULL.fullmatch(word)) and match["group"] in groups():
+            remedy = f"to leave it out, write '~{word.removesuffix('=null')}'"
+            raise UserError(f"{word}: a group takes a name; {remedy}; there are: {', '.join(choices(match['group']))}")
 
 
 def override(key: str, value: object) -> str:
-    """``key=value`` in Hydra's grammar, whatever the value holds.
-
-    Args:
-        key: Where in the configuration.
-        value: Text, number, truth value, ``None``, or a sequence of these.
-    """
+    """``key=value`` in Hydra's grammar; the value is a text, number, truth value, ``None``, or a sequence of these."""
     return f"{key}={_written(value)}"
 
 
 def _written(value: object) -> str:
-    if value is None:
-        return "null"
-    if isinstance(value, bool):
-        return str(value).lower()
+    if value is None or isinstance(value, bool):
+        return "null" if value is None else str(value).lower()
     if isinstance(value, (int, float)):
         return repr(value)
     if isinstance(value, (list, tuple)):
-        return f"[{','.join(_written(item) for item in value)}]"
+        return f"[{','.join(map(_written, value))}]"
     return QuotedString(literal(str(value)), Quote.single).with_quotes()
 
 
@@ -116,8 +102,7 @@ def explain(error: Exception) -> str:
     if isinstance(error, MissingConfigException) and error.missing_cfg_file and error.options is not None:
         group, _, name = error.missing_cfg_file.rpartition("/")
         return _no_such(group, name, [option for option in error.options if not option.startswith("_")])
-    unknown = _UNKNOWN.match(str(error)) if isinstance(error, MissingConfigException) else None
-    if unknown is not None:
+    if isinstance(error, MissingConfigException) and (unknown := _UNKNOWN.match(str(error))):
         return _no_such(unknown["group"], unknown["name"], choices(unknown["group"]))
     if deleted := _DELETED.match(str(error)):
         return f"this configuration needs {deleted['group']}; add {deleted['group']}=NAME"

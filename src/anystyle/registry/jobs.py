@@ -14,15 +14,7 @@ from anystyle.io.documents import read_yaml
 
 RECORD = "multirun.yaml"
 """The file in a multirun's folder into which Hydra writes its configuration before the first job."""
-_NOT_REPEATED = (
-    "hydra.mode",
-    "hydra.sweep.",
-    "hydra.job.",
-    "hydra.launcher",
-    "hydra/launcher",
-    "hydra.sweeper",
-    "hydra/sweeper",
-)
+_NOT_REPEATED = ("hydra.mode", "hydra.sweep.", "hydra.job.", "hydra.launcher", "hydra.sweeper")
 
 
 def swept(folder: Path) -> list[list[str]]:
@@ -56,11 +48,9 @@ def announcement() -> str:
 def job_overrides() -> list[str]:
     """The overrides of this job, with Hydra's flags that it needs to be repeated by itself."""
     hydra = HydraConfig.get()
-    folders = [
-        f"--config-dir={source.path}" for source in hydra.runtime.config_sources if source.provider == "command-line"
-    ]
-    words = [word for word in hydra.overrides.hydra if not word.lstrip("+~").startswith(_NOT_REPEATED)]
-    return [*hydra.overrides.task, *words, *folders]
+    words = [w for w in hydra.overrides.hydra if not w.lstrip("+~").replace("/", ".").startswith(_NOT_REPEATED)]
+    folders = [source.path for source in hydra.runtime.config_sources if source.provider == "command-line"]
+    return [*hydra.overrides.task, *words, *(f"--config-dir={folder}" for folder in folders)]
 
 
 def command_line(command: str, *flags: str) -> str:

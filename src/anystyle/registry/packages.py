@@ -24,8 +24,7 @@ def source_file(module: str, root: Path | None) -> Path | None:
 def packages() -> list[Path]:
     """The folder of each plugin's top-level module, for all plugins that are not built in; none is imported."""
     modules = {(row.target.partition(":")[0].partition(".")[0], row.root) for row in catalog() if row.defined is None}
-    folders = {_folder(module, root) for module, root in modules}
-    return sorted(folder for folder in folders if folder is not None and folder != paths.PACKAGE)
+    return sorted({_folder(module, root) for module, root in modules} - {None, paths.PACKAGE})
 
 
 @cache
@@ -62,11 +61,5 @@ def presets(group: str) -> dict[str, Path]:
 
 def groups() -> list[str]:
     """Every configuration group: the kinds of plugins, then the folders of presets."""
-    folders = {
-        path.name
-        for folder in (paths.CONF, *preset_folders())
-        if folder.is_dir()
-        for path in folder.iterdir()
-        if path.is_dir()
-    }
+    folders = {path.name for folder in (paths.CONF, *preset_folders()) for path in folder.glob("*/")}
     return [*kinds(), *sorted(folders - set(kinds()))]

@@ -1,5 +1,6 @@
 """A constructor's signature as a configuration schema."""
 
+import contextlib
 import copy
 import functools
 import inspect
@@ -21,12 +22,9 @@ from anystyle.registry.catalog import Plugin, PluginError, base_of, kind_named
 if typing.TYPE_CHECKING:
     from omegaconf import DictConfig
 
-REQUIRED: Any = inspect.Parameter.empty
 _PLAIN = (int, float, bool, str)
 _SEQUENCES = (list, tuple, Sequence)
 _MAPPINGS = (dict, Mapping)
-
-
 _kept = functools.lru_cache(maxsize=512)
 """Of what follows from a class and its constructor: a sweep, and a process with many, describes each plugin once."""
 
@@ -41,22 +39,16 @@ class _Choice(Enum):
 
 @dataclass(frozen=True)
 class Option:
-    """One constructor argument that a configuration may set.
-
-    Args:
-        name: As in the signature.
-        hint: The annotation, evaluated.
-        default: The value where it is not set; ``REQUIRED`` where there is none.
-    """
+    """One constructor argument that a configuration may set, its annotation evaluated, its default or ``empty``."""
 
     name: str
     hint: Any
-    default: Any = REQUIRED
+    default: Any = inspect.Parameter.empty
 
     @property
     def required(self) -> bool:
         """Whether a configuration has to give it."""
-        return self.default is REQUIRED
+        return self.default is inspect.Parameter.empty
 
 
 def _constructor(plugin: Plugin) -> tuple[list[inspect.Parameter], dict[str, Any]]:
@@ -83,18 +75,15 @@ def options(plugin: Plugin) -> tuple[Option, ...]:
     runtime = kind_named(plugin.kind).runtime
     known: list[Option] = []
     for parameter in parameters:
+        name = parameter.name
         if parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL, parameter.POSITIONAL_ONLY):
-            raise PluginError(
-                f"{plugin} takes '{parameter}'; name and annotate every option so that a config can be checked"
-            )
-        if parameter.name in runtime:
-            continue
-        if parameter.annotation is parameter.empty:
-            raise PluginError(
-                f"{plugin} does not annotate '{parameter.name}'; give it a type, as in '{parameter.name}: int = 2', by "
-                "which a config is checked"
-            )
-        known.append(Option(parameter.name, hints[parameter.name], parameter.default))
+            remedy = "name and annotate every option so that a config can be checked"
+            raise PluginError(f"{plugin} takes '{parameter}'; {remedy}")
+        if name not in runtime and name not in hints:
+            remedy = f"give it a type, as in '{name}: int = 2', by which a config is checked"
+            raise PluginError(f"{plugin} does not annotate '{name}'; {remedy}")
+        if name not in runtime:
+            known.append(Option(name, hints[name], parameter.default))
     return tuple(known)
 
 
@@ -121,17 +110,13 @@ def _prototype(plugin: Plugin, cls: type, _: Callable[..., None]) -> "DictConfig
     try:
         for item in known:
             default = MISSING if item.required else plain(item.default)
-            fields.append((item.name, option(item.hint), _field(default)))
+            copied = isinstance(default, (list, dict))
+            value = field(default_factory=default.copy) if copied else field(default=default)
+            fields.append((item.name, option(item.hint), value))
         return OmegaConf.structured(make_dataclass(cls.__name__, fields))
     except (OmegaConfBaseException, TypeError, ValueError) as error:
         message = str(error).partition("\n")[0]
         raise PluginError(f"{plugin} has an option that a config cannot hold: {message}") from error
-
-
-def _field(default: Any) -> Any:
-    if isinstance(default, (list, dict)):
-        return field(default_factory=default.copy)
-    return field(default=default)
 
 
 def option(hint: Any) -> Any:
@@ -147,39 +132,25 @@ def option(hint: Any) -> Any:
     if hint in _PLAIN or hint is Path:
         return hint
     if origin in (typing.Union, types.UnionType):
-        inner = tuple(item for item in arguments if item is not type(None))
-        optional = len(inner) < len(arguments)
-        checked = option(inner[0]) if len(inner) == 1 else _union(inner)
-        return typing.Optional[checked] if optional else checked  # noqa: UP045 (of a value)
+        inner = tuple(_bare(item) for item in arguments if item is not type(None))
+        plain = all(item in _PLAIN for item in inner)
+        checked = option(inner[0]) if len(inner) == 1 else typing.Union[inner] if plain else Any  # noqa: UP007
+        return typing.Optional[checked] if type(None) in arguments else checked  # noqa: UP045 (of a value)
     if origin is typing.Literal:
-        return _choices(arguments)
+        values = {str(value): value for value in arguments if value is not None}
+        known = all(type(value) in (str, int) for value in values.values())
+        choices = _Choice("Choice", values) if known else Any
+        return typing.Optional[choices] if known and None in arguments else choices  # noqa: UP045
     if origin in _SEQUENCES or hint in _SEQUENCES:
-        return list[_element(arguments)]
+        kinds = {item for item in arguments if item is not Ellipsis}
+        return list[option(kinds.pop()) if len(kinds) == 1 else Any]
     if origin in _MAPPINGS and arguments[0] in _PLAIN:
         return dict[arguments[0], option(arguments[1])]
     return Any
 
 
-def _union(members: tuple[Any, ...]) -> Any:
-    bare = tuple(map(_bare, members))
-    return typing.Union[bare] if all(item in _PLAIN for item in bare) else Any  # noqa: UP007 (of a value)
-
-
 def _bare(hint: Any) -> Any:
     return typing.get_args(hint)[0] if typing.get_origin(hint) is Annotated else hint
-
-
-def _element(arguments: tuple[Any, ...]) -> Any:
-    kinds = {item for item in arguments if item is not Ellipsis}
-    return option(kinds.pop()) if len(kinds) == 1 else Any
-
-
-def _choices(values: tuple[Any, ...]) -> Any:
-    inner = tuple(value for value in values if value is not None)
-    if not all(type(value) in (str, int) for value in inner):
-        return Any
-    enumeration = _Choice("Choice", {str(value): value for value in inner})
-    return typing.Optional[enumeration] if len(inner) < len(values) else enumeration  # noqa: UP045
 
 
 def literal(text: str) -> str:
@@ -211,51 +182,39 @@ def fitted(value: Any, hint: Any) -> Any:
         check(value, hint)
         return fitted(value, arguments[0])
     if origin in (typing.Union, types.UnionType):
-        if value is None:
-            return None
         inner = [item for item in arguments if item is not type(None)]
         sequences = [item for item in inner if typing.get_origin(item) in _SEQUENCES]
         same = [item for item in inner if _bare(item) is type(value)]
         best = inner if len(inner) == 1 else sequences[:1] if isinstance(value, list) else same
-        return fitted(value, best[0]) if best else value
-    if isinstance(value, list):
-        return _fitted_sequence(value, origin or hint, arguments)
+        return fitted(value, best[0]) if best and value is not None else value
     if isinstance(value, dict) and arguments:
         return {key: fitted(item, arguments[-1]) for key, item in value.items()}
-    return value
-
-
-def _fitted_sequence(value: list[Any], origin: Any, arguments: tuple[Any, ...]) -> Any:
-    if origin is tuple and arguments and arguments[-1] is not Ellipsis:
-        if len(value) != len(arguments):
-            raise ValueError(f"{len(arguments)} values are expected, and {len(value)} are given: {value}")
-        return tuple(fitted(item, hint) for item, hint in zip(value, arguments, strict=True))
-    items = [fitted(item, arguments[0] if arguments else Any) for item in value]
-    return items if origin is list else tuple(items)
+    if not isinstance(value, list):
+        return value
+    hints = [arguments[0] if arguments else Any] * len(value)
+    if origin is tuple and arguments[-1] is not Ellipsis:
+        hints = arguments
+        if len(value) != len(hints):
+            raise ValueError(f"{len(hints)} values are expected, and {len(value)} are given: {value}")
+    items = map(fitted, value, hints)
+    return list(items) if list in (origin, hint) else tuple(items)
 
 
 def check(value: Any, hint: Any) -> None:
     """Refuse a value of another type than ``hint``, out of its range, or not finite where there is a range.
 
-    Raises:
-        ValueError: It says what is expected, and the ``description`` of a range if it has one.
+    The ValueError says what is expected, and the ``description`` of a range if it has one.
     """
-    try:
+    with contextlib.suppress(msgspec.ValidationError):
         msgspec.convert(value, hint)
-        valid = not isinstance(value, float) or math.isfinite(value)
-    except msgspec.ValidationError:
-        valid = False
-    if not valid:
-        remedies = [f"; {meta.description}" for meta in _metas(hint) if meta.description]
-        raise ValueError(f"expected {shown(hint)}{''.join(remedies)}")
+        if not isinstance(value, float) or math.isfinite(value):
+            return
+    remedies = [f"; {meta.description}" for meta in _metas(hint) if meta.description]
+    raise ValueError(f"expected {shown(hint)}{''.join(remedies)}")
 
 
 def check_fields(options: Any, group: str) -> None:
-    """Refuse fields of a dataclass of options that are out of the range of their annotations.
-
-    Raises:
-        UserError: It names the option as ``group.field``.
-    """
+    """Refuse fields of a dataclass of options out of the range of their annotations; the UserError names them."""
     for name, hint in typing.get_type_hints(type(options), include_extras=True).items():
         value = getattr(options, name)
         try:

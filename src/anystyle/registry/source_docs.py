@@ -4,8 +4,8 @@ import ast
 import contextlib
 import importlib.util
 import inspect
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from anystyle.registry.catalog import Plugin, kind_named
 from anystyle.registry.packages import source_file
@@ -14,8 +14,7 @@ _HOPS = 3
 """The most modules that may re-export a class."""
 
 
-@dataclass(frozen=True)
-class Summary:
+class Summary(NamedTuple):
     """The first line of a class's docstring, and its options as the source writes them: ``pairs: int = 2``."""
 
     description: str
@@ -61,15 +60,11 @@ def _options(module: str, definition: ast.ClassDef, root: Path | None, runtime: 
     for statement in definition.body:
         if isinstance(statement, ast.FunctionDef) and statement.name == "__init__":
             signature = statement.args
-            plain = signature.posonlyargs + signature.args
-            defaults = [None] * (len(plain) - len(signature.defaults)) + list(signature.defaults)
-            pairs = [*zip(plain, defaults, strict=True)][1:]
-            pairs += zip(signature.kwonlyargs, signature.kw_defaults, strict=True)
-            return [
-                _written(argument.arg, argument.annotation, default)
-                for argument, default in pairs
-                if argument.arg not in runtime
-            ]
+            _, *plain = signature.posonlyargs + signature.args
+            defaults = dict(zip(reversed(plain), reversed(signature.defaults), strict=False))
+            defaults |= zip(signature.kwonlyargs, signature.kw_defaults, strict=True)
+            given = (argument for argument in [*plain, *signature.kwonlyargs] if argument.arg not in runtime)
+            return [_written(item.arg, item.annotation, defaults.get(item)) for item in given]
     inherited: list[str] = []
     for base in definition.bases:
         with contextlib.suppress(OSError, SyntaxError, ValueError, ImportError):

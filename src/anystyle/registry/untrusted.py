@@ -10,11 +10,7 @@ from anystyle.registry.catalog import catalog
 
 
 def check_saved(config: Mapping[str, Any], source: object) -> dict[str, Any]:
-    """A saved configuration with the present paths of classes that have moved.
-
-    Args:
-        config: Plain Python, as it was read.
-        source: The file it was read from, for messages.
+    """A saved configuration, read from ``source``, with the present paths of classes that have moved.
 
     Raises:
         UserError: The configuration names a class outside the catalog, or holds an interpolation.
@@ -26,21 +22,14 @@ def check_saved(config: Mapping[str, Any], source: object) -> dict[str, Any]:
             return {key: checked(value, f"{where}.{key}".lstrip(".")) for key, value in node.items()}
         if isinstance(node, (list, tuple)):
             return [checked(value, f"{where}.{index}") for index, value in enumerate(node)]
+        said = f"{source}: {where} is {node!r:.100}"
         if where.rpartition(".")[2] == "_target_" and node not in known:
-            moved = _moved(str(node), source)
-            if moved not in known:
-                raise UserError(
-                    f"{source}: {where} is {node!r:.100}, which is not a registered plugin; it is not built"
-                )
-            return moved
+            if (now := present(str(node))) not in known:
+                raise UserError(f"{said}, which is not a registered plugin; it is not built")
+            warnings.warn(f"{source}: {node} is {now} now", DeprecationWarning, stacklevel=3)
+            return now
         if isinstance(node, str) and "${" in node:
-            raise UserError(f"{source}: {where} is {node!r:.100}; a saved configuration has no interpolations")
+            raise UserError(f"{said}; a saved configuration has no interpolations")
         return node
 
     return checked(config, "")
-
-
-def _moved(path: str, source: object) -> str:
-    if (now := present(path)) != path:
-        warnings.warn(f"{source}: {path} is {now} now", DeprecationWarning, stacklevel=4)
-    return now

@@ -39,9 +39,9 @@ def finite(value: Any, what: str) -> None:
 def same(value: Any, other: Any, what: str, tolerance: float = 0.0) -> None:
     """Refuse differences of more than ``tolerance`` times the largest number of each tensor; by default, any."""
     values = tensors_of(value)
-    for name, theirs in tensors_of(other).items():
+    for name, tensor in tensors_of(other).items():
         assert name in values, f"{what}: `{name}` is absent"
-        mine, theirs = values[name].detach().double(), theirs.detach().double()
+        mine, theirs = values[name].detach().double(), tensor.detach().double()
         assert mine.shape == theirs.shape, f"{what}: `{name}` has shape {list(mine.shape)}, not {list(theirs.shape)}"
         largest = float(theirs.nan_to_num(0, 0, 0).abs().max()) if theirs.numel() else 0.0
         equal = torch.allclose(mine, theirs, tolerance, tolerance * max(largest, 1e-6), equal_nan=True)
@@ -60,15 +60,15 @@ def gradient(gradient: Tensor | None, what: str) -> None:
 
 
 def cameras(cameras: Cameras, size: tuple[int, int]) -> None:
-    """Refuse cameras that are no rigid pinholes of images of ``size``, height and width."""
+    """Refuse cameras that are not rigid pinholes of images of ``size``, height and width."""
     assert tuple(cameras.size) == tuple(size), f"cameras of size {cameras.size} for images of {size}"
     rotation, last = cameras.world_from_camera[..., :3, :3], cameras.world_from_camera[..., 3, :]
     error = float((rotation @ rotation.mT - torch.eye(3)).abs().max())
     rigid = error < 1e-3 and bool((torch.linalg.det(rotation) > 0).all())
-    assert rigid, f"poses that are no rotations: R R^T differs from the identity by up to {error:.2g}"
+    assert rigid, f"poses that are not rotations: R R^T differs from the identity by up to {error:.2g}"
     assert bool((last == torch.tensor([0.0, 0.0, 0.0, 1.0])).all()), "poses whose last row is not 0 0 0 1"
-    focal = cameras.intrinsics.diagonal(dim1=-2, dim2=-1)[..., :2]
-    valid = bool((focal > 0).all()) and bool((cameras.intrinsics[..., 2, :] == torch.tensor([0.0, 0.0, 1.0])).all())
+    focal, bottom = cameras.intrinsics.diagonal(dim1=-2, dim2=-1)[..., :2], cameras.intrinsics[..., 2, :]
+    valid = bool((focal > 0).all() & (bottom == torch.tensor([0.0, 0.0, 1.0])).all())
     assert valid, "intrinsics that are not [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] with positive focal lengths in pixels"
 
 

@@ -1,14 +1,14 @@
 """What a reader of stored cameras promises: see :class:`anystyle.contracts.CameraReader`."""
 
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from anystyle.contracts import CameraReader, StoredCamera
+from anystyle.contracts import CameraReader
 from anystyle.data.folder import image_files
 from anystyle.data.names import matched
 from anystyle.errors import UserError
@@ -44,14 +44,10 @@ def test_finds_its_own_and_nothing_else(plugin: Subject[CameraReader]) -> None:
         for file in [path] if path.is_file() else [each for each in path.iterdir() if each not in images]:
             file.write_bytes(file.read_bytes()[: max(1, file.stat().st_size // 2)])
         try:
-            _read_or_miss(plugin, path, images)
+            if (found := plugin.instance.find(path)) is not None:
+                plugin.instance.read(found, images)
         except UserError as error:
             assert len(str(error).splitlines()) == 1, f"an error of more than a line: {error}"
-
-
-def _read_or_miss(plugin: Subject[CameraReader], path: Path, images: Sequence[Path]) -> Mapping[str, StoredCamera]:
-    found = plugin.instance.find(path)
-    return {} if found is None else plugin.instance.read(found, images)
 
 
 @contextmanager

@@ -16,7 +16,7 @@ FOCAL, DEPTH = 100.0, 4.0
 
 
 def test_flow_has_the_shape_of_the_frames(plugin: Subject[Correspondence]) -> None:
-    """It gives one displacement and one visibility a pixel, for any number of pairs and any size."""
+    """It gives one displacement and one visibility per pixel, for any number of pairs and any size."""
     for number, size in ((1, SIZE), (2, (128, 96))):
         flow = plugin.instance(_wall(number, size), _wall(number, size, shift=4))
         check_value(flow, Flow, "the correspondence", M=number, H=size[0], W=size[1])

@@ -62,16 +62,13 @@ def gaussians(batch: int, number: int, coefficients: int = 4, seed: int = 0) -> 
         # No two at one depth: renderers may draw those in any order.
         heights = torch.linspace(-1, 1, number)[torch.randperm(number, generator=source)]
         across = torch.rand(number, 2, generator=source) * 2 - 1
-        rows.append(
-            {
-                "means": torch.cat([across, heights[:, None]], dim=-1),
-                "rotations": F.normalize(torch.randn(number, 4, generator=source), dim=-1),
-                "scales": 0.05 + 0.25 * torch.rand(number, 3, generator=source),
-                "opacities": 0.2 + 0.7 * torch.rand(number, generator=source),
-                "harmonics": 0.4 * torch.randn(number, coefficients, 3, generator=source),
-            }
-        )
-    return Gaussians(**{name: torch.stack([scene[name] for scene in rows]) for name in rows[0]})
+        means = torch.cat([across, heights[:, None]], dim=-1)
+        rotations = F.normalize(torch.randn(number, 4, generator=source), dim=-1)
+        scales = 0.05 + 0.25 * torch.rand(number, 3, generator=source)
+        opacities = 0.2 + 0.7 * torch.rand(number, generator=source)
+        harmonics = 0.4 * torch.randn(number, coefficients, 3, generator=source)
+        rows.append(Gaussians(means[None], rotations[None], scales[None], opacities[None], harmonics[None]))
+    return Gaussians.cat(rows)
 
 
 def style_encoder() -> ToyStyleEncoder:

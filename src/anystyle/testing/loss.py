@@ -17,7 +17,7 @@ from anystyle.types.shapes import check_tensor
 
 def test_value_is_one_finite_number(plugin: Subject[Loss]) -> None:
     """It has a ``weight``, and gives a finite number for any scenes, and for styles of an image or a text alone."""
-    assert isinstance(getattr(_loss(plugin), "weight", None), int | float), "`weight` is no number; set it"
+    assert isinstance(getattr(_loss(plugin), "weight", None), int | float), "`weight` is not a number; set it"
     for batch, number, size in ((1, 2, (80, 80)), (2, 3, (64, 80)), (1, 1, (96, 64))):
         _assert_number(_value(plugin, stylization(batch, number, size)))
     _assert_number(_value(plugin, stylization(text=False)))

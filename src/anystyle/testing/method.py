@@ -6,13 +6,12 @@ from typing import Any
 
 import torch
 
-from anystyle.branch import COLOR, StyleBranch, sites_of
+from anystyle.branch import COLOR
 from anystyle.contracts import Method
 from anystyle.stylizer import Stylizer
 from anystyle.testing import asserts
 from anystyle.testing.inputs import images, views
 from anystyle.testing.subject import Subject, seeded
-from anystyle.testing.toy.injector import ToyInjector
 from anystyle.testing.toy.loss import ToyLoss
 from anystyle.testing.toy.stylizer import ToyStylizer
 from anystyle.types import Gaussians, Scene, Style
@@ -64,14 +63,7 @@ def test_progress_can_be_shown(plugin: Subject[Method]) -> None:
 
 def _world() -> tuple[Stylizer, Scene]:
     with seeded(0):
-        stylizer = ToyStylizer()
-        dim, backbone = stylizer.style_encoder.dim, stylizer.backbone
-        stylizer.branch = StyleBranch(  # at the colours of pixels, which every method can work with
-            backbone,
-            sites=[site for site in sites_of(backbone) if site.name == COLOR],
-            make_injector=lambda site: ToyInjector(dim=site.dim, style_dim=dim),
-        )
-        stylizer.requires_grad_(False).eval()
+        stylizer = ToyStylizer(only=COLOR).requires_grad_(False).eval()  # every method can work with pixels' colours
         return stylizer, stylizer.encode(views(1, 2, (16, 24)))
 
 

@@ -72,13 +72,13 @@ def build(plugin: Subject[Metric]) -> Metric:
 
 def _rows(batch: int = 3, number: int = 3) -> list[Comparison]:
     """The scenes of a batch one by one, with names and texts of their own."""
-    together = comparison(batch, number)
+    together, style = comparison(batch, number), comparison(batch, number).style
+    assert style is not None and style.text is not None
     rows: list[Comparison] = []
     for row in range(batch):
-        one, names = together.row(row), together.styles[row : row + 1]
-        assert one.style is not None and together.style is not None and together.style.text is not None
-        style = replace(one.style, names=names, text=together.style.text[row : row + 1])
-        rows.append(replace(one, scenes=together.scenes[row : row + 1], styles=names, style=style))
+        scene, name, text = ((names[row],) for names in (together.scenes, together.styles, style.text))
+        given = replace(style.row(row), names=name, text=text)
+        rows.append(replace(together.row(row), scenes=scene, styles=name, style=given))
     return rows
 
 

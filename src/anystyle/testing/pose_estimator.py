@@ -58,8 +58,6 @@ def _once(plugin: Subject[PoseEstimator]) -> PosedViews | Verdict:
 
 def _run(plugin: Subject[PoseEstimator]) -> PosedViews | Verdict:
     views = photographs()
-    originals = [
-        Original(name, None, views.size, to_pil(picture), Image.Exif())
-        for name, picture in zip(views.names, views.images[0], strict=True)
-    ]
+    named = zip(views.names, views.images[0], strict=True)
+    originals = [Original(name, None, views.size, to_pil(picture), Image.Exif()) for name, picture in named]
     return plugin.build()(originals, short_side=48, multiple=MULTIPLE, enlarge=False, on_progress=lambda line: None)

@@ -58,9 +58,8 @@ def photographs() -> Views:
     center = seen.world_from_camera[0, :, None, None, :3, 3]
     ray = unit - center
     wall = center - ray * (center[..., 2:] / ray[..., 2:])
-    images = F.grid_sample(
-        texture.expand(NUMBER, -1, -1, -1), wall[..., :2] / 3, align_corners=False, padding_mode="reflection"
-    )
+    textures = texture.expand(NUMBER, -1, -1, -1)
+    images = F.grid_sample(textures, wall[..., :2] / 3, align_corners=False, padding_mode="reflection")
     return Views(images[None], seen, names=tuple(f"view_{view}" for view in range(NUMBER)))
 
 

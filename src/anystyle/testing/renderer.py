@@ -125,10 +125,6 @@ def _render(plugin: Subject[Renderer], scene: Gaussians, seen: Cameras) -> Rende
 
 
 def _single(point: Float[Tensor, "3"], *, size: float, color: tuple[float, float, float] = GREY) -> Gaussians:
-    return Gaussians(
-        means=point[None, None],
-        rotations=torch.tensor([[[1.0, 0.0, 0.0, 0.0]]]),
-        scales=torch.full((1, 1, 3), size),
-        opacities=torch.full((1, 1), 0.99),
-        harmonics=constant_from_rgb(torch.tensor(color))[None, None, None],
-    )
+    rotation, scales = torch.tensor([[[1.0, 0.0, 0.0, 0.0]]]), torch.full((1, 1, 3), size)
+    harmonics = constant_from_rgb(torch.tensor(color))[None, None, None]
+    return Gaussians(point[None, None], rotation, scales, torch.full((1, 1), 0.99), harmonics)

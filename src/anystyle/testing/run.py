@@ -58,12 +58,8 @@ def _words(promise: Callable[[Any], None]) -> str:
 def assert_contract(kind: str, cls: type, **options: Any) -> None:
     """Hold a class against the contract of its kind; for tests of plugins.
 
-    Backbones, placements and injectors are also composed with built-in plugins.
-
-    Args:
-        kind: A kind of plugin.
-        cls: The class.
-        options: Of its constructor; by default those that its ``example`` returns.
+    The options of its constructor are by default those that its ``example`` returns. Backbones, placements and
+    injectors are also composed with built-in plugins.
     """
     with one_thread():
         for _, promise, argument in _checks(subject(kind, cls, options or None)):
@@ -71,14 +67,9 @@ def assert_contract(kind: str, cls: type, **options: Any) -> None:
 
 
 def check(kind: str, plugin: str | type) -> bool:
-    """Run the contract of a plugin, and print a line for each promise.
+    """Run the contract of a plugin, the name of one in the catalog or a class, and print a line for each promise.
 
-    Args:
-        kind: A kind of plugin.
-        plugin: The name of a plugin of the catalog, or a class.
-
-    Returns:
-        Whether every promise is kept; ``False`` where some could not be checked, too.
+    Returns whether every promise is kept; ``False`` also where some could not be checked.
     """
     cls = catalog().find(kind, plugin).load() if isinstance(plugin, str) else plugin
     tested, start, counts, blocked = subject(kind, cls), time.perf_counter(), Counter[str](), False

@@ -25,13 +25,7 @@ MAX_PARAMETERS = 32_000_000
 
 @dataclass(frozen=True, eq=False)
 class Subject(Generic[T]):
-    """A plugin with the options it is checked with; hashed by identity, so that results on it can be cached.
-
-    Args:
-        kind: Kind of the plugin.
-        cls: Its class.
-        options: Of its constructor.
-    """
+    """A plugin with the options it is checked with; hashed by identity, so that results on it can be cached."""
 
     kind: str
     cls: type[T]
@@ -40,9 +34,7 @@ class Subject(Generic[T]):
     def build(self, seed: int = 0, **runtime: Any) -> T:
         """A new instance; skips the test where a package or file is missing that the plugin needs.
 
-        Args:
-            seed: Of torch's global generator while the constructor runs.
-            runtime: What the framework passes by name; a constructor that does not name it does not get it.
+        What the framework passes by name is given to constructors that name it; ``seed`` seeds torch meanwhile.
         """
         named = inspect.signature(self.cls).parameters
         passed = {name: value for name, value in runtime.items() if name in named}
@@ -54,9 +46,8 @@ class Subject(Generic[T]):
         except (ImportError, FileNotFoundError) as error:  # by convention the message names the extra or the file
             pytest.skip(f"it cannot be checked here: {error}")
         size = sum(parameter.numel() for parameter in built.parameters()) if isinstance(built, nn.Module) else 0
-        assert size <= MAX_PARAMETERS, (
-            f"a network of more than {MAX_PARAMETERS:,} parameters; let `example` return the options of a smaller one"
-        )
+        remedy = "let `example` return the options of a smaller one"
+        assert size <= MAX_PARAMETERS, f"a network of more than {MAX_PARAMETERS:,} parameters; {remedy}"
         return built
 
     @cached_property
@@ -69,7 +60,7 @@ def subject(kind: str, cls: type[T], options: Mapping[str, Any] | None = None) -
     """A class under test, with given constructor options or else those that its ``example`` returns."""
     base = base_of(kind)
     if not issubclass(cls, base):
-        raise UserError(f"{cls.__name__} is no {kind}; make it inherit from {base.__module__}.{base.__qualname__}")
+        raise UserError(f"{cls.__name__} is not a {kind}; make it inherit from {base.__module__}.{base.__qualname__}")
     if options is not None:
         return Subject(kind, cls, options)
     folder = tempfile.TemporaryDirectory(prefix="anystyle-")

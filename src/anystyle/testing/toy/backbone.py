@@ -13,7 +13,7 @@ from anystyle.types import Attributes, Cameras, Clusters, Features, Gaussians, G
 
 
 class ToyEmbedder(Embedder):
-    """One convolution a patch; the mean of a view's patches is its camera token."""
+    """One convolution per patch; the mean of a view's patches is its camera token."""
 
     def __init__(self, *, dim: int, patch_size: int) -> None:
         super().__init__()
@@ -31,13 +31,11 @@ class ToyAggregator(Aggregator):
 
     def __init__(self, *, dim: int, depth: int) -> None:
         super().__init__()
-        self.dim = dim
-        self.taps = (0, depth - 1)
+        self.dim, self.taps = dim, (0, depth - 1)
         self.layers = nn.ModuleList(nn.Sequential(nn.Linear(2 * dim, dim), nn.GELU()) for _ in range(depth))
 
     @property
     def sites(self) -> tuple[Site, ...]:
-        """Before each layer."""
         return tuple(Site(f"aggregator/{i}", self.dim, tapped=i in self.taps) for i in range(len(self.layers)))
 
     def forward(self, stem: Tokens, inject: Inject = untouched) -> Features:
@@ -77,13 +75,11 @@ class ToyGaussianHead(GaussianHead):
 
     def __init__(self, *, dim: int, patch_size: int) -> None:
         super().__init__()
-        self.dim = dim
-        self.patch_size = patch_size
+        self.dim, self.patch_size = dim, patch_size
         self.attributes = nn.Linear(dim, 11 * patch_size**2)
 
     @property
     def sites(self) -> tuple[Site, ...]:
-        """Before the only layer."""
         return (Site("head/tokens", self.dim),)
 
     def forward(self, features: Features, images: Float[Tensor, "B V 3 H W"], inject: Inject = untouched) -> Attributes:
@@ -98,7 +94,6 @@ class ToyAdapter(Adapter):
     """Each pixel is a Gaussian of its own, about as large as the pixel."""
 
     def cluster(self, geometry: Geometry, attributes: Attributes) -> Clusters | None:
-        """Nothing is fused."""
         return None
 
     def forward(self, attributes: Attributes, geometry: Geometry, clusters: Clusters | None) -> Gaussians:
@@ -123,8 +118,7 @@ class ToyBackbone(Backbone):
 
     def __init__(self, *, dim: int = 24, depth: int = 3, patch_size: int = 8) -> None:
         super().__init__()
-        self.patch_size = patch_size
-        self.resolution = 4 * patch_size
+        self.patch_size, self.resolution = patch_size, 4 * patch_size
         self.embedder = ToyEmbedder(dim=dim, patch_size=patch_size)
         self.aggregator = ToyAggregator(dim=dim, depth=depth)
         self.geometry_head = ToyGeometryHead(dim=dim, patch_size=patch_size)
@@ -133,11 +127,9 @@ class ToyBackbone(Backbone):
 
     @classmethod
     def example(cls, folder: Path) -> dict[str, object]:
-        """Options that make it small enough to check in seconds."""
         return {"dim": 12, "depth": 2}
 
 
 def _to_pixels(patches: Float[Tensor, "B V p F"], grid: tuple[int, int], side: int) -> Float[Tensor, "B V H W f"]:
     """Lay out the numbers of each patch over its pixels; ``F`` is ``f`` times the pixels of a patch."""
-    blocks = patches.unflatten(2, grid).unflatten(-1, (side, side, -1))  # B V h w side side f
-    return blocks.transpose(3, 4).flatten(4, 5).flatten(2, 3)
+    return F.pixel_shuffle(patches.mT.unflatten(-1, grid), side).movedim(2, -1)

@@ -30,7 +30,7 @@ class ToyCameras(CameraReader):
         for line in path.read_text(encoding="utf-8").splitlines():
             name, *numbers = line.split()
             if len(numbers) != 3 or not all(number.removeprefix("-").isdecimal() for number in numbers):
-                raise UserError(f"{path}: {line[:80]!r} is no name and position")
+                raise UserError(f"{path}: {line[:80]!r} is not a name and a position")
             pose = np.eye(4)
             pose[:3, 3] = [float(number) for number in numbers]
             cameras[name] = StoredCamera(pose, np.array([[4.0, 0, 4], [0, 4.0, 4], [0, 0, 1]]), (8, 8))

@@ -28,5 +28,5 @@ class ToyFormat(Format):
             arrays = np.load(path)
             gaussians = Gaussians(**{name: torch.from_numpy(arrays[name])[None] for name in arrays})
         except Exception as error:  # parsers of damaged files raise nearly anything
-            raise UserError(f"{path} is no archive of Gaussians ({error})") from None
+            raise UserError(f"{path} is not an archive of Gaussians ({error})") from None
         return StyledScene(((path.stem, gaussians),), up=self.up)

@@ -15,7 +15,7 @@ class ToyMethod(Method):
     """Mix the mean colour of the style's image into that of every Gaussian; a style without one changes nothing.
 
     Args:
-        amount: Of the style's colour, in [0, 1].
+        amount: How much of the style's colour, in [0, 1].
     """
 
     def __init__(self, *, amount: float = 0.5) -> None:

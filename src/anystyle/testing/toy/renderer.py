@@ -24,9 +24,7 @@ class ToyRenderer(Renderer):
     def __init__(
         self, *, background: tuple[float, float, float] = (1.0, 1.0, 1.0), near: float = 0.01, blur: float = 0.3
     ) -> None:
-        self.background = background
-        self.near = near
-        self.blur = blur
+        self.background, self.near, self.blur = background, near, blur
 
     def __call__(self, gaussians: Gaussians, cameras: Cameras) -> Renders:
         scenes, views = cameras.intrinsics.shape[:2]

@@ -28,9 +28,7 @@ class ToyStyleEncoder(StyleEncoder):
 
     def __init__(self, *, neutral: str = "photo", strength: float = 4.0) -> None:
         super().__init__()
-        self.dim = 4
-        self.neutral = neutral
-        self.strength = strength
+        self.dim, self.neutral, self.strength = 4, neutral, strength
 
     def embed_images(self, images: Float[Tensor, "M 3 H W"]) -> Float[Tensor, "M D"]:
         return self._embed(images.mean((2, 3)))

@@ -1,5 +1,6 @@
 """Stripes: styles whose texts say exactly what is in the image."""
 
+from itertools import combinations
 from typing import Annotated
 
 import torch
@@ -20,10 +21,8 @@ class ToyStyles(StyleSource):
     """
 
     def __init__(self, *, size: AtLeastOne = 64, period: Annotated[int, Range(ge=2)] = 16) -> None:
-        self.size = size
-        self.period = period
-        names = list(COLORS)
-        self.pairs = [(one, other) for one in names for other in names if one < other]
+        self.size, self.period = size, period
+        self.pairs = list(combinations(sorted(COLORS), 2))
 
     def __len__(self) -> int:
         return 2 * len(self.pairs)
@@ -32,12 +31,7 @@ class ToyStyles(StyleSource):
         one, other = self.pairs[style // 2]
         first = torch.arange(self.size) % self.period < self.period // 2
         stripes = torch.where(first[:, None], torch.tensor(COLORS[one]), torch.tensor(COLORS[other]))  # size 3
-        image = stripes.T[:, :, None].expand(3, self.size, self.size)
-        if style % 2:
-            image = image.mT
-        direction = "vertical" if style % 2 else "horizontal"
-        return Style(
-            image=image[None].contiguous(),
-            text=(f"{direction} stripes in {one} and {other}",),
-            names=(f"{one}_{other}_{direction}",),
-        )
+        image = stripes.T[None, :, :, None].expand(1, 3, self.size, self.size)
+        direction, image = ("vertical", image.mT) if style % 2 else ("horizontal", image)
+        text, name = f"{direction} stripes in {one} and {other}", f"{one}_{other}_{direction}"
+        return Style(image.contiguous(), (text,), names=(name,))

@@ -1,14 +1,13 @@
 """Brightness: the smallest training of a backbone."""
 
 from collections.abc import Mapping
-from typing import Annotated
 
 import torch
-from msgspec import Meta
 from torch import Tensor, nn
 
 from anystyle.contracts import Backbone, SceneSource, StyleSource
 from anystyle.contracts.training import Training, required
+from anystyle.ranges import AtLeastOne, Positive
 from anystyle.training.data import Batch, SceneBatches
 
 
@@ -17,29 +16,19 @@ class ToyTraining(Training):
 
     Args:
         backbone: What learns; the framework passes it.
-        batch_size: Scenes a step.
-        learning_rate: Of Adam.
+        batch_size: Scenes per step.
+        learning_rate: Adam's.
     """
 
     needs = ("scenes",)
 
-    def __init__(
-        self,
-        *,
-        backbone: Backbone,
-        batch_size: Annotated[int, Meta(ge=1)] = 2,
-        learning_rate: Annotated[float, Meta(gt=0)] = 1e-3,
-    ) -> None:
+    def __init__(self, *, backbone: Backbone, batch_size: AtLeastOne = 2, learning_rate: Positive = 1e-3) -> None:
         super().__init__()
-        self.backbone = backbone
-        self.batch_size = batch_size
-        self.learning_rate = learning_rate
+        self.backbone, self.batch_size, self.learning_rate = backbone, batch_size, learning_rate
 
     def batches(self, scenes: SceneSource | None, styles: StyleSource | None, *, seed: int) -> SceneBatches:
-        known, patch = required(scenes, "scenes"), self.backbone.patch_size
-        return SceneBatches(
-            known, seed=seed, batch_size=self.batch_size, context_views=(2, 2), spread="any", multiple=patch
-        )
+        given = {"seed": seed, "batch_size": self.batch_size, "multiple": self.backbone.patch_size}
+        return SceneBatches(required(scenes, "scenes"), context_views=(2, 2), spread="any", **given)
 
     def exports(self) -> Mapping[str, nn.Module]:
         return {"backbone": self.backbone}
