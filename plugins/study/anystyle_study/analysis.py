@@ -14,7 +14,7 @@ from anystyle_study.checks import Checks, check
 from anystyle_study.contract import Alternative, Responses, Scale, StudyTest, TestResult, Unit
 from anystyle_study.protocol import Rules, Study
 from anystyle_study.reading import Records
-from anystyle_study.statistics import Crossing, Effect, Variation, agreement, effects, holm, t_pvalue, variation
+from anystyle_study.statistics import Effect, Variation, agreement, crossed_mean, effects, holm, t_pvalue, variation
 
 
 @dataclass(frozen=True)
@@ -132,11 +132,9 @@ def analyze(
     for responses in by_question:
         progress(responses.question)
         questions.append(_question(responses, tests, settings))
-    # Holm's adjustment of each test over the questions.
-    for index in range(len(questions[0].tests)):
-        adjusted = holm([question.tests[index].result.pvalue for question in questions])
-        for question, value in zip(questions, adjusted, strict=True):
-            question.tests[index].pvalue_holm = value
+    for same in zip(*(question.tests for question in questions), strict=True):
+        for one, adjusted in zip(same, holm([one.result.pvalue for one in same]), strict=True):
+            one.pvalue_holm = adjusted
     return Analysis(tuple(questions), checks, settings, records)
 
 
@@ -164,8 +162,7 @@ def _question(responses: Responses, tests: Mapping[str, StudyTest], settings: An
 
 def _equivalence(responses: Responses, margin: float, confidence: float) -> Equivalence:
     points = margin * (responses.scale.high - responses.scale.midpoint)
-    crossed = Crossing(factors=responses.factors).mean(responses.deviations) if responses.factors else None
-    if crossed is None or crossed.error == 0:
+    if (crossed := crossed_mean(responses)) is None:
         return Equivalence(points, math.nan, False)
     low, high = crossed.interval(confidence)
     # The nearer margin decides: its statistic has the larger p-value.
@@ -175,13 +172,13 @@ def _equivalence(responses: Responses, margin: float, confidence: float) -> Equi
 
 def unit_means(responses: Responses, unit: Unit, confidence: float) -> tuple[Mean, ...]:
     """Means of all participants or items that have answers."""
-    codes, names = responses.participants, responses.participant_names
-    titles = names
-    if unit == "item":
-        codes, names, titles = responses.items, responses.item_names, responses.item_titles
+    codes, names, titles = responses.items, responses.item_names, responses.item_titles
+    if unit == "participant":
+        codes, names = responses.participants, responses.participant_names
+        titles, confidence = names, math.nan
     means = []
     for code in np.unique(codes).tolist():
-        mean, half_width = _mean(responses.deviations[codes == code], confidence if unit == "item" else math.nan)
+        mean, half_width = _mean(responses.deviations[codes == code], confidence)
         means.append(Mean(names[code], titles[code], mean, (mean - half_width, mean + half_width)))
     return tuple(means)
 

@@ -10,7 +10,7 @@ from scipy import special, stats
 
 from anystyle.ranges import Range
 from anystyle_study.contract import Alternative, Responses, StudyTest, TestResult, Unit, generalization
-from anystyle_study.statistics import Crossing, superiority, t_interval, t_pvalue
+from anystyle_study.statistics import crossed_mean, one_sided, superiority, t_interval, t_pvalue
 
 
 class Significance(StudyTest):
@@ -29,14 +29,9 @@ class Significance(StudyTest):
 
     def result(self, responses: Responses, **values: Any) -> TestResult:
         """A result with this test's options; ``values`` are the other fields and may override the defaults."""
-        defaults = {
-            "unit": responses.unit,
-            "n": responses.count,
-            "generalizes_to": generalization(responses.unit),
-            "alternative": self.alternative,
-            "confidence": self.confidence,
-        }
-        return TestResult(**(defaults | values))
+        unit = responses.unit
+        defaults = {"unit": unit, "n": responses.count, "generalizes_to": generalization(unit)}
+        return TestResult(alternative=self.alternative, confidence=self.confidence, **(defaults | values))
 
     def untestable(self, responses: Responses, reason: str, method: str) -> TestResult:
         """A result without a p-value."""
@@ -58,24 +53,23 @@ class CrossedT(Significance):
         people = levels.get("participants", 1)
         drawn = " x ".join(f"{count} {factor}" for factor, count in levels.items())
         method = f"t test of the mean over crossed random {drawn or 'factors'}, moment estimates"
-        crossed = Crossing(factors=factors).mean(responses.deviations) if factors else None
-        if crossed is None or crossed.error == 0:
+        if (crossed := crossed_mean(responses)) is None:
             reason = f"{drawn or 'one participant, one item'}: the means do not vary, and nothing can be tested"
             return replace(self.untestable(responses, reason, method), unit="participant", n=people)
-        statistic, df = float(crossed.mean / crossed.error), float(crossed.df)
+        statistic = float(crossed.mean / crossed.error)
         effect = superiority(responses, self.confidence, self.alternative)
         return self.result(
             responses,
             unit="participant",
             statistic=statistic,
-            pvalue=t_pvalue(statistic, df, self.alternative),
+            pvalue=t_pvalue(statistic, float(crossed.df), self.alternative),
             estimate=float(crossed.mean),
             interval=crossed.interval(self.confidence, self.alternative),
             effect=effect.estimate,
             effect_name=effect.name,
             effect_interval=effect.interval,
             n=people,
-            method=f"{method}, {np.round(df, 1):g} degrees of freedom (Satterthwaite)",
+            method=f"{method}, {np.round(crossed.df, 1):g} degrees of freedom (Satterthwaite)",
             generalizes_to=responses.populations,
         )
 
@@ -94,13 +88,13 @@ class OneSampleT(Significance):
         if sd <= 1e-14 * max(1.0, abs(mean)):
             reason = f"every {responses.unit} has the same mean: a t test needs some variation"
             return self.untestable(responses, reason, method)
-        error = sd / math.sqrt(n)
+        test: Any = stats.ttest_1samp(values, 0, alternative=self.alternative)
         return self.result(
             responses,
-            statistic=mean / error,
-            pvalue=t_pvalue(mean / error, float(n - 1), self.alternative),
+            statistic=float(test.statistic),
+            pvalue=float(test.pvalue),
             estimate=mean,
-            interval=t_interval(mean, error, float(n - 1), self.confidence, self.alternative),
+            interval=tuple(map(float, test.confidence_interval(self.confidence))),
             effect=mean / sd,
             effect_name="cohens_d",
             method=f"{method}, {n - 1} degrees of freedom",
@@ -173,29 +167,21 @@ class SignFlip(Significance):
             reason = f"{n} {responses.unit}(s), {np.count_nonzero(values)} not neutral: there is nothing to flip"
             return self.untestable(responses, reason, method)
         generator = np.random.default_rng(self.seed)
-        test: Any = stats.permutation_test(
-            (values,),
-            lambda flipped, axis: flipped.mean(axis),
-            permutation_type="samples",
-            vectorized=True,
-            n_resamples=self.resamples,
-            alternative=self.alternative,
-            rng=generator,
-            batch=max(1, 4_000_000 // n),
-        )
+        batch = max(1, 4_000_000 // n)
+        options = {"n_resamples": self.resamples, "alternative": self.alternative, "rng": generator, "batch": batch}
+        test: Any = stats.permutation_test((values,), np.mean, permutation_type="samples", **options)
         mean = float(values.mean())
         chosen = generator.random((min(self.resamples, 4_000_000 // n), n)) < 0.5
         chosen = chosen[chosen.any(1)]
         tail = (1 - self.confidence) / (2 if self.alternative == "two-sided" else 1)
         low, high = np.quantile(chosen @ values / chosen.sum(1), [tail, 1 - tail]).tolist()
-        low = -math.inf if self.alternative == "less" else min(low, mean)
-        high = math.inf if self.alternative == "greater" else max(high, mean)
+        interval = one_sided((min(low, mean), max(high, mean)), self.alternative)
         return self.result(
             responses,
             statistic=mean,
             pvalue=float(test.pvalue),
             estimate=mean,
-            interval=(low, high),
+            interval=interval,
             method=f"{method}; interval: typical values of random subsets",
         )
 
@@ -237,12 +223,9 @@ class Wilcoxon(Significance):
         ranked = len(values) - zeros * (self.zero_method == "wilcox")
         total = ranked * (ranked + 1) / 2 - (zeros * (zeros + 1) / 2 if self.zero_method == "pratt" else 0)
         # One-sided, so that the statistic is the positive rank sum and z keeps its sign.
-        normal: Any = stats.wilcoxon(
-            values, zero_method=self.zero_method, correction=False, alternative="less", method="asymptotic"
-        )
-        exact = (
-            self.method == "auto" and not zeros and ranked <= _MAX_EXACT and len(np.unique(np.abs(values))) == ranked
-        )
+        normal: Any = stats.wilcoxon(values, zero_method=self.zero_method, alternative="less", method="asymptotic")
+        ties = len(np.unique(np.abs(values))) < ranked
+        exact = self.method == "auto" and not zeros and ranked <= _MAX_EXACT and not ties
         pvalue = t_pvalue(float(normal.zstatistic), math.inf, self.alternative)
         if exact:
             result: Any = stats.wilcoxon(values, alternative=self.alternative, method="exact")
@@ -282,10 +265,8 @@ def pseudo_median(
     order = np.argsort(averages)
     found = averages[order][np.searchsorted(np.cumsum(times[order]), ranks)]
     low_median, high_median, lower, upper = (np.round(found, 12) + 0.0).tolist()
-    median = (low_median + high_median) / 2
-    if lower == upper:
-        return median, (math.nan, math.nan)
-    return median, (-math.inf if alternative == "less" else lower, math.inf if alternative == "greater" else upper)
+    interval = (math.nan, math.nan) if lower == upper else one_sided((lower, upper), alternative)
+    return (low_median + high_median) / 2, interval
 
 
 def _quantile(n: int, tail: float) -> int:

@@ -92,7 +92,7 @@ def test_the_static_page_from_first_click_to_saved_answers(page, errors, designe
     assert {(row["item"], row["question"], row["side"]): row["score"] for row in saved["responses"]} == chosen
     check_positions(study, file, "P02", chosen)
     assert set(saved["responses"][0]) == {
-        *("participant", "item", "question", "side", "score", "seconds", "time", "revision"),
+        *("participant", "item", "question", "side", "score", "seconds", "time", "revision")
     }
     assert errors == []
 

@@ -88,9 +88,7 @@ def test_a_screen_reader_is_told_everything(page, tmp_path):
         "3 No difference",
         "4 B is better",
         "5 B is much better",
-    } | {
-        *("1 Hard", "2", "3 Easy"),
-    }
+    } | {*("1 Hard", "2", "3 Easy")}
     assert page.evaluate("document.activeElement.tagName") == "H1"
     page.keyboard.press("Tab")  # the first thing after the heading
     assert page.evaluate("document.activeElement.id") == "enlarge"

@@ -7,15 +7,7 @@ import pytest
 from scipy import stats
 
 from anystyle_study.contract import Scale
-from anystyle_study.power import (
-    PowerStudy,
-    Scenario,
-    power_json,
-    power_study,
-    power_table,
-    rejection_rates,
-    simulate,
-)
+from anystyle_study.power import PowerStudy, Scenario, power_json, power_study, power_table, rejection_rates, simulate
 from anystyle_study.significance import CrossedT, OneSampleT, SignFlip, Wilcoxon
 
 CALIBRATED = {
@@ -54,13 +46,7 @@ def test_false_positives_when_participants_differ():
 def test_power_of_the_participant_t_test_is_the_noncentral_t():
     """On a fine scale the means are as good as normal, and the power is known."""
     scenario = Scenario(
-        participants=16,
-        items=10,
-        effect=-3.0,
-        participant_sd=5.0,
-        residual_sd=4.0,
-        **ALIKE,
-        scale=Scale(0.0, 100.0),
+        participants=16, items=10, effect=-3.0, participant_sd=5.0, residual_sd=4.0, **ALIKE, scale=Scale(0.0, 100.0)
     )
     found = rates_of(scenario, {"one_sample_t": OneSampleT(alternative="less")}, studies=1500, seed=3)[
         "one_sample_t", "participant"
