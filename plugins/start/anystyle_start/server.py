@@ -40,21 +40,19 @@ Reply = tuple[int, dict[str, str], bytes | Path]
 
 
 class Application:
-    """The WSGI application.
-
-    Args:
-        actions: Answer what is asked.
-    """
+    """The WSGI application; ``actions`` answer what is asked."""
 
     def __init__(self, actions: Actions) -> None:
         self.actions, self.token = actions, secrets.token_urlsafe(24)
         pages = files("anystyle_start") / "pages"
-        texts = {name: (pages / name).read_text(encoding="utf-8") for name in ("start.html", "start.css", "start.js")}
-        page = Template(texts["start.html"]).substitute(token=self.token)
+
+        def text(name: str) -> str:
+            return (pages / name).read_text(encoding="utf-8")
+
         self._static = {
-            "/": (_HTML, page.encode()),
-            "/start.css": ("text/css; charset=utf-8", texts["start.css"].encode()),
-            "/start.js": ("text/javascript; charset=utf-8", texts["start.js"].encode()),
+            "/": (_HTML, Template(text("start.html")).substitute(token=self.token)),
+            "/start.css": ("text/css; charset=utf-8", text("start.css")),
+            "/start.js": ("text/javascript; charset=utf-8", text("start.js")),
         }
 
     def __call__(self, environ: dict[str, Any], start_response: Callable[..., Any]) -> Iterable[bytes]:
@@ -67,12 +65,12 @@ class Application:
             "Cross-Origin-Resource-Policy": "same-origin",
             **headers,
         }
-        content: Iterable[bytes]
+        content: Iterable[bytes] = [body] if isinstance(body, bytes) else []
         if isinstance(body, Path):
             status, extra, content = _file(body, environ)
             headers |= extra
         else:
-            headers["Content-Length"], content = str(len(body)), [body]
+            headers["Content-Length"] = str(len(body))
         start_response(f"{status} {HTTPStatus(status).phrase}", list(headers.items()))
         return content
 
@@ -89,23 +87,25 @@ class Application:
         if status:
             return _error(status, "this request is not from the page of this program; load the page again")
         try:
-            return self._get(path, environ) if method == "GET" else self._post(path, environ)
+            query = dict(parse_qsl(environ.get("QUERY_STRING", "")))
+            if method == "GET":
+                return self._get(path, query)
+            return _json(200, self.actions.post(path.split("/")[1:], query, environ["wsgi.input"]))
         except UserError as error:
             return _error(400, one_line(error))
         except OSError as error:
             _log.error("%s cannot be answered: %s", path, error)
             return _error(503, one_line(error.strerror or error))
 
-    def _get(self, path: str, environ: Mapping[str, Any]) -> Reply:
+    def _get(self, path: str, query: Mapping[str, str]) -> Reply:
         if path in self._static:
             kind, body = self._static[path]
-            return 200, {"Content-Type": kind, "Content-Security-Policy": _PAGE_POLICY}, body
-        query = dict(parse_qsl(environ.get("QUERY_STRING", "")))
+            return 200, {"Content-Type": kind, "Content-Security-Policy": _PAGE_POLICY}, body.encode()
         first, *rest = path.strip("/").split("/")
         if first == "choices":
-            return _json(self.actions.choices)
+            return _json(200, self.actions.choices)
         if first == "state":
-            return _json(self.actions.state(query.get("scene", "")))
+            return _json(200, self.actions.state(query.get("scene", "")))
         file = self.actions.file(first, rest)
         if file is None:
             return _error(404, "there is nothing here")
@@ -120,18 +120,13 @@ class Application:
             headers["Content-Disposition"] = f"attachment; filename*=UTF-8''{quote(name[:120], safe='')}"
         return 200, headers, file
 
-    def _post(self, path: str, environ: Mapping[str, Any]) -> Reply:
-        query = dict(parse_qsl(environ.get("QUERY_STRING", "")))
-        _, *words = path.split("/")
-        return _json(self.actions.post(words, query, environ["wsgi.input"]))
 
-
-def _json(value: object) -> Reply:
-    return 200, {"Content-Type": _JSON}, json.dumps(value, ensure_ascii=False).encode()
+def _json(status: int, value: object) -> Reply:
+    return status, {"Content-Type": _JSON}, json.dumps(value, ensure_ascii=False).encode()
 
 
 def _error(status: int, reason: str) -> Reply:
-    return status, {"Content-Type": _JSON}, json.dumps({"error": reason}, ensure_ascii=False).encode()
+    return _json(status, {"error": reason})
 
 
 def _file(path: Path, environ: Mapping[str, Any]) -> tuple[int, dict[str, str], Iterable[bytes]]:

@@ -78,7 +78,7 @@ def test_uploads_come_in_parts_under_names_of_their_own(client, started):
 @pytest.mark.parametrize(
     ("name", "content", "changes", "error"),
     [
-        ("notes.txt", b"text", {}, "notes.txt is no photograph, film or splat"),
+        ("notes.txt", b"text", {}, "notes.txt is not a photograph, film or splat"),
         ("notes.jpg", b"text", {}, "notes.jpg"),
         ("cut.jpg", jpeg((800, 600))[:3000], {}, "cut.jpg"),
         ("a.jpg", b"", {}, "from 1 to"),
@@ -167,9 +167,9 @@ def test_what_ran_when_the_program_ended_is_interrupted_and_goes_on_when_asked(t
         ({"more": "backbone.dept=3"}, "Did you mean"),
         ({"more": "--strength 2"}, "strength is 2.0"),
         ({"more": "--out elsewhere"}, "--out has no place here"),
-        ({"more": "hydra.run.dir=/"}, "for the command line alone"),
-        ({"more": "--multirun a=1,2"}, "for the command line alone"),
-        ({"more": "elsewhere/"}, "'elsewhere/' is no option"),
+        ({"more": "hydra.run.dir=/"}, "for the command line only"),
+        ({"more": "--multirun a=1,2"}, "for the command line only"),
+        ({"more": "elsewhere/"}, "'elsewhere/' is not an option"),
         ({"more": "--text 'open"}, "quotation mark is not closed"),
         ({"more": "video.frames=0"}, "video.frames=0"),
         ({"method": "brsh"}, "Did you mean 'brush'"),

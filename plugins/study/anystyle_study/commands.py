@@ -254,7 +254,7 @@ def _write(analysis: Analysis, folder: Path, arguments: argparse.Namespace) -> N
         pictures = study if study is None or study.is_dir() else study.parent
         texts["report.html"] = report.html(analysis, arguments.title, pictures)
         (folder / "figures").mkdir()
-        for draw in (figures.likert, figures.means, figures.positions):
+        for draw in (figures.likert, figures.means):
             figures.save(draw(analysis), folder / "figures" / draw.__name__)
     for name, text in texts.items():
         (folder / name).write_text(text, encoding="utf-8")

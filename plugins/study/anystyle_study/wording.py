@@ -30,14 +30,12 @@ def p_text(pvalue: float) -> str:
         return "n/a"
     if pvalue < 1e-300:
         return "< 1e-300"
-    if pvalue < 1e-3:
-        return f"= {pvalue:.2e}" if pvalue < 1e-4 else f"= {pvalue:.4f}"
-    return f"= {pvalue:.3f}"
+    return f"= {pvalue:{'.2e' if pvalue < 1e-4 else '.4f' if pvalue < 1e-3 else '.3f'}}"
 
 
 def bounds(interval: tuple[float, float]) -> str:
     """An interval; a dash if there is none."""
-    if math.isnan(interval[0]) or math.isnan(interval[1]):
+    if any(map(math.isnan, interval)):
         return "—"
     low, high = (f"{end:.2f}" if math.isfinite(end) else "−∞" if end < 0 else "∞" for end in interval)
     return f"[{low}, {high}]"
