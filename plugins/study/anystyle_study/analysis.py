@@ -10,7 +10,7 @@ import numpy as np
 from scipy import special, stats
 
 from anystyle.errors import UserError
-from anystyle_study.checks import Checks, check
+from anystyle_study.checks import KINDS, Checks, check
 from anystyle_study.contract import Alternative, Responses, Scale, StudyTest, TestResult, Unit
 from anystyle_study.protocol import Rules, Study
 from anystyle_study.reading import Records
@@ -214,7 +214,6 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
     """The content of ``analysis.json``; ``nan`` and infinities are ``None``."""
     checks, settings, study = analysis.checks, analysis.settings, analysis.settings.study
     counts = ("participants_read", "answers_read", "attention_answers", "answers_used")
-    kinds = ("missing", "duplicated", "out_of_range", "straight_lining", "failed_attention_check", "fast")
     content = {
         "schema": 2,
         "sign": "scores below the neutral answer and negative estimates mean that ours is preferred",
@@ -226,7 +225,7 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
         },
         "checks": {
             **{name: getattr(checks, name) for name in counts},
-            **{kind: checks.of_kind(kind) for kind in kinds},
+            **{kind: checks.of_kind(kind) for kind in KINDS},
             "excluded": checks.exclusions,
             "notes": checks.notes,
             "doubt": checks.doubt,
@@ -237,14 +236,15 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
 
 
 def _question_json(question: QuestionAnalysis) -> dict[str, Any]:
-    responses, tests = question.responses, [_test_json(named) for named in question.tests]
+    responses, deviations = question.responses, question.responses.deviations
+    tests = [{"name": one.name, **asdict(one.result), "pvalue_holm": one.pvalue_holm} for one in question.tests]
     return {
         **{name: getattr(question, name) for name in ("title", "effects", "variation", "equivalence", "position")},
         "n_responses": responses.count,
         "n_participants": len(question.by_participant),
         "n_items": len(question.by_item),
-        "mean": responses.deviations.mean() + responses.scale.midpoint,
-        "sd": responses.deviations.std(ddof=1) if responses.count > 1 else math.nan,
+        "mean": deviations.mean() + responses.scale.midpoint,
+        "sd": deviations.std(ddof=1) if responses.count > 1 else math.nan,
         "distribution": {f"{level:g}": count for level, count in question.distribution.items()},
         "tests": tests,
         "primary": None if question.primary is None else tests[question.tests.index(question.primary)],
@@ -253,7 +253,3 @@ def _question_json(question: QuestionAnalysis) -> dict[str, Any]:
         "participants": question.by_participant,
         "items": question.by_item,
     }
-
-
-def _test_json(named: NamedResult) -> dict[str, Any]:
-    return {"name": named.name, **asdict(named.result), "pvalue_holm": named.pvalue_holm}

@@ -8,22 +8,8 @@ from dataclasses import dataclass
 from anystyle.errors import UserError
 from anystyle_study.contract import Scale
 
-_MISSING = {
-    "",
-    "no answer",
-    "na",
-    "n/a",
-    "n.a.",
-    "<na>",
-    "#n/a",
-    "nan",
-    "null",
-    "#null!",
-    "none",
-    "nil",
-    "missing",
-    *"-.?",
-}
+_MISSING = {"na", "n/a", "n.a.", "<na>", "#n/a", "nan", "null", "#null!", "none", "nil", "missing", "no answer", ""}
+_MISSING |= {"-", ".", "?"}
 _GROUPED = re.compile(r"[-+]?[1-9]\d{0,2}[.,]\d{3}")  # a thousand and some, or one and some thousandths
 _GROUPS = {".": r"(\d*|\d{1,3}(,\d{3})+)", ",": r"(\d*|\d{1,3}(\.\d{3})+)"}
 _NUMBER = {

@@ -13,12 +13,12 @@ from PIL import Image
 from anystyle.evaluation.tables import Table, escape_latex, escape_markdown
 from anystyle_study import figures, wording
 from anystyle_study.analysis import Analysis, Mean, NamedResult, QuestionAnalysis
+from anystyle_study.checks import KINDS
 from anystyle_study.protocol import PICTURES, Item, Study
 from anystyle_study.wording import bounds, p_text, title_of
 
 PAGES = Path(__file__).parent / "pages"
 _MAX_LISTED = 60  # rows of a list of findings; analysis.json has all
-_CHECKS = ("failed_attention_check", "fast", "duplicated", "out_of_range", "straight_lining", "missing")
 _NUM_EXTREMES = 3
 _LARGE, _SMALL = 220, 72  # pixels of the longer side
 
@@ -95,7 +95,7 @@ def html(analysis: Analysis, title: str = "User study", folder: Path | None = No
         agreement=Table(("question", "alpha"), tuple(alphas)),
         study=study,
         galleries=[_gallery(question, study, folder) for question in questions] if study and folder else [],
-        findings={kind.replace("_", " ").capitalize(): analysis.checks.of_kind(kind) for kind in _CHECKS},
+        findings={kind.replace("_", " ").capitalize(): analysis.checks.of_kind(kind) for kind in KINDS},
         max_listed=_MAX_LISTED,
         version=version("anystyle"),
     )

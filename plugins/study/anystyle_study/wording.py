@@ -159,18 +159,17 @@ def took_part(analysis: Analysis) -> str:
 def _missing(analysis: Analysis) -> str:
     """Which answers are missing or outside of the scale, and who of the design gave none."""
     lacking, study = analysis.checks.missing, analysis.settings.study
-    totals: Counter[str] = sum(map(Counter, lacking.values()), Counter())
     text = "No answer is missing." * (study is not None)  # without a design, rows may be missing
     if lacking:
+        totals: Counter[str] = sum(map(Counter, lacking.values()), Counter())
         people = "; ".join(f"{person}: {_counts(counts)}" for person, counts in lacking.items())
         text = f"{totals.total()} answers are missing ({_counts(totals)}), of {people}."
-    if outside := analysis.checks.of_kind("out_of_range"):
-        people = ", ".join(dict.fromkeys(finding.participant for finding in outside))
+    if outside := [finding.participant for finding in analysis.checks.of_kind("out_of_range")]:
+        people = ", ".join(dict.fromkeys(outside))
         text += f" Those outside of the scale count as missing: {len(outside)}, of {people}."
-    if study is not None:
-        present = {study.participant(answer.participant) for answer in analysis.records.answers}
-        absent = [participant.id for participant in study.participants if participant not in present]
-        text += f" Nobody answered as {', '.join(absent)}." if absent else ""
+    present = {answer.participant.partition("-")[0] for answer in analysis.records.answers}
+    if absent := [one.id for one in (study.participants if study else ()) if one.id not in present]:
+        text += f" Nobody answered as {', '.join(absent)}."
     return text
 
 

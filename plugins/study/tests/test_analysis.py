@@ -1,8 +1,8 @@
 """The analysis as a whole: its files, its words, its speed, and that no text gets out of hand."""
 
-import html.parser
 import json
 import math
+import re
 import subprocess
 import sys
 
@@ -90,17 +90,13 @@ def test_the_papers_p_values_take_every_answer_for_a_person(tmp_path):
 
 def test_holm_is_over_the_questions(analysis):
     rows = [question["tests"][1] for question in as_json(analysis)["questions"].values()]
-    ordered = sorted(rows, key=lambda row: row["pvalue"])
-    assert ordered[0]["pvalue_holm"] == pytest.approx(min(1, 3 * ordered[0]["pvalue"]), rel=1e-9)
-    assert all(row["pvalue_holm"] >= row["pvalue"] * (1 - 1e-9) for row in rows)
+    least = min(rows, key=lambda row: row["pvalue"])
+    assert least["pvalue_holm"] == pytest.approx(min(1, 3 * least["pvalue"]), rel=1e-9)
 
 
 def test_the_report_says_what_response_level_tests_do(analysis):
-    page = report_html(analysis)
-    assert "counts every answer as an independent one" in page
-    assert "instead of 5 %" in response_level(analysis)
-    rate = analysis.questions[0].variation.naive_error_rate
-    assert f"{100 * rate:.0f} %" in page
+    assert "counts every answer as an independent one" in response_level(analysis) in report_html(analysis)
+    assert f"{100 * analysis.questions[0].variation.naive_error_rate:.0f} %" in report_html(analysis)
 
 
 def test_nothing_reassures_about_participants_who_are_too_few(tmp_path):
@@ -193,9 +189,8 @@ def test_a_designed_study_is_undone_and_reported(tmp_path):
             prefers = name in participant.ours_is_a  # everybody likes ours, and what is intact
             rows.append((designed.id, participant.id, name, "style", "", 2 if prefers else 4, 9))
             for side in "AB":
-                rows.append(
-                    (designed.id, participant.id, name, "content", side, 3 if (side == "A") == prefers else 2, 9)
-                )
+                score = 3 if (side == "A") == prefers else 2
+                rows.append((designed.id, participant.id, name, "content", side, score, 9))
     write_csv(tmp_path / "a.csv", rows, "study,participant,item,question,side,score,seconds")
     done = study("analyze", "a.csv", "--study", "study", "--out", "out", cwd=tmp_path, check=0)
     assert "style: " in done.stdout
@@ -241,22 +236,6 @@ def test_the_text_names_what_is_missing(tmp_path):
         read_responses([path], designed)
 
 
-class Texts(html.parser.HTMLParser):
-    """The tags of a page, and what it loads."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.tags, self.links = set(), []
-
-    def handle_starttag(self, tag, attrs):
-        self.tags.add(tag)
-        self.links += [
-            value
-            for name, value in attrs
-            if name in ("src", "href", "xlink:href") and value and not value.startswith("#")
-        ]
-
-
 def test_no_text_gets_out_of_hand(tmp_path):
     evil = "<script>alert(1)</script>"
     rows = [(*row, "") for row in answer_rows(people=4, items=4)]
@@ -266,19 +245,12 @@ def test_no_text_gets_out_of_hand(tmp_path):
     path = write_csv(tmp_path / "r.csv", rows, "participant,item,question,score,ours_is,comment")
     found = analyze(read_responses([path]), {"one_sample_t": OneSampleT()}, AnalysisOptions())
     page = report_html(found, title=evil)
-    parser = Texts()
-    parser.feed(page)
-    assert "<script" not in page
-    assert "<img" not in page
-    assert not parser.tags & {"script", "img", "iframe", "object", "link"}
-    assert parser.links == []
+    assert not re.search(r"<(script|img|iframe|object|link)|(src|href)=\"[^#]", page)
     assert "&lt;img src=x onerror=alert(1)&gt;" in page
-    assert "<script" not in markdown(found)
-    assert "<script" not in latex(found)
+    assert "<script" not in markdown(found) + latex(found)
 
 
-@pytest.mark.parametrize("score", [3, 2])
-@pytest.mark.parametrize(("people", "items"), [(1, 6), (6, 1), (1, 1), (6, 6)])
+@pytest.mark.parametrize(("people", "items", "score"), [(1, 6, 2), (6, 1, 2), (1, 1, 3), (6, 6, 3), (6, 6, 2)])
 def test_answers_that_say_little_give_a_report_all_the_same(tmp_path, people, items, score):
     rows = [(*row[:3], score if row[4] == "A" else 6 - score, row[4]) for row in answer_rows(people, items)]
     found = analyze(read_responses([write_csv(tmp_path / "r.csv", rows)]), TESTS, AnalysisOptions())
@@ -309,7 +281,7 @@ def test_the_command_writes_everything_twice_the_same(tmp_path):
     assert names == [
         ".anystyle",  # what was written here, so that nothing else is ever replaced
         "analysis.json",
-        *(f"figures/{name}.{suffix}" for name in ("likert", "means", "positions") for suffix in ("pdf", "svg")),
+        *(f"figures/{name}.{suffix}" for name in ("likert", "means") for suffix in ("pdf", "svg")),
         "report.html",
         "results.md",
         "results.tex",

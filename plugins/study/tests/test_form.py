@@ -3,8 +3,10 @@
 import json
 import os
 import signal
+import sqlite3
 import threading
 import time
+from contextlib import closing
 from http.server import BaseHTTPRequestHandler, HTTPServer
 
 import pytest
@@ -238,12 +240,10 @@ def test_recruited_participants_agree_answer_and_go_back_with_a_code(page, tmp_p
     elsewhere.server_close()
     assert visited[0] == "/complete?cc=C0FFEE"
     assert kept_answers(database, "P01") == chosen
-    import sqlite3
-
-    connection = sqlite3.connect(database)
-    facts = dict(connection.execute("SELECT name, value FROM people WHERE participant = 'P01'").fetchall())
-    assert connection.execute("SELECT comment FROM responses WHERE comment IS NOT NULL").fetchall() == [("Fine.",)]
-    connection.close()
+    with closing(sqlite3.connect(database)) as connection:
+        facts = dict(connection.execute("SELECT name, value FROM people WHERE participant = 'P01'").fetchall())
+        comments = connection.execute("SELECT comment FROM responses WHERE comment IS NOT NULL").fetchall()
+    assert comments == [("Fine.",)]
     assert set(facts) == {"consent", "age"}
     assert facts["age"] == "older"
 
