@@ -32,7 +32,7 @@ from anystyle.evaluation.tables import Table
 
 anystyle.catalog().find("command", "study").load()  # finds the package of `anystyle study` where it is not installed
 
-from anystyle_study.analysis import Settings, analyze
+from anystyle_study.analysis import AnalysisOptions, analyze
 from anystyle_study.contract import Responses
 from anystyle_study.figures import as_svg, likert, means, power
 from anystyle_study.power import Scenario, power_study, power_table
@@ -135,7 +135,7 @@ tests = {
     "crossed_t": CrossedT(),
     "ordinal_mixed": OrdinalMixed(),
 }
-analysis = analyze(records, tests, Settings(titles={"style": "Style (reconstructed)"}, margin=0.1))
+analysis = analyze(records, tests, AnalysisOptions(titles={"style": "Style (reconstructed)"}, margin=0.1))
 SVG(as_svg(likert(analysis), "likert"))
 
 # %%

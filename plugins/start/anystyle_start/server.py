@@ -3,6 +3,7 @@
 import json
 import logging
 import mimetypes
+import re
 import secrets
 import sys
 import threading
@@ -76,14 +77,13 @@ class Application:
 
     def _answer(self, environ: dict[str, Any]) -> Reply:
         path, method = environ["PATH_INFO"], environ["REQUEST_METHOD"]
-        origin = environ.get("HTTP_ORIGIN")
-        status = refusal(environ.get("HTTP_HOST", ""), origin, changes=method != "GET")
-        if environ.get("HTTP_SEC_FETCH_SITE", "none") not in ("same-origin", "none") and path != "/":
-            status = status or 403
-        if method not in ("GET", "POST"):
-            status = status or 405
-        if method == "POST" and not secrets.compare_digest(environ.get("HTTP_X_ANYSTYLE_TOKEN", ""), self.token):
-            status = status or 403
+        status = refusal(environ.get("HTTP_HOST", ""), environ.get("HTTP_ORIGIN"), changes=method != "GET")
+        elsewhere = environ.get("HTTP_SEC_FETCH_SITE", "none") not in ("same-origin", "none") and path != "/"
+        guessed = not secrets.compare_digest(environ.get("HTTP_X_ANYSTYLE_TOKEN", ""), self.token)
+        if not status and (elsewhere or (method == "POST" and guessed)):
+            status = 403
+        if not status and method not in ("GET", "POST"):
+            status = 405
         if status:
             return _error(status, "this request is not from the page of this program; load the page again")
         try:
@@ -132,14 +132,14 @@ def _error(status: int, reason: str) -> Reply:
 def _file(path: Path, environ: Mapping[str, Any]) -> tuple[int, dict[str, str], Iterable[bytes]]:
     """A file, or the range of it that is asked for: players of films seek."""
     size = path.stat().st_size
-    unit, _, wanted = environ.get("HTTP_RANGE", "").partition("=")
-    first, _, last = wanted.partition("-")
+    ranged = re.fullmatch(r"bytes=(\d+)-(\d*)", environ.get("HTTP_RANGE", ""))
     file = path.open("rb")
-    if unit == "bytes" and first.isdecimal() and int(first) < size and (last.isdecimal() or not last):
-        end = min(int(last or size - 1), size - 1, int(first) + PART - 1)
-        file.seek(int(first))
+    if ranged and int(ranged[1]) < size:
+        first, last = int(ranged[1]), int(ranged[2] or size - 1)
         with file:
-            content = file.read(max(0, end + 1 - int(first)))
+            file.seek(first)
+            content = file.read(max(0, min(last + 1 - first, PART)))
+        end = first + len(content) - 1
         headers = {"Content-Range": f"bytes {first}-{end}/{size}", "Content-Length": str(len(content))}
         return 206, headers, [content]
     wrapper = environ.get("wsgi.file_wrapper", FileWrapper)
@@ -150,7 +150,7 @@ class StartServer(AbstractContextManager["StartServer"]):
     """The running start page; as a context manager it ends its work at the end.
 
     Args:
-        folder: Where scenes are kept; one program at a time uses it.
+        folder: Where scenes are stored; one program at a time uses it.
         port: 0 takes a free one.
         program: The words that start ``anystyle``.
     """

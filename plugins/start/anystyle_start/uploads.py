@@ -47,15 +47,9 @@ class Uploads:
         self._kinds = {suffix: kind for kind, known in suffixes().items() for suffix in known}
 
     def receive(self, scene: str, name: str, upload: str, offset: int, total: int, part: BinaryIO) -> str | None:
-        """Append a part of a file; the last one checks and keeps the file.
+        """Append a part of a file of :data:`PART` bytes at most; the last one checks and stores the file.
 
-        Args:
-            scene: Which the file belongs to.
-            name: Of the file, as the user has it.
-            upload: Chosen by the page, the same for all parts of a file.
-            offset: Bytes that came before.
-            total: Bytes of the whole file.
-            part: At most :data:`PART` bytes.
+        ``name`` is the file's, ``upload`` the same for all its parts; ``offset`` bytes came before, of ``total``.
 
         Returns:
             The name that the file has got, once it is whole.
@@ -101,13 +95,9 @@ class Uploads:
 
     def _keep(self, scene: str, name: str, kind: Uploaded, partial: Path) -> str:
         """Check a whole file, draw its small pictures, and move it to the scene's inputs."""
-        named = partial.with_name(f"{partial.name}{Path(name).suffix.lower()}")
-        partial.rename(named)
+        named = partial.rename(partial.with_name(f"{partial.name}{Path(name).suffix.lower()}"))
         try:
-            try:
-                pictures = small_pictures(kind, named)
-            except UserError as error:
-                raise UserError(str(error).replace(str(named), name[:80])) from None
+            pictures = small_pictures(kind, named)
             with self._lock:  # two files that end at once may have one name
                 self._admitted(scene, name, named.stat().st_size)
                 folder = self.library.path(scene) / "input"
@@ -116,11 +106,13 @@ class Uploads:
                 final = folder / f"{distinct([*(path.stem for path in folder.iterdir()), stem], '-')[-1]}{named.suffix}"
                 save_pictures(pictures, self.library.thumbnails(scene), final.name)
                 named.rename(final)
-                title = stem.replace("-", " ") if kind != "photographs" else ""
+                title = stem.replace("-", " ") * (kind != "photographs")
                 self.library.update(
                     scene, lambda record: replace(record, kind=kind, title=record.title or title, source="")
                 )
             return final.name
+        except UserError as error:
+            raise UserError(str(error).replace(str(named), name[:80])) from None
         finally:
             named.unlink(missing_ok=True)
 

@@ -59,7 +59,7 @@ def _overrides(settings: Settings, kind: Kind | None) -> dict[str, str]:
 
 
 def image_word(pictures: Path, name: str) -> str:
-    """An example, or the file of an uploaded picture, as a word of the command line."""
+    """An example, or the file of an uploaded picture, as an argument."""
     if name.startswith(PREFIX):
         resolved(Path(name))  # refuses what is not an example
         return name

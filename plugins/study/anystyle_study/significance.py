@@ -56,20 +56,20 @@ class CrossedT(Significance):
         if (crossed := crossed_mean(responses)) is None:
             reason = f"{drawn or 'one participant, one item'}: the means do not vary, and nothing can be tested"
             return replace(self.untestable(responses, reason, method), unit="participant", n=people)
-        statistic = float(crossed.mean / crossed.error)
+        statistic, df = float(crossed.mean / crossed.error), float(crossed.df)
         effect = superiority(responses, self.confidence, self.alternative)
         return self.result(
             responses,
             unit="participant",
             statistic=statistic,
-            pvalue=t_pvalue(statistic, float(crossed.df), self.alternative),
+            pvalue=t_pvalue(statistic, df, self.alternative),
             estimate=float(crossed.mean),
             interval=crossed.interval(self.confidence, self.alternative),
             effect=effect.estimate,
             effect_name=effect.name,
             effect_interval=effect.interval,
             n=people,
-            method=f"{method}, {np.round(crossed.df, 1):g} degrees of freedom (Satterthwaite)",
+            method=f"{method}, {np.round(df, 1):g} degrees of freedom (Satterthwaite)",
             generalizes_to=responses.populations,
         )
 
@@ -89,16 +89,10 @@ class OneSampleT(Significance):
             reason = f"every {responses.unit} has the same mean: a t test needs some variation"
             return self.untestable(responses, reason, method)
         test: Any = stats.ttest_1samp(values, 0, alternative=self.alternative)
-        return self.result(
-            responses,
-            statistic=float(test.statistic),
-            pvalue=float(test.pvalue),
-            estimate=mean,
-            interval=tuple(map(float, test.confidence_interval(self.confidence))),
-            effect=mean / sd,
-            effect_name="cohens_d",
-            method=f"{method}, {n - 1} degrees of freedom",
-        )
+        interval = tuple(map(float, test.confidence_interval(self.confidence)))
+        effect = {"effect": mean / sd, "effect_name": "cohens_d", "method": f"{method}, {n - 1} degrees of freedom"}
+        found = {"statistic": float(test.statistic), "pvalue": float(test.pvalue), "estimate": mean}
+        return self.result(responses, **found, interval=interval, **effect)
 
 
 class OrdinalMixed(Significance):
@@ -176,14 +170,9 @@ class SignFlip(Significance):
         tail = (1 - self.confidence) / (2 if self.alternative == "two-sided" else 1)
         low, high = np.quantile(chosen @ values / chosen.sum(1), [tail, 1 - tail]).tolist()
         interval = one_sided((min(low, mean), max(high, mean)), self.alternative)
-        return self.result(
-            responses,
-            statistic=mean,
-            pvalue=float(test.pvalue),
-            estimate=mean,
-            interval=interval,
-            method=f"{method}; interval: typical values of random subsets",
-        )
+        method = f"{method}; interval: typical values of random subsets"
+        pvalue = float(test.pvalue)
+        return self.result(responses, statistic=mean, pvalue=pvalue, estimate=mean, interval=interval, method=method)
 
 
 _MAX_EXACT = 50  # observations

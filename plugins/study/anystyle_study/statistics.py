@@ -123,18 +123,15 @@ class Variation:
 
 def variation(responses: Responses) -> Variation | None:
     """Variance components of the answers; ``None`` if there are none to estimate."""
-    factors, n = responses.factors, responses.count
+    n = responses.count
     crossed = crossed_mean(responses) if n >= 3 else None
     naive = float(responses.deviations.var(ddof=1)) / n if crossed else 0.0
     if crossed is None or naive <= 1e-24:
         return None
     effect = float(crossed.error) ** 2 / naive
-    return Variation(
-        sds=dict(zip([*factors, "answers"], np.sqrt(crossed.components).tolist(), strict=True)),
-        design_effect=effect,
-        effective_answers=n / effect,
-        naive_error_rate=2 * float(special.ndtr(special.ndtri(0.025) / math.sqrt(effect))),
-    )
+    sds = dict(zip([*responses.factors, "answers"], np.sqrt(crossed.components).tolist(), strict=True))
+    naive_error_rate = 2 * float(special.ndtr(special.ndtri(0.025) / math.sqrt(effect)))
+    return Variation(sds, design_effect=effect, effective_answers=n / effect, naive_error_rate=naive_error_rate)
 
 
 @dataclass(frozen=True)
