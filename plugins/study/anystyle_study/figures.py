@@ -74,15 +74,6 @@ def _wrapped(text: str, width: int = 26) -> str:
     return "\n".join(textwrap.wrap(text, width)[:3])
 
 
-def _label_rows(axes: "Axes", titles: Sequence[str]) -> None:
-    """A row for each title, from the top."""
-    axes.axvline(0, color=_INK, linewidth=0.7, zorder=0)
-    axes.set_ylim(len(titles) - 0.5, -0.5)
-    axes.set_yticks(range(len(titles)), [_wrapped(title) for title in titles])
-    axes.tick_params(axis="y", length=0, labelsize=8)
-    axes.spines["left"].set_visible(False)
-
-
 def _level_color(level: float) -> Any:
     """Colour of an answer from -1 (ours) to 1 (theirs)."""
     from matplotlib.colors import LinearSegmentedColormap
@@ -99,7 +90,11 @@ def likert(analysis: Analysis) -> "Figure":
         figure = _figure(7.0, 1.15 + 0.5 * len(analysis.questions))
         axes = figure.add_subplot()
         bars = [_likert_row(axes, row, question) for row, question in enumerate(analysis.questions)]
-        _label_rows(axes, [question.title for question in analysis.questions])
+        axes.axvline(0, color=_INK, linewidth=0.7, zorder=0)
+        axes.set_ylim(len(bars) - 0.5, -0.5)
+        axes.set_yticks(range(len(bars)), [_wrapped(question.title) for question in analysis.questions])
+        axes.tick_params(axis="y", length=0, labelsize=8)
+        axes.spines["left"].set_visible(False)
         extent = 1.02 * max(extent for _, extent in bars)
         axes.set_xlim(-extent, extent)
         axes.xaxis.set_major_formatter(lambda value, _: f"{abs(value):.0%}")

@@ -101,7 +101,7 @@ def simulate(scenario: Scenario, studies: int, seed: int) -> Iterator[Responses]
 
 @dataclass(frozen=True)
 class Rate:
-    """How often a test rejects, with and without a preference."""
+    """How often a test rejects, with and without a preference; intervals are Wilson's at 95 %."""
 
     test: str  # name of the test
     unit: Unit  # what it counts as one observation
@@ -109,7 +109,7 @@ class Rate:
     studies: int  # number of simulated studies of each kind
     generalizes_to: tuple[Population, ...]  # populations that the test's p-values generalise to
     false_positive_rate: float  # rejection rate without a preference
-    false_positive_interval: tuple[float, float]  # Wilson's 95 % interval
+    false_positive_interval: tuple[float, float]
     power: float  # rejection rate with a preference
     power_interval: tuple[float, float]
 

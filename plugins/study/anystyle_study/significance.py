@@ -1,7 +1,7 @@
 """The built-in tests of a user study."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
@@ -13,6 +13,7 @@ from anystyle_study.contract import Alternative, Responses, StudyTest, TestResul
 from anystyle_study.statistics import crossed_mean, one_sided, superiority, t_interval, t_pvalue
 
 
+@dataclass(kw_only=True)
 class Significance(StudyTest):
     """A test with an alternative hypothesis and a confidence level.
 
@@ -21,11 +22,8 @@ class Significance(StudyTest):
         confidence: Level of the intervals.
     """
 
-    def __init__(
-        self, *, alternative: Alternative = "two-sided", confidence: Annotated[float, Range(gt=0, lt=1)] = 0.95
-    ) -> None:
-        self.alternative: Alternative = alternative
-        self.confidence = confidence
+    alternative: Alternative = "two-sided"
+    confidence: Annotated[float, Range(gt=0, lt=1)] = 0.95
 
     def result(self, responses: Responses, **values: Any) -> TestResult:
         """A result with this test's options; ``values`` are the other fields and may override the defaults."""
@@ -134,6 +132,7 @@ class OrdinalMixed(Significance):
         )
 
 
+@dataclass(kw_only=True)
 class SignFlip(Significance):
     """scipy's one-sample permutation test, which flips the sign of each participant's mean.
 
@@ -147,12 +146,8 @@ class SignFlip(Significance):
 
     units: ClassVar[tuple[Unit, ...]] = ("participant",)
 
-    def __init__(
-        self, *, alternative: Alternative = "two-sided", resamples: int = 9999, seed: int = 0, confidence: float = 0.95
-    ) -> None:
-        super().__init__(alternative=alternative, confidence=confidence)
-        self.resamples = resamples
-        self.seed = seed
+    resamples: int = 9999
+    seed: int = 0
 
     def __call__(self, responses: Responses) -> TestResult:
         values, n = responses.deviations, responses.count
@@ -178,6 +173,7 @@ class SignFlip(Significance):
 _MAX_EXACT = 50  # observations
 
 
+@dataclass(kw_only=True)
 class Wilcoxon(Significance):
     """scipy's signed-rank test of symmetry about the neutral answer; the paper runs it on single responses.
 
@@ -191,17 +187,8 @@ class Wilcoxon(Significance):
 
     units: ClassVar[tuple[Unit, ...]] = ("response", "participant", "item")
 
-    def __init__(
-        self,
-        *,
-        alternative: Alternative = "two-sided",
-        zero_method: Literal["wilcox", "pratt", "zsplit"] = "wilcox",
-        method: Literal["auto", "approx"] = "auto",
-        confidence: float = 0.95,
-    ) -> None:
-        super().__init__(alternative=alternative, confidence=confidence)
-        self.zero_method: Literal["wilcox", "pratt", "zsplit"] = zero_method
-        self.method: Literal["auto", "approx"] = method
+    zero_method: Literal["wilcox", "pratt", "zsplit"] = "wilcox"
+    method: Literal["auto", "approx"] = "auto"
 
     def __call__(self, responses: Responses) -> TestResult:
         values, name = responses.deviations, f"Wilcoxon signed-rank test (scipy), zero_method={self.zero_method}"

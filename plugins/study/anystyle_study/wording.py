@@ -127,11 +127,9 @@ def registered(analysis: Analysis) -> list[str]:
         excluded.append(f"answer more than {percent(rules.fast_share)} of the sets {fast}")
     if rules.straight_lining:
         excluded.append("give one answer throughout")
+    first = "Of several answers to one question the first counts."
     changed = " These rules are not the design's." * (study is not None and rules != study.plan.rules)
-    lines.append(
-        f"Participants are excluded who {' or '.join(excluded)}. Of several answers to one question the first counts."
-        + changed
-    )
+    lines.append(f"Participants are excluded who {' or '.join(excluded)}. {first}{changed}")
     margin = "No equivalence margin was set."
     if settings.margin is not None:
         way = f"{percent(settings.margin)} of the way from neutral to the end of the scale"
